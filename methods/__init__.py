@@ -1,0 +1,1 @@
+"""Our own methods: the proposed one and its ablations."""

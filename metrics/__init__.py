@@ -1,0 +1,1 @@
+"""Pure functions of tensors that score an image; imports nothing of ours."""

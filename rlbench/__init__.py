@@ -1,0 +1,1 @@
+"""The core: contract, budget, clips, tracing, running, latency, training tools and command line."""

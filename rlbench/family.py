@@ -1,0 +1,58 @@
+"""What a plugin says of itself before torch is imported: paper, licence, variants, needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What a method asks of the bench; the bench reads, traces and buys no more than this."""
+
+    needs: frozenset[str] = frozenset()  # view buffers it reads: albedo, normal, depth, motion
+    pool: str = "path"  # the kind of sample pool it buys from
+    adapts: bool = False  # does `plan` ever differ from a constant?
+    temporal: bool = False  # does `state` carry anything between frames?
+    passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
+    floor: int = 0  # samples that every pixel gets, whatever the density
+    spp: tuple[float, float] = (0.0, 8.0)  # budgets that make sense, samples per pixel, inclusive
+
+    def refuses(self, spp: float) -> str | None:
+        """Why a budget of `spp` cannot be run, or None if it can."""
+        low, high = self.spp
+        if low <= spp <= high:
+            return None
+        return f"supports {low:g} to {high:g} spp, asked for {spp:g}"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One row of a family's table: the question it answers, and what it asks of the bench."""
+
+    question: str
+    traits: Traits
+    learned: bool = True  # does it need trained weights?
+
+
+@dataclass(frozen=True)
+class Family:
+    """A published method and its variants. The variant `""` is the method itself.
+
+    `build` names a function, as `module:name`, that takes (variant, device, weights) and returns a
+    `Method`; it is imported when the method is first asked for. `weights` is a card's path, or
+    `"random"` for seeded untrained weights, or None for the shipped ones. `train` names a function
+    in the same way (see `rlbench.training`), or is empty where nothing is learned.
+    """
+
+    name: str
+    title: str
+    paper: str  # author, year, title
+    licence: str
+    variants: Mapping[str, Variant]
+    build: str
+    train: str = ""
+
+    def names(self) -> list[str]:
+        """Every variant as it is written on the command line, `family` or `family/variant`."""
+        return [f"{self.name}/{key}" if key else self.name for key in self.variants]

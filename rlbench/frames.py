@@ -1,0 +1,118 @@
+"""What a renderer hands over: the view of a frame, its references, and clips of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from jaxtyping import Float
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from rlbench.sampling import Pool
+
+BUFFERS = ("albedo", "normal", "depth", "motion")  # 3 + 3 + 1 + 2 channels
+
+
+class Size(NamedTuple):
+    """Clips advanced together, and the pixels of each."""
+
+    n: int
+    h: int
+    w: int
+
+
+@dataclass(frozen=True)
+class View:
+    """What the renderer knows of a frame before any light path is traced.
+
+    albedo [n 3 h w] in [0, 1]; normal [n 3 h w] world space, unit length, zero for background;
+    depth [n 1 h w] along the view axis, +inf for background; motion [n 2 h w] in pixels, from a
+    pixel to its position in the previous frame, x right and y down. A buffer that was not declared
+    as needed is absent, and reading it is an error. `motion` is None where nothing moves.
+    """
+
+    buffers: Mapping[str, Tensor]
+    static: bool = False
+
+    @property
+    def albedo(self) -> Float[Tensor, "n 3 h w"]:
+        """Share of light that the first surface reflects, in [0, 1]."""
+        return self._read("albedo")
+
+    @property
+    def normal(self) -> Float[Tensor, "n 3 h w"]:
+        """World-space unit normals; zero for background."""
+        return self._read("normal")
+
+    @property
+    def depth(self) -> Float[Tensor, "n 1 h w"]:
+        """Linear distance along the view axis; +inf for background."""
+        return self._read("depth")
+
+    @property
+    def motion(self) -> Float[Tensor, "n 2 h w"] | None:
+        """Pixels from here to the same point in the previous frame; None where nothing moves."""
+        return None if self.static else self._read("motion")
+
+    def only(self, needs: frozenset[str]) -> View:
+        """The same view without the buffers that a method did not declare."""
+        return View({k: v for k, v in self.buffers.items() if k in needs}, self.static)
+
+    def _read(self, name: str) -> Tensor:
+        if name not in self.buffers:
+            have = ", ".join(self.buffers) or "none"
+            raise LookupError(
+                f"view buffer '{name}' was read but not declared in needs; has: {have}"
+            )
+        return self.buffers[name]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Two independent halves of the converged image: with them the reference's own noise is known."""
+
+    a: Float[Tensor, "n 3 h w"]
+    b: Float[Tensor, "n 3 h w"]
+
+    @property
+    def mean(self) -> Float[Tensor, "n 3 h w"]:
+        """The reference: the mean of both halves."""
+        return (self.a + self.b) / 2
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame as the bench holds it. A method never receives it, for it holds the reference."""
+
+    index: int
+    view: View
+    pool: Pool
+    reference: Reference
+
+
+class Clip(Protocol):
+    """A run of frames of one scene, read in order. Radiance is linear, 1.0 is display white."""
+
+    @property
+    def name(self) -> str:
+        """The clip's name, unique within a benchmark."""
+
+    @property
+    def scene(self) -> str:
+        """The scene that it shows; clips of one scene share their cost per sample."""
+
+    @property
+    def size(self) -> Size:
+        """Clips in the batch and pixels of each."""
+
+    @property
+    def digest(self) -> str:
+        """Hash of the content, so that equal numbers come from equal pixels."""
+
+    def __len__(self) -> int:
+        """Number of frames."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames in order."""

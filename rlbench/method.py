@@ -1,0 +1,34 @@
+"""The contract: what a method is given, and what it returns."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from rlbench.family import Traits
+from rlbench.frames import Size, View
+from rlbench.sampling import Samples
+
+State = Any  # opaque to the bench: returned by the method, carried to its next frame
+
+
+@runtime_checkable
+class Method(Protocol):
+    """An adaptive sampler and a denoiser. Methods are frozen: what they remember is `state`."""
+
+    @property
+    def traits(self) -> Traits:
+        """What it asks of the bench."""
+
+    def start(self, size: Size) -> State:
+        """The state before the first frame of a clip."""
+
+    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+        """Density: how much each pixel wants to be sampled, finite and >= 0, at any scale."""
+
+    def denoise(
+        self, view: View, samples: Samples, state: State
+    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """The image in linear radiance, and the state for the next frame."""

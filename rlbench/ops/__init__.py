@@ -1,0 +1,1 @@
+"""Tensor operations the field agrees on."""

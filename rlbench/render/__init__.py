@@ -1,0 +1,1 @@
+"""Path tracing of clips with Mitsuba 3."""

@@ -1,0 +1,43 @@
+"""The page: one frame through one method. Training and benchmark both go through it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rlbench.frames import Clip, Frame
+from rlbench.method import Method
+from rlbench.sampling import Samples, buy, nothing
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What came of one frame: the image, and the samples that it was made from."""
+
+    frame: Frame
+    samples: Samples
+    image: Float[Tensor, "n 3 h w"]
+
+
+def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
+    """Send `clip` through `method`, frame by frame, at `spp` samples per pixel on average."""
+    traits = method.traits
+    state = method.start(clip.size)
+    for frame in clip:
+        view = frame.view.only(traits.needs)
+        samples = nothing(frame.pool)
+        for share in traits.passes:
+            density = method.plan(view, samples, state)
+            samples = buy(frame.pool, samples, density, upto=spp * share, floor=traits.floor)
+        image, state = method.denoise(view, samples, state)
+        yield Shown(frame, samples, image)
+
+
+def run_clip(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
+    """`unroll` without gradients, for measuring."""
+    with torch.inference_mode():
+        yield from unroll(method, clip, spp)

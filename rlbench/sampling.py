@@ -1,0 +1,194 @@
+"""Buying samples: a wish becomes whole samples that cost exactly the budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rlbench.frames import Size
+
+TOLERANCE = 1e-3  # samples by which the shares of an image may miss the budget before rounding
+STEPS = 64  # most refinements of the multiplier; 5 to 10 are usual
+TIE_BITS = 40  # random bits below the fraction in the key that ranks remainders
+
+
+class BudgetError(ValueError):
+    """A density or a budget that cannot be turned into counts."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What was bought. Slots beyond a pixel's count are zero: what was not bought is not here."""
+
+    radiance: Float[Tensor, "n s 3 h w"]  # linear; slots 0 .. count-1 are filled
+    counts: Int[Tensor, "n 1 h w"]
+
+    @property
+    def filled(self) -> Tensor:
+        """[n s 1 h w] True where a slot holds a bought sample."""
+        slots = torch.arange(self.radiance.shape[1], device=self.counts.device)
+        return slots.view(1, -1, 1, 1, 1) < self.counts.unsqueeze(1)
+
+    @property
+    def mean(self) -> Float[Tensor, "n 3 h w"]:
+        """The Monte-Carlo average; zero where nothing was bought."""
+        return self.radiance.sum(1) / self.counts.clamp_min(1)
+
+
+class Pool(Protocol):
+    """Where the samples of a frame come from: stored images, or a live path tracer."""
+
+    @property
+    def size(self) -> Size:
+        """Clips in the batch and pixels of each."""
+
+    @property
+    def cap(self) -> int:
+        """Most samples that one pixel can have."""
+
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """One number a clip in the batch: breaks ties between pixels, differs from frame to frame."""
+
+    def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+        """Radiance of the first `counts` samples of each pixel, those of `before` included."""
+
+    def empty(self) -> Samples:
+        """No samples at all, on the pool's device."""
+
+
+@dataclass(frozen=True)
+class StoredPool:
+    """A pool of independent 1-spp images, sold in the order in which they lie."""
+
+    radiance: Float[Tensor, "n s 3 h w"]
+    keys: tuple[int, ...]
+
+    @property
+    def size(self) -> Size:
+        """Clips in the batch and pixels of each."""
+        n, _, _, h, w = self.radiance.shape
+        return Size(n, h, w)
+
+    @property
+    def cap(self) -> int:
+        """Number of stored images."""
+        return self.radiance.shape[1]
+
+    def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+        """The first `counts` stored values of each pixel, zero elsewhere (also where NaN was)."""
+        return self.radiance.where(Samples(self.radiance, counts).filled, 0.0)
+
+    def empty(self) -> Samples:
+        """No samples at all."""
+        n, h, w = self.size
+        counts = torch.zeros(n, 1, h, w, dtype=torch.int64, device=self.radiance.device)
+        return Samples(torch.zeros_like(self.radiance), counts)
+
+
+def nothing(pool: Pool) -> Samples:
+    """The samples of a frame before any was bought."""
+    return pool.empty()
+
+
+def buy(
+    pool: Pool, samples: Samples, density: Float[Tensor, "n 1 h w"], upto: float, floor: int = 0
+) -> Samples:
+    """Samples that follow `density`, `upto` samples per pixel on average, those at hand included.
+
+    Raises BudgetError if the density is not finite and >= 0, or if floor, cap and budget disagree.
+    """
+    n, h, w = pool.size
+    if density.shape != (n, 1, h, w):
+        raise BudgetError(f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}")
+    low = samples.counts.clamp_min(floor)
+    counts = spend(density.detach(), round(upto * h * w), low, pool.cap, pool.keys)
+    return Samples(pool.take(samples, counts), counts)
+
+
+def spend(
+    density: Float[Tensor, "n 1 h w"],
+    cost: int,
+    low: Int[Tensor, "n 1 h w"],
+    high: int,
+    keys: tuple[int, ...],
+) -> Int[Tensor, "n 1 h w"]:
+    """Whole counts in [low, high] that follow `density` and sum to exactly `cost` in each image.
+
+    The counts are clip(k * density, low, high) with k such that they sum to `cost`, rounded down;
+    what is left goes to the largest remainders, and ties are broken by a hash of pixel and key, so
+    never by pixel order. A density without a positive value is uniform. A pixel that nobody wants
+    still takes what full pixels cannot. Differs from Scardigli et al. 2023, eq. in section 2.3,
+    which rounds each pixel by itself and so misses the budget by up to all of it below 0.5 spp.
+    """
+    if not torch.isfinite(density).all():
+        raise BudgetError("density has values that are not finite; a density is finite and >= 0")
+    if (density < 0).any():
+        raise BudgetError(f"density has negative values, down to {float(density.min()):g}")
+    images = zip(density.flatten(1), low.flatten(1), keys, strict=True)
+    return torch.stack([_spend_one(d.double(), cost, l, high, k) for d, l, k in images]).view(
+        density.shape
+    )
+
+
+def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> Tensor:
+    pixels, least = density.numel(), int(low.sum())
+    if not least <= cost <= high * pixels:
+        raise BudgetError(
+            f"a budget of {cost} samples for {pixels} pixels does not fit: "
+            f"floor and earlier passes ask for {least}, the pool holds {high * pixels}"
+        )
+    wanted = density > 0
+    if not wanted.any():
+        density = torch.ones_like(density)
+    elif int(torch.where(wanted, high, low).sum()) < cost:  # all that is wanted is full
+        low = torch.where(wanted, high, low)
+        density = (~wanted).to(density.dtype)
+    share = _fill(density / density.max(), cost, low, high)
+    counts = share.floor().long()
+    rank = _ties(pixels, key, density.device)
+    while (left := cost - int(counts.sum())) > 0:
+        rest = ((share - counts).clamp(0, 1) * 2**20).round().long()
+        score = ((rest << TIE_BITS) + rank).where(counts < high, -1)
+        least_score = score.kthvalue(pixels - left + 1).values if left <= pixels else -1
+        counts += (score >= least_score) & (counts < high)
+    return counts
+
+
+def _fill(density: Tensor, cost: int, low: Tensor, high: int) -> Tensor:
+    """clip(k * density, low, high) with the k at which it sums to `cost`, by guarded Newton steps.
+
+    The sum rises with k and is piecewise linear. The result sums to `cost` within 1e-3, or, where
+    the steps run out, to less.
+    """
+    floor = low.double()
+    full = floor.new_tensor(float(high))
+    best, below, above = floor, 0.0, float("inf")
+    k = cost / float(density.sum())
+    for _ in range(STEPS):
+        share = torch.minimum(torch.maximum(density * k, floor), full)
+        excess = float(share.sum()) - cost
+        if excess <= TOLERANCE:
+            best, below = share, k
+        else:
+            above = k
+        if abs(excess) <= TOLERANCE:
+            break
+        slope = float(density[(share > floor) & (share < full)].sum())
+        guess = k - excess / slope if slope > 0 else float("inf")
+        if not below < guess < above:
+            guess = 2 * k if above == float("inf") else (below + above) / 2
+        k = guess
+    return best
+
+
+def _ties(pixels: int, key: int, device: torch.device) -> Tensor:
+    """A number of TIE_BITS bits for each pixel: a hash, so that it is the same on every device."""
+    x = torch.arange(pixels, dtype=torch.int64, device=device) + (key & 0x7FFFFFFF) * 0x9E3779B9
+    for factor in (0x2545F4914F6CDD1D, 0x1B873593CC9E2D51):
+        x = (x ^ ((x >> 29) & 0x7FFFFFFFF)) * factor
+    return (x >> (63 - TIE_BITS)) & (2**TIE_BITS - 1)
