@@ -1,4 +1,4 @@
-"""Training batches: random crops of random clips, kept over the frames, drawn from (seed, index)."""
+"""Training batches: random crops of random clips, kept over their frames; seeded by draw."""
 
 from __future__ import annotations
 

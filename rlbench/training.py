@@ -31,7 +31,7 @@ class TrainingError(RuntimeError):
 
 @dataclass(frozen=True)
 class Trainer:
-    """What a method hands over to be trained (a family's `train` names a function that makes it)."""
+    """What is trained: made by the function that a family's `train` names."""
 
     method: Method  # unrolled with gradients; state must be detached where `losses` yields
     networks: nn.Module  # what is trained and saved
