@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from baselines.ntas import FAMILY
 from baselines.ntas.network import Networks
@@ -17,6 +17,7 @@ from rlbench.frames import Size, View
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
+from rlbench.weights import load_into
 
 MISSING = -1.0  # what a network sees where there is no history
 DARK = 0.01  # added to albedo before dividing by it
@@ -46,13 +47,13 @@ class Ntas:
     where it is now; every pixel gets one sample or more. A second U-Net sees the view, the mean of
     the samples and the same history, and filters them by kernels (see `network.Denoiser`).
 
-    Ours, since the paper's text leaves or left us no more than its outline: both U-Nets are that
+    Ours, since of the paper only the outline was at hand: both U-Nets are that
     of Open Image Denoise; colours enter them as `log_forward(radiance)`; what is filtered is linear
     radiance over (albedo + 0.01), or over 1.01 where the albedo is black as it is for lights and
     sky; what is remembered is likewise free of albedo, so that texture is not blurred from frame to
-    frame and the last image is shown to the networks with the albedo of this frame. Bought values
-    that are not finite or negative enter as 0, infinite ones as 65504; history that is not finite
-    is missing.
+    frame and the last image is shown to the networks with the albedo of this frame. Of the means
+    of samples those that are NaN or negative enter as 0, those above 65504 as 65504, as OIDN has
+    it; history that is not finite is missing.
     """
 
     networks: Networks
@@ -67,7 +68,7 @@ class Ntas:
     def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """Density in (0, 1], 1 where it is largest: exp(x - max x) of the sampler's map x."""
         seen = _seen(view, *_history(view, state))
-        wish = self.networks.sampler(seen)
+        wish: Tensor = self.networks.sampler(seen)
         return (wish - wish.amax((2, 3), keepdim=True)).clamp_min(LOWEST).exp()
 
     def denoise(
@@ -84,9 +85,7 @@ class Ntas:
         return light * reflectance, State(remembered, age)
 
 
-def _history(
-    view: View, state: State
-) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
+def _history(view: View, state: State) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The light of the last frame as seen from this one, zero where it is not valid."""
     moved, valid = reproject(state.light, view.motion)
     valid = valid & torch.isfinite(moved).all(1, keepdim=True) & (state.age > 0)
@@ -103,3 +102,15 @@ def _reflectance(view: View) -> Float[Tensor, "n 3 h w"]:
     """What light is multiplied by to give radiance, in [0.01, 1.01]."""
     black = (view.albedo <= 0).all(1, keepdim=True)
     return torch.where(black, 1.0, view.albedo) + DARK
+
+
+def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
+    """NTAS with shipped weights, those of a file, or random ones."""
+    networks = Networks()
+    if weights == "random":
+        networks.draw(seed=0)
+    else:
+        shipped = Path(__file__).parent / "cards" / f"{variant or 'ntas'}.safetensors"
+        load_into(networks, Path(weights) if weights else shipped)
+    networks.to(device).eval().requires_grad_(False)
+    return Ntas(networks, traits=FAMILY.variants[variant].traits)

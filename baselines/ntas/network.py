@@ -7,9 +7,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from rlbench.ops.initialise import initialise
 from rlbench.ops.kernels import gather
 from rlbench.ops.pad import crop, pad
-from rlbench.ops.unet import BASE, STRIDE, UNet, initialise
+from rlbench.ops.unet import BASE, STRIDE, UNet
 
 VIEW = 7  # normal, albedo, depth
 COLOUR = 3
@@ -22,30 +23,32 @@ SATURATED = 30.0  # a log weight above this one leaves nothing of the others in 
 class Networks(nn.Module):
     """Sampler and denoiser, trained and stored together."""
 
-    def __init__(self, generator: torch.Generator | None = None) -> None:
-        """Weights drawn from `generator`, or from a fixed one."""
+    def __init__(self) -> None:
+        """Weights are the U-Net's; for seeded ones see `draw`."""
         super().__init__()
-        if generator is None:
-            generator = torch.Generator().manual_seed(0)
-        self.sampler = Sampler(generator)
-        self.denoiser = Denoiser(generator)
+        self.sampler = Sampler()
+        self.denoiser = Denoiser()
+
+    def draw(self, seed: int) -> None:
+        """Seeded weights, faint in the last layers: map and kernels start near uniform."""
+        initialise(self, seed)
+        for layer in (self.sampler.unet.dec_conv0, *self.denoiser.last_layers()):
+            for weight in layer.parameters():
+                weight.data.mul_(FAINT)
 
 
 class Sampler(nn.Module):
-    """The map of samples: a U-Net from the view and the last image to one number a pixel.
+    """The map of samples: a U-Net from the view and the last image to one number a pixel."""
 
-    Starts near a constant, so that the first maps are near uniform.
-    """
-
-    def __init__(self, generator: torch.Generator) -> None:
-        """Weights drawn from `generator`."""
+    def __init__(self) -> None:
+        """10 channels in, 1 out."""
         super().__init__()
-        self.unet = UNet(VIEW + COLOUR, 1, generator=generator)
-        _fade(self.unet.dec_conv0)
+        self.unet = UNet(VIEW + COLOUR, 1)
 
     def forward(self, seen: Float[Tensor, "n 10 h w"]) -> Float[Tensor, "n 1 h w"]:
         """The logarithm of the density, up to a constant; any size."""
-        return crop(self.unet(pad(seen, STRIDE)), *seen.shape[-2:])
+        wish = self.unet(pad(seen, STRIDE)).float()
+        return crop(wish, *seen.shape[-2:])
 
 
 class Denoiser(nn.Module):
@@ -63,17 +66,17 @@ class Denoiser(nn.Module):
     which sees the features of level 3 averaged over 2x2, are ours.
     """
 
-    def __init__(self, generator: torch.Generator) -> None:
-        """Weights drawn from `generator`; kernels start near uniform."""
+    def __init__(self) -> None:
+        """13 channels into the trunk, a head at each level."""
         super().__init__()
-        self.unet = UNet(COLOUR + VIEW + COLOUR, 2 * TAPS + 1, generator=generator)
+        self.unet = UNet(COLOUR + VIEW + COLOUR, 2 * TAPS + 1)
         widths = BASE.dec4[1], BASE.dec3[1], BASE.dec2[1]
         self.coarsest = nn.Conv2d(widths[0], TAPS, 1)
         self.heads = nn.ModuleList(nn.Conv2d(width, TAPS + 1, 1) for width in widths)
-        for layer in (self.coarsest, *self.heads):
-            initialise(layer, generator)
-        for layer in (self.coarsest, *self.heads, self.unet.dec_conv0):
-            _fade(layer)
+
+    def last_layers(self) -> list[nn.Module]:
+        """The layers that kernels and blends come from, coarse to fine."""
+        return [self.coarsest, *self.heads, self.unet.dec_conv0]
 
     def forward(
         self,
@@ -88,13 +91,15 @@ class Denoiser(nn.Module):
         for _ in range(COARSEST):
             pyramid.append(F.avg_pool2d(pyramid[-1], 2))
 
-        kernels = self.coarsest(F.avg_pool2d(coarse[0], 2)).softmax(1)
-        output = gather(kernels, pyramid[COARSEST])
+        kernels = self.coarsest(F.avg_pool2d(coarse[0], 2)).float().softmax(1)
+        output: Tensor = gather(kernels, pyramid[COARSEST])
         for head, features, level in zip(self.heads, coarse, pyramid[3:0:-1], strict=True):
-            taps, share = head(features).split((TAPS, 1), 1)
+            taps, share = head(features).float().split_with_sizes((TAPS, 1), 1)
             output = _blend(gather(taps.softmax(1), level), output, share)
 
-        taps, past_taps, share = self.unet.dec_conv0(finest).split((TAPS, TAPS, 1), 1)
+        taps, past_taps, share = (
+            self.unet.dec_conv0(finest).float().split_with_sizes((TAPS, TAPS, 1), 1)
+        )
         past = pad(torch.cat((history * valid, valid.to(history.dtype)), 1), STRIDE)
         output = _blend(_filter(taps, past_taps, pyramid[0], past), output, share)
         return crop(output, *light.shape[-2:])
@@ -110,7 +115,7 @@ def _filter(
     top = taps.detach().amax(1, keepdim=True)
     weights = (taps - top).exp()
     past_weights = (past_taps - top).clamp_max(SATURATED).exp()
-    remembered, trust = gather(past_weights, past).split((COLOUR, 1), 1)
+    remembered, trust = gather(past_weights, past).split_with_sizes((COLOUR, 1), 1)
     total = weights.sum(1, keepdim=True) + trust  # >= 1, from the largest of `taps`
     return (gather(weights, light) + remembered) / total
 
@@ -119,9 +124,3 @@ def _blend(fine: Tensor, coarse: Tensor, share: Tensor) -> Tensor:
     """The finer level and the coarser one, brought to its size, in the proportion of a sigmoid."""
     raised = F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)
     return torch.lerp(raised, fine, share.sigmoid())
-
-
-def _fade(layer: nn.Module) -> None:
-    with torch.no_grad():
-        for weight in layer.parameters():
-            weight.mul_(FAINT)
