@@ -10,8 +10,8 @@ from baselines.ntas import TRAITS
 from baselines.ntas.method import Ntas, State, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import Surrogate, shares, teach, trainer
-from rlbench.clips import MemoryClip
 from rlbench.frames import Frame, Reference, Size, View
+from rlbench.memory import MemoryClip
 from rlbench.run import run_clip, unroll
 from rlbench.sampling import Samples, StoredPool, spend
 
@@ -42,6 +42,21 @@ def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> MemoryClip:
         pool = StoredPool(truth[:, None] * noise, tuple(range(i, i + n)))
         shown.append(Frame(i, view, pool, Reference(truth, truth)))
     return MemoryClip("small", "small", "", shown)
+
+
+def half_noisy(seed: int) -> MemoryClip:
+    """A grey world at rest: noise left, none right, and only albedo tells them apart."""
+    shown = []
+    for frame in small_clip(2, Size(1, 32, 32), seed):
+        left = torch.arange(32).expand(1, 1, 32, 32) < 16
+        truth = torch.full((1, 3, 32, 32), 0.5)
+        noise = -drawn(1, 8, 1, 32, 32, seed=100 * seed + frame.index).clamp_min(1e-6).log()
+        radiance = torch.where(left[:, None], noise, 1.0) * truth[:, None]
+        albedo = torch.where(left, 0.8, 0.3).expand(1, 3, 32, 32)
+        view = View({**frame.view.buffers, "albedo": albedo}, static=True)
+        pool = StoredPool(radiance, (frame.index,))
+        shown.append(Frame(frame.index, view, pool, Reference(truth, truth)))
+    return MemoryClip("half noisy", "half noisy", "", shown)
 
 
 @pytest.fixture(scope="module")
@@ -228,6 +243,30 @@ def test_a_few_steps_bring_the_loss_down() -> None:
             optimizer.step()
             means.append(loss.item())
     assert means[-1] < 0.8 * means[0]
+
+
+def test_the_sampler_learns_where_noise_is() -> None:
+    made = trainer("", CPU, seed=0)
+    optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
+    for seed in range(15):
+        for loss in made.losses(half_noisy(seed), 3.0):
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    *_, shown = run_clip(made.method, half_noisy(99), 3.0)
+    left, right = shown.samples.counts.float().mean((0, 1, 2)).view(2, 16).mean(1).tolist()
+    assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
+
+
+def test_half_precision_gives_the_same_image_but_for_rounding(method: Ntas) -> None:
+    frame = next(iter(small_clip()))
+    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    image, _ = method.denoise(frame.view, samples, method.start(SIZE))
+    with torch.autocast("cpu", torch.bfloat16):
+        half, state = method.denoise(frame.view, samples, method.start(SIZE))
+    assert state.light.dtype == torch.float32
+    # bfloat16 has 8 bits, so logits of order one are off by 1/256, and weights by as much
+    torch.testing.assert_close(half, image, rtol=3e-2, atol=0)
 
 
 def test_seeds_decide_the_weights() -> None:
