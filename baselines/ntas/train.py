@@ -69,8 +69,8 @@ class Surrogate:
     """A method while it is trained: its samples carry a gradient back to the density it asked for.
 
     One sample more would move the mean I of a pixel's s samples towards the truth T, on average
-    by (T - I) / s: that is taken as dI/ds (Kuznetsov et al. 2018, section 4; also in Hasselgren et
-    al. 2020). Here s is the share that the pixel was due before rounding, whose normalisation is
+    by (T - I) / s: that is taken as dI/ds (Kuznetsov et al. 2018, Deep
+    Adaptive Sampling for Low Sample Count Rendering; Hasselgren et al. 2020 is said to do so too). Here s is the share that the pixel was due before rounding, whose normalisation is
     differentiated as well; pixels held at a bound get no gradient, and rounding is passed over.
     The truth is the trainer's: it is in the gradient alone, and the method sees the values that
     it would see without it. For a quadratic error the estimate is twice the true derivative.
