@@ -61,9 +61,9 @@ class Denoiser(nn.Module):
     The light that comes out is thus a mean of what came in: never negative, never above it.
 
     Kernels in a hierarchy and warped feedback are those of Hasselgren et al. 2020; more of the
-    paper could not be confirmed, so it may differ in all that follows, which is ours. The trunk, the five levels, the
-    5x5 taps, the blend, 1x1 heads (3x3 at l = 0, the U-Net's own last layer), the coarsest head,
-    which sees the features of level 3 averaged over 2x2.
+    paper could not be confirmed. What follows is ours and may differ: the trunk, the five levels,
+    the 5x5 taps, the blend, heads of 1x1 (3x3 at l = 0, the U-Net's own last layer), and the
+    coarsest head, which sees the features of level 3 averaged over 2x2.
     """
 
     def __init__(self) -> None:

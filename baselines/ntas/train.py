@@ -69,11 +69,12 @@ class Surrogate:
     """A method while it is trained: its samples carry a gradient back to the density it asked for.
 
     One sample more would move the mean I of a pixel's s samples towards the truth T, on average
-    by (T - I) / s: that is taken as dI/ds (Kuznetsov et al. 2018, Deep
-    Adaptive Sampling for Low Sample Count Rendering; Hasselgren et al. 2020 is said to do so too). Here s is the share that the pixel was due before rounding, whose normalisation is
-    differentiated as well; pixels held at a bound get no gradient, and rounding is passed over.
-    The truth is the trainer's: it is in the gradient alone, and the method sees the values that
-    it would see without it. For a quadratic error the estimate is twice the true derivative.
+    by (T - I) / s: that is taken as dI/ds, as by Kuznetsov et al. 2018, Deep Adaptive Sampling for
+    Low Sample Count Rendering. (T - I) is divided by the count that was bought; s is the share that
+    was due before rounding. Its normalisation is differentiated too, pixels held at a bound get no
+    gradient, and rounding is passed over. The truth is the trainer's: it is in the gradient alone,
+    and the method sees the values that it would see without it. For a quadratic error the estimate
+    is twice the true derivative.
     """
 
     method: Method
