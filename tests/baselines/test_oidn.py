@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from baselines.oidn import FAMILY
-from baselines.oidn.method import VARIANTS, Oidn, build
+from baselines.oidn.method import VARIANTS, Oidn, build, develop
 from baselines.oidn.train import BUDGETS, Still, _loss, trainer
 from rlbench.frames import Frame, Reference, View
 from rlbench.memory import MemoryClip
 from rlbench.method import Method
+from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
@@ -105,6 +106,25 @@ def test_bad_radiance_gives_a_finite_image(bad):
     assert torch.isfinite(image).all()
 
 
+@pytest.mark.parametrize("value", [-1e4, 1e4])
+def test_an_output_out_of_range_gives_radiance_that_half_floats_hold(value):
+    image = develop(torch.full((1, 3, 2, 2), value), torch.ones(1, 1, 1, 1))
+    assert ((image >= 0) & (image <= 65504 * 1.001)).all()  # PU in float32
+
+
+def test_negative_radiance_counts_as_none():
+    (frame,) = clip()
+    counts = torch.full((1, 1, 21, 35), 8)
+    radiance = frame.pool.take(frame.pool.empty(), counts)
+    radiance[..., :5] = 0
+    lower = radiance.clone()
+    lower[..., :5] = -1
+    method = build("", CPU, "random")
+    expected, _ = method.denoise(frame.view, Samples(radiance, counts), None)
+    found, _ = method.denoise(frame.view, Samples(lower, counts), None)
+    assert torch.equal(found, expected)
+
+
 class Spy(torch.nn.Module):
     """A network that gives back the colour it sees, and remembers what that was."""
 
@@ -164,6 +184,15 @@ def test_the_loss_of_a_perfect_output_is_zero():
     pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
     still = Still(Frame(0, frame.view, pool, frame.reference), "", "", "")
     assert float(_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
+
+
+def test_exposure_in_training_comes_from_the_reference():
+    (frame,) = clip(32, 32)
+    reference, spy = frame.reference.mean, Spy()
+    dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
+    _loss(Oidn(spy), Still(Frame(0, frame.view, dark, frame.reference), "", "", ""), 4.0)
+    expected = pu_forward(0.1 * reference * autoexposure(reference))
+    torch.testing.assert_close(spy.seen[:, :3], expected)
 
 
 def test_seeds_of_training_differ():
