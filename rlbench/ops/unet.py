@@ -75,7 +75,7 @@ class UNet(nn.Module):
         result: Tensor = self.dec_conv0(self.decode(x)[-1])
         return result
 
-    def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n c2 h2 w2"]]:
+    def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n _ _ _"]]:
         """Decoder features at 1/8, 1/4, 1/2 and full resolution: where heads can be attached.
 
         Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
