@@ -125,7 +125,7 @@ def look(world: World, time: float, before: float, h: int, w: int) -> Seen:
     light = light * _open(world, there, point, normal, hit) * _of(world.gain[..., None], hit)
 
     # where that point was
-    back = _spun(local, (before - time) * _of(world.spin[..., None], hit))
+    back = _spun(local, (before - time) * _of(world.spin[..., None], hit) * ~sky)
     past = back + _of(centres(world, before), hit) * ~sky
     motion = _project(world, past, sky, before, focal, here) - here
     radiance = torch.where(sky, _sky(ray), albedo * light)

@@ -12,7 +12,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rlbench import clips, decoded, paths
@@ -144,6 +144,7 @@ def test_a_header_comes_back(tmp_path):
     assert read_header(tmp_path) == header
 
 
+@settings(deadline=None)
 @given(text=st.text(st.characters(exclude_categories=["Cs"])))
 def test_any_text_survives_in_toml(text, tmp_path_factory):
     path = tmp_path_factory.mktemp("toml")
@@ -229,6 +230,7 @@ def test_few_slots_are_the_first_of_many(folder):
     assert torch.equal(few, many[:, :2])
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 2**40), index=st.integers(0, 10**6), stored=st.integers(1, 64))
 def test_every_stored_sample_is_sold_once(seed, index, stored):
     assert sorted(clips.sale(seed, "clip", index, stored)[0]) == list(range(stored))
