@@ -1,0 +1,245 @@
+"""Plugins by name: methods, metrics, reports, pools and scenes, imported when they are asked for.
+
+Three places are searched: entry points of installed packages (`rlbench.methods` and so on), the
+variable RLBENCH_METHODS="name=module:FAMILY,...", and loose files given with `--plugin path.py`,
+which hold `FAMILY` or a list `METHODS` of families. A loose file is imported under a name of its
+own, so there `build=f"{__name__}:build"` names its own function.
+
+A name belongs to whom it was given first, and nothing is overwritten: the same name twice with
+different targets is an error that says where both come from. A plugin that cannot be imported is
+listed as broken, and raises its own error when it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rlbench.family import Family, Variant
+
+if TYPE_CHECKING:
+    import torch
+
+    from rlbench.method import Method
+
+GROUPS = ("methods", "metrics", "reports", "pools", "scenes")
+VARIABLE = "RLBENCH_METHODS"
+
+
+class PluginError(LookupError):
+    """A name that no plugin has, two plugins of one name, or a plugin that breaks its promise."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One plugin that is known by name and not yet imported."""
+
+    name: str
+    target: str  # module:attribute, or the path of a loose file
+    origin: str  # who brought it: a distribution and its version, the variable, or the file
+    load: Callable[[], Any] = field(compare=False, repr=False)
+
+
+_files: dict[Path, None] = {}  # loose files, in the order in which they were given
+
+
+def use_plugin(path: str | Path) -> None:
+    """Make the families of a loose file known; it is imported when methods are next asked for."""
+    file = Path(path).resolve()
+    if not file.is_file():
+        raise PluginError(f"no plugin file at {file}; --plugin takes the path of a Python file")
+    _files[file] = None
+
+
+def forget_plugins() -> None:
+    """Undo every `use_plugin`."""
+    _files.clear()
+
+
+def entries(group: str) -> dict[str, Entry]:
+    """All plugins of a group by name, sorted. Raises PluginError if two share a name."""
+    if group not in GROUPS:
+        raise PluginError(f"'{group}' is not a kind of plugin; there are: {', '.join(GROUPS)}")
+    found = _installed(group)
+    if group == "methods":
+        found += _from_variable(os.environ.get(VARIABLE, ""))
+        found += [entry for file in _files for entry in _from_file(file)]
+    known: dict[str, Entry] = {}
+    for entry in found:
+        other = known.setdefault(entry.name, entry)
+        if other.target != entry.target:
+            raise PluginError(
+                f"'{entry.name}' is given twice: by {other.origin} ({other.target}) and by "
+                f"{entry.origin} ({entry.target}); rename or remove one"
+            )
+    return dict(sorted(known.items()))
+
+
+def names(group: str) -> list[str]:
+    """Names of a group's plugins, broken ones too; of methods the families."""
+    return list(entries(group))
+
+
+def load(group: str, name: str) -> Any:
+    """The plugin itself. Whatever its import raises passes through."""
+    known = entries(group)
+    if name not in known:
+        raise PluginError(_unknown(name, f"a {group.removesuffix('s')}", known))
+    return known[name].load()
+
+
+def broken(group: str, name: str) -> str | None:
+    """Why a known plugin cannot be loaded, or None if it can."""
+    try:
+        family(name) if group == "methods" else load(group, name)
+    except Exception as error:  # whatever a stranger's module may raise is what is reported
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def family(name: str) -> Family:
+    """The family that a method belongs to, by `family` or `family/variant`; no torch is needed."""
+    key = name.partition("/")[0]
+    known = entries("methods")
+    if key not in known:
+        raise PluginError(_unknown(key, "a method", known))
+    found = known[key].load()
+    if not isinstance(found, Family):
+        raise PluginError(f"{known[key].target} is a {type(found).__name__}, not a Family")
+    if found.name != key:
+        raise PluginError(f"{known[key].target} calls itself '{found.name}', not '{key}'")
+    return found
+
+
+def variant(name: str) -> Variant:
+    """What a method says of itself. Raises PluginError if its family has no such variant."""
+    found = family(name)
+    key = name.partition("/")[2]
+    if key not in found.variants or name not in found.names():
+        have = ", ".join(found.names())
+        raise PluginError(f"'{found.name}' has no variant '{key}'; it has: {have}")
+    return found.variants[key]
+
+
+def method(
+    name: str, device: torch.device | str = "cpu", weights: str | None = None
+) -> Method:
+    """The method `family` or `family/variant` on a device, with shipped, given or random weights.
+
+    Raises PluginError if its traits are not those that its family declares.
+    """
+    import torch
+
+    from rlbench.method import Method
+
+    declared = variant(name)
+    build = resolve(family(name).build)
+    built = build(name.partition("/")[2], torch.device(device), weights)
+    if not isinstance(built, Method):
+        raise PluginError(f"{family(name).build} returned a {type(built).__name__}, not a Method")
+    if built.traits != declared.traits:
+        raise PluginError(f"'{name}' declares {declared.traits}, but was built as {built.traits}")
+    return built
+
+
+def metrics() -> dict[str, Any]:
+    """All metrics by name."""
+    return {name: entry.load() for name, entry in entries("metrics").items()}
+
+
+def scenes() -> dict[str, Any]:
+    """All scenes by name, built."""
+    return {name: entry.load()() for name, entry in entries("scenes").items()}
+
+
+def reports() -> dict[str, Callable[..., Any]]:
+    """All reports by name: functions of a results folder and a folder to write to."""
+    return {name: entry.load() for name, entry in entries("reports").items()}
+
+
+def expand(patterns: Iterable[str]) -> list[str]:
+    """Method names without repeats: `all` is every family, `family/*` all variants of one.
+
+    `all/*` is every variant of every family. Raises PluginError for a name that is not there.
+    """
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        key, _, rest = pattern.partition("/")
+        for each in names("methods") if key == "all" else [key]:
+            full = f"{each}/{rest}" if rest else each
+            for name in family(each).names() if rest == "*" else [full]:
+                variant(name)
+                found[name] = None
+    return list(found)
+
+
+def resolve(target: str) -> Any:
+    """What `module:attribute` names, imported now."""
+    module, _, attribute = target.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in attribute.split("."):
+        found = getattr(found, part)
+    return found
+
+
+def _unknown(name: str, kind: str, known: Mapping[str, Entry]) -> str:
+    return f"'{name}' is not {kind}; there are: {', '.join(known) or 'none'}"
+
+
+def _installed(group: str) -> list[Entry]:
+    found = importlib.metadata.entry_points(group=f"rlbench.{group}")
+    ours_first = sorted(found, key=lambda point: (_origin(point) != "rlbench", point.name))
+    return [Entry(p.name, p.value, _origin(p), p.load) for p in ours_first]
+
+
+def _origin(point: importlib.metadata.EntryPoint) -> str:
+    return point.dist.name if point.dist else "an unnamed package"
+
+
+def _from_variable(text: str) -> list[Entry]:
+    found = []
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, equals, target = item.partition("=")
+        if not (name and equals and ":" in target):
+            raise PluginError(f"{VARIABLE} holds '{item}'; an item is name=module:FAMILY")
+        found.append(Entry(name, target, VARIABLE, lambda target=target: resolve(target)))
+    return found
+
+
+def _from_file(file: Path) -> list[Entry]:
+    origin = f"--plugin {file.name}"
+    try:
+        module = _import_file(file)
+        families = getattr(module, "METHODS", None) or [module.FAMILY]
+    except Exception as error:  # listed as broken, raised again when asked for
+        return [Entry(file.stem, str(file), origin, lambda error=error: _raise(error))]
+    return [Entry(f.name, f"{file}:{f.name}", origin, lambda f=f: f) for f in families]
+
+
+def _import_file(file: Path) -> Any:
+    name = f"rlbench_plugin_{file.stem}_{sha256(str(file).encode()).hexdigest()[:8]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise PluginError(f"{file} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _raise(error: Exception) -> Any:
+    raise error
