@@ -125,7 +125,8 @@ def _houses(random: np.random.Generator) -> tuple[Mesh, ...]:
         "stone": diffuse(bitmap(ashlar)),
         "trim": diffuse(bitmap(mix((0.60, 0.56, 0.48), (0.72, 0.68, 0.60), grain))),
         "glass": {
-            "type": "plastic",
+            "type": "roughplastic",
+            "alpha": 0.05,
             "diffuse_reflectance": rgb(0.015, 0.02, 0.025),
             "int_ior": 1.9,
         },
@@ -239,7 +240,7 @@ def _lanterns() -> list[Shape]:
         [(-0.9, 0, 0.4), (-0.9, 0.42, 0.55), (-0.8, 0, 0)],
         [(0.9, 0.4, 0.46), (0.9, 0.48, 0.95), (-0.7, 0.4, 0.4)],
     )
-    spots = [(-4.4, -9.2), (5.2, -8.6), (11.8, 3.4), (-11.9, 0.4)]
+    spots = [(-8.6, -7.0), (5.2, -8.6), (11.8, 3.4), (-11.9, 0.4)]
     lanterns = [painted(placed(post, (x, y, 0)), 8, len(PAINTS)) for x, y in spots]
     return lanterns + [
         painted(placed(seat, (x + 1.6, y, 0), yaw(0.1 * x)), 4, len(PAINTS)) for x, y in spots
@@ -258,12 +259,17 @@ def _fountain() -> tuple[Mesh, ...]:
         _mesh(
             "pool",
             water,
-            {"type": "plastic", "diffuse_reflectance": rgb(0.03, 0.09, 0.09), "int_ior": 1.33},
+            {
+                "type": "roughplastic",
+                "diffuse_reflectance": rgb(0.03, 0.09, 0.09),
+                "int_ior": 1.33,
+                "alpha": 0.05,
+            },
         ),
         _mesh(
             "globe",
             placed(ball(4), (0, 0, 3.25), scale=0.62),
-            metal(rgb(1.0, 0.78, 0.36), 0.08),
+            metal(rgb(1.0, 0.78, 0.36), 0.12),
             smooth=True,
         ),
     )
@@ -331,7 +337,7 @@ def _car(time: float) -> Mesh:
     angle = 2 * np.pi * time / 190 - 1.95
     at = (ORBIT * np.cos(angle), ORBIT * np.sin(angle), 0.0)
     shape = placed(_car_at_origin(), at, yaw(angle + np.pi / 2))
-    coat = {"type": "twosided", "bsdf": {"type": "plastic", "diffuse_reflectance": palette(BODY)}}
+    coat = glossy(palette(BODY), 0.06)
     return _mesh("car", shape, coat)
 
 

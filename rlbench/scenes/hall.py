@@ -16,12 +16,13 @@ from rlbench.scenes.shapes import (
     cylinder,
     lathe,
     merge,
+    painted,
     placed,
     quads,
     rotation,
     yaw,
 )
-from rlbench.scenes.textures import bitmap, glossy, metal, mix, noise, palette, rgb, tiles
+from rlbench.scenes.textures import bitmap, glossy, metal, palette, rgb, tiles
 
 WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
 CYAN, AMBER, ROSE, WHITE = (
@@ -52,7 +53,7 @@ def scene() -> Scene:
         meshes=(*_building(random), _crates(random), *_movers(0.0)),
         camera=_camera,
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
-        exposure=5.0,
+        exposure=9.0,
     )
 
 
@@ -118,9 +119,12 @@ def _ribs() -> Shape:
         high.append((WIDTH, y + 0.25, HEIGHT))
     low += [(-WIDTH, -4, 3.3), (WIDTH - 0.9, -4, 3.3)]
     high += [(-WIDTH + 0.9, LENGTH, 3.5), (WIDTH, LENGTH, 3.5)]  # galleries
-    low += [(-2.6, LENGTH - 0.5, 0), (2.0, LENGTH - 0.5, 0), (-2.6, LENGTH - 0.5, 4.4)]
-    high += [(-2.0, LENGTH, 5), (2.6, LENGTH, 5), (2.6, LENGTH, 5)]  # a gate
-    return boxes(low, high)
+    gate = lathe([(2.45, 0.3), (2.45, 1.2), (2.15, 1.3), (2.15, 0.6), (0.5, 0.3), (0.05, 0.9)], 48)
+    return merge(
+        boxes(low, high),
+        placed(gate, (0, LENGTH, 2.9), rotation((1, 0, 0), np.pi / 2)),
+        boxes((-2.0, LENGTH - 1.2, 0), (2.0, LENGTH, 0.6)),
+    )
 
 
 def _pipes() -> Shape:
@@ -168,8 +172,6 @@ def _crates(random: np.random.Generator) -> Mesh:
 
 def _crate(random: np.random.Generator) -> tuple[Shape, Shape]:
     """A unit crate in one of three colours with dark edges."""
-    from rlbench.scenes.shapes import painted
-
     body = painted(boxes((-0.47, -0.47, 0.03), (0.47, 0.47, 0.97)), random.integers(3), 4)
     low, high = [], []
     for axis in range(3):
@@ -226,7 +228,7 @@ def _drone(index: int, time: float) -> tuple[NDArray[np.float64], Floats]:
 
 def _lamps(time: float) -> Lamps:
     random = np.random.default_rng(5)
-    groups = [_strips(random), _ceiling(random), _signs(random), _gate()]
+    groups = [_strips(random), _ceiling(random), _signs(random), _gate(), _guides()]
     groups += [_drone_lamps(index, time) for index in range(len(DRONES))]
     return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
 
@@ -236,13 +238,13 @@ def _strips(random: np.random.Generator) -> Lamps:
     y = np.arange(-3.5, LENGTH - 0.5, 0.3)
     groups = []
     for side in (-1.0, 1.0):
-        for height, colour, power in ((0.95, CYAN, 9.0), (3.2, ROSE if side < 0 else AMBER, 7.0)):
+        for height, colour, power in ((0.93, CYAN, 4.0), (3.34, ROSE if side < 0 else AMBER, 3.5)):
             keep = y[random.random(len(y)) < 0.85]
             depth = WIDTH - (1.11 if height < 1 else 0.91)
             x = np.full_like(keep, side * depth)
             corner = np.stack([x, keep + (0.22 if side > 0 else 0), np.full_like(keep, height)], -1)
             across = np.array([[0, -0.22 * side, 0]]).repeat(len(keep), 0)
-            up = np.array([[0, 0, 0.07]]).repeat(len(keep), 0)
+            up = np.array([[0, 0, 0.12]]).repeat(len(keep), 0)
             shade = random.uniform(0.4, 1.6, (len(keep), 1))
             groups.append(Lamps(corner, across, up, power * shade * np.array(colour)))
     return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
@@ -270,25 +272,27 @@ def _signs(random: np.random.Generator) -> Lamps:
         corner = np.stack([np.full_like(z, side * (WIDTH - 0.02)), along, z], -1)
         one = np.ones((len(z), 1))
         colour = np.array([CYAN, AMBER, ROSE, WHITE])[random.integers(4, size=len(z))]
-        shade = random.choice([0.0, 1.0, 3.0, 8.0], (len(z), 1))
+        shade = random.choice([0.0, 0.4, 1.2, 3.0], (len(z), 1))
         groups.append(Lamps(corner, one * (0, -0.16 * side, 0), one * (0, 0, 0.14), shade * colour))
     return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
 
 
 def _gate() -> Lamps:
-    """A bright rim about the gate at the far end."""
-    z = np.arange(0.3, 4.3, 0.4)
-    left = np.stack([np.full_like(z, -1.98), np.full_like(z, LENGTH - 0.52), z], -1)
-    right = left + (3.84, 0, 0)
-    x = np.arange(-1.9, 1.9, 0.4)
-    top = np.stack([x, np.full_like(x, LENGTH - 0.52), np.full_like(x, 4.26)], -1)
-    corner = np.concatenate([left, right, top])
-    one = np.ones((len(corner), 1))
-    across = one * (0.12, 0, 0)
-    across[len(z) * 2 :] = (0.34, 0, 0)
-    up = one * (0, 0, 0.34)
-    up[len(z) * 2 :] = (0, 0, 0.12)
-    return Lamps(corner, across, up, one * 20 * np.array(AMBER))
+    """A ring of lamps about the round gate at the far end."""
+    angle = np.arange(48) * (2 * np.pi / 48)
+    outward = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
+    along = np.stack([-np.sin(angle), 0 * angle, np.cos(angle)], -1)
+    corner = np.array([0, LENGTH - 1.35, 2.9]) + 2.2 * outward - 0.12 * along
+    return Lamps(corner, 0.24 * along, 0.22 * outward, np.full((48, 1), 9.0) * np.array(AMBER))
+
+
+def _guides() -> Lamps:
+    """Two dashed lines let into the floor that lead to the gate."""
+    y = np.arange(-1.0, LENGTH - 3, 1.1)
+    x = np.repeat([-1.75, 1.65], len(y))
+    corner = np.stack([x, np.tile(y, 2), np.full_like(x, 0.012)], -1)
+    one = np.ones((len(x), 1))
+    return Lamps(corner, one * (0.1, 0, 0), one * (0, 0.6, 0), one * 1.2 * np.array(CYAN))
 
 
 def _drone_lamps(index: int, time: float) -> Lamps:
@@ -299,7 +303,7 @@ def _drone_lamps(index: int, time: float) -> Lamps:
     one = np.ones((4, 1))
     across, up = turn @ np.array([0, 0.1, 0]), turn @ np.array([0.12, 0, 0])
     colour = np.array((WHITE, CYAN, AMBER, ROSE)[index])
-    return Lamps(corner, one * across, one * up, one * 60 * colour)
+    return Lamps(corner, one * across, one * up, one * 10 * colour)
 
 
 def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:

@@ -19,7 +19,7 @@ from rlbench.scenes.shapes import (
 )
 from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
 
-WIDTH, LENGTH, HEIGHT = 6.0, 30.0, 9.0  # half width; metres
+WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
 BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
 PIVOT = np.array([0.3, 12.0, HEIGHT])  # where the lamp hangs from
 
@@ -33,11 +33,11 @@ def scene() -> Scene:
         meshes=(*_building(random), *_furniture(random), *_movers()),
         camera=_camera,
         sky=(
-            {"type": "constant", "radiance": rgb(1.1, 1.5, 2.1)},
+            {"type": "constant", "radiance": rgb(2.0, 2.6, 3.4), "sampling_weight": 0.4},
             {
                 "type": "directional",
                 "direction": [-0.78, 0.22, -0.6],
-                "irradiance": rgb(46, 39, 29),
+                "irradiance": rgb(42, 36, 27),
             },
         ),
         moving=_moving,
@@ -75,17 +75,17 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
         _mesh(
             "ceiling",
             _ceiling(),
-            diffuse(bitmap(mix((0.2, 0.11, 0.06), (0.3, 0.17, 0.09), noise(random, 128)))),
+            diffuse(bitmap(mix((0.34, 0.20, 0.11), (0.46, 0.29, 0.17), noise(random, 128)))),
         ),
         _mesh("floor", _floor(), glossy(bitmap(marble), 0.12)),
     )
 
 
 def _wall(side: float) -> Shape:
-    """One long wall, 0.7 m thick, with a slit in the middle of each bay."""
+    """One long wall with a slit in the middle of each bay."""
     slits = (BAYS[:-1] + BAYS[1:]) / 2
-    half = 0.42 if side > 0 else 0.3  # metres
-    x0, x1 = sorted((side * WIDTH, side * (WIDTH + 0.7)))
+    half = 0.65 if side > 0 else 0.4  # metres
+    x0, x1 = sorted((side * WIDTH, side * (WIDTH + THICK)))
     starts = np.concatenate([[-4.0], slits + half])
     ends = np.concatenate([slits - half, [LENGTH]])
     low, high = (1.6, 7.6) if side > 0 else (4.6, 7.6)
@@ -101,12 +101,12 @@ def _wall(side: float) -> Shape:
 
 
 def _ends() -> Shape:
-    back = boxes((-WIDTH - 0.7, -4.7, 0), (WIDTH + 0.7, -4, HEIGHT + 0.5), tile=3.0)
+    back = boxes((-WIDTH - THICK, -4.7, 0), (WIDTH + THICK, -4, HEIGHT + 0.5), tile=3.0)
     niche = boxes(
-        [(-WIDTH - 0.7, LENGTH, 0), (2.2, LENGTH, 0), (-2.2, LENGTH, 6), (-2.2, LENGTH + 2, 0)],
+        [(-WIDTH - THICK, LENGTH, 0), (2.2, LENGTH, 0), (-2.2, LENGTH, 6), (-2.2, LENGTH + 2, 0)],
         [
             (-2.2, LENGTH + 2, HEIGHT + 0.5),
-            (WIDTH + 0.7, LENGTH + 2, HEIGHT + 0.5),
+            (WIDTH + THICK, LENGTH + 2, HEIGHT + 0.5),
             (2.2, LENGTH + 2, HEIGHT + 0.5),
             (2.2, LENGTH + 2.7, HEIGHT + 0.5),
         ],
@@ -121,7 +121,7 @@ def _columns() -> Shape:
 
 
 def _ceiling() -> Shape:
-    slab = boxes((-WIDTH - 0.7, -4.7, HEIGHT), (WIDTH + 0.7, LENGTH + 2.7, HEIGHT + 0.5))
+    slab = boxes((-WIDTH - THICK, -4.7, HEIGHT), (WIDTH + THICK, LENGTH + 2.7, HEIGHT + 0.5))
     beams = [
         ((-3.75, -4, HEIGHT - 0.8), (-2.85, LENGTH, HEIGHT)),
         ((2.85, -4, HEIGHT - 0.8), (3.75, LENGTH, HEIGHT)),
@@ -132,7 +132,7 @@ def _ceiling() -> Shape:
 
 
 def _floor() -> Shape:
-    flat = boxes((-WIDTH - 0.7, -4.7, -0.4), (WIDTH + 0.7, LENGTH + 2.7, 0), tile=4.0)
+    flat = boxes((-WIDTH - THICK, -4.7, -0.4), (WIDTH + THICK, LENGTH + 2.7, 0), tile=4.0)
     steps = [
         boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH, 0.25 + s / 2), tile=4.0)
         for s in (0, 0.5, 1)

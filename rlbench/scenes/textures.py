@@ -1,4 +1,4 @@
-"""Textures without files: palettes, noise, paving and bricks as arrays, wrapped as bitmap plugins."""
+"""Textures without files: palettes, noise, paving and bricks as arrays, and plain materials."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def glossy(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
 
 
 def metal(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
-    """A conductor that reflects `reflectance` at every angle, with roughness alpha, on both sides."""
+    """A conductor tinted by `reflectance`, with roughness alpha, on both sides."""
     plain = {"type": "roughconductor", "specular_reflectance": reflectance, "alpha": alpha}
     return {"type": "twosided", "bsdf": plain}
 
 
 def noise(random: np.random.Generator, size: int, rough: float = 1.0) -> Pixels:
-    """Cloudy noise [size size 1] in 0..1 that repeats: white noise filtered by 1 / f^(1 + rough)."""
+    """Cloudy noise [size size 1] in 0..1 that repeats: white noise times 1 / f^(1 + rough)."""
     ring = np.fft.fftfreq(size)
     frequency = np.hypot(ring[:, None], ring[None]) * size
     spectrum = np.fft.fft2(random.normal(size=(size, size))) / np.maximum(frequency, 1) ** (
