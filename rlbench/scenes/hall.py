@@ -1,13 +1,23 @@
-"""Hall: a dark sci-fi hall lit by a thousand small coloured lamps, with metal, crates and drones."""
+"""Hall: a dark sci-fi hall of metal, crates and drones, lit by a thousand small lamps."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Scene
+from rlbench.scenes.lamps import (
+    AMBER,
+    CYAN,
+    HEIGHT,
+    LENGTH,
+    ROSE,
+    WHITE,
+    WIDTH,
+    Lamps,
+    fixed,
+    joined,
+)
 from rlbench.scenes.shapes import (
     Floats,
     Shape,
@@ -24,24 +34,10 @@ from rlbench.scenes.shapes import (
 )
 from rlbench.scenes.textures import bitmap, glossy, metal, palette, rgb, tiles
 
-WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
-CYAN, AMBER, ROSE, WHITE = (
-    (0.12, 0.75, 1.0),
-    (1.0, 0.42, 0.06),
-    (1.0, 0.08, 0.35),
-    (0.85, 0.92, 1.0),
-)
+Point = tuple[float, float, float]
+
 ATLAS = 32  # lamps along a side of the light atlas: one texel a lamp
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 13.0, 3.4), (0.2, 19.0, 2.2), (-3.4, 15.0, 4.6))
-
-
-class Lamps(NamedTuple):
-    """Flat rectangles that shine to the side of across x up."""
-
-    corner: NDArray[np.float64]  # n 3
-    across: NDArray[np.float64]  # n 3
-    up: NDArray[np.float64]  # n 3
-    radiance: NDArray[np.float64]  # n 3
 
 
 def scene() -> Scene:
@@ -53,7 +49,7 @@ def scene() -> Scene:
         meshes=(*_building(random), _crates(random), *_movers(0.0)),
         camera=_camera,
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
-        exposure=9.0,
+        exposure=7.0,
     )
 
 
@@ -98,15 +94,16 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
         tile=4.0,
     )
     return (
-        _mesh("floor", floor, metal(bitmap(plates), 0.2)),
-        _mesh("shell", shell, glossy(bitmap(panels), 0.25)),
-        _mesh("ribs", _ribs(), metal(rgb(0.42, 0.43, 0.46), 0.3)),
-        _mesh("pipes", _pipes(), metal(rgb(0.60, 0.36, 0.22), 0.22), smooth=True),
+        floor.mesh("floor", metal(bitmap(plates), 0.2)),
+        shell.mesh("shell", glossy(bitmap(panels), 0.25)),
+        _ribs().mesh("ribs", metal(rgb(0.42, 0.43, 0.46), 0.3)),
+        _pipes().mesh("pipes", metal(rgb(0.60, 0.36, 0.22), 0.22), smooth=True),
     )
 
 
 def _ribs() -> Shape:
-    low, high = [], []
+    low: list[Point] = []
+    high: list[Point] = []
     for y in np.arange(1.0, LENGTH, 4.0):
         for side in (-1, 1):
             a, b = sorted((side * WIDTH, side * (WIDTH - 0.55)))
@@ -167,7 +164,7 @@ def _crates(random: np.random.Generator) -> Mesh:
             )
     shape = merge(*parts)
     colours = [(0.55, 0.16, 0.03), (0.05, 0.20, 0.24), (0.35, 0.33, 0.28), (0.06, 0.06, 0.07)]
-    return _mesh("crates", shape, glossy(palette(colours), 0.2))
+    return shape.mesh("crates", glossy(palette(colours), 0.2))
 
 
 def _crate(random: np.random.Generator) -> tuple[Shape, Shape]:
@@ -206,7 +203,7 @@ def _movers(time: float) -> tuple[Mesh, ...]:
     shine = {"type": "area", "radiance": glow}
     black = {"type": "diffuse", "reflectance": rgb(0.05, 0.05, 0.05)}
     return (
-        _mesh("drones", drones, metal(rgb(0.75, 0.76, 0.80), 0.12), smooth=True),
+        drones.mesh("drones", metal(rgb(0.75, 0.76, 0.80), 0.12), smooth=True),
         Mesh(
             "lamps",
             rectangles.vertices,
@@ -227,72 +224,8 @@ def _drone(index: int, time: float) -> tuple[NDArray[np.float64], Floats]:
 
 
 def _lamps(time: float) -> Lamps:
-    random = np.random.default_rng(5)
-    groups = [_strips(random), _ceiling(random), _signs(random), _gate(), _guides()]
-    groups += [_drone_lamps(index, time) for index in range(len(DRONES))]
-    return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
-
-
-def _strips(random: np.random.Generator) -> Lamps:
-    """Two broken lines of small lamps along each long wall, cyan below and rose above."""
-    y = np.arange(-3.5, LENGTH - 0.5, 0.3)
-    groups = []
-    for side in (-1.0, 1.0):
-        for height, colour, power in ((0.93, CYAN, 4.0), (3.34, ROSE if side < 0 else AMBER, 3.5)):
-            keep = y[random.random(len(y)) < 0.85]
-            depth = WIDTH - (1.11 if height < 1 else 0.91)
-            x = np.full_like(keep, side * depth)
-            corner = np.stack([x, keep + (0.22 if side > 0 else 0), np.full_like(keep, height)], -1)
-            across = np.array([[0, -0.22 * side, 0]]).repeat(len(keep), 0)
-            up = np.array([[0, 0, 0.12]]).repeat(len(keep), 0)
-            shade = random.uniform(0.4, 1.6, (len(keep), 1))
-            groups.append(Lamps(corner, across, up, power * shade * np.array(colour)))
-    return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
-
-
-def _ceiling(random: np.random.Generator) -> Lamps:
-    """White panels between the beams, many of them dead."""
-    spots = [(x, y) for y in np.arange(3.0, LENGTH, 4.0) for x in (-2.4, 0.0, 2.4)]
-    at = np.array([(x, y, HEIGHT - 0.65) for x, y in spots])
-    shade = np.where(random.random(len(at)) < 0.6, 1.0, 0.08)[:, None]
-    one = np.ones((len(at), 1))
-    return Lamps(
-        at - (0.35, 0.08, 0), one * (0, 0.16, 0), one * (0.7, 0, 0), 8 * shade * np.array(WHITE)
-    )
-
-
-def _signs(random: np.random.Generator) -> Lamps:
-    """Panels of tiny lamps on the walls, like consoles and signs, in random colours."""
-    groups = []
-    for number, y in enumerate(np.arange(3.0, 27.0, 4.0)):
-        side = 1.0 if number % 2 else -1.0
-        rows, columns = np.meshgrid(np.arange(6), np.arange(12), indexing="ij")
-        z = 1.5 + 0.2 * rows.ravel()
-        along = y - 1.2 + 0.2 * columns.ravel() + (0.16 if side > 0 else 0)
-        corner = np.stack([np.full_like(z, side * (WIDTH - 0.02)), along, z], -1)
-        one = np.ones((len(z), 1))
-        colour = np.array([CYAN, AMBER, ROSE, WHITE])[random.integers(4, size=len(z))]
-        shade = random.choice([0.0, 0.4, 1.2, 3.0], (len(z), 1))
-        groups.append(Lamps(corner, one * (0, -0.16 * side, 0), one * (0, 0, 0.14), shade * colour))
-    return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
-
-
-def _gate() -> Lamps:
-    """A ring of lamps about the round gate at the far end."""
-    angle = np.arange(48) * (2 * np.pi / 48)
-    outward = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
-    along = np.stack([-np.sin(angle), 0 * angle, np.cos(angle)], -1)
-    corner = np.array([0, LENGTH - 1.35, 2.9]) + 2.2 * outward - 0.12 * along
-    return Lamps(corner, 0.24 * along, 0.22 * outward, np.full((48, 1), 9.0) * np.array(AMBER))
-
-
-def _guides() -> Lamps:
-    """Two dashed lines let into the floor that lead to the gate."""
-    y = np.arange(-1.0, LENGTH - 3, 1.1)
-    x = np.repeat([-1.75, 1.65], len(y))
-    corner = np.stack([x, np.tile(y, 2), np.full_like(x, 0.012)], -1)
-    one = np.ones((len(x), 1))
-    return Lamps(corner, one * (0.1, 0, 0), one * (0, 0.6, 0), one * 1.2 * np.array(CYAN))
+    drones = [_drone_lamps(index, time) for index in range(len(DRONES))]
+    return joined([fixed(np.random.default_rng(5)), *drones])
 
 
 def _drone_lamps(index: int, time: float) -> Lamps:
@@ -304,7 +237,3 @@ def _drone_lamps(index: int, time: float) -> Lamps:
     across, up = turn @ np.array([0, 0.1, 0]), turn @ np.array([0.12, 0, 0])
     colour = np.array((WHITE, CYAN, AMBER, ROSE)[index])
     return Lamps(corner, one * across, one * up, one * 10 * colour)
-
-
-def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:
-    return Mesh(name, shape.vertices, shape.faces, material, uv=shape.uv, smooth=smooth)

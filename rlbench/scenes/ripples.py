@@ -93,9 +93,9 @@ def _basin(random: np.random.Generator) -> tuple[Mesh, ...]:
     wall = boxes((-far, 6.0, 0), (far, 6.5, 7), tile=3.0)
     plaster = mix((0.42, 0.20, 0.14), (0.55, 0.30, 0.20), noise(random, 128, 0.6))
     return (
-        _mesh("liner", liner, diffuse(bitmap(mosaic))),
-        _mesh("deck", flags, glossy(bitmap(deck), 0.2)),
-        _mesh("wall", wall, diffuse(bitmap(plaster))),
+        liner.mesh("liner", diffuse(bitmap(mosaic))),
+        flags.mesh("deck", glossy(bitmap(deck), 0.2)),
+        wall.mesh("wall", diffuse(bitmap(plaster))),
     )
 
 
@@ -117,7 +117,7 @@ def _pebbles(random: np.random.Generator) -> Mesh:
     ):
         block = boxes((-size / 2, -size / 2, 0), (size / 2, size / 2, height))
         parts.append(painted(placed(block, (x, y, -DEPTH), yaw(0.5 * x)), slot, 7))
-    return _mesh("pebbles", merge(*parts), diffuse(palette(PEBBLES)))
+    return merge(*parts).mesh("pebbles", diffuse(palette(PEBBLES)))
 
 
 def _optics() -> tuple[Mesh, ...]:
@@ -131,15 +131,14 @@ def _optics() -> tuple[Mesh, ...]:
     frame = placed(bars, (0.2, 4.4, 0.2), lean)
     lamp = quads((-1.9, -1.0, 3.4), (0, 1.7, 0), (3.8, 0, 0))
     return (
-        _mesh(
+        glass.mesh(
             "mirror",
-            glass,
             {
                 "type": "twosided",
                 "bsdf": {"type": "conductor", "specular_reflectance": rgb(0.9, 0.9, 0.9)},
             },
         ),
-        _mesh("frame", frame, glossy(rgb(0.30, 0.16, 0.05), 0.1)),
+        frame.mesh("frame", glossy(rgb(0.30, 0.16, 0.05), 0.1)),
         Mesh(
             "lamp",
             lamp.vertices,
@@ -176,9 +175,9 @@ def _movers(time: float) -> tuple[Mesh, ...]:
     )
     orb = placed(ball(5), hover, scale=0.55)
     return (
-        _mesh("water", water, {"type": "dielectric", "int_ior": 1.33}, smooth=True),
-        _mesh("floats", merge(*floats), glossy(palette(PEBBLES), 0.08), smooth=True),
-        _mesh("orb", orb, {"type": "dielectric", "int_ior": 1.5}, smooth=True),
+        water.mesh("water", {"type": "dielectric", "int_ior": 1.33}, smooth=True),
+        merge(*floats).mesh("floats", glossy(palette(PEBBLES), 0.08), smooth=True),
+        orb.mesh("orb", {"type": "dielectric", "int_ior": 1.5}, smooth=True),
     )
 
 
@@ -199,7 +198,3 @@ def _float(number: int, time: float) -> Shape:
     return placed(
         painted(sphere, slots, len(PEBBLES)), (x, y, 1.6 * height + 0.35 * radius), tilt, radius
     )
-
-
-def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:
-    return Mesh(name, shape.vertices, shape.faces, material, uv=shape.uv, smooth=smooth)

@@ -1,4 +1,4 @@
-"""Temple: a hall of columns lit only through slits by the sun outside; nearly all light is indirect."""
+"""Temple: a hall of columns lit only through slits by the sun outside; most light is indirect."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from rlbench.scenes.shapes import (
 from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
 
 WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
+Point = tuple[float, float, float]
+
 BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
 PIVOT = np.array([0.3, 12.0, HEIGHT])  # where the lamp hangs from
 
@@ -41,7 +43,7 @@ def scene() -> Scene:
             },
         ),
         moving=_moving,
-        exposure=1.0,
+        exposure=0.8,
     )
 
 
@@ -70,14 +72,13 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
         random, [(0.55, 0.20, 0.11), (0.66, 0.54, 0.38)], (0.16, 0.10, 0.07), (4, 4), gap=0.03
     )
     return (
-        _mesh("walls", merge(_wall(1.0), _wall(-1.0), _ends()), diffuse(bitmap(ashlar))),
-        _mesh("columns", _columns(), diffuse(bitmap(stone)), smooth=True),
-        _mesh(
+        merge(_wall(1.0), _wall(-1.0), _ends()).mesh("walls", diffuse(bitmap(ashlar))),
+        _columns().mesh("columns", diffuse(bitmap(stone)), smooth=True),
+        _ceiling().mesh(
             "ceiling",
-            _ceiling(),
             diffuse(bitmap(mix((0.34, 0.20, 0.11), (0.46, 0.29, 0.17), noise(random, 128)))),
         ),
-        _mesh("floor", _floor(), glossy(bitmap(marble), 0.12)),
+        _floor().mesh("floor", glossy(bitmap(marble), 0.12)),
     )
 
 
@@ -122,7 +123,7 @@ def _columns() -> Shape:
 
 def _ceiling() -> Shape:
     slab = boxes((-WIDTH - THICK, -4.7, HEIGHT), (WIDTH + THICK, LENGTH + 2.7, HEIGHT + 0.5))
-    beams = [
+    beams: list[tuple[Point, Point]] = [
         ((-3.75, -4, HEIGHT - 0.8), (-2.85, LENGTH, HEIGHT)),
         ((2.85, -4, HEIGHT - 0.8), (3.75, LENGTH, HEIGHT)),
     ]
@@ -155,9 +156,9 @@ def _furniture(random: np.random.Generator) -> tuple[Mesh, ...]:
         placed(vase, (x, y, 0)) for x, y in ((-2.1, 7.2), (2.15, 11.3), (-2.15, 19), (4.9, 5.2))
     ]
     return (
-        _mesh("carpet", carpet, diffuse(bitmap(weave))),
-        _mesh("gold", disc_of_sun, metal(rgb(0.95, 0.70, 0.32), 0.25), smooth=True),
-        _mesh("vases", merge(*vases), glossy(rgb(0.05, 0.20, 0.24), 0.08), smooth=True),
+        carpet.mesh("carpet", diffuse(bitmap(weave))),
+        disc_of_sun.mesh("gold", metal(rgb(0.95, 0.70, 0.32), 0.25), smooth=True),
+        merge(*vases).mesh("vases", glossy(rgb(0.05, 0.20, 0.24), 0.08), smooth=True),
     )
 
 
@@ -168,15 +169,8 @@ def _movers(time: float = 0.0) -> tuple[Mesh, ...]:
     lamp += [placed(lathe([(0.56, 0), (0.62, 0.05), (0.56, 0.1)], 40), (0, 0, -5.6))]
     orb = placed(ball(4), (0, 27.6, 2.1 + 0.35 * np.sin(2 * np.pi * time / 60)), scale=0.7)
     return (
-        _mesh(
-            "lamp",
-            placed(merge(*lamp), PIVOT, swing),
-            metal(rgb(0.88, 0.62, 0.30), 0.18),
-            smooth=True,
+        placed(merge(*lamp), PIVOT, swing).mesh(
+            "lamp", metal(rgb(0.88, 0.62, 0.30), 0.18), smooth=True
         ),
-        _mesh("orb", orb, glossy(rgb(0.62, 0.10, 0.05), 0.05), smooth=True),
+        orb.mesh("orb", glossy(rgb(0.62, 0.10, 0.05), 0.05), smooth=True),
     )
-
-
-def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:
-    return Mesh(name, shape.vertices, shape.faces, material, uv=shape.uv, smooth=smooth)

@@ -55,12 +55,12 @@ def noise(random: np.random.Generator, size: int, rough: float = 1.0) -> Pixels:
     spectrum[0, 0] = 0
     cloud = np.fft.ifft2(spectrum).real
     cloud = 0.5 + cloud / (4.5 * cloud.std())
-    return np.clip(cloud, 0, 1).astype(np.float32)[..., None]
+    return np.asarray(np.clip(cloud, 0, 1)[..., None], np.float32)
 
 
 def mix(a: Colour, b: Colour, share: Pixels) -> Pixels:
     """From colour a to colour b as `share` [h w 1] goes from 0 to 1."""
-    return (np.array(a) * (1 - share) + np.array(b) * share).astype(np.float32)
+    return np.asarray(np.array(a) * (1 - share) + np.array(b) * share, np.float32)
 
 
 def tiles(
@@ -89,4 +89,4 @@ def tiles(
     wide = gap * columns / rows
     inside = (np.abs(y % 1 - 0.5) < 0.5 - gap / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
     grain = 0.85 + 0.3 * noise(random, size, 0.3)
-    return (np.where(inside[..., None], face, np.array(joint)) * grain).astype(np.float32)
+    return np.asarray(np.where(inside[..., None], face, np.array(joint)) * grain, np.float32)
