@@ -63,15 +63,13 @@ class View:
     def _read(self, name: str) -> Tensor:
         if name not in self.buffers:
             have = ", ".join(self.buffers) or "none"
-            raise LookupError(
-                f"view buffer '{name}' was read but not declared in needs; has: {have}"
-            )
+            raise LookupError(f"view buffer '{name}' was read but not declared; declared: {have}")
         return self.buffers[name]
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Two independent halves of the converged image: with them the reference's own noise is known."""
+    """Two independent halves of the converged image, so that its own noise can be measured."""
 
     a: Float[Tensor, "n 3 h w"]
     b: Float[Tensor, "n 3 h w"]

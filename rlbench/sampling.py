@@ -52,7 +52,7 @@ class Pool(Protocol):
 
     @property
     def keys(self) -> tuple[int, ...]:
-        """One number a clip in the batch: breaks ties between pixels, differs from frame to frame."""
+        """One number a clip in the batch, another in each frame: breaks ties between pixels."""
 
     def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel, those of `before` included."""
@@ -129,10 +129,9 @@ def spend(
         raise BudgetError("density has values that are not finite; a density is finite and >= 0")
     if (density < 0).any():
         raise BudgetError(f"density has negative values, down to {float(density.min()):g}")
-    images = zip(density.flatten(1), low.flatten(1), keys, strict=True)
-    return torch.stack([_spend_one(d.double(), cost, l, high, k) for d, l, k in images]).view(
-        density.shape
-    )
+    images = zip(density.flatten(1).double(), low.flatten(1), keys, strict=True)
+    counts = [_spend_one(image, cost, least, high, key) for image, least, key in images]
+    return torch.stack(counts).view(density.shape)
 
 
 def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> Tensor:

@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 
 def pad(image: Float[Tensor, "n c h w"], to: int) -> Float[Tensor, "n c h2 w2"]:
-    """The image, extended right and down by repeating its border until both sides divide by `to`."""
+    """The image, its border repeated to the right and down until both sides divide by `to`."""
     h, w = image.shape[-2:]
     right, down = -w % to, -h % to
     return F.pad(image, (0, right, 0, down), mode="replicate") if right or down else image

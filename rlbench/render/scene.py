@@ -43,9 +43,7 @@ class Scene:
     title: str
     meshes: tuple[Mesh, ...]
     camera: Callable[[float], Camera]
-    sky: tuple[
-        Plugin, ...
-    ] = ()  # emitters without a surface: constant, envmap, sunsky, directional
+    sky: tuple[Plugin, ...] = ()  # emitters without a surface: constant, sunsky, directional
     moving: Callable[[float], Mapping[str, NDArray[np.float32]]] = field(
         default=lambda time: {}
     )  # vertices, by mesh name, of the meshes that move

@@ -1,0 +1,25 @@
+"""The proposed method: a reinforcement-learned sampler, a latent state and a denoiser on it."""
+
+from rlbench.family import Family, Traits, Variant
+
+TRAITS = Traits(
+    needs=frozenset({"albedo", "normal", "depth", "motion"}),
+    adapts=True,
+    temporal=True,
+)
+
+FAMILY = Family(
+    name="ours",
+    title="RL-based stateful neural adaptive sampling and denoising",
+    paper="Scardigli, Cavigelli, Müller 2023, RL-based Stateful Neural Adaptive Sampling and "
+    "Denoising for Real-Time Path Tracing",
+    licence="Apache-2.0",
+    variants={
+        "": Variant("Does learned sampling with a latent state pay?", TRAITS),
+        "A2": Variant(
+            "Is planning worth its time? (uniform sampling)", Traits(TRAITS.needs, temporal=True)
+        ),
+    },
+    build="methods.ours.method:build",
+    train="methods.ours.train:trainer",
+)

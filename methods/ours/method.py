@@ -1,0 +1,100 @@
+"""One frame of the proposed method: plan from the warped state, encode what was bought, denoise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from methods.ours import FAMILY
+from methods.ours.network import Networks
+from methods.ours.variants import VARIANTS, Config
+from rlbench.family import Traits
+from rlbench.frames import Size, View
+from rlbench.ops.initialise import initialise
+from rlbench.ops.pad import crop, pad
+from rlbench.ops.transfer import log_forward, log_inverse, squash_depth
+from rlbench.ops.warp import recall
+from rlbench.sampling import Samples
+from rlbench.weights import load_into
+
+MISSING = -1.0  # a sample that was not bought, a state that is not there
+MULTIPLE = 16  # sides that the denoiser can halve four times
+
+
+class Memory(NamedTuple):
+    """The latent state, and how many frames it has lived."""
+
+    latent: Float[Tensor, "n c h w"]  # in [-1, 1]; MISSING everywhere before the first frame
+    age: int
+
+
+@dataclass(frozen=True)
+class Ours:
+    """Scardigli et al. 2023: sampler on the warped state, encoder of raw samples, denoiser.
+
+    Differs from the paper: the density is the action above the lower end of its range (x + 1, x in
+    [-1, 1]) and not above the frame's least action, which is an outlier of half a million values;
+    networks see linear radiance through a logarithm where the authors' data was 8-bit sRGB; a
+    state that comes from outside the image is marked by an exact mask, not by a magic zero.
+    """
+
+    config: Config
+    traits: Traits
+    networks: Networks
+
+    def start(self, size: Size) -> Memory:
+        """No memory: the sentinel everywhere."""
+        device = next(self.networks.parameters()).device
+        shape = (size.n, self.config.latent, size.h, size.w)
+        return Memory(torch.full(shape, MISSING, device=device), 0)
+
+    def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
+        """How far each pixel's action lies above the lowest one, in [0, 2]."""
+        if self.networks.sampler is None:
+            return torch.ones_like(view.depth)
+        return 1 + self.act(view, state)
+
+    def act(self, view: View, state: Memory) -> Float[Tensor, "n 1 h w"]:
+        """The sampler's mean action, in [-1, 1]."""
+        assert self.networks.sampler is not None
+        known = self._known(view, state)
+        h, w = known.shape[-2:]
+        action: Tensor = self.networks.sampler(pad(known, MULTIPLE))
+        return crop(action, h, w).float()
+
+    def denoise(
+        self, view: View, samples: Samples, state: Memory
+    ) -> tuple[Float[Tensor, "n 3 h w"], Memory]:
+        """The image in linear radiance, and the encoded state."""
+        values = log_forward(samples.radiance[:, : self.config.slots])
+        values = values.where(samples.filled[:, : self.config.slots], MISSING).flatten(1, 2)
+        seen = torch.cat((values, self._known(view, state)), dim=1)
+        h, w = seen.shape[-2:]
+        latent = self.networks.encoder(pad(seen, MULTIPLE))
+        value = crop(self.networks.denoiser(latent), h, w).float()
+        value = value if self.networks.training else value.clamp_min(0)
+        return log_inverse(value), Memory(crop(latent, h, w).float(), state.age + 1)
+
+    def _known(self, view: View, state: Memory) -> Float[Tensor, "n c h w"]:
+        """What is known before sampling: normal, albedo, depth, and the state moved here."""
+        latent = state.latent if state.age % self.config.bptt else state.latent.detach()
+        history = recall(latent, view.motion, MISSING)
+        return torch.cat((view.normal, view.albedo, squash_depth(view.depth), history), dim=1)
+
+
+def build(variant: str, device: torch.device, weights: str | None) -> Ours:
+    """The method `ours` or `ours/VARIANT`, with shipped weights, a file's, or random ones."""
+    config = VARIANTS[variant]
+    networks = Networks(config)
+    if weights == "random":
+        initialise(networks)
+    else:
+        shipped = Path(__file__).parent / "cards" / f"{variant or 'ours'}.safetensors"
+        load_into(networks, Path(weights) if weights else shipped)
+    networks.to(device).eval().requires_grad_(False)
+    return Ours(config, FAMILY.variants[variant].traits, networks)

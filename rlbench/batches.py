@@ -1,0 +1,106 @@
+"""Training batches: random crops of random clips, kept over their frames; seeded by draw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from rlbench.clips import MemoryClip, open_clip
+from rlbench.frames import BUFFERS, Frame, Reference, View
+from rlbench.sampling import StoredPool
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How a sequence is cut out of a clip. Drawn once a clip and kept over its frames."""
+
+    top: int
+    left: int
+    crop: int  # side of the square, pixels
+    mirror: bool  # left to right
+    flip: bool  # top to bottom
+    transpose: bool  # rows become columns
+    gain: float  # exposure, factor on radiance
+
+    def turn(self, image: Tensor) -> Tensor:
+        """The crop of an image [... h w], mirrored, flipped and transposed."""
+        image = image[..., self.top : self.top + self.crop, self.left : self.left + self.crop]
+        axes = [axis for axis, wanted in ((-1, self.mirror), (-2, self.flip)) if wanted]
+        image = image.flip(axes) if axes else image
+        return image.transpose(-1, -2) if self.transpose else image
+
+    def turn_motion(self, motion: Tensor) -> Tensor:
+        """The same for motion [n 2 h w], whose vectors turn with the image."""
+        sign = motion.new_tensor([-1.0 if self.mirror else 1.0, -1.0 if self.flip else 1.0])
+        motion = self.turn(motion) * sign.view(1, 2, 1, 1)
+        return motion.flip(1) if self.transpose else motion
+
+    def apply(self, frame: Frame) -> Frame:
+        """The frame, cut out and turned; a static view gets motion zero, so that clips can mix."""
+        view = frame.view
+        motion = view.motion if view.motion is not None else torch.zeros_like(view.normal[:, :2])
+        buffers = {k: self.turn(v) for k, v in view.buffers.items() if k != "motion"}
+        buffers["motion"] = self.turn_motion(motion)
+        pool = frame.pool
+        assert isinstance(pool, StoredPool)
+        return Frame(
+            frame.index,
+            View(buffers),
+            StoredPool(self.turn(pool.radiance) * self.gain, pool.keys),
+            Reference(
+                self.turn(frame.reference.a) * self.gain, self.turn(frame.reference.b) * self.gain
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Batches:
+    """Draws of clips for training; draw `index` is the same in every run with the same seed."""
+
+    folders: Sequence[Path]
+    batch: int  # clips advanced together
+    crop: int  # side, pixels; clips are at least as large
+    length: int  # frames of a sequence
+    seed: int
+    device: str = "cpu"
+
+    def draw(self, index: int) -> MemoryClip:
+        """A clip of `batch` crops side by side, `length` frames long or as long as the shortest."""
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
+        parts = [self._part(generator) for _ in range(self.batch)]
+        frames = [_stack(together) for together in zip(*parts, strict=False)]
+        return MemoryClip(f"draw {index}", "training", "", frames)
+
+    def _part(self, generator: torch.Generator) -> list[Frame]:
+        folder = self.folders[_integer(generator, len(self.folders))]
+        clip = open_clip(folder, frozenset(BUFFERS), seed=_integer(generator, 2**31))
+        h, w = clip.size.h, clip.size.w
+        cut = Augmentation(
+            _integer(generator, h - self.crop + 1),
+            _integer(generator, w - self.crop + 1),
+            self.crop,
+            *(bool(_integer(generator, 2)) for _ in range(3)),
+            gain=2.0 ** float(torch.rand((), generator=generator) - 0.5),
+        )
+        first = _integer(generator, max(1, len(clip) - self.length + 1))
+        chosen = range(first, min(first + self.length, len(clip)))
+        return [cut.apply(clip[i]) for i in chosen]
+
+
+def _stack(frames: Sequence[Frame]) -> Frame:
+    names = frames[0].view.buffers
+    pools = [frame.pool for frame in frames]
+    view = View({k: torch.cat([f.view.buffers[k] for f in frames]) for k in names})
+    radiance = torch.cat([p.radiance for p in pools if isinstance(p, StoredPool)])
+    keys = tuple(key for pool in pools for key in pool.keys)
+    a = torch.cat([f.reference.a for f in frames])
+    b = torch.cat([f.reference.b for f in frames])
+    return Frame(frames[0].index, view, StoredPool(radiance, keys), Reference(a, b))
+
+
+def _integer(generator: torch.Generator, below: int) -> int:
+    return int(torch.randint(below, (), generator=generator))

@@ -1,0 +1,129 @@
+"""The U-Net of Open Image Denoise: what most networks here are built from, layer by layer."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+STRIDE = 16  # four poolings: both sides of the input divide by this
+
+
+class Widths(NamedTuple):
+    """Channels of each convolution; a decoder level has two, `a` and `b`."""
+
+    enc1: int  # enc_conv0 and enc_conv1, full resolution
+    enc2: int  # 1/2
+    enc3: int  # 1/4
+    enc4: int  # 1/8
+    enc5: int  # enc_conv5a and enc_conv5b, 1/16
+    dec4: tuple[int, int]  # 1/8
+    dec3: tuple[int, int]  # 1/4
+    dec2: tuple[int, int]  # 1/2
+    dec1: tuple[int, int]  # full resolution
+
+
+BASE = Widths(32, 48, 64, 80, 96, (112, 112), (96, 96), (64, 64), (64, 32))  # OIDN "balanced"
+FAST = Widths(32, 32, 32, 32, 32, (64, 64), (64, 64), (64, 32), (32, 32))  # OIDN "fast"
+SMALL = Widths(32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16))  # BASE / 2, but enc1
+
+
+class UNet(nn.Module):
+    """Five levels of 3x3 convolutions with ReLU, joined by skips; the last has no ReLU.
+
+    Afra 2019, Open Image Denoise, the network of its training toolkit, with the names of its
+    parameters, so that files of either can be laid side by side. Skips carry the *pooled* features
+    of a level, and the top skip is the raw input. Weights start as He et al. 2015 have it for ReLU,
+    drawn from `generator` (a fixed one if None), biases at zero.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int = 3,
+        widths: Widths = BASE,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        """Layers for `inputs` channels in and `outputs` out."""
+        super().__init__()
+        e1, e2, e3, e4, e5, (d4a, d4b), (d3a, d3b), (d2a, d2b), (d1a, d1b) = widths
+        self.widths = widths
+        self.enc_conv0 = _conv(inputs, e1)
+        self.enc_conv1 = _conv(e1, e1)
+        self.enc_conv2 = _conv(e1, e2)
+        self.enc_conv3 = _conv(e2, e3)
+        self.enc_conv4 = _conv(e3, e4)
+        self.enc_conv5a = _conv(e4, e5)
+        self.enc_conv5b = _conv(e5, e5)
+        self.dec_conv4a = _conv(e5 + e3, d4a)
+        self.dec_conv4b = _conv(d4a, d4b)
+        self.dec_conv3a = _conv(d4b + e2, d3a)
+        self.dec_conv3b = _conv(d3a, d3b)
+        self.dec_conv2a = _conv(d3b + e1, d2a)
+        self.dec_conv2b = _conv(d2a, d2b)
+        self.dec_conv1a = _conv(d2b + inputs, d1a)
+        self.dec_conv1b = _conv(d1a, d1b)
+        self.dec_conv0 = _conv(d1b, outputs)
+        initialise(self, generator)
+
+    def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
+        """The outputs at full resolution; h and w divide by 16."""
+        result: Tensor = self.dec_conv0(self.decode(x)[-1])
+        return result
+
+    def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n c2 h2 w2"]]:
+        """Decoder features at 1/8, 1/4, 1/2 and full resolution: where heads can be attached.
+
+        Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
+        """
+        half = _pool(F.relu(self.enc_conv1(F.relu(self.enc_conv0(x)))))
+        quarter = _pool(F.relu(self.enc_conv2(half)))
+        eighth = _pool(F.relu(self.enc_conv3(quarter)))
+        bottom = _pool(F.relu(self.enc_conv4(eighth)))
+        bottom = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(bottom))))
+
+        level4 = _join(bottom, eighth)
+        level4 = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(level4))))
+        level3 = _join(level4, quarter)
+        level3 = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(level3))))
+        level2 = _join(level3, half)
+        level2 = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(level2))))
+        level1 = _join(level2, x)
+        level1 = F.relu(self.dec_conv1b(F.relu(self.dec_conv1a(level1))))
+        return [level4, level3, level2, level1]
+
+
+def initialise(module: nn.Module, generator: torch.Generator | None = None) -> None:
+    """Every convolution in `module`, in its order: He-normal for ReLU, zero bias (He et al. 2015).
+
+    The same numbers on every device; without a generator, the same at every call.
+    """
+    if generator is None:
+        generator = torch.Generator().manual_seed(0)
+    for layer in module.modules():
+        if isinstance(layer, nn.Conv2d):
+            with torch.no_grad():
+                fan = layer.weight[0].numel()  # inputs of one output: channels x taps
+                shape, device = layer.weight.shape, generator.device
+                drawn = torch.randn(shape, generator=generator, device=device)
+                layer.weight.copy_(drawn * math.sqrt(2 / fan))
+                if layer.bias is not None:
+                    layer.bias.zero_()
+
+
+def _conv(inputs: int, outputs: int) -> nn.Conv2d:
+    # born on meta, so that torch's own initialisation does not draw from the global generator
+    born = nn.Conv2d(inputs, outputs, 3, padding=1, device="meta")
+    return born.to_empty(device=torch.get_default_device())
+
+
+def _pool(x: Tensor) -> Tensor:
+    return F.max_pool2d(x, 2)
+
+
+def _join(coarse: Tensor, skip: Tensor) -> Tensor:
+    return torch.cat((F.interpolate(coarse, scale_factor=2.0, mode="nearest"), skip), dim=1)

@@ -1,0 +1,104 @@
+"""The proposed method: its sizes, its variants, its gradients, and the policy that trains it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+import torch
+from methods.ours.method import Ours, build
+from methods.ours.network import Encoder, Networks, Sampler
+from methods.ours.train import Policy, density, trainer
+from methods.ours.variants import BASE, VARIANTS
+from rlbench.frames import Size
+from rlbench.ops.initialise import initialise
+from rlbench.procedural import procedural
+from rlbench.sampling import spend
+from torch import nn
+
+from tests.methods.known_optimum import KnownOptimum
+
+CPU = torch.device("cpu")
+
+
+def parameters(network: nn.Module) -> int:
+    return sum(p.numel() for p in network.parameters())
+
+
+@pytest.mark.parametrize(
+    ("network", "count"),
+    [
+        (Sampler(39, BASE.sampler), 31_101),
+        (Encoder(63, 32), 54_816),
+        (Networks(BASE).denoiser, 939_683),
+    ],
+    ids=["sampler", "encoder", "denoiser"],
+)
+def test_parameter_counts_are_those_of_the_fact_sheet(network, count):
+    assert parameters(network) == count
+
+
+@pytest.mark.parametrize(("variant", "fields"), [("A2", {"sampler"})])
+def test_a_variant_changes_only_what_its_row_claims(variant, fields):
+    base, other = asdict(BASE), asdict(VARIANTS[variant])
+    assert {name for name in base if base[name] != other[name]} == fields
+
+
+def test_an_untrained_sampler_is_uniform():
+    method = trainer("", CPU, seed=0).method
+    clip = procedural(seed=1, size=Size(1, 32, 48), frames=1)
+    frame = next(iter(clip))
+    wish = method.plan(frame.view, frame.pool.empty(), method.start(clip.size))
+    assert wish.unique().numel() == 1
+
+
+def test_every_network_gets_a_gradient_from_one_sequence():
+    made = trainer("", CPU, seed=0)
+    initialise(made.networks, 0)
+    clip = procedural(seed=1, size=Size(2, 32, 32), frames=2)
+    for loss in made.losses(clip, 2.0):
+        loss.backward()
+    without = [k for k, p in made.networks.named_parameters() if p.grad is None or not p.grad.any()]
+    # biases of dead units may be untouched, but no whole layer may be
+    assert not [name for name in without if name.endswith("weight")]
+
+
+def test_the_state_carries_no_gradient_between_frames_at_bptt_one():
+    made = trainer("", CPU, seed=0)
+    clip = procedural(seed=1, size=Size(1, 32, 32), frames=1)
+    frame = next(iter(clip))
+    method = made.method
+    assert isinstance(method, Ours)
+    _, memory = method.denoise(frame.view, frame.pool.empty(), method.start(clip.size))
+    assert memory.latent.requires_grad
+    memory.latent.retain_grad()
+    image, _ = method.denoise(frame.view, frame.pool.empty(), memory)
+    image.sum().backward()
+    assert memory.latent.grad is None
+
+
+def test_the_first_frame_has_no_state():
+    memory = build("", CPU, "random").start(Size(1, 8, 9))
+    assert (memory.latent == -1).all()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_policy_gradient_finds_a_known_optimum(seed):
+    """A free action for each pixel, trained by the policy's loss alone, at 4 spp."""
+    generator = torch.Generator().manual_seed(seed)
+    sigma = torch.exp(0.8 * torch.randn(1, 1, 24, 24, generator=generator))
+    task, policy, cap = KnownOptimum(sigma), Policy(reach=1), 8
+    free = torch.zeros_like(sigma, requires_grad=True)
+    optimizer = torch.optim.Adam([free], 0.03)
+    nothing, cost = torch.zeros(1, 1, 24, 24, dtype=torch.int64), 4 * 24 * 24
+    for step in range(300):
+        mean = torch.tanh(free)
+        actions = torch.stack([policy.explore(mean, generator) for _ in range(policy.draws)])
+        counts = torch.stack([spend(density(a), cost, nothing, cap, (step,)) for a in actions])
+        loss = policy.loss(mean, actions, task.error(counts), counts.float())
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    found = spend(density(torch.tanh(free.detach())), cost, nothing, cap, (0,))
+    # the range of the density, at most 2 against a mean near 1, keeps it from reaching 1
+    assert task.score(found, cap) > 0.8
