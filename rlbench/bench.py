@@ -1,29 +1,22 @@
 """Measuring: methods x clips x budgets x seeds, one cell each, written when it is done.
 
-A cell is known by its content: method, its code and weights, clip, budget, seed, device, cost
-profile, metrics and frames. What is in the results already is not run again, so a run that was
-killed goes on where it was; a cell whose content has changed replaces its older self, so that a
-results folder holds one answer for each method, clip, budget, seed and device. A cell that cannot
-run is one row that says why.
+What is in the results already is not run again, so a run that was killed goes on where it was. A
+cell whose content has changed (code, weights, clip, cost profile) replaces its older self, so that
+a results folder holds one answer for each method, clip, budget, seed and device. A cell that
+cannot run is one row that says why.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
-from functools import cached_property
-from hashlib import sha256
-from itertools import product
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import torch
 
 from rlbench import cost, latency, provenance, registry, table
+from rlbench.cells import Cell, Names, Request, cells
 from rlbench.cost import Cost
-from rlbench.family import Variant
 from rlbench.frames import Clip
 from rlbench.latency import Timing
 from rlbench.method import Method
@@ -31,41 +24,14 @@ from rlbench.run import Shown, run_clip
 from rlbench.source import Short, Source, unusable
 from rlbench.table import WHOLE_CLIP, Row
 
-SPP = (0.5, 1.0, 2.0, 4.0)
-
-
-@dataclass(frozen=True)
-class Request:
-    """What is to be measured."""
-
-    methods: tuple[str, ...]  # family or family/variant
-    clips: tuple[Source, ...]
-    spp: tuple[float, ...] = SPP  # samples per pixel
-    seeds: tuple[int, ...] = (0,)  # of the order in which samples are sold, and of ties
-    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
-    cost: str = cost.MEASURED  # or a profile
-    weights: str | None = None  # None for the shipped ones, "random", or a path
-    frames: int | None = None  # only the first frames of each clip, for trying out
-    repeats: int = latency.REPEATS  # frames that each time is the distribution of
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One method on one clip at one budget with one seed."""
-
-    method: str
-    clip: Source
-    spp: float
-    seed: int
-
 
 @dataclass(frozen=True)
 class Done:
     """What became of the cells."""
 
-    measured: int  # with numbers
-    known: int  # in the results already
-    refused: int  # with a reason instead
+    measured: int = 0  # with numbers
+    refused: int = 0  # with a reason instead
+    known: int = 0  # in the results already
 
 
 def measure(
@@ -77,28 +43,22 @@ def measure(
     is measured.
     """
     bench = _Bench(request)
-    known = table.cells(results) if results.is_dir() else set()
-    done = Done(0, 0, 0)
+    stored = table.cells(results)
+    done = Done()
     for cell in cells(request):
-        name = bench.name(cell)
-        if name in known:
+        name = bench.names.of(cell)
+        if name in stored:
             done = replace(done, known=done.known + 1)
         else:
             rows = bench.rows(cell)
             table.write_cell(results, name, rows)
-            refused = rows[0].note != "" and len(rows) == 1
+            refused = len(rows) == 1
             done = replace(
                 done, measured=done.measured + (not refused), refused=done.refused + refused
             )
-        _drop_older(results, name, known)
+        _drop_older(results, name, stored)
         tell(cell)
     return done
-
-
-def cells(request: Request) -> list[Cell]:
-    """Every cell of a request, clip by clip."""
-    grid = product(request.clips, request.methods, request.spp, request.seeds)
-    return [Cell(method, clip, spp, seed) for clip, method, spp, seed in grid]
 
 
 class _Bench:
@@ -107,27 +67,122 @@ class _Bench:
     def __init__(self, request: Request) -> None:
         self.request = request
         self.metrics = registry.metrics()
-        self.variants = {name: registry.variant(name) for name in request.methods}
+        self.names = Names(request)
         self.profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
-        self.device = provenance.device(request.device)
         self._built: dict[str, Method | Exception] = {}
         self._times: dict[tuple[str, int, int, float], Timing] = {}
 
-    def name(self, cell: Cell) -> str:
-        """The name under which a cell is stored: what it is, then a hash of its content."""
+    def rows(self, cell: Cell) -> list[Row]:
+        """Scores of each frame, then times; or one row that says why there are none."""
+        if why := unusable(cell.clip, registry.variant(cell.method).traits, cell.spp):
+            return [self._refusal(cell, why)]
+        try:
+            return self._measured(cell, self._method(cell.method))
+        except Exception as error:  # whatever a stranger's method may raise is what is reported
+            return [self._refusal(cell, f"{type(error).__name__}: {error}")]
+
+    def _measured(self, cell: Cell, method: Method) -> list[Row]:
+        clip = cell.clip.open(method.traits, cell.spp, cell.seed, self.request.device)
+        clip = Short(clip, self.request.frames) if self.request.frames else clip
+        blank = replace(self._blank(cell), config=_config(method))
+        rows = [row for shown in run_clip(method, clip, cell.spp) for row in self._scores(blank, shown)]
+        bought = sum(row.spp_realised for row in rows) / len(rows)
+        return rows + self._timing(replace(blank, spp_realised=bought), cell, method, clip)
+
+    def _scores(self, blank: Row, shown: Shown) -> Iterator[Row]:
+        reference = shown.frame.reference
+        bought = float(shown.samples.counts.double().mean())
+        for metric in self.metrics.values():
+            score = float(metric.score(shown.image, reference.a, reference.b)[0])
+            told = (metric.name, score, metric.unit, metric.better, metric.convention)
+            yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
+
+    def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
+        key = (cell.method, clip.size.h, clip.size.w, cell.spp)
+        if key not in self._times:
+            self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
+        times, price = self._times[key], self._cost(cell.clip)
+        told = f"{times.inference.n} frames after {latency.WARM_UP} of warm-up"
+        rows = []
+        for part in ("plan", "denoise", "buy", "inference"):
+            spread = getattr(times, part)
+            charged = "" if part != "buy" else ", charged to nobody"
+            rows += [
+                _row(blank, f"{part}_ms", spread.p50, "ms", "low", f"median of {told}{charged}"),
+                _row(blank, f"{part}_p95_ms", spread.p95, "ms", "low", f"p95 of {told}{charged}"),
+            ]
+        sampling = blank.spp_realised * price.sample_ms
+        total, how = times.inference.p50 + sampling, price.convention
+        return [
+            *rows,
+            _row(blank, "sample_ms", price.sample_ms, "ms", "low", how, price.note),
+            _row(blank, "sampling_ms", sampling, "ms", "low", how, price.note),
+            _row(blank, "total_ms", total, "ms", "low", f"plan + denoise + {how}", price.note),
+        ]
+
+    def _cost(self, clip: Source) -> Cost:
+        header = clip.header
+        if self.profile:
+            return self.profile.cost(header.scene, header.height, header.width)
+        return cost.measured(header, provenance.device("cpu"))
+
+    def _method(self, name: str) -> Method:
+        if name not in self._built:
+            try:
+                built = registry.method(name, self.request.device, self.request.weights)
+            except Exception as error:  # missing weights or packages: a reason for each cell
+                self._built[name] = error
+            else:
+                self._built[name] = built
+        found = self._built[name]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    def _refusal(self, cell: Cell, why: str) -> Row:
+        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
+
+    def _blank(self, cell: Cell) -> Row:
+        """A row of this cell, without a number."""
         header = cell.clip.header
-        content = (
-            cell.method,
-            cell.clip.digest,
-            cell.spp,
-            cell.seed,
-            self._code(cell.method),
-            self._weights(cell.method),
-            self.device,
-            self.profile or cost.MEASURED,
-            tuple(self.metrics),
-            self.request.frames,
-            self.request.repeats,
+        return Row(
+            run=self.names.run,
+            method=cell.method,
+            clip=header.name,
+            scene=header.scene,
+            spp=cell.spp,
+            spp_realised=math.nan,
+            frame=WHOLE_CLIP,
+            metric="",
+            value=math.nan,
+            seed=cell.seed,
+            device=self.names.device,
+            dtype="float32",
+            code=self.names.code[cell.method],
+            weights=self.names.weights[cell.method],
         )
-        told = f"{cell.method} {header.name} {cell.spp:g}spp seed{cell.seed} {self.request.device}"
-        return f"{told} {sha256(repr(content).encode()).hexdigest()[:16]}"
+
+
+def _row(
+    blank: Row, metric: str, value: float, unit: str, better: str, how: str, note: str = ""
+) -> Row:
+    """A number; one that is not finite is no number, and the note says so."""
+    if not math.isfinite(value):
+        note, value = note or f"the value is {value}", math.nan
+    told = {"unit": unit, "better": better, "convention": how, "note": note}
+    return replace(blank, metric=metric, value=value, **told)
+
+
+def _config(method: Method) -> str:
+    """A method's settings as JSON: those of its `config`, if it has one."""
+    config = getattr(method, "config", None)
+    known = is_dataclass(config) and not isinstance(config, type)
+    return json.dumps(asdict(config), default=repr, sort_keys=True) if known else "{}"
+
+
+def _drop_older(results: Path, name: str, stored: set[str]) -> None:
+    """Remove the stored cells of the same title and other content."""
+    title = name.rpartition(" ")[0]
+    for other in stored:
+        if other != name and other.rpartition(" ")[0] == title:
+            table.drop_cell(results, other)

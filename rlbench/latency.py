@@ -41,7 +41,7 @@ class Timing:
     plan: Spread
     buy: Spread  # what the bench took to hand out stored samples; charged to nobody
     denoise: Spread
-    total: Spread  # of plan + denoise of the same frame
+    inference: Spread  # plan + denoise of the same frame
 
 
 def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) -> Timing:
@@ -57,8 +57,8 @@ def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) 
     for _ in islice(runs, WARM_UP + repeats):
         readings.append(watch.clock.reading())
     plan, buy, denoise = zip(*readings[WARM_UP:], strict=True)
-    total = [p + d for p, d in zip(plan, denoise, strict=True)]
-    return Timing(_spread(plan), _spread(buy), _spread(denoise), _spread(total))
+    both = [p + d for p, d in zip(plan, denoise, strict=True)]
+    return Timing(_spread(plan), _spread(buy), _spread(denoise), _spread(both))
 
 
 @dataclass

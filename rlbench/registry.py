@@ -150,6 +150,23 @@ def method(
     return built
 
 
+def trainer(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
+    """What is trained of a method: the `rlbench.training.Trainer` that its family's `train` makes.
+
+    Raises PluginError where nothing is learned.
+    """
+    import torch
+
+    if not (variant(name).learned and family(name).train):
+        raise PluginError(f"'{name}' has nothing to train")
+    return resolve(family(name).train)(name.partition("/")[2], torch.device(device), seed)
+
+
+def metric(name: str) -> Any:
+    """One metric."""
+    return load("metrics", name)
+
+
 def metrics() -> dict[str, Any]:
     """All metrics by name."""
     return {name: entry.load() for name, entry in entries("metrics").items()}
