@@ -1,0 +1,110 @@
+"""A clip folder's files: their names, their channels, and writing one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rlbench.exr import write_exr
+from rlbench.header import VIEWS, ClipError, Header
+
+HALF = frozenset({"albedo", "normal"})  # view buffers stored in half precision; the others float
+LARGEST_HALF = float(np.finfo(np.float16).max)
+CHANNELS = {
+    "albedo": ("albedo.R", "albedo.G", "albedo.B"),
+    "normal": ("normal.X", "normal.Y", "normal.Z"),
+    "depth": ("depth.Z",),
+    "motion": ("motion.X", "motion.Y"),
+    "rgb": ("R", "G", "B"),
+}  # of the images in a file; a pool's are s0, s1, ... with s0.R, s0.G, s0.B, ...
+
+
+def exr_path(folder: Path, kind: str, index: int) -> Path:
+    """The file of one kind: view, pool.<kind>, referenceA or referenceB; e.g. view.0003.exr."""
+    return folder / f"{kind}.{index:04d}.exr"
+
+
+def channels(names: Iterable[str]) -> list[str]:
+    """The EXR channels of the images `names` of one file, in order."""
+    rgb = CHANNELS["rgb"]
+    return [c for n in names for c in CHANNELS.get(n, [f"{n}.{letter}" for letter in rgb])]
+
+
+def images(header: Header, kind: str) -> list[str]:
+    """The images that a file of one kind must hold."""
+    if kind == "view":
+        return list(header.buffers)
+    return [f"s{slot}" for slot in range(header.pool_spp)] if kind.startswith("pool.") else ["rgb"]
+
+
+def kinds(pools: Iterable[str]) -> list[str]:
+    """The kinds of file that every frame has."""
+    return ["view", *(f"pool.{pool}" for pool in pools), "referenceA", "referenceB"]
+
+
+def write_frame(
+    folder: Path,
+    index: int,
+    view: Mapping[str, NDArray[Any]],  # h w c, by buffer name; a static clip has no motion
+    pools: Mapping[str, NDArray[Any]],  # s h w 3, by kind: independent 1-spp images, linear
+    a: NDArray[Any],  # h w 3, linear: one half of the reference
+    b: NDArray[Any],  # h w 3, linear: the other, independent half
+) -> None:
+    """Write the files of one frame, each whole or not at all, the reference last.
+
+    Albedo, normal and pools are half; depth, motion and references float. A pool that holds a
+    value beyond half's range (65504) is written as float, so no firefly is clipped.
+    """
+    size = np.shape(a)[:2]
+    _check_shapes(index, size, view, pools, a, b)
+    planes: dict[str, NDArray[Any]] = {}
+    for name, image in view.items():
+        planes |= _planes(name, image, np.float16 if name in HALF else np.float32)
+    write_exr(exr_path(folder, "view", index), planes)
+    for pool, samples in pools.items():
+        precision = np.float32 if _beyond_half(samples) else np.float16
+        planes = {}
+        for slot, image in enumerate(samples):
+            planes |= _planes(f"s{slot}", image, precision)
+        write_exr(exr_path(folder, f"pool.{pool}", index), planes)
+    for kind, image in (("referenceA", a), ("referenceB", b)):
+        write_exr(exr_path(folder, kind, index), _planes("rgb", image, np.float32))
+
+
+def has_frame(folder: Path, index: int, pools: Iterable[str] = ("path",)) -> bool:
+    """Whether every file of a frame with these pools is there, so it need not be traced again."""
+    return all(exr_path(folder, kind, index).is_file() for kind in kinds(pools))
+
+
+def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:
+    """The channels of an image [h w c]."""
+    layers = np.moveaxis(image, -1, 0).astype(precision)
+    return dict(zip(channels([name]), layers, strict=True))
+
+
+def _beyond_half(samples: NDArray[Any]) -> bool:
+    finite = np.abs(samples[np.isfinite(samples)])
+    return bool(finite.size and finite.max() > LARGEST_HALF)
+
+
+def _check_shapes(
+    index: int,
+    size: tuple[int, ...],
+    view: Mapping[str, NDArray[Any]],
+    pools: Mapping[str, NDArray[Any]],
+    a: NDArray[Any],
+    b: NDArray[Any],
+) -> None:
+    """Raise ClipError for the first array whose shape is not the reference's."""
+    if unknown := sorted(set(view) - set(VIEWS)):
+        raise ClipError(f"frame {index}: unknown view buffer {', '.join(unknown)}")
+    found = {name: (np.shape(v), (*size, VIEWS[name])) for name, v in view.items()}
+    found |= {f"pool.{k}": (np.shape(p), (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
+    found |= {"referenceA": (np.shape(a), (*size, 3)), "referenceB": (np.shape(b), (*size, 3))}
+    for name, (shape, wanted) in found.items():
+        if shape != wanted:
+            raise ClipError(f"frame {index}: {name} has shape {shape}, expected {wanted}")

@@ -1,0 +1,145 @@
+"""clip.toml: what a clip folder says of itself; written last, so without it it is unfinished."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from rlbench.paths import replacing
+
+VERSION = 1
+FILE = "clip.toml"
+VIEWS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each view buffer
+
+
+class ClipError(ValueError):
+    """A clip folder that cannot be read or written as asked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """All that clip.toml holds, in its order. Radiance in the files is as traced, not exposed."""
+
+    version: int = VERSION  # of this format
+    name: str  # unique within a benchmark; decides, with the seed, the order of sale
+    scene: str  # clips of one scene share their cost per sample
+    preset: str = ""  # of the renderer, for the reader
+    sampler: str  # what traced the samples, e.g. "mitsuba path"
+    sampler_version: str = ""
+    height: int  # pixels
+    width: int  # pixels
+    frames: int
+    fps: float = 24.0  # frames per second
+    seed: int = 0  # of the renderer
+    exposure: float = 1.0  # radiance times this is 1.0 at display white
+    pool_spp: int = 8  # stored 1-spp images per frame, in each pool
+    reference_spp: tuple[int, ...]  # per frame, samples per pixel of both halves together
+    buffers: tuple[str, ...] = tuple(VIEWS)  # of the view
+    pools: tuple[str, ...] = ("path",)
+    static: bool = False  # neither camera nor objects move; then there is no motion buffer
+    licence: str = ""  # of the pixels
+    sample_ms: float = math.nan  # time of one full-frame 1-spp trace, or nan
+    device: str = ""  # where it was traced
+
+    def __post_init__(self) -> None:
+        """Raise ClipError for values that contradict each other."""
+        low = [k for k in ("height", "width", "frames", "pool_spp") if getattr(self, k) < 1]
+        if low:
+            raise ClipError(f"clip '{self.name}': {', '.join(low)} must be at least 1")
+        if not (math.isfinite(self.exposure) and self.exposure > 0):
+            raise ClipError(f"clip '{self.name}': exposure is {self.exposure}, must be above 0")
+        if len(self.reference_spp) != self.frames:
+            raise ClipError(
+                f"clip '{self.name}': reference_spp lists {len(self.reference_spp)} frames, "
+                f"the clip has {self.frames}"
+            )
+        if unknown := sorted(set(self.buffers) - set(VIEWS)):
+            raise ClipError(
+                f"clip '{self.name}': unknown view buffer {', '.join(unknown)}; "
+                f"format v{VERSION} knows {', '.join(VIEWS)}"
+            )
+
+    @property
+    def pixels(self) -> dict[str, Any]:
+        """The fields on which a frame's tensors depend: what a content hash must cover."""
+        kept = ("version", "name", "scene", "height", "width", "frames", "exposure", "pool_spp")
+        return {k: getattr(self, k) for k in (*kept, "buffers", "pools", "static")}
+
+
+def write_header(folder: Path, header: Header) -> None:
+    """Write clip.toml, whole or not at all. Call it last: it says that the clip is finished."""
+    lines = [f"{f.name} = {_toml(getattr(header, f.name))}\n" for f in fields(Header)]
+    with replacing(folder / FILE) as path:
+        path.write_text("".join(lines), encoding="utf-8")
+
+
+def read_header(folder: Path) -> Header:
+    """The header of a finished clip. Keys that the format does not know are the renderer's own.
+
+    Raises ClipError where there is no folder, no clip.toml, or one that cannot be understood.
+    """
+    if not folder.is_dir():
+        raise ClipError(f"no clip folder {folder}; {_there_is(folder.parent)}")
+    path = folder / FILE
+    if not path.is_file():
+        raise ClipError(
+            f"clip {folder} is unfinished, it has no {FILE}: `rlbench render` resumes it"
+        )
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ClipError(
+            f"{path} is not TOML ({error}); delete it and render the clip again"
+        ) from error
+    if (version := found.get("version")) != VERSION:
+        raise ClipError(
+            f"{path} has format version {version}, this rlbench reads {VERSION}: "
+            "update rlbench, or render the clip again"
+        )
+    return Header(
+        **{f.name: _field(path, f.name, found) for f in fields(Header) if _given(f, found)}
+    )
+
+
+def _given(field: Any, found: Mapping[str, Any]) -> bool:
+    return field.name in found or field.default is MISSING
+
+
+def _field(path: Path, name: str, found: Mapping[str, Any]) -> Any:
+    """The value of one key as the type that Header declares."""
+    if name not in found:
+        raise ClipError(f"{path} has no '{name}', which format v{VERSION} requires")
+    value, kind = found[name], str(Header.__annotations__[name])
+    if kind == "float" and type(value) is int:
+        return float(value)
+    if kind.startswith("tuple"):
+        item = kind.removeprefix("tuple[").removesuffix(", ...]")
+        if isinstance(value, list) and all(type(v).__name__ == item for v in value):
+            return tuple(value)
+    elif type(value).__name__ == kind:
+        return value
+    raise ClipError(f"{path}: '{name}' is {value!r}, expected {kind}")
+
+
+def _there_is(parent: Path) -> str:
+    """What a person who mistyped a clip's name would want to read."""
+    if not parent.is_dir():
+        return f"there is no folder {parent} either"
+    there = sorted(path.parent.name for path in parent.glob(f"*/{FILE}"))
+    return f"there is: {', '.join(there)}" if there else f"there is no clip in {parent}"
+
+
+def _toml(value: Any) -> str:
+    """One value in TOML's syntax."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return repr(float(value)) if isinstance(value, float) else str(int(value))

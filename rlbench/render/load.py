@@ -1,0 +1,126 @@
+"""A scene as Mitsuba objects: numpy meshes, plugins, the camera's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from rlbench.render.pose import Pose
+from rlbench.render.scene import Camera, Mesh, Plugin, Scene
+
+ALIGNED = 64  # bytes; Dr.Jit compiles another kernel for input that is not aligned
+
+
+def plugin(plan: Plugin) -> Any:
+    """The Mitsuba object that `plan` describes; arrays may stand for bitmaps and 4x4 transforms."""
+    import mitsuba as mi
+
+    return mi.load_dict(_native(plan), optimize=False)
+
+
+def load(scene: Scene) -> Any:
+    """A Mitsuba scene with one mesh for each of `scene.meshes`, named as they are."""
+    import mitsuba as mi
+
+    parts = {m.name: _mesh(m) for m in scene.meshes}
+    skies = {f"sky{i}": plugin(sky) for i, sky in enumerate(scene.sky)}
+    return mi.load_dict({"type": "scene", **parts, **skies}, optimize=False)
+
+
+def assign(parameters: Any, name: str, values: Array) -> None:
+    """Replace a buffer by a copy of `values`, in the running variant's own type."""
+    parameters[name] = upload(type(parameters[name]), values)
+
+
+def upload(kind: Any, values: Array) -> Any:
+    """A Dr.Jit array of `kind` with a copy of `values`, in memory that is always aligned alike."""
+    dtype = np.dtype(np.uint32 if "UInt" in kind.__name__ or "Xu" in kind.__name__ else np.float32)
+    flat = np.asarray(values, dtype).reshape(-1)
+    room = np.empty(flat.nbytes + ALIGNED, np.uint8)
+    start = -room.ctypes.data % ALIGNED
+    aligned = room[start : start + flat.nbytes].view(dtype)
+    aligned[:] = flat
+    return kind(aligned)
+
+
+def lens(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any, Any]:
+    """The pinhole as opaque vectors: origin, ray through the corner, and its steps x and y.
+
+    Opaque, so that a new camera is new input to an old kernel rather than another kernel.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    right, down, forward = pose.axes()
+    across, along = right * pose.slope(width), down * pose.slope(width)
+    corner = forward - across * width / 2 - along * height / 2
+
+    def opaque(vector: Array) -> Any:
+        return mi.Vector3f([dr.opaque(mi.Float, float(v)) for v in vector])
+
+    origin = np.asarray(pose.camera.origin, np.float64)
+    return opaque(origin), opaque(corner), opaque(across), opaque(along)
+
+
+def sensor(camera: Camera, height: int, width: int) -> Any:
+    """The same pinhole as a Mitsuba sensor, for variants that have no wavefronts."""
+    import mitsuba as mi
+
+    film = {"type": "hdrfilm", "height": height, "width": width, "rfilter": {"type": "box"}}
+    depths = {"pixel_format": "rgb", "component_format": "float32"}
+    place = [[float(v) for v in p] for p in (camera.origin, camera.target, camera.up)]
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": float(camera.fov),
+            "fov_axis": "x",
+            "near_clip": 1e-4,
+            "far_clip": 1e6,
+            "to_world": mi.ScalarTransform4f().look_at(*place),
+            "film": {**film, **depths},
+            "sampler": {"type": "independent"},
+        }
+    )
+
+
+def _mesh(mesh: Mesh) -> Any:
+    import mitsuba as mi
+
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = plugin(mesh.material)
+    if mesh.emission is not None:
+        properties["mesh_emitter"] = plugin(mesh.emission)
+    made = mi.Mesh(
+        mesh.name,
+        len(mesh.vertices),
+        len(mesh.faces),
+        properties,
+        has_vertex_normals=mesh.smooth,
+        has_vertex_texcoords=mesh.uv is not None,
+    )
+    made.set_id(mesh.name)
+    parameters = mi.traverse(made)
+    assign(parameters, "vertex_positions", mesh.vertices)
+    assign(parameters, "faces", mesh.faces)
+    if mesh.uv is not None:
+        assign(parameters, "vertex_texcoords", mesh.uv)
+    parameters.update()
+    return made
+
+
+def _native(value: Any, name: str = "") -> Any:
+    """`value` with arrays as Mitsuba's own kinds: 4x4 transforms, and bitmaps named `data`."""
+    import mitsuba as mi
+
+    if isinstance(value, Mapping):
+        return {k: _native(v, k) for k, v in value.items()}
+    if not isinstance(value, np.ndarray):
+        return value
+    if name == "data":
+        return mi.TensorXf(np.ascontiguousarray(value, np.float32))
+    if value.shape == (4, 4):
+        return mi.ScalarTransform4f(value.astype(float))
+    return value.astype(float).tolist()
