@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from rlbench import paths
+from rlbench import paths, registry
+from rlbench.clips import Header
 
 MEASURED = "measured"
 
@@ -77,28 +78,31 @@ def profile(name: str) -> Profile:
     return read
 
 
-def measured(
-    written_ms: float,
-    written_on: str,
-    here: str,
-    key: str,
-    trace: Callable[[], float],
-) -> Cost:
-    """What the clip's renderer wrote if it was `here`, else what `trace` says, asked once per key.
+def measured(header: Header, here: str) -> Cost:
+    """What the clip's renderer wrote if it was `here`, else what this machine's path tracer takes.
 
-    `trace` returns milliseconds; whatever it raises becomes the note of an unknown cost.
+    The tracer is asked once for each scene and size, and its answer kept in the cache.
     """
-    if written_on == here and math.isfinite(written_ms):
-        return Cost(written_ms, f"measured on {here} when the clip was rendered")
+    if header.device == here and math.isfinite(header.sample_ms):
+        return Cost(header.sample_ms, f"measured on {here} when the clip was rendered")
     file = paths.cache() / "sample_ms.json"
     known = json.loads(file.read_text()) if file.is_file() else {}
+    key = f"{header.scene} {header.width}x{header.height} {here}"
     if key not in known:
         try:
-            known[key] = trace()
-        except Exception as error:  # a scene or a tracer that is not there
+            known[key] = _trace(header)
+        except Exception as error:  # a scene or a tracer that is not there is a reason, not an end
             why = f"{type(error).__name__}: {error}"
-            note = f"traced on '{written_on}', not on this machine, and not traceable here: {why}"
+            note = f"rendered on '{header.device}', not here, and not traceable here: {why}"
             return Cost(math.nan, f"measured on {here}", note)
         with paths.replacing(file) as temporary:
             temporary.write_text(json.dumps(known, indent=1))
     return Cost(known[key], f"measured on {here} with this machine's path tracer")
+
+
+def _trace(header: Header) -> float:
+    """Milliseconds of one sample per pixel of the scene, traced now."""
+    scene = registry.load("scenes", header.scene)()
+    from rlbench.render.trace import sample_ms
+
+    return float(sample_ms(scene, header.height, header.width))
