@@ -92,7 +92,8 @@ class _Bench:
     def _scores(self, blank: Row, shown: Shown) -> Iterator[Row]:
         reference = shown.frame.reference
         bought = float(shown.samples.counts.double().mean())
-        for metric in self.metrics.values():
+        h, w = shown.image.shape[-2:]
+        for metric in (each.at(h, w) for each in self.metrics.values()):
             score = float(metric.score(shown.image, reference.a, reference.b)[0])
             told = (metric.name, score, metric.unit, metric.better, metric.convention)
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
@@ -124,7 +125,7 @@ class _Bench:
         header = clip.header
         if self.profile:
             return self.profile.cost(header.scene, header.height, header.width)
-        return cost.measured(header, provenance.device("cpu"))
+        return cost.measured(header, provenance.machine().cpu)
 
     def _method(self, name: str) -> Method:
         if name not in self._built:

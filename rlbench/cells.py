@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,7 +15,6 @@ from rlbench import cost, latency, provenance, registry
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
-CORE = ("run", "sampling", "frames", "source", "ops", "clips")  # what can change a number
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class Names:
         """What the cell is, and after the last space a hash of its content."""
         content = (
             *(cell.method, cell.clip.digest, cell.spp, cell.seed, self.device),
-            *(self.code[cell.method], self.weights[cell.method], self.core),
+            *(self.code[cell.method], self.weights[cell.method], self.scores),
             *(self.cost, self.request.frames, self.request.repeats),
         )
         return f"{self.title(cell)} {sha256(repr(content).encode()).hexdigest()[:16]}"
@@ -79,7 +77,7 @@ class Names:
     @cached_property
     def device(self) -> str:
         """The device's model name."""
-        return provenance.device(self.request.device)
+        return latency.device_name(self.request.device)
 
     @cached_property
     def cost(self) -> str:
@@ -88,16 +86,16 @@ class Names:
         return cost.MEASURED if known else repr(cost.profile(self.request.cost))
 
     @cached_property
-    def core(self) -> str:
-        """Hash of the code that hands out samples and scores images."""
-        targets = [entry.target for entry in registry.entries("metrics").values()]
-        return _hash([*_files(f"rlbench.{name}" for name in CORE), *_files(targets)])
+    def scores(self) -> str:
+        """Hash of the metrics: their names and their code."""
+        known = registry.entries("metrics")
+        modules = {entry.target.partition(":")[0] for entry in known.values()}
+        return f"{list(known)} {provenance.code_hash(map(package, modules), core=())}"
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """Hash of each method's code."""
-        families = {name: registry.family(name) for name in self.request.methods}
-        return {name: _hash(_files([family.build])) for name, family in families.items()}
+        """Hash of each method's code, and of the core's that hands it its samples."""
+        return {name: _code(registry.family(name).build) for name in self.request.methods}
 
     @cached_property
     def weights(self) -> dict[str, str]:
@@ -110,28 +108,26 @@ class Names:
         if self.request.weights == "random":
             return "random"
         family, _, variant = name.partition("/")
-        beside = _place(registry.family(name).build).parent / "cards"
+        beside = registry.place(registry.family(name).build).parent / "cards"
         shipped = beside / f"{variant or family}.safetensors"
         file = Path(self.request.weights) if self.request.weights else shipped
         return _hash([file]) if file.is_file() else ""
 
 
-def _files(targets: Iterable[str]) -> list[Path]:
-    """Python files of the modules named, with all of a package and all beside a package's module."""
-    found: dict[Path, None] = {}
-    for target in targets:
-        place = _place(target)
-        module = target.partition(":")[0]
-        whole = place.name == "__init__.py" or module.count(".") > 1
-        found |= dict.fromkeys(sorted(place.parent.rglob("*.py")) if whole else [place])
-    return list(found)
+def package(module: str) -> str:
+    """The package that a module is part of, or the module itself where that is a whole plugin.
+
+    `methods.ours.method` belongs to `methods.ours`; `baselines.mean` is one of many in its package.
+    """
+    return module.rpartition(".")[0] if module.count(".") > 1 else module
 
 
-def _place(target: str) -> Path:
-    spec = importlib.util.find_spec(target.partition(":")[0])
-    if spec is None or not spec.origin:
-        raise registry.PluginError(f"'{target}' names no module that can be found")
-    return Path(spec.origin)
+def _code(target: str) -> str:
+    """Hash of what builds a method; of a loose file, that file."""
+    module = target.partition(":")[0]
+    loose = registry.loose_file(module)
+    told = provenance.code_hash([] if loose else [package(module)])
+    return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
 
 
 def _hash(files: Iterable[Path]) -> str:

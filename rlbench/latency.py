@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench import provenance
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size, View
 from rlbench.method import Method, State
@@ -59,6 +60,13 @@ def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) 
     plan, buy, denoise = zip(*readings[WARM_UP:], strict=True)
     both = [p + d for p, d in zip(plan, denoise, strict=True)]
     return Timing(_spread(plan), _spread(buy), _spread(denoise), _spread(both))
+
+
+def device_name(device: torch.device) -> str:
+    """The model name of what runs a method: a time without it means nothing."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return provenance.machine().cpu if device.type == "cpu" else device.type
 
 
 @dataclass

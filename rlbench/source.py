@@ -12,9 +12,10 @@ from typing import Protocol
 
 import torch
 
-from rlbench.clips import Header, open_clip, read_header
+from rlbench.clips import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
+from rlbench.header import FILE
 
 
 class Source(Protocol):
@@ -88,6 +89,14 @@ class Short:
     def __iter__(self) -> Iterator[Frame]:
         """The first frames in order."""
         return islice(iter(self.clip), self.frames)
+
+
+def below(place: Path) -> list[Path]:
+    """The clip folders at or directly below a folder. Raises ClipError where there is none."""
+    found = [file.parent for file in sorted([*place.glob(FILE), *place.glob(f"*/{FILE}")])]
+    if not found:
+        raise ClipError(f"no clip in {place}: a clip is a folder with {FILE} in it")
+    return found
 
 
 def affordable(traits: Traits, spp: float, stored: int) -> int:

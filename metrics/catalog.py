@@ -1,0 +1,100 @@
+"""The metrics that ship: each a name, a direction, a convention, and a score for every image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+Tensor = Any  # torch.Tensor; torch is imported at the first score, so that listing stays fast
+Score = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number for each image of a batch.
+
+    `score(image, a, b)` takes the image and both independent halves of its reference, [n 3 h w] of
+    linear radiance where 1.0 is display white, and returns [n]. Scores are finite, whatever the
+    image holds; the halves must be finite. `fit(height, width)` is the metric that is defined at
+    that size, under a name of its own, where not every size is.
+    """
+
+    name: str
+    unit: str  # "dB", or empty for a plain number
+    better: str  # "high" or "low"
+    convention: str  # what must be known to reproduce the number
+    score: Score
+    fit: Callable[[int, int], Metric] | None = None
+
+    def at(self, height: int, width: int) -> Metric:
+        """This metric, or the one that stands in for it at a size at which it is not defined."""
+        return self.fit(height, width) if self.fit else self
+
+
+def _psnr(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    from metrics.image import psnr
+
+    return psnr(image, (a + b) / 2)
+
+
+def _relmse(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    from metrics.image import relmse
+
+    return relmse(image, (a + b) / 2)
+
+
+def _mse_debiased(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    from metrics.image import mse_debiased
+
+    return mse_debiased(image, a, b)
+
+
+def _nonfinite(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    from metrics.image import nonfinite
+
+    return nonfinite(image)
+
+
+def _ms_ssim(image: Tensor, a: Tensor, b: Tensor, scales: int) -> Tensor:
+    from metrics.image import ms_ssim
+
+    return ms_ssim(image, (a + b) / 2, scales)
+
+
+def _ms_ssim_at(height: int, width: int) -> Metric:
+    """MS-SSIM of as many scales as fit, at least one; fewer than five are named in the name."""
+    from metrics.image import most_scales
+
+    scales = max(most_scales(height, width), 1)
+    if scales == 5:
+        return MS_SSIM
+    return replace(
+        MS_SSIM,
+        name=f"ms_ssim_{scales}",
+        convention=f"{scales} of 5 scales, as sides are 160 pixels or less; {_SSIM_CONVENTION}",
+        score=partial(_ms_ssim, scales=scales),
+    )
+
+
+_SSIM_CONVENTION = "pytorch-msssim, clipped sRGB, range 1, window 11, sigma 1.5"
+
+PSNR = Metric(
+    "psnr", "dB", "high", "peak 1, clipped sRGB, 1.0 = display white, at most 100 dB", _psnr
+)
+MS_SSIM = Metric(
+    "ms_ssim",
+    "",
+    "high",
+    f"5 scales; {_SSIM_CONVENTION}",
+    partial(_ms_ssim, scales=5),
+    _ms_ssim_at,
+)
+RELMSE = Metric("relmse", "", "low", "linear radiance, per channel, reference^2 + 0.01", _relmse)
+MSE_DEBIASED = Metric(
+    "mse_debiased", "", "low", "linear radiance, mean((x-a)(x-b)) of half references", _mse_debiased
+)
+NONFINITE = Metric(
+    "nonfinite", "pixels", "low", "pixels with a NaN or infinite channel", _nonfinite
+)
