@@ -10,25 +10,21 @@ import torch
 from torch import Tensor
 
 from rlbench.clips import MemoryClip, open_clip
-from rlbench.frames import BUFFERS, Frame, Reference, View
+from rlbench.frames import Frame, Reference, View
 from rlbench.sampling import StoredPool
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How a sequence is cut out of a clip. Drawn once a clip and kept over its frames."""
+    """How a crop is turned. Drawn once a sequence and kept over its frames."""
 
-    top: int
-    left: int
-    crop: int  # side of the square, pixels
     mirror: bool  # left to right
     flip: bool  # top to bottom
     transpose: bool  # rows become columns
     gain: float  # exposure, factor on radiance
 
     def turn(self, image: Tensor) -> Tensor:
-        """The crop of an image [... h w], mirrored, flipped and transposed."""
-        image = image[..., self.top : self.top + self.crop, self.left : self.left + self.crop]
+        """An image [... h w], mirrored, flipped and transposed."""
         axes = [axis for axis, wanted in ((-1, self.mirror), (-2, self.flip)) if wanted]
         image = image.flip(axes) if axes else image
         return image.transpose(-1, -2) if self.transpose else image
@@ -40,7 +36,7 @@ class Augmentation:
         return motion.flip(1) if self.transpose else motion
 
     def apply(self, frame: Frame) -> Frame:
-        """The frame, cut out and turned; a static view gets motion zero, so that clips can mix."""
+        """The frame, turned and exposed; a static view gets motion zero, so that clips can mix."""
         view = frame.view
         motion = view.motion if view.motion is not None else torch.zeros_like(view.normal[:, :2])
         buffers = {k: self.turn(v) for k, v in view.buffers.items() if k != "motion"}
@@ -77,18 +73,17 @@ class Batches:
 
     def _part(self, generator: torch.Generator) -> list[Frame]:
         folder = self.folders[_integer(generator, len(self.folders))]
-        clip = open_clip(folder, frozenset(BUFFERS), seed=_integer(generator, 2**31))
-        h, w = clip.size.h, clip.size.w
-        cut = Augmentation(
-            _integer(generator, h - self.crop + 1),
-            _integer(generator, w - self.crop + 1),
-            self.crop,
+        clip = open_clip(folder, seed=_integer(generator, 2**31), device=self.device)
+        top = _integer(generator, clip.size.h - self.crop + 1)
+        left = _integer(generator, clip.size.w - self.crop + 1)
+        window = (slice(top, top + self.crop), slice(left, left + self.crop))
+        turned = Augmentation(
             *(bool(_integer(generator, 2)) for _ in range(3)),
             gain=2.0 ** float(torch.rand((), generator=generator) - 0.5),
         )
         first = _integer(generator, max(1, len(clip) - self.length + 1))
         chosen = range(first, min(first + self.length, len(clip)))
-        return [cut.apply(clip[i]) for i in chosen]
+        return [turned.apply(clip.frame(i, window)) for i in chosen]
 
 
 def _stack(frames: Sequence[Frame]) -> Frame:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rlbench import paths
 from rlbench.exr import read_exr
-from rlbench.folder import channels, exr_path
+from rlbench.folder import channels, exr_path, not_finite
 from rlbench.header import ClipError, Header
 
 Arrays = Mapping[str, NDArray[np.floating]]  # c h w, as precise as the file
@@ -62,10 +62,7 @@ def decode(path: Path, names: Sequence[str], header: Header) -> Arrays:
     planes = iter(read_exr(path, channels(names), header.height, header.width))
     arrays = {n: np.stack([next(planes) for _ in channels([n])]) for n in names}
     for name, array in arrays.items():
-        bad = ~np.isfinite(array)
-        if name == "depth":
-            bad &= ~np.isposinf(array)
-        if count := int(bad.sum()):
+        if count := int(not_finite(name, array).sum()):
             raise ClipError(
                 f"{path}: {count} of {array.size} values of {name} are not finite; "
                 "delete the file and run `rlbench render` to trace that frame again"

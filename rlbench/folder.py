@@ -60,7 +60,7 @@ def write_frame(
     value beyond half's range (65504) is written as float, so no firefly is clipped.
     """
     size = np.shape(a)[:2]
-    _check_shapes(index, size, view, pools, a, b)
+    _check(index, size, view, pools, a, b)
     planes: dict[str, NDArray[Any]] = {}
     for name, image in view.items():
         planes |= _planes(name, image, np.float16 if name in HALF else np.float32)
@@ -80,6 +80,12 @@ def has_frame(folder: Path, index: int, pools: Iterable[str] = ("path",)) -> boo
     return all(exr_path(folder, kind, index).is_file() for kind in kinds(pools))
 
 
+def not_finite(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where an image holds what no clip may hold: NaN or an infinity, save depth's background."""
+    bad: NDArray[np.bool_] = ~np.isfinite(array)
+    return np.logical_and(bad, ~np.isposinf(array)) if name == "depth" else bad
+
+
 def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:
     """The channels of an image [h w c]."""
     layers = np.moveaxis(image, -1, 0).astype(precision)
@@ -87,11 +93,10 @@ def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dic
 
 
 def _beyond_half(samples: NDArray[Any]) -> bool:
-    finite = np.abs(samples[np.isfinite(samples)])
-    return bool(finite.size and finite.max() > LARGEST_HALF)
+    return bool(np.abs(samples).max(initial=0) > LARGEST_HALF)
 
 
-def _check_shapes(
+def _check(
     index: int,
     size: tuple[int, ...],
     view: Mapping[str, NDArray[Any]],
@@ -99,12 +104,14 @@ def _check_shapes(
     a: NDArray[Any],
     b: NDArray[Any],
 ) -> None:
-    """Raise ClipError for the first array whose shape is not the reference's."""
+    """Raise ClipError for the first array that could not be read back: its shape, or not finite."""
     if unknown := sorted(set(view) - set(VIEWS)):
         raise ClipError(f"frame {index}: unknown view buffer {', '.join(unknown)}")
-    found = {name: (np.shape(v), (*size, VIEWS[name])) for name, v in view.items()}
-    found |= {f"pool.{k}": (np.shape(p), (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
-    found |= {"referenceA": (np.shape(a), (*size, 3)), "referenceB": (np.shape(b), (*size, 3))}
-    for name, (shape, wanted) in found.items():
-        if shape != wanted:
-            raise ClipError(f"frame {index}: {name} has shape {shape}, expected {wanted}")
+    found = {name: (v, (*size, VIEWS[name])) for name, v in view.items()}
+    found |= {f"pool.{k}": (p, (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
+    found |= {"referenceA": (a, (*size, 3)), "referenceB": (b, (*size, 3))}
+    for name, (array, wanted) in found.items():
+        if np.shape(array) != wanted:
+            raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {wanted}")
+        if count := int(not_finite(name, array).sum()):
+            raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")

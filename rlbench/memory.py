@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from rlbench.frames import Frame, Size
 
@@ -17,7 +18,7 @@ class MemoryClip:
     digest: str
     frames: Sequence[Frame]
 
-    @property
+    @cached_property
     def size(self) -> Size:
         """Clips in the batch and pixels of each."""
         return self.frames[0].pool.size

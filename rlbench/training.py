@@ -79,6 +79,16 @@ class Progress:
     curve: list[tuple[int, float]] = field(default_factory=list)  # frames, validation PSNR
 
 
+def make(name: str, device: torch.device, seed: int) -> Trainer:
+    """What trains method `name`, with fresh weights."""
+    registry.variant(name)
+    family, _, variant = name.partition("/")
+    if not (target := registry.family(family).train):
+        raise TrainingError(f"'{name}' has nothing to train: it has no weights")
+    made: Trainer = registry.resolve(target)(variant, device, seed)
+    return made
+
+
 def train(
     name: str,
     train_on: Sequence[Path],
@@ -96,7 +106,8 @@ def train(
     card NAME.toml at the end, or when `minutes` are over. Raises TrainingError where there is
     nothing to train or a loss is not finite.
     """
-    trainer = registry.trainer(name, device, plan.seed)
+    trainer = make(name, torch.device(device), plan.seed)
+    trainer.networks.to(memory_format=torch.channels_last)
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
     average = copy.deepcopy(trainer.networks)
     optimizer = torch.optim.Adam(trainer.networks.parameters(), plan.peak)
@@ -134,7 +145,7 @@ def _sequence(
     losses = trainer.losses(clip, spp)
     total, count = 0.0, 0
     while True:
-        with torch.autocast(clip_device(clip), torch.bfloat16, enabled=plan.half):
+        with torch.autocast(torch.device(batches.device).type, torch.bfloat16, enabled=plan.half):
             loss = next(losses, None)
         if loss is None:
             break
@@ -158,11 +169,6 @@ def _sequence(
     return total / max(count, 1)
 
 
-def clip_device(clip: Clip) -> str:
-    """The kind of device that a clip's tensors are on."""
-    return next(iter(clip)).reference.a.device.type
-
-
 @torch.no_grad()
 def _follow(average: nn.Module, networks: nn.Module, keep: float) -> None:
     for slow, fast in zip(
@@ -173,7 +179,7 @@ def _follow(average: nn.Module, networks: nn.Module, keep: float) -> None:
 
 def _validate(trainer: Trainer, average: nn.Module, folders: Sequence[Path], device: str) -> float:
     """Mean PSNR of the averaged weights at each whole budget of 1 and 4 spp, all frames."""
-    psnr = registry.metric("psnr").score
+    psnr = registry.load("metrics", "psnr").score
     trained = copy.deepcopy(trainer.networks.state_dict())
     trainer.networks.load_state_dict(average.state_dict())
     trainer.networks.eval()

@@ -165,7 +165,9 @@ def _processor() -> str:
     """A short name for this kind of processor: kernels of one may not run on another."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else [platform.processor()]
-    kinds = sorted({line for line in lines if re.match(r"model name|flags|Features|CPU part", line)})
+    kinds = sorted(
+        {line for line in lines if re.match(r"model name|flags|Features|CPU part", line)}
+    )
     words = "\n".join([platform.machine(), *(kinds or lines[:1])])
     return hashlib.sha256(words.encode()).hexdigest()[:8]
 

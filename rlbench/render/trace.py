@@ -5,6 +5,8 @@ from __future__ import annotations
 import statistics
 import time as clock
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -69,8 +71,18 @@ class Tracer(ABC):
         """Radiance of any (pixel, sample) pairs; pixels count row by row from the upper left."""
 
     @abstractmethod
-    def rays(self, x: Any, y: Any) -> Any:
-        """Mitsuba rays through film positions, in pixels from the upper left corner."""
+    def each(
+        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    ) -> list[Float[Array, " p"]]:
+        """The numbers that `look` finds along the ray of each film position.
+
+        `film` is in pixels, x right and y down, from the upper left corner. `look` takes Mitsuba
+        rays, be it one or a wavefront, and returns one number or Dr.Jit array for each quantity.
+        """
+
+    @abstractmethod
+    def mesh(self, hit: Any) -> Any:
+        """The place in `scene.meshes` of what a preliminary intersection has hit."""
 
     @abstractmethod
     def _look(self) -> None:
@@ -128,17 +140,48 @@ class Wavefront(Tracer):
         jitter = numbers.next_2d()
         row = pixel // self._columns
         x, y = mi.Float(pixel - row * self._columns) + jitter.x, mi.Float(row) + jitter.y
-        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self.rays(x, y))
+        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self._rays(x, y))
         dr.eval(radiance)  # at once, or reading the channels traces every path three times
         return np.stack([radiance[c].numpy() for c in range(3)], axis=-1)
 
-    def rays(self, x: Any, y: Any) -> Any:
-        """Mitsuba rays through film positions, in pixels from the upper left corner."""
+    def each(
+        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    ) -> list[Float[Array, " p"]]:
+        """The numbers that `look` finds along the ray of each film position, in one kernel."""
+        import drjit as dr
+        import mitsuba as mi
+
+        found = look(self._rays(*(load.upload(mi.Float, film[:, axis]) for axis in range(2))))
+        dr.eval(*found)
+        return [np.broadcast_to(quantity.numpy(), len(film)) for quantity in found]
+
+    def mesh(self, hit: Any) -> Any:
+        """The place in `scene.meshes` of what each preliminary intersection has hit."""
+        import drjit as dr
+        import mitsuba as mi
+
+        number = dr.reinterpret_array(mi.UInt32, hit.shape)
+        return dr.gather(mi.UInt32, self._places, number, hit.is_valid())
+
+    def _rays(self, x: Any, y: Any) -> Any:
         import drjit as dr
         import mitsuba as mi
 
         origin, corner, across, down = self._lens
         return mi.RayDifferential3f(origin, dr.normalize(corner + across * x + down * y))
+
+    @cached_property
+    def _places(self) -> Any:
+        """Mesh by the number that Dr.Jit has given its shape, which depends on what else lives."""
+        import drjit as dr
+        import mitsuba as mi
+
+        names = [m.name for m in self.scene.meshes]
+        shapes = self.mitsuba.shapes()
+        numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in shapes]
+        places = np.zeros(max(2, *numbers) + 1, np.uint32)
+        places[numbers] = [names.index(s.id()) for s in shapes]
+        return load.upload(mi.UInt32, places)
 
     def _look(self) -> None:
         import drjit as dr
@@ -172,17 +215,24 @@ class Whole(Tracer):
             radiance[which == i] = image[pixels[which == i]]
         return radiance
 
-    def rays(self, x: Any, y: Any) -> Any:
-        """One Mitsuba ray through a film position, in pixels from the upper left corner."""
+    def each(
+        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    ) -> list[Float[Array, " p"]]:
+        """The numbers that `look` finds along the ray of each film position, one by one."""
         import mitsuba as mi
 
-        right, down, forward = self.pose.axes()
-        slope = self.pose.slope(self.width)
-        towards = forward + right * slope * (x - self.width / 2)
-        towards += down * slope * (y - self.height / 2)
-        towards /= np.linalg.norm(towards)
         origin = mi.Point3f([float(v) for v in self.pose.camera.origin])
-        return mi.RayDifferential3f(origin, mi.Vector3f(towards.tolist()))
+        towards = self.pose.directions(film, self.height, self.width)
+        rays = (mi.RayDifferential3f(origin, mi.Vector3f(d.tolist())) for d in towards)
+        return list(np.array([look(ray) for ray in rays]).T)
+
+    def mesh(self, hit: Any) -> Any:
+        """The place in `scene.meshes` of what a preliminary intersection has hit."""
+        return self._places[hit.shape.id()] if hit.is_valid() else 0
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {m.name: i for i, m in enumerate(self.scene.meshes)}
 
     def _look(self) -> None:
         self._sensor = load.sensor(self.pose.camera, self.height, self.width)

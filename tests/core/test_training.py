@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import nn
+
 from rlbench import checkpoint
 from rlbench.batches import Augmentation
 from rlbench.frames import Size
 from rlbench.ops.warp import reproject
 from rlbench.procedural import procedural
 from rlbench.training import Plan
-from torch import nn
 
 
 def test_the_learning_rate_is_torchs_one_cycle():
@@ -40,7 +41,7 @@ def test_the_learning_rate_starts_and_ends_where_it_should(seen):
 @pytest.mark.parametrize("transpose", [False, True])
 def test_a_turned_clip_still_moves_as_its_motion_says(mirror, flip, transpose):
     """Warping the turned previous frame equals turning the warped one."""
-    cut = Augmentation(8, 16, 48, mirror, flip, transpose, gain=1.5)
+    cut = Augmentation(mirror, flip, transpose, gain=1.5)
     clip = procedural(seed=3, size=Size(1, 64, 80), frames=2)
     before, after = list(clip)
     moved, valid = reproject(before.view.albedo, after.view.motion)

@@ -6,6 +6,8 @@ from dataclasses import asdict
 
 import pytest
 import torch
+from torch import nn
+
 from methods.ours.method import Ours, build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import Policy, density, trainer
@@ -14,8 +16,6 @@ from rlbench.frames import Size
 from rlbench.ops.initialise import initialise
 from rlbench.procedural import procedural
 from rlbench.sampling import spend
-from torch import nn
-
 from tests.methods.known_optimum import KnownOptimum
 
 CPU = torch.device("cpu")

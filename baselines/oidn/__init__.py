@@ -1,0 +1,18 @@
+"""Open Image Denoise: a U-Net on the mean of the samples, one frame at a time, trained by us."""
+
+from rlbench.family import Family, Traits, Variant
+
+FAMILY = Family(
+    name="oidn",
+    title="Open Image Denoise, retrained",
+    paper="Áfra 2019, Intel Open Image Denoise",
+    licence="Apache-2.0 (reimplemented; the weights are ours)",
+    variants={
+        "": Variant(
+            "How far does a plain U-Net get on uniform samples, without memory?",
+            Traits(needs=frozenset({"albedo", "normal"}), spp=(1.0, 8.0)),
+        ),
+    },
+    build="baselines.oidn.method:build",
+    train="baselines.oidn.train:trainer",
+)

@@ -1,0 +1,94 @@
+"""One frame through OIDN: expose, transfer, pad, network, crop, inverse transfer, un-expose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from baselines.oidn import FAMILY
+from rlbench.family import Traits
+from rlbench.frames import Size, View
+from rlbench.ops.exposure import autoexposure
+from rlbench.ops.pad import crop, pad
+from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
+from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
+from rlbench.sampling import Samples
+from rlbench.weights import load_into
+
+INPUTS = 9  # colour, albedo, normal
+
+Expose = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 1 1 1"]]
+Develop = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 1 1"]], Float[Tensor, "n 3 h w"]]
+
+
+@dataclass(frozen=True)
+class Config:
+    """What tells the variants apart."""
+
+    widths: Widths = BASE  # channels of each convolution
+
+
+VARIANTS = {
+    "": Config(),
+    "small": Config(widths=FAST),  # is a third of the parameters enough?
+}
+
+
+def develop(
+    value: Float[Tensor, "n 3 h w"], exposure: Float[Tensor, "n 1 1 1"]
+) -> Float[Tensor, "n 3 h w"]:
+    """What the network says, as linear radiance: clamped, out of transfer space, un-exposed.
+
+    OIDN clamps below only; here also at the largest half float, so that the image stays finite.
+    """
+    return pu_inverse(value.clamp(0, 1)) / exposure
+
+
+@dataclass(frozen=True)
+class Oidn:
+    """Afra 2019, Open Image Denoise: its ray-tracing filter for HDR with albedo and normal.
+
+    The U-Net, the transfer function and the exposure are those of its training toolkit. The weights
+    are ours, trained on the frames that every other method here is trained on. Differs from OIDN:
+    borders are repeated, not zero, up to a multiple of 16.
+    """
+
+    network: nn.Module  # 9 channels to 3, in transfer space
+    traits: Traits = FAMILY.variants[""].traits
+    expose: Expose = field(default=autoexposure)  # noisy image to exposure
+    develop: Develop = field(default=develop)  # network's output and exposure to image
+
+    def start(self, size: Size) -> None:
+        """Nothing: every frame is its own."""
+
+    def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
+        """Uniform."""
+        return torch.ones_like(view.albedo[:, :1])
+
+    def denoise(
+        self, view: View, samples: Samples, state: None
+    ) -> tuple[Float[Tensor, "n 3 h w"], None]:
+        """The image, from the mean of the samples, albedo and normal."""
+        noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
+        exposure = self.expose(noisy)
+        albedo = view.albedo.clamp(0, 1)
+        normal = view.normal.clamp(-1, 1) * 0.5 + 0.5
+        seen = torch.cat((pu_forward(noisy * exposure), albedo, normal), dim=1)  # n 9 h w
+
+        value = crop(self.network(pad(seen, to=STRIDE)), *seen.shape[-2:])
+        return self.develop(value, exposure), None
+
+
+def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
+    """OIDN with our weights, those of a file, or `"random"` ones."""
+    network = UNet(INPUTS, widths=VARIANTS[variant].widths)
+    if weights != "random":
+        shipped = Path(__file__).parent / "cards" / f"{variant or 'oidn'}.safetensors"
+        load_into(network, Path(weights) if weights else shipped)
+    network.to(device).eval().requires_grad_(False)
+    return Oidn(network)

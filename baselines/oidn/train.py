@@ -1,0 +1,71 @@
+"""How OIDN learns: its own loss, in its transfer space, at the reference's exposure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from baselines.oidn.method import INPUTS, VARIANTS, Oidn
+from rlbench.frames import Clip, Frame, Size
+from rlbench.ops.exposure import autoexposure
+from rlbench.ops.losses import EVEN, mixed
+from rlbench.ops.transfer import pu_forward
+from rlbench.ops.unet import UNet
+from rlbench.run import unroll
+from rlbench.training import Trainer
+
+BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
+
+
+@dataclass(frozen=True)
+class Still:
+    """A clip of one frame, for a method that sees no more."""
+
+    frame: Frame
+    name: str
+    scene: str
+    digest: str
+
+    @property
+    def size(self) -> Size:
+        """That of the frame."""
+        return self.frame.pool.size
+
+    def __len__(self) -> int:
+        """One."""
+        return 1
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frame."""
+        yield self.frame
+
+
+def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
+    """A seeded U-Net and its loss, 0.16 L1 + 0.84 (1 - MS-SSIM) with five equal scales.
+
+    As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
+    reference are compared in transfer space, where display white at an exposure of 1 lies at 0.319.
+    Differs from it in what all methods here share: crops, schedule, averaged weights, no permuted
+    channels; and crops below 176 pixels use the scales that fit.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    network = UNet(INPUTS, widths=VARIANTS[variant].widths, generator=generator).to(device)
+    method = Oidn(network)
+
+    def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
+        for frame in clip:
+            yield _loss(method, Still(frame, clip.name, clip.scene, clip.digest), spp)
+
+    return Trainer(method, network, losses, BUDGETS)
+
+
+def _loss(method: Oidn, still: Still, spp: float) -> Tensor:
+    reference = still.frame.reference.mean
+    exposure = autoexposure(reference)
+    # the network's output as it is, no clamp: what is clamped gets no gradient
+    method = replace(method, expose=lambda noisy: exposure, develop=lambda value, _: value)
+    (shown,) = unroll(method, still, spp)
+    return mixed(shown.image, pu_forward(reference * exposure), EVEN)

@@ -1,0 +1,123 @@
+"""Where a number came from: this machine, the versions, the commit, the code that made it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+CORE = (
+    "rlbench.frames",
+    "rlbench.sampling",
+    "rlbench.run",
+    "rlbench.ops",
+    "rlbench.clips",
+    "rlbench.decoded",
+)  # the core's modules that decide what image a method makes of a clip
+PACKAGES = ("torch", "mitsuba", "rlbench")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a time was measured on. `gpu` is empty where there is none."""
+
+    cpu: str
+    cores: int  # that this process may use
+    gpu: str
+    os: str
+
+
+def machine() -> Machine:
+    """This machine."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    cores = len(allowed(0)) if allowed else os.cpu_count() or 1
+    return Machine(_cpu(), cores, _gpu(), f"{platform.system()} {platform.release()}")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide results; "none" if not installed."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
+
+
+def commit(folder: Path = Path(__file__).parent) -> str:
+    """The commit of the checkout that tracks this code, 12 hex digits, with "+" if it was changed.
+
+    Empty where the code is no checkout, as when it was installed from a package.
+    """
+    tracked = _git(folder, "ls-files", "--error-unmatch", "--", ".")
+    head = _git(folder, "rev-parse", "--short=12", "HEAD") if tracked else ""
+    changed = _git(folder, "status", "--porcelain") if head else ""
+    return f"{head}+" if changed else head
+
+
+def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
+    """Hash of the sources of `modules` and of the core modules that decide results, 16 hex digits.
+
+    A package counts with all of its Python files, a module with its own. Nothing is imported but
+    the packages that hold them. What they import in turn counts only if named. Raises LookupError
+    for a module that cannot be found.
+    """
+    told = hashlib.sha256()
+    for name in sorted({*modules, *core}):
+        for place, path in _sources(name):
+            source = hashlib.sha256(path.read_bytes()).hexdigest()
+            told.update(f"{name} {place} {source}\n".encode())
+    return told.hexdigest()[:16]
+
+
+def _sources(name: str) -> list[tuple[str, Path]]:
+    """The Python files of a module or package, each with its place in it."""
+    try:
+        spec = importlib.util.find_spec(name)
+        origin = spec.origin if spec else None
+    except (ModuleNotFoundError, ValueError):  # ValueError: loaded from a loose file, no spec
+        origin = getattr(sys.modules.get(name), "__file__", None)
+    if origin is None:
+        raise LookupError(f"no source found for module '{name}'; is it installed?")
+    file = Path(origin)
+    if file.name != "__init__.py":
+        return [(file.name, file)]
+    return [(p.relative_to(file.parent).as_posix(), p) for p in sorted(file.parent.rglob("*.py"))]
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _gpu() -> str:
+    try:
+        import torch
+    except ImportError:
+        return ""
+    return str(torch.cuda.get_device_name(0)) if torch.cuda.is_available() else ""
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
+
+
+def _git(folder: Path, *words: str) -> str:
+    """What git prints, or nothing where it fails or is absent."""
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}  # as set in hooks
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words], capture_output=True, text=True, env=clean
+        )
+    except FileNotFoundError:
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""

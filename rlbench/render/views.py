@@ -1,0 +1,152 @@
+"""What a camera knows before any light is traced: albedo, normal, depth and exact motion.
+
+All are of the pixel's centre. Normal, depth and motion are of the first surface, glass included, so
+that they belong together; albedo looks through glass and mirrors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from rlbench.frames import BUFFERS
+from rlbench.render.pose import Pose
+from rlbench.render.trace import Tracer
+
+POINTS = 16  # directions of the albedo's quadrature
+BOUNCES = 4  # mirrors and panes that albedo looks through
+STEPS = (0.8191725134, 0.6710436067, 0.5497004779)  # Roberts 2018, R3 sequence
+
+
+def views(
+    tracer: Tracer, needs: Collection[str] = BUFFERS
+) -> dict[str, Float[Array, "h w channels"]]:
+    """The buffers `needs` of the tracer's present time, float32, in the conventions of `View`.
+
+    albedo: see `albedo`; 0 for background. normal: world space, towards the camera. depth: along
+    the view axis, +inf for background. motion: to the position one frame earlier, from the poses at
+    `time` and `time - 1` (also for frame 0), so exact for camera, rigid and deforming motion; that
+    of background is the camera's rotation.
+    """
+    height, width = tracer.height, tracer.width
+    rows, columns = np.indices((height, width)).reshape(2, -1)
+    film = np.stack([columns, rows], 1) + 0.5
+    wanted = {"albedo": 3, "normal": 3}
+    hit, mesh, face, u, v, *shaded = tracer.each(
+        lambda ray: _look(tracer, ray, "albedo" in needs), film
+    )
+    found = dict(zip(wanted, np.split(np.stack(shaded, 1), [3], 1), strict=True))
+    now, before = _points(tracer, hit > 0, mesh, face, u, v, film)
+    here, depth = tracer.pose.project(now, height, width)
+    found["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
+    there, _ = Pose.of(tracer.scene, tracer.time - 1).project(before, height, width)
+    found["motion"] = there - here
+    return {
+        name: found[name].reshape(height, width, -1).astype(np.float32)
+        for name in BUFFERS
+        if name in needs
+    }
+
+
+def albedo(tracer: Tracer, ray: Any) -> Any:
+    """Share of light that the surface behind `ray` reflects or passes on, in [0, 1].
+
+    The mean of the BSDF's own sample weights over fixed points: its directional-hemispherical
+    reflectance, whatever the BSDF. Surfaces that are only mirror or glass are followed up to 4
+    times, through the pane rather than off it, and tint what lies behind; a mirror that shows the
+    sky has its own tint. Mitsuba's own albedo is far above 1 or 0 for rough metal and glass.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    # importance transport, or refraction would scale the weights by the squared index of refraction
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+
+    def follow(ray: Any, tint: Any, result: Any, bounce: Any, active: Any) -> tuple[Any, ...]:
+        surface = tracer.mitsuba.ray_intersect(ray, active)
+        valid = active & surface.is_valid()
+        if valid is False:  # a single ray that has left the scene: there is no BSDF to ask
+            return ray, tint, tint if bounce > 0 else result, bounce, False
+        bsdf = surface.bsdf(ray)
+        smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        ends = valid & (smooth | (bounce >= BOUNCES))
+        share = _reflectance(context, bsdf, surface, ends)
+        result = dr.select(ends, tint * share, result)
+        result = dr.select((active ^ valid) & (bounce > 0), tint, result)
+        onward = valid ^ ends
+        chosen, weight = bsdf.sample(context, surface, 0.999, mi.Point2f(0.5, 0.5), onward)
+        tint = dr.select(onward, tint * weight, tint)
+        ray = surface.spawn_ray(surface.to_world(chosen.wo))
+        return mi.Ray3f(ray), tint, result, bounce + 1, onward
+
+    start = (mi.Ray3f(ray), mi.Color3f(1), mi.Color3f(0), mi.UInt32(0), mi.Bool(True))
+    end = dr.while_loop(start, lambda *state: state[-1], follow)
+    return dr.clip(end[2], 0, 1)
+
+
+def _look(tracer: Tracer, ray: Any, coloured: bool) -> tuple[Any, ...]:
+    """Is there a hit? Mesh, face and place in it; albedo and normal."""
+    import drjit as dr
+    import mitsuba as mi
+
+    hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+    valid = hit.is_valid()
+    if valid is False:
+        return (0.0,) * 11
+    normal = hit.compute_surface_interaction(ray, active=valid).sh_frame.n
+    normal = dr.select(valid, normal * -dr.sign(dr.dot(normal, ray.d)), mi.Normal3f(0))
+    colour = albedo(tracer, ray) if coloured else mi.Color3f(0)
+    place = dr.select(valid, mi.Point2f(hit.prim_uv), mi.Point2f(0))
+    where = (tracer.mesh(hit), dr.select(valid, hit.prim_index, mi.UInt32(0)), place.x, place.y)
+    return (dr.select(valid, mi.Float(1), mi.Float(0)), *where, *colour, *normal)
+
+
+def _reflectance(context: Any, bsdf: Any, surface: Any, active: Any) -> Any:
+    import drjit as dr
+    import mitsuba as mi
+
+    if active is False:
+        return mi.Color3f(0)
+
+    def add(point: Any, total: Any) -> tuple[Any, Any]:
+        choice, x, y = (_fraction(0.5 + mi.Float(point) * step) for step in STEPS)
+        _, weight = bsdf.sample(context, surface, choice, mi.Point2f(x, y), active)
+        return point + 1, total + weight
+
+    start = (mi.UInt32(0), mi.Color3f(0))
+    return dr.while_loop(start, lambda point, _: point < POINTS, add)[1] / POINTS
+
+
+def _fraction(number: Any) -> Any:
+    import drjit as dr
+
+    return number - dr.floor(number)
+
+
+def _points(
+    tracer: Tracer, hit: Array, mesh: Array, face: Array, u: Array, v: Array, film: Array
+) -> tuple[Float[Array, "p 4"], Float[Array, "p 4"]]:
+    """What is seen at each pixel, now and one frame earlier; directions where nothing is hit."""
+    meshes, earlier = tracer.scene.meshes, Pose.of(tracer.scene, tracer.time - 1)
+    sky = np.column_stack(
+        [tracer.pose.directions(film, tracer.height, tracer.width), np.zeros(len(film))]
+    )
+    if not meshes:
+        return sky, sky
+    first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    faces = [m.faces.astype(np.int64) + f for m, f in zip(meshes, first[:-1], strict=True)]
+    corners = np.concatenate(faces)
+    start = np.cumsum([0, *(len(m.faces) for m in meshes)])
+    corners = corners[start[mesh.astype(np.int64)] + face.astype(np.int64)]
+    shares = np.stack([1 - u - v, u, v], 1).astype(np.float64)[..., None]
+
+    def place(pose: Pose) -> Array:
+        vertices = np.concatenate(pose.vertices).astype(np.float64)
+        points = np.column_stack([(vertices[corners] * shares).sum(1), np.ones(len(film))])
+        return np.where(hit[:, None], points, sky)
+
+    return place(tracer.pose), place(earlier)

@@ -1,0 +1,220 @@
+"""Shapes to build scenes from: boxes, walls of quads, columns, balls, grids and leaves, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float32]
+
+
+class Shape(NamedTuple):
+    """Triangles without a material; faces turn counter-clockwise seen from outside."""
+
+    vertices: Floats  # v 3, metres, z up
+    faces: NDArray[np.uint32]  # f 3
+    uv: Floats  # v 2, in repeats of the texture
+
+
+def merge(*shapes: Shape) -> Shape:
+    """One shape out of many."""
+    starts = np.cumsum([0] + [len(shape.vertices) for shape in shapes[:-1]])
+    faces = [shape.faces + np.uint32(start) for shape, start in zip(shapes, starts, strict=True)]
+    return Shape(
+        np.concatenate([shape.vertices for shape in shapes]),
+        np.concatenate(faces),
+        np.concatenate([shape.uv for shape in shapes]),
+    )
+
+
+def rotation(axis: ArrayLike, angle: float) -> Floats:
+    """The 3x3 matrix that turns by `angle` radians about `axis` (Rodrigues' formula)."""
+    x, y, z = np.asarray(axis, np.float64) / np.linalg.norm(np.asarray(axis, np.float64))
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return turn.astype(np.float32)
+
+
+def yaw(angle: float) -> Floats:
+    """The matrix that turns by `angle` radians about the vertical axis."""
+    return rotation((0, 0, 1), angle)
+
+
+def placed(shape: Shape, at: ArrayLike, turn: Floats | None = None, scale: float = 1.0) -> Shape:
+    """The shape scaled, then turned, then shifted."""
+    vertices = shape.vertices * np.float32(scale)
+    if turn is not None:
+        vertices = vertices @ turn.T
+    return shape._replace(vertices=vertices + np.asarray(at, np.float32))
+
+
+def painted(shape: Shape, slot: ArrayLike, of: int) -> Shape:
+    """The shape in colour number `slot` of a palette of `of` colours; or one slot a vertex."""
+    column = (np.broadcast_to(np.asarray(slot), len(shape.vertices)) + 0.5) / of
+    return shape._replace(uv=np.stack([column, np.full_like(column, 0.5)], -1).astype(np.float32))
+
+
+def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile: float = 1.0) -> Shape:
+    """Parallelograms from arrays [n 3] (or single vectors); they face along across x up.
+
+    A repeat of the texture is `tile` metres wide and starts at each corner; with tile = 0 the
+    texture is stretched over each parallelogram instead.
+    """
+    c, a, u = np.broadcast_arrays(
+        *(np.atleast_2d(np.asarray(v, float)) for v in (corner, across, up))
+    )
+    vertices = np.stack([c, c + a, c + a + u, c + u], 1)
+    extent = np.stack([np.linalg.norm(a, axis=1), np.linalg.norm(u, axis=1)], -1)  # n 2
+    repeats = extent / tile if tile else np.ones_like(extent)
+    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    faces = np.arange(len(c))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
+    return _shape(vertices, faces, unit * repeats[:, None, :])
+
+
+def boxes(low: ArrayLike, high: ArrayLike, tile: float = 1.0) -> Shape:
+    """Axis-aligned boxes between two corners, arrays [n 3] or single vectors.
+
+    The texture follows the world, one repeat each `tile` metres, so that neighbours line up.
+    """
+    low, high = np.broadcast_arrays(*(np.atleast_2d(np.asarray(v, float)) for v in (low, high)))
+    sides = []
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3  # a x b points along +axis
+        corners = np.stack([low, low, low, low], 1)  # n 4 3
+        corners[:, 1:3, a] = high[:, None, a]
+        corners[:, 2:4, b] = high[:, None, b]
+        far = corners.copy()
+        far[..., axis] = high[:, None, axis]
+        flat = (b, a) if axis == 1 else (a, b)  # the texture stands upright on every wall
+        for side in (corners[:, ::-1], far):
+            faces = np.arange(len(low))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
+            sides.append(_shape(side, faces, side[..., flat] / tile))
+    return merge(*sides)
+
+
+def lathe(profile: Sequence[tuple[float, float]], sides: int = 32, flutes: int = 0) -> Shape:
+    """A profile of (radius, height), from below to above, turned about the vertical axis.
+
+    The ends stay open. With flutes, that many shallow grooves run along it, as on a column.
+    """
+    radius, height = np.array(profile, float).T
+    angle = np.arange(sides + 1) * (2 * np.pi / sides)
+    groove = 1 - 0.07 * np.abs(np.sin(angle * flutes / 2)) if flutes else np.ones_like(angle)
+    ring = np.stack([np.cos(angle) * groove, np.sin(angle) * groove], -1)  # s 2
+    wall = radius[:, None, None] * ring
+    vertices = np.concatenate(
+        [wall, np.broadcast_to(height[:, None, None], (*wall.shape[:2], 1))], -1
+    )
+    around = angle * radius.max()  # metres
+    uv = np.stack(np.broadcast_arrays(around[None], height[:, None]), -1)
+    return _shape(vertices, _cells(len(radius), sides + 1), uv)
+
+
+def disc(radius: float, height: float, sides: int = 32) -> Shape:
+    """A round lid that faces up."""
+    angle = np.arange(sides) * (2 * np.pi / sides)
+    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, height)], -1)
+    vertices = np.concatenate([rim, [[0, 0, height]]])
+    first = np.arange(sides)
+    faces = np.stack([first, (first + 1) % sides, np.full(sides, sides)], -1)
+    return _shape(vertices, faces, vertices[:, :2])
+
+
+def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
+    """An upright cylinder with both lids."""
+    lid = disc(radius, high, sides)
+    bottom = disc(radius, low, sides)
+    return merge(
+        lathe([(radius, low), (radius, high)], sides),
+        lid,
+        bottom._replace(faces=bottom.faces[:, ::-1]),
+    )
+
+
+def column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> Shape:
+    """A fluted column with base and capital, standing on the origin."""
+    foot, head = 0.9 * radius, height - 1.1 * radius
+    shaft = [(radius * (1 - 0.16 * s**1.6), foot + (head - foot) * s) for s in np.linspace(0, 1, 7)]
+    torus = [
+        (radius * (1.18 + 0.12 * np.sin(a)), radius * (0.66 - 0.22 * np.cos(a)))
+        for a in np.linspace(0, np.pi, 7)
+    ]
+    bell = [(radius * (0.86 + 0.5 * s**2), head + radius * 0.62 * s) for s in np.linspace(0, 1, 6)]
+    plinth, slab = 1.35 * radius, 1.45 * radius
+    return merge(
+        boxes((-plinth, -plinth, 0), (plinth, plinth, 0.44 * radius)),
+        lathe(torus, 36),
+        disc(1.18 * radius, foot - 0.02 * radius, 36),
+        lathe(shaft, sides, flutes),
+        lathe([(0.9 * radius, head - 0.1 * radius), (0.94 * radius, head), *bell[1:]], 36),
+        boxes((-slab, -slab, head + 0.62 * radius), (slab, slab, height)),
+    )
+
+
+@cache
+def ball(levels: int = 3) -> Shape:
+    """A ball of radius one without seam or poles: an icosahedron, each face split 4^levels times."""
+    g = (1 + 5**0.5) / 2
+    corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
+    corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
+    vertices = np.array(corners, float)
+    faces = np.array(
+        [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11)]
+        + [(1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8)]
+        + [(3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9)]
+        + [(4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
+    )
+    for _ in range(levels):
+        edges = np.sort(np.stack([faces, np.roll(faces, -1, 1)], -1), -1).reshape(-1, 2)
+        unique, index = np.unique(edges, axis=0, return_inverse=True)
+        middle = index.reshape(-1, 3) + len(vertices)  # between corners 01, 12, 20
+        vertices = np.concatenate([vertices, vertices[unique].mean(1)])
+        (a, b, c), (ab, bc, ca) = faces.T, middle.T
+        split = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        faces = np.concatenate([np.stack(corner, -1) for corner in split])
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    return _shape(vertices, faces, np.zeros((len(vertices), 2)))
+
+
+def grid(width: float, length: float, cells: tuple[int, int], tile: float = 1.0) -> Shape:
+    """A level sheet about the origin, cut into cells, facing up."""
+    x = np.linspace(-width / 2, width / 2, cells[0] + 1)
+    y = np.linspace(-length / 2, length / 2, cells[1] + 1)
+    at = np.stack(np.meshgrid(x, y), -1)  # y x 2
+    vertices = np.concatenate([at, np.zeros((*at.shape[:2], 1))], -1)
+    return _shape(vertices, _cells(cells[1] + 1, cells[0] + 1), at / tile)
+
+
+def leaves(random: np.random.Generator, centres: ArrayLike, radius: float, size: float) -> Shape:
+    """Small quads turned at random, each within `radius` of its centre, denser towards the rim."""
+    centres = np.asarray(centres, float)
+    out = _directions(random, len(centres))
+    across = _directions(random, len(centres))
+    up = np.cross(across, out + 0.6 * _directions(random, len(centres)))
+    up /= np.linalg.norm(up, axis=1, keepdims=True).clip(1e-6)
+    scale = size * random.uniform(0.7, 1.3, (len(centres), 1))
+    middle = centres + out * radius * random.uniform(0.1, 1, (len(centres), 1)) ** 0.4
+    return quads(middle - scale * (across + up) / 2, across * scale, up * scale * 0.8, tile=0)
+
+
+def _directions(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+    vectors = random.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _cells(rows: int, columns: int) -> NDArray[np.int64]:
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
+    a, b, c, d = first, first + 1, first + columns + 1, first + columns
+    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+
+
+def _shape(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike) -> Shape:
+    return Shape(
+        np.asarray(vertices, np.float32).reshape(-1, 3),
+        np.asarray(faces, np.uint32).reshape(-1, 3),
+        np.asarray(uv, np.float32).reshape(-1, 2),
+    )

@@ -1,0 +1,182 @@
+"""Temple: a hall of columns lit only through slits by the sun outside; nearly all light is indirect."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rlbench.render.scene import Camera, Mesh, Scene
+from rlbench.scenes.shapes import (
+    Floats,
+    Shape,
+    ball,
+    boxes,
+    column,
+    cylinder,
+    lathe,
+    merge,
+    placed,
+    rotation,
+)
+from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
+
+WIDTH, LENGTH, HEIGHT = 6.0, 30.0, 9.0  # half width; metres
+BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
+PIVOT = np.array([0.3, 12.0, HEIGHT])  # where the lamp hangs from
+
+
+def scene() -> Scene:
+    """The hall, its swinging brass lamp and a crystal orb that floats above the altar."""
+    random = np.random.default_rng(11)
+    return Scene(
+        name="temple",
+        title="Temple: columns lit through slits",
+        meshes=(*_building(random), *_furniture(random), *_movers()),
+        camera=_camera,
+        sky=(
+            {"type": "constant", "radiance": rgb(1.1, 1.5, 2.1)},
+            {
+                "type": "directional",
+                "direction": [-0.78, 0.22, -0.6],
+                "irradiance": rgb(46, 39, 29),
+            },
+        ),
+        moving=_moving,
+        exposure=1.0,
+    )
+
+
+def _camera(time: float) -> Camera:
+    sway = np.sin(2 * np.pi * time / 150)
+    y = 1.6 + 3.0 * np.sin(2 * np.pi * time / 240)
+    x = 0.9 + 0.9 * sway
+    return Camera((x, y, 1.9), (-0.9 + 1.2 * sway, y + 12, 3.1), fov=68)
+
+
+def _moving(time: float) -> dict[str, Floats]:
+    return {mesh.name: mesh.vertices for mesh in _movers(time)}
+
+
+def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
+    stone = mix((0.50, 0.43, 0.34), (0.70, 0.63, 0.52), noise(random, 256, 0.5))
+    ashlar = tiles(
+        random,
+        [(0.58, 0.50, 0.39), (0.64, 0.56, 0.45), (0.54, 0.45, 0.35)],
+        (0.30, 0.25, 0.20),
+        count=(6, 3),
+        bond=0.5,
+        gap=0.04,
+    )
+    marble = tiles(
+        random, [(0.55, 0.20, 0.11), (0.66, 0.54, 0.38)], (0.16, 0.10, 0.07), (4, 4), gap=0.03
+    )
+    return (
+        _mesh("walls", merge(_wall(1.0), _wall(-1.0), _ends()), diffuse(bitmap(ashlar))),
+        _mesh("columns", _columns(), diffuse(bitmap(stone)), smooth=True),
+        _mesh(
+            "ceiling",
+            _ceiling(),
+            diffuse(bitmap(mix((0.2, 0.11, 0.06), (0.3, 0.17, 0.09), noise(random, 128)))),
+        ),
+        _mesh("floor", _floor(), glossy(bitmap(marble), 0.12)),
+    )
+
+
+def _wall(side: float) -> Shape:
+    """One long wall, 0.7 m thick, with a slit in the middle of each bay."""
+    slits = (BAYS[:-1] + BAYS[1:]) / 2
+    half = 0.42 if side > 0 else 0.3  # metres
+    x0, x1 = sorted((side * WIDTH, side * (WIDTH + 0.7)))
+    starts = np.concatenate([[-4.0], slits + half])
+    ends = np.concatenate([slits - half, [LENGTH]])
+    low, high = (1.6, 7.6) if side > 0 else (4.6, 7.6)
+    column_of = np.ones_like(starts)
+    piers = boxes(
+        np.stack([x0 * column_of, starts, low * column_of], -1),
+        np.stack([x1 * column_of, ends, high * column_of], -1),
+        tile=3.0,
+    )
+    below = boxes((x0, -4, 0), (x1, LENGTH, low), tile=3.0)
+    above = boxes((x0, -4, high), (x1, LENGTH, HEIGHT + 0.5), tile=3.0)
+    return merge(piers, below, above)
+
+
+def _ends() -> Shape:
+    back = boxes((-WIDTH - 0.7, -4.7, 0), (WIDTH + 0.7, -4, HEIGHT + 0.5), tile=3.0)
+    niche = boxes(
+        [(-WIDTH - 0.7, LENGTH, 0), (2.2, LENGTH, 0), (-2.2, LENGTH, 6), (-2.2, LENGTH + 2, 0)],
+        [
+            (-2.2, LENGTH + 2, HEIGHT + 0.5),
+            (WIDTH + 0.7, LENGTH + 2, HEIGHT + 0.5),
+            (2.2, LENGTH + 2, HEIGHT + 0.5),
+            (2.2, LENGTH + 2.7, HEIGHT + 0.5),
+        ],
+        tile=3.0,
+    )
+    return merge(back, niche)
+
+
+def _columns() -> Shape:
+    one = column(HEIGHT - 0.8, 0.55)
+    return merge(*(placed(one, (x, y, 0)) for y in BAYS for x in (-3.3, 3.3)))
+
+
+def _ceiling() -> Shape:
+    slab = boxes((-WIDTH - 0.7, -4.7, HEIGHT), (WIDTH + 0.7, LENGTH + 2.7, HEIGHT + 0.5))
+    beams = [
+        ((-3.75, -4, HEIGHT - 0.8), (-2.85, LENGTH, HEIGHT)),
+        ((2.85, -4, HEIGHT - 0.8), (3.75, LENGTH, HEIGHT)),
+    ]
+    beams += [((-WIDTH, y - 0.3, HEIGHT - 0.5), (WIDTH, y + 0.3, HEIGHT)) for y in BAYS]
+    low, high = zip(*beams, strict=True)
+    return merge(slab, boxes(low, high))
+
+
+def _floor() -> Shape:
+    flat = boxes((-WIDTH - 0.7, -4.7, -0.4), (WIDTH + 0.7, LENGTH + 2.7, 0), tile=4.0)
+    steps = [
+        boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH, 0.25 + s / 2), tile=4.0)
+        for s in (0, 0.5, 1)
+    ]
+    return merge(flat, *steps)
+
+
+def _furniture(random: np.random.Generator) -> tuple[Mesh, ...]:
+    weave = tiles(
+        random, [(0.42, 0.03, 0.03), (0.36, 0.02, 0.04)], (0.55, 0.33, 0.08), (8, 8), gap=0.16
+    )
+    carpet = boxes((-1.1, -4, 0), (1.1, 25.4, 0.02), tile=2.2)
+    disc_of_sun = placed(
+        lathe([(1.7, 0.0), (1.7, 0.16), (1.45, 0.22), (0.9, 0.1), (0.5, 0.3), (0.01, 0.42)], 64),
+        (0, 31.7, 3.6),
+        rotation((1, 0, 0), np.pi / 2),
+    )
+    vase = lathe([(0.2, 0), (0.42, 0.3), (0.5, 0.7), (0.36, 1.1), (0.2, 1.35), (0.3, 1.55)], 40)
+    vases = [
+        placed(vase, (x, y, 0)) for x, y in ((-2.1, 7.2), (2.15, 11.3), (-2.15, 19), (4.9, 5.2))
+    ]
+    return (
+        _mesh("carpet", carpet, diffuse(bitmap(weave))),
+        _mesh("gold", disc_of_sun, metal(rgb(0.95, 0.70, 0.32), 0.25), smooth=True),
+        _mesh("vases", merge(*vases), glossy(rgb(0.05, 0.20, 0.24), 0.08), smooth=True),
+    )
+
+
+def _movers(time: float = 0.0) -> tuple[Mesh, ...]:
+    """The brass lamp on its chain and the orb, as they are at a time."""
+    swing = rotation((0.25, 1, 0), 0.24 * np.sin(2 * np.pi * time / 70 + 0.4))
+    lamp = [cylinder(0.025, -5.2, 0.0, 8), placed(ball(3), (0, 0, -5.55), scale=0.42)]
+    lamp += [placed(lathe([(0.56, 0), (0.62, 0.05), (0.56, 0.1)], 40), (0, 0, -5.6))]
+    orb = placed(ball(4), (0, 27.6, 2.1 + 0.35 * np.sin(2 * np.pi * time / 60)), scale=0.7)
+    return (
+        _mesh(
+            "lamp",
+            placed(merge(*lamp), PIVOT, swing),
+            metal(rgb(0.88, 0.62, 0.30), 0.18),
+            smooth=True,
+        ),
+        _mesh("orb", orb, glossy(rgb(0.62, 0.10, 0.05), 0.05), smooth=True),
+    )
+
+
+def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:
+    return Mesh(name, shape.vertices, shape.faces, material, uv=shape.uv, smooth=smooth)

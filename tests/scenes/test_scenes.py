@@ -1,0 +1,209 @@
+"""The four scenes are sound data: numpy only, deterministic, moving where they say so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rlbench.render.scene import Scene
+from rlbench.scenes import shapes
+
+NAMES = ("city", "temple", "hall", "ripples")
+TIMES = (-1.0, 0.0, 0.5, 7.0, 40.0)
+
+
+def _scene(name: str) -> Scene:
+    return import_module(f"rlbench.scenes.{name}").scene()
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def scene(request) -> Scene:
+    return _scene(request.param)
+
+
+def _normals(vertices, faces):
+    a, b, c = np.moveaxis(vertices[faces].astype(np.float64), 1, 0)
+    return np.cross(b - a, c - a)  # twice the area long
+
+
+def _volume(shape):
+    """Volume that the faces enclose, by the divergence theorem: positive where they face outside."""
+    a, b, c = np.moveaxis(shape.vertices[shape.faces].astype(np.float64), 1, 0)
+    return (a * np.cross(b, c)).sum() / 6
+
+
+def test_faces_index_vertices(scene):
+    assert all(mesh.faces.max() < len(mesh.vertices) for mesh in scene.meshes)
+
+
+def test_every_vertex_is_used(scene):
+    assert all(len(np.unique(mesh.faces)) == len(mesh.vertices) for mesh in scene.meshes)
+
+
+def test_arrays_have_the_shapes_and_types_of_the_contract(scene):
+    for mesh in scene.meshes:
+        assert mesh.vertices.shape[1:] == (3,)
+        assert mesh.faces.shape[1:] == (3,)
+        assert (mesh.vertices.dtype, mesh.faces.dtype) == (np.float32, np.uint32)
+        assert mesh.uv is not None
+        assert mesh.uv.shape == (len(mesh.vertices), 2)
+        assert mesh.uv.dtype == np.float32
+
+
+@pytest.mark.parametrize("time", TIMES)
+def test_vertices_are_finite_and_no_triangle_is_empty(scene, time):
+    moved = scene.moving(time)
+    for mesh in scene.meshes:
+        vertices = moved.get(mesh.name, mesh.vertices)
+        assert np.isfinite(vertices).all()
+        area = np.linalg.norm(_normals(vertices, mesh.faces), axis=1) / 2
+        assert area.min() > 1e-9, mesh.name  # square metres; float32 cancels below
+
+
+def test_names_are_unique_and_meshes_are_few(scene):
+    names = [mesh.name for mesh in scene.meshes]
+    assert len(set(names)) == len(names)
+    assert len(names) <= 15  # every mesh costs time in every launch
+
+
+@pytest.mark.parametrize("time", TIMES)
+def test_moving_returns_vertices_of_existing_meshes(scene, time):
+    rest = {mesh.name: mesh.vertices for mesh in scene.meshes}
+    moved = scene.moving(time)
+    assert moved
+    assert {name: v.shape for name, v in moved.items()} == {n: rest[n].shape for n in moved}
+    assert all(vertices.dtype == np.float32 for vertices in moved.values())
+
+
+def test_meshes_stand_as_at_time_zero(scene):
+    rest = {mesh.name: mesh.vertices for mesh in scene.meshes}
+    assert all(np.array_equal(vertices, rest[n]) for n, vertices in scene.moving(0.0).items())
+
+
+def test_every_moving_mesh_moves_each_frame(scene):
+    for time in range(20):
+        before, after = scene.moving(time - 1), scene.moving(time)
+        assert all(np.abs(after[name] - before[name]).max() > 1e-3 for name in after)
+
+
+def test_the_same_time_gives_the_same_pose(scene):
+    first = scene.moving(7.0)
+    scene.moving(3.0)  # in between, another time
+    second = scene.moving(7.0)
+    assert all(np.array_equal(first[name], second[name]) for name in first)
+    assert scene.camera(7.0) == scene.camera(7.0)
+
+
+def test_two_calls_build_the_same_scene(scene):
+    again = _scene(scene.name)
+    for one, other in zip(scene.meshes, again.meshes, strict=True):
+        assert one.name == other.name
+        assert np.array_equal(one.vertices, other.vertices)
+        assert np.array_equal(one.faces, other.faces)
+        assert np.array_equal(one.uv, other.uv)
+
+
+def _pixel(camera, point, width=192):
+    """Where a pinhole camera of `width` pixels sees a point, from the image's middle."""
+    forward = np.subtract(camera.target, camera.origin)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    towards = np.subtract(point, camera.origin)
+    focal = width / 2 / np.tan(np.radians(camera.fov) / 2)
+    across = np.array([towards @ right, towards @ np.cross(right, forward)])
+    return focal * across / (towards @ forward)
+
+
+@pytest.mark.parametrize("time", range(20))
+def test_the_camera_moves_some_pixels_a_frame(scene, time):
+    before, now = scene.camera(time - 1), scene.camera(time)
+    middle = np.add(now.origin, 8 * _ahead(now))
+    shift = np.linalg.norm(_pixel(before, middle) - _pixel(now, middle))
+    assert 0.3 < shift < 8  # of 192: enough to need motion vectors, not a cut
+
+
+def _ahead(camera):
+    forward = np.subtract(camera.target, camera.origin)
+    return forward / np.linalg.norm(forward)
+
+
+@pytest.mark.parametrize("time", [-1.0, 0.0, 10.0, 20.0, 100.0, 1000.0])
+def test_nothing_stands_within_arm_length_of_the_camera(scene, time):
+    origin = np.array(scene.camera(time).origin)
+    moved = scene.moving(time)
+    for mesh in scene.meshes:
+        corners = moved.get(mesh.name, mesh.vertices)[mesh.faces]
+        size = np.linalg.norm(corners.max(1) - corners.min(1), axis=1)
+        gap = np.linalg.norm(corners - origin, axis=-1).min(1)
+        assert gap[size < 1].min(initial=np.inf) > 0.4, mesh.name
+
+
+def test_some_lamp_or_sky_shines(scene):
+    assert scene.sky or any(mesh.emission for mesh in scene.meshes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_is_registered(name):
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    points = project["project"]["entry-points"]["rlbench.scenes"]
+    assert points[name] == f"rlbench.scenes.{name}:scene"
+    assert _scene(name).name == name
+
+
+def test_scenes_need_no_renderer():
+    modules = ", ".join(f"rlbench.scenes.{name}" for name in NAMES)
+    code = f"import sys, {modules}; print([m for m in ('mitsuba', 'drjit') if m in sys.modules])"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "[]"
+
+
+def test_the_lamps_of_the_hall_fill_one_texel_each():
+    lamps = next(mesh for mesh in _scene("hall").meshes if mesh.name == "lamps")
+    rows, columns, _ = lamps.emission["radiance"]["data"].shape
+    cells = lamps.uv.reshape(-1, 4, 2) * (columns, rows)
+    low = cells.min(1)
+    assert np.allclose(cells.max(1) - low, 1, atol=1e-4)  # float32 of numbers up to 32
+    assert len(np.unique(low.round().astype(int), axis=0)) == len(low)
+    assert 800 < len(low) <= rows * columns
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume", "rel"),
+    [
+        (shapes.boxes((0, 0, 0), (1, 2, 3)), 6.0, 1e-6),
+        (shapes.boxes([(0, 0, 0), (5, 5, 5)], [(1, 1, 1), (7, 6, 6)]), 3.0, 1e-6),
+        (shapes.ball(4), 4 / 3 * np.pi, 0.01),  # the facets lie inside the ball
+        (shapes.cylinder(0.5, 1.0, 3.0, 64), np.pi / 2, 0.01),
+    ],
+    ids=["box", "two boxes", "ball", "cylinder"],
+)
+def test_closed_shapes_face_outside_and_enclose_their_volume(shape, volume, rel):
+    assert _volume(shape) == pytest.approx(volume, rel=rel)
+
+
+def test_a_quad_faces_along_across_x_up():
+    quad = shapes.quads((0, 0, 0), (2, 0, 0), (0, 3, 0))
+    assert np.allclose(_normals(quad.vertices, quad.faces), (0, 0, 6))
+
+
+def test_merge_keeps_every_triangle_where_it_was():
+    parts = [shapes.ball(1), shapes.placed(shapes.ball(0), (3, 0, 0), scale=2.0)]
+    merged = shapes.merge(*parts)
+    apart = np.concatenate([part.vertices[part.faces] for part in parts])
+    assert np.array_equal(merged.vertices[merged.faces], apart)
+
+
+def test_a_turn_about_the_vertical_takes_x_to_y():
+    assert np.allclose(shapes.yaw(np.pi / 2) @ (1, 0, 0), (0, 1, 0), atol=1e-6)
+
+
+def test_painted_hits_the_middle_of_its_texel():
+    uv = shapes.painted(shapes.ball(0), 2, 8).uv
+    assert np.allclose(uv, (2.5 / 8, 0.5))
