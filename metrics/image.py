@@ -47,7 +47,7 @@ def ms_ssim(
     if scales > most_scales(h, w):
         raise ValueError(
             f"MS-SSIM of {scales} scales needs sides above {(WINDOW - 1) << (scales - 1)} pixels, "
-            f"found {h} x {w}, which allow {most_scales(h, w)}; MS_SSIM.at(height, width) fits"
+            f"found {h} x {w}, which allow {most_scales(h, w)}; see MS_SSIM.at(height, width)"
         )
     truth = display(reference)
     shown = torch.where(broken(image), (truth < 0.5).to(truth.dtype), display(image))

@@ -1,0 +1,163 @@
+"""The quality gate: it fails when PSNR falls, says where, and can be rewritten."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from rlbench.regress import Baseline, BaselineError, Entry, compare, load, measured, update
+from rlbench.table import Row, frame_of
+
+
+def rows(psnr, method="ours", scene="city", spp=2.0):
+    """Two frames whose mean is `psnr`, and a row of another metric that must not count."""
+    row = Row("r", method, f"{scene}-0", scene, spp, spp, 0, "psnr", psnr - 1)
+    other = replace(row, frame=-1, metric="relmse", value=99.0)
+    return [row, replace(row, frame=1, value=psnr + 1), other]
+
+
+def baseline(psnr=30.0, **entry):
+    return Baseline("mini", "rlbench run", 0.05, (Entry("ours", "city", 2.0, psnr, **entry),))
+
+
+def verdicts(outcome):
+    return {change.key: change.verdict for change in outcome.changes}
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict", "passed"),
+    [
+        (30.0, "same", True),
+        (29.95, "same", True),
+        (29.9499, "worse", False),
+        (30.05, "same", True),
+        (30.0501, "better", True),
+        (20.0, "worse", False),
+    ],
+)
+def test_a_result_may_fall_by_the_tolerance_and_no_more(found, verdict, passed):
+    outcome = compare(frame_of(rows(found)), baseline())
+    assert (outcome.changes[0].verdict, outcome.passed) == (verdict, passed)
+
+
+def test_an_entry_may_have_a_tolerance_of_its_own():
+    assert compare(frame_of(rows(29.8)), baseline(tolerance_db=0.2)).passed
+
+
+def test_a_tolerance_of_zero_is_not_the_default():
+    assert not compare(frame_of(rows(29.99)), baseline(tolerance_db=0.0)).passed
+
+
+def test_a_missing_entry_fails():
+    outcome = compare(frame_of(rows(30.0, scene="hall")), baseline())
+    assert verdicts(outcome) == {("ours", "city", 2.0): "missing", ("ours", "hall", 2.0): "new"}
+    assert not outcome.passed
+
+
+def test_a_missing_entry_of_a_subset_is_skipped():
+    outcome = compare(frame_of(rows(30.0, scene="hall")), baseline(), subset=True)
+    assert verdicts(outcome)["ours", "city", 2.0] == "skipped"
+    assert outcome.passed
+
+
+def test_a_result_without_value_is_missing_even_in_a_subset():
+    hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
+    outcome = compare(frame_of([*rows(30.0), hole]), baseline(), subset=True)
+    assert not outcome.passed
+
+
+def test_a_new_result_does_not_fail():
+    table = frame_of(rows(30.0) + rows(12.0, method="ntas"))
+    outcome = compare(table, baseline())
+    assert verdicts(outcome)["ntas", "city", 2.0] == "new"
+    assert outcome.passed
+
+
+def test_the_text_says_what_fell_by_how_much_and_what_was_allowed():
+    table = frame_of(rows(29.0) + rows(12.0, method="ntas"))
+    text = compare(table, baseline()).text()
+    worse = next(line for line in text.splitlines() if "WORSE" in line)
+    assert worse.split() == ["WORSE", "ours", "city", "2", "30.000", "29.000", "-1.000", "-0.050"]
+    assert text.splitlines()[-1] == "FAILED: 1 worse, 1 new"
+
+
+def test_the_text_of_equal_results_is_one_line():
+    assert compare(frame_of(rows(30.0)), baseline()).text() == "passed: 1 same"
+
+
+def test_columns_of_the_text_line_up():
+    table = frame_of(rows(29.0) + rows(9.0, method="a-much-longer/name", scene="temple", spp=0.25))
+    head, first, second, _ = compare(table, baseline()).text().splitlines()
+    assert len(head) == len(first) == len(second)
+    assert head.index("scene") == first.index("city") == second.index("temple")
+
+
+def test_the_mean_is_over_frames_and_clips():
+    more = [replace(row, clip="city-1", value=row.value + 4) for row in rows(30.0)]
+    assert measured(frame_of(rows(30.0) + more)) == {("ours", "city", 2.0): 32.0}
+
+
+def test_a_rewritten_baseline_equals_its_results(tmp_path):
+    table = frame_of(rows(30.123456) + rows(12.0, method="ntas"))
+    written = update(table, tmp_path / "b.json", preset="mini", command="rlbench run --preset mini")
+    assert load(tmp_path / "b.json") == written
+    assert compare(table, written).text() == "passed: 2 same"
+
+
+def test_a_rewritten_baseline_keeps_tolerances_and_command(tmp_path):
+    path = tmp_path / "b.json"
+    update(frame_of(rows(30.0)), path, preset="mini", command="rlbench run")
+    content = json.loads(path.read_text())
+    content["tolerance_db"] = 0.1
+    content["entries"][0]["tolerance_db"] = 0.3
+    path.write_text(json.dumps(content))
+    entry = Entry("ours", "city", 2.0, 31.0, 0.3)
+    assert update(frame_of(rows(31.0)), path) == Baseline("mini", "rlbench run", 0.1, (entry,))
+
+
+def test_the_file_has_one_line_an_entry(tmp_path):
+    update(frame_of(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
+    lines = (tmp_path / "b.json").read_text().splitlines()
+    assert sum('"method"' in line for line in lines) == 2
+
+
+def test_a_result_without_value_cannot_be_a_baseline(tmp_path):
+    hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
+    with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
+        update(frame_of([hole]), tmp_path / "b.json")
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "has schema list, expected 1"),
+        ('{"schema": 7}', "has schema 7, expected 1"),
+        ('{"schema": 1}', "lacks a field"),
+    ],
+)
+def test_a_broken_baseline_says_what_is_wrong(tmp_path, content, says):
+    (tmp_path / "b.json").write_text(content)
+    with pytest.raises(BaselineError, match=says):
+        load(tmp_path / "b.json")
+
+
+def test_a_baseline_that_is_not_there_says_how_to_make_it(tmp_path):
+    with pytest.raises(BaselineError, match="--update makes one"):
+        load(tmp_path / "b.json")
+
+
+def test_an_entry_twice_is_refused():
+    twice = replace(baseline(), entries=baseline().entries * 2)
+    with pytest.raises(BaselineError, match="two entries"):
+        compare(frame_of(rows(30.0)), twice)
+
+
+def test_the_gate_does_not_import_torch():
+    look = "import sys, rlbench.regress; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

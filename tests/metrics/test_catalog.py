@@ -1,0 +1,76 @@
+"""The catalogue: each metric scores each image of a batch and points the way it says."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from metrics.catalog import MS_SSIM, MSE_DEBIASED, NONFINITE, PSNR, RELMSE
+
+ALL = (PSNR, MS_SSIM, RELMSE, MSE_DEBIASED, NONFINITE)
+SIZE = (2, 3, 165, 170)
+
+
+def reference():
+    g = torch.Generator().manual_seed(3)
+    return torch.rand(SIZE, generator=g), torch.rand(SIZE, generator=g)
+
+
+@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
+def test_a_batch_is_scored_image_by_image(metric):
+    a, b = reference()
+    image = torch.stack([a[0] + 0.2, b[1]])
+    alone = torch.cat([metric.score(image[i : i + 1], a[i : i + 1], b[i : i + 1]) for i in (0, 1)])
+    torch.testing.assert_close(metric.score(image, a, b), alone, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
+def test_a_spoilt_image_is_worse_in_the_direction_declared(metric):
+    a, b = reference()
+    good, bad = (a + b) / 2, (a + b) / 2 + 0.3
+    bad[:, :, 7, 7] = torch.nan
+    sign = {"high": 1, "low": -1}[metric.better]
+    assert (sign * metric.score(good, a, b) > sign * metric.score(bad, a, b)).all()
+
+
+@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
+@pytest.mark.parametrize("value", [0.0, 3e38, float("nan")])
+def test_scores_are_finite_whatever_the_image_holds(metric, value):
+    a, b = reference()
+    assert torch.isfinite(metric.score(torch.full(SIZE, value), a, b)).all()
+
+
+@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
+def test_each_says_its_convention(metric):
+    assert len(metric.convention) > 10
+
+
+@pytest.mark.parametrize(
+    ("size", "name"),
+    [
+        ((1080, 1920), "ms_ssim"),
+        ((161, 161), "ms_ssim"),
+        ((96, 128), "ms_ssim_4"),
+        ((64, 99), "ms_ssim_3"),
+    ],
+)
+def test_ms_ssim_of_fewer_scales_has_another_name(size, name):
+    assert MS_SSIM.at(*size).name == name
+
+
+def test_ms_ssim_that_fits_scores_a_small_image():
+    image = torch.rand(1, 3, 64, 96)
+    score = MS_SSIM.at(64, 96).score(image, image, image)
+    torch.testing.assert_close(score, torch.ones(1), atol=1e-5, rtol=0)  # float32 rounding
+
+
+def test_metrics_of_any_size_stand_for_themselves():
+    assert PSNR.at(3, 3) is PSNR
+
+
+def test_listing_metrics_does_not_import_torch():
+    look = "import sys, metrics.catalog; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

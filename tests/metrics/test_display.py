@@ -1,0 +1,29 @@
+"""The display curve: sRGB as others compute it."""
+
+from __future__ import annotations
+
+import kornia
+import pytest
+import torch
+
+from metrics.display import display
+
+
+def test_inside_the_range_it_is_kornias_srgb():
+    linear = torch.rand(2, 3, 17, 13, generator=torch.Generator().manual_seed(0)) ** 4
+    # float32 powers of two libraries
+    torch.testing.assert_close(
+        display(linear), kornia.color.linear_rgb_to_rgb(linear), atol=1e-6, rtol=0
+    )
+
+
+@pytest.mark.parametrize(
+    ("linear", "shown"),
+    [(-1.0, 0.0), (0.0, 0.0), (0.001, 0.01292), (0.214041, 0.5), (1.0, 1.0), (1e30, 1.0)],
+)
+def test_known_values(linear, shown):
+    assert float(display(torch.tensor(linear))) == pytest.approx(shown, abs=1e-5)
+
+
+def test_nan_is_not_hidden():
+    assert display(torch.tensor(torch.nan)).isnan()
