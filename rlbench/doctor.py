@@ -75,11 +75,11 @@ def _tracer() -> Iterator[Finding]:
 
 def _cache() -> Iterator[Finding]:
     whole, unfinished = [], []
-    for folder in sorted(paths.clips().glob("*")):
+    for folder in sorted(paths.clips().glob("*/*/")):
         try:
-            whole.append(read_header(folder).name)
+            whole.append(f"{folder.parent.name}/{read_header(folder).name}")
         except ClipError:
-            unfinished.append(folder.name)
+            unfinished.append(f"{folder.parent.name}/{folder.name}")
     told = f"{paths.clips()}: {len(whole)} clips"
     if unfinished:
         told += f"; unfinished, rlbench render resumes: {', '.join(unfinished)}"
