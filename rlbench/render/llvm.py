@@ -102,7 +102,8 @@ def libraries() -> list[Library]:
         key = _key(path)
         if key not in known:
             known[key] = probe(path)
-            _write(note, json.dumps(known, indent=1))
+            with paths.replacing(note) as file:
+                file.write_text(json.dumps(known, indent=1))
         found.append(Library(path, version, known[key]))
         if not known[key]:
             break
@@ -170,10 +171,3 @@ def _processor() -> str:
     )
     words = "\n".join([platform.machine(), *(kinds or lines[:1])])
     return hashlib.sha256(words.encode()).hexdigest()[:8]
-
-
-def _write(file: Path, text: str) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_suffix(f".{os.getpid()}.part")
-    part.write_text(text)
-    part.replace(file)

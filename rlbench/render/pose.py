@@ -37,9 +37,7 @@ class Pose:
         """How far a ray leans per pixel: the tangent of half the view, over half the width."""
         return float(np.tan(np.radians(self.camera.fov) / 2) * 2 / width)
 
-    def directions(
-        self, film: Float[Array, "p 2"], height: int, width: int
-    ) -> Float[Array, "p 3"]:
+    def directions(self, film: Float[Array, "p 2"], height: int, width: int) -> Float[Array, "p 3"]:
         """Unit vectors through film positions in pixels, x right, y down, 0 at the corner."""
         leaning = (film - np.array([width / 2, height / 2])) * self.slope(width)
         towards = np.column_stack([leaning, np.ones(len(film))]) @ self.axes()

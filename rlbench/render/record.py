@@ -3,61 +3,66 @@
 from __future__ import annotations
 
 import gc
-import hashlib
+import importlib
 import importlib.metadata
-import platform
-import statistics
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from rlbench import paths
-from rlbench.clips import Header, has_frame, read_header, write_frame, write_header
-from rlbench.folder import exr_path, kinds
+from rlbench import paths, registry
+from rlbench.clips import ClipError, Header, has_frame, write_frame, write_header
 from rlbench.frames import BUFFERS
 from rlbench.header import FILE
+from rlbench.provenance import machine
 from rlbench.render import llvm
-from rlbench.render.pose import Pose
+from rlbench.render.fingerprint import fingerprint
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
-from rlbench.render.trace import Tracer, open_tracer, sample_ms
+from rlbench.render.trace import Tracer, open_tracer
+from rlbench.render.views import views
 
-RECIPE = 1  # raised whenever the tracer gives other pixels for the same scene
 POOLS = ("path",)
 MARK = "scene.txt"  # beside the frames: what they were rendered from
-SEED = 0  # of the light paths; frames, samples and streams have their own numbers below it
-TRIAL = 4  # samples per pixel traced to estimate how long the rest takes
+SEED = 0  # of the light paths; frames, samples and streams are told apart below it
 
 
-class RenderError(LookupError):
-    """A scene that cannot be rendered as asked."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job:
-    """One clip to be rendered."""
+    """One clip to be rendered into a folder."""
 
     name: str
-    build: Callable[[], Scene]
+    scene: Scene
     preset: Preset
     folder: Path
 
     @property
+    def buffers(self) -> tuple[str, ...]:
+        """The view buffers to write: where nothing moves, there is no motion."""
+        return tuple(b for b in BUFFERS if not (self.scene.static and b == "motion"))
+
+    @property
     def missing(self) -> list[int]:
-        """Frames that are not wholly there yet."""
+        """Frames that are not wholly there."""
         return [i for i in range(self.preset.frames) if not has_frame(self.folder, i, POOLS)]
 
     @property
+    def mark(self) -> str:
+        """What the frames are rendered from; frames of another mark do not belong here."""
+        plan = self.preset
+        samples = f"{plan.pool_spp} + 2 x {plan.reference_spp} spp"
+        size = "x".join(map(str, plan.size))
+        return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
+
+    @property
     def finished(self) -> bool:
-        """Is there a header, and every frame?"""
-        return (self.folder / FILE).is_file() and not self.missing
+        """Is there a header, and every frame, of this very scene?"""
+        whole = (self.folder / FILE).is_file() and not self.missing
+        return whole and _marked(self.folder) == self.mark
 
 
 def ensure(
@@ -69,49 +74,137 @@ def ensure(
 ) -> list[Path]:
     """The clip folders of a preset, after rendering what is missing of them.
 
-    `scenes` and `seeds` choose among the preset's, or name others; given one of them, the other is
-    empty. Frames that are there are kept, unless their scene has changed since. `folder` holds the
-    clips, in place of the cache. Raises LookupError for an unknown preset or scene.
+    `scenes` and `seeds` of generated scenes replace the preset's own; where only one is given, the
+    other is empty. Whole frames that are there are kept, unless the scene has changed since.
+    `folder` holds the clips, in place of the cache. `progress` shows how far it is, in place of a
+    bar of its own. Raises LookupError for an unknown preset or scene.
     """
     chosen = preset(chosen) if isinstance(chosen, str) else chosen
     folder = folder or paths.clips() / chosen.name
     if scenes is None and seeds is None:
         scenes, seeds = chosen.scenes, chosen.seeds
-    builds = {name: _registered(name) for name in scenes or ()}
-    builds |= {f"{GENERATED}-{seed:03d}": partial(_generated, seed) for seed in seeds or ()}
-    jobs = [Job(name, build, chosen, folder / name) for name, build in builds.items()]
-    stale = [job for job in jobs if not _current(job)]
-    if stale:
-        with _bar(progress) as bar:
-            _render_all(stale, bar)
+    made = {name: registry.load("scenes", name)() for name in scenes or ()}
+    made |= {f"{GENERATED}-{seed:03d}": _generated(seed) for seed in seeds or ()}
+    jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
+    if unfinished := [job for job in jobs if not job.finished]:
+        with _shown(progress) as bar:
+            _render_all(unfinished, bar)
     return [job.folder for job in jobs]
 
 
-def render_clip(job: Job, progress: Callable[[int], None] = lambda samples: None) -> None:
-    """Render the missing frames of one clip, then its header. Stored radiance is not exposed.
+def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> None:
+    """Render the missing frames of one clip, then write its header.
 
-    `progress` is told of samples as they are traced.
+    Stored radiance is as traced; `exposure` is in the header. `traced` is told of light paths as
+    they are done. Killed at any moment and called again, it leaves the same files.
     """
-    scene = job.build()
-    _mark(job, fingerprint(scene, job.preset))
     height, width = job.preset.size
-    tracer = open_tracer(scene, height, width, SEED)
+    _mark(job)
+    tracer = open_tracer(job.scene, height, width, SEED)
     for index in job.missing:
         tracer.set_time(float(index))
-        _render_frame(job, tracer, index, progress)
-    write_header(job.folder, _header(job, scene, sample_ms(tracer)))
+        _render_frame(job, tracer, index, lambda spp: traced(spp * height * width))
+    write_header(job.folder, _header(job, tracer))
 
 
-def fingerprint(scene: Scene, chosen: Preset) -> str:
-    """What the pixels depend on, as a short hash that two machines agree on.
+def _render_frame(job: Job, tracer: Tracer, index: int, traced: Callable[[int], None]) -> None:
+    view = views(tracer, job.buffers)
+    pool = tracer.stack(job.preset.pool_spp)
+    traced(job.preset.pool_spp)
+    halves = [
+        tracer.mean(job.preset.reference_spp, stream, traced=traced)
+        for stream in ("referenceA", "referenceB")
+    ]
+    write_frame(job.folder, index, view, {"path": pool}, *halves)
 
-    Shapes and poses enter rounded, as sums, so that the last bit of a sine does not matter.
+
+def _render_all(jobs: list[Job], bar: Progress) -> None:
+    area = jobs[0].preset.size[0] * jobs[0].preset.size[1]
+    todo = {job: len(job.missing) * job.preset.frame_samples for job in jobs}
+    total = sum(todo.values())
+    seconds = total / area * open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(3) / 1e3
+    gc.collect()  # while a scene is alive, Dr.Jit numbers the next one's shapes otherwise: recompiles
+    bar.console.print(
+        f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} with {llvm.activate()}: "
+        f"{total / 1e6:.0f} million light paths, about {_duration(seconds)}; "
+        f"into {jobs[0].folder.parent}"
+    )
+    task = bar.add_task("", total=total)
+    for job in jobs:
+        bar.update(task, description=job.name)
+        render(job, partial(bar.advance, task))
+        gc.collect()
+
+
+def _header(job: Job, tracer: Tracer) -> Header:
+    plan, scene = job.preset, job.scene
+    return Header(
+        name=job.name,
+        scene=scene.name,
+        preset=plan.name,
+        sampler="mitsuba path",
+        sampler_version=f"{importlib.metadata.version('mitsuba')} {llvm.activate()}",
+        height=plan.size[0],
+        width=plan.size[1],
+        frames=plan.frames,
+        seed=SEED,
+        exposure=scene.exposure,
+        pool_spp=plan.pool_spp,
+        reference_spp=(2 * plan.reference_spp,) * plan.frames,
+        buffers=job.buffers,
+        pools=POOLS,
+        static=scene.static,
+        licence="Apache-2.0",
+        sample_ms=tracer.sample_ms(),
+        device=machine().cpu,
+    )
+
+
+def _mark(job: Job) -> None:
+    """Say what the frames of a folder are, after removing those of another scene or preset.
+
+    Raises ClipError where there are frames that bear no mark, for they are not ours to remove.
     """
-    last = chosen.frames - 1
-    words = [f"{RECIPE} {chosen.size} {chosen.pool_spp} {chosen.reference_spp} {scene.depth}"]
-    words += [_summary(sky) for sky in scene.sky]
-    words += [f"{m.name} {m.smooth} {_summary([m.faces, m.material, m.uv, m.emission])}" for m in scene.meshes]
-    for pose in (Pose.of(scene, t) for t in (0.0, float(last))):
-        words.append(_summary([pose.camera.origin, pose.camera.target, pose.camera.fov]))
-        words += [_summary(vertices) for vertices in pose.vertices]
-    return hashlib.blake2b("\n".join(words).encode(), digest_size=8).hexdigest()
+    files = [job.folder / FILE, *job.folder.glob("*.exr")]
+    kept = [file for file in files if file.is_file()]
+    if _marked(job.folder) == job.mark:
+        return
+    if kept and not _marked(job.folder):
+        raise ClipError(
+            f"{job.folder} holds frames that `rlbench render` did not write; "
+            "move the folder away, or render into another"
+        )
+    for file in kept:
+        file.unlink()
+    with paths.replacing(job.folder / MARK) as path:
+        path.write_text(job.mark)
+
+
+def _marked(folder: Path) -> str:
+    mark = folder / MARK
+    return mark.read_text() if mark.is_file() else ""
+
+
+def _generated(seed: int) -> Scene:
+    scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(seed)
+    return scene
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+@contextmanager
+def _shown(progress: Progress | None) -> Iterator[Progress]:
+    """The caller's bar, or one of its own on standard error."""
+    if progress:
+        yield progress
+        return
+    columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
+    with Progress(
+        *columns, TimeRemainingColumn(), console=Console(stderr=True), speed_estimate_period=120
+    ) as bar:
+        yield bar

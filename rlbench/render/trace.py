@@ -27,15 +27,8 @@ def open_tracer(scene: Scene, height: int, width: int, seed: int = 0) -> Tracer:
 
 
 def sample_ms(scene: Scene, height: int, width: int, repeats: int = 5) -> float:
-    """Median milliseconds of one full frame at one sample per pixel, after a warm-up."""
-    tracer = open_tracer(scene, height, width)
-    tracer.stack(1)
-    times = []
-    for i in range(repeats):
-        start = clock.perf_counter()
-        tracer.stack(1, "pilot", first=i)
-        times.append(1e3 * (clock.perf_counter() - start))
-    return statistics.median(times)
+    """Median milliseconds of one full frame at one sample per pixel on this machine, warmed up."""
+    return open_tracer(scene, height, width).sample_ms(repeats)
 
 
 class Tracer(ABC):
@@ -102,13 +95,34 @@ class Tracer(ABC):
             ]
         )
 
-    def mean(self, spp: int, stream: str, chunk: int | None = None) -> Float[Array, "h w 3"]:
-        """The mean of samples 0 .. spp - 1 of every pixel, summed in float64, `chunk` a launch."""
+    def mean(
+        self,
+        spp: int,
+        stream: str,
+        chunk: int | None = None,
+        traced: Callable[[int], None] = lambda spp: None,
+    ) -> Float[Array, "h w 3"]:
+        """The mean of samples 0 .. spp - 1 of every pixel, summed in float64, `chunk` a launch.
+
+        `traced` is told after each launch how many samples per pixel it had.
+        """
         chunk = chunk or self._chunk()
         total = np.zeros((self.height, self.width, 3))
         for start in range(0, spp, chunk):
-            total += self._sum(start, min(chunk, spp - start), stream)
+            count = min(chunk, spp - start)
+            total += self._sum(start, count, stream)
+            traced(count)
         return (total / spp).astype(np.float32)
+
+    def sample_ms(self, repeats: int = 5) -> float:
+        """Median milliseconds of one full frame at one sample per pixel, after a warm-up."""
+        self.stack(1, "pilot")
+        times = []
+        for number in range(repeats):
+            start = clock.perf_counter()
+            self.stack(1, "pilot", first=number)
+            times.append(1e3 * (clock.perf_counter() - start))
+        return statistics.median(times)
 
     def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
         return np.asarray(self._launch(first, count, stream).sum(0, dtype=np.float64))

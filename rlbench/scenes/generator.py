@@ -23,6 +23,7 @@ from rlbench.scenes.generator_shapes import Floats, Shape, moved, turn
 FAMILIES = ("room", "hall", "open", "water")
 LIGHTS = ("lamps", "bulbs", "sky", "sun", "sunsky")
 MOVES = ("dolly", "dolly", "orbit", "orbit", "orbit", "pan", "still", "frozen")
+PALE = {"wall": 0.55, "floor": 0.35, "column": 0.4, "ground": 0.3, "block": 0.25, "wood": 0.2}
 GREY = 0.45  # mean albedo that the light estimate assumes
 MIDDLE = 0.22  # display value that the mean radiance is exposed to
 
@@ -65,8 +66,8 @@ def scene(seed: int) -> Scene:
     family, kind, move = (
         _dealt(seed, cards, salt) for salt, cards in enumerate((FAMILIES, LIGHTS, MOVES))
     )
-    if family == "water" and kind in ("sun", "sunsky"):
-        kind = "sky"  # no light path finds the sun through a water surface
+    if family == "water":  # hardly a light path finds a small source through a water surface
+        kind = {"bulbs": "lamps", "sunsky": "sky"}.get(kind, kind)
     place = PLACES[family](rng, kind)
     light = _light(rng, place, kind)
     track = _track(rng, place, move)
@@ -109,7 +110,7 @@ def _light(rng: Generator, place: Place, kind: str) -> Light:
     glows = []
     if kind == "bulbs":
         glows.append(_bulbs(rng, place))
-    elif kind == "lamps" or (place.roof and rng.random() < 0.4):
+    elif kind == "lamps" or (place.roof and rng.random() < 0.6):
         glows.append(_lamps(rng, place, 1.0 if kind == "lamps" else 0.3))
     flux = sum(glow.flux for glow in glows)
     if place.roof:
@@ -154,15 +155,15 @@ def _sky(
 
 def _lamps(rng: Generator, place: Place, scale: float) -> looks.Glow:
     """A few rectangles under the roof, or hanging in the open."""
-    spread = np.array(place.half) - 0.8
+    spread = np.array(place.half) - 0.7 * place.lamp - 0.1
     lamps = []
     for _ in range(int(rng.integers(1, 5))):
-        x, y = rng.uniform(0.5, 1.4, 2)
+        x, y = rng.uniform(0.5, 1.4, 2) * place.lamp
         down = shapes.quad(np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]]) / 2)
         slant = turn(0 if place.roof else rng.uniform(-0.6, 0.6), int(rng.integers(2)))
         height = place.top - (0.02 + 0.01 * len(lamps) if place.roof else rng.uniform(0, 1))
         lamps.append(moved(down, [*rng.uniform(-spread, spread), height], slant))
-    tint = looks.colour(rng, 0.9, 1, vivid=0.45) * rng.uniform(4, 12) * scale
+    tint = looks.colour(rng, 0.9, 1, vivid=0.45) * rng.uniform(4, 12) * scale / place.lamp**2
     return looks.panels("lamps", lamps, tint)
 
 
@@ -450,10 +451,7 @@ def _materials(rng: Generator, sharp: bool) -> dict[str, Plugin]:
     order = rng.permutation(len(finishes))
     solids = {f"solid{k}": finishes[order[k]](rng) for k in range(3)}
     movers = {f"mover{k}": finishes[order[k + 3]](rng) for k in range(2)}
-    shell = {
-        name: plain[rng.integers(3)](rng)
-        for name in ("wall", "floor", "column", "ground", "block", "wood")
-    }
+    shell = {name: plain[rng.integers(3)](rng, PALE[name], 0.4) for name in PALE}
     thin = {"leaf": looks.leaf(rng), "cloth": looks.twosided(looks.textured(rng))}
     clear = {"glass": looks.glass(rng), "water": looks.glass(rng)}
     return solids | movers | shell | thin | clear

@@ -36,10 +36,10 @@ def rgb(value: Floats) -> Plugin:
     return {"type": "rgb", "value": [float(v) for v in value]}
 
 
-def texture(rng: Generator) -> Plugin:
+def texture(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
     """A random tile of two colours: checker, stripes, bricks or cloudy noise."""
     pattern = (_checker, _stripes, _bricks, _noise)[rng.integers(4)](rng)
-    one, two = colour(rng, 0.4, 0.85), colour(rng, 0.08, 0.6)
+    one, two = colour(rng, max(low, 0.4), 0.85, vivid), colour(rng, 0.7 * low, 0.7, vivid)
     grain = 1 - rng.uniform(0, 0.25) * _noise(rng)
     tile = (two + pattern[..., None] * (one - two)) * grain[..., None]
     return {
@@ -51,19 +51,21 @@ def texture(rng: Generator) -> Plugin:
     }
 
 
-def diffuse(rng: Generator) -> Plugin:
+def diffuse(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
     """Paint of one colour."""
-    return {"type": "diffuse", "reflectance": rgb(colour(rng))}
+    return {"type": "diffuse", "reflectance": rgb(colour(rng, low, 0.85, vivid))}
 
 
-def textured(rng: Generator) -> Plugin:
+def textured(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
     """Matte with a random texture."""
-    return {"type": "diffuse", "reflectance": texture(rng)}
+    return {"type": "diffuse", "reflectance": texture(rng, low, vivid)}
 
 
-def plastic(rng: Generator) -> Plugin:
+def plastic(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
     """Coloured or textured plastic, from almost polished to satin."""
-    base = texture(rng) if rng.random() < 0.4 else rgb(colour(rng))
+    base = texture(rng, low, vivid)
+    if rng.random() < 0.6:
+        base = rgb(colour(rng, low, 0.85, vivid))
     return {
         "type": "roughplastic",
         "diffuse_reflectance": base,

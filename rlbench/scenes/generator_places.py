@@ -34,6 +34,7 @@ class Place:
     holes: tuple[Hole, ...] = ()
     roof: bool = False
     floor: float = 0.0
+    lamp: float = 1.0  # lamps are this much larger than usual
     near: float = 1.4  # objects keep this far from the camera, m
 
 
@@ -42,7 +43,7 @@ def _room(rng: Generator, kind: str) -> Place:
     height = rng.uniform(2.4, 3.4)
     big = kind in ("sky", "sun", "sunsky")
     windows = {
-        k: _row(rng, 2 * half[k % 2] - 0.4, rng.uniform(0.7, 1.6), 0.5 if big else 1.5, height)
+        k: _row(rng, 2 * half[k % 2] - 0.4, rng.uniform(0.8, 1.8), 0.4 if big else 1.5, height)
         for k in rng.choice(4, 2 if big else 1, replace=False)
     }
     shell, holes = _walls(half, height, rng.uniform(0.1, 0.35), windows, roof=True)
@@ -53,7 +54,7 @@ def _room(rng: Generator, kind: str) -> Place:
 def _hall(rng: Generator, kind: str) -> Place:
     half = (rng.uniform(3.5, 6), rng.uniform(7, 12))
     height = rng.uniform(4, 7)
-    slits = {k: _row(rng, 2 * half[1] - 1, rng.uniform(0.25, 0.7), 0.8, height) for k in (1, 3)}
+    slits = {k: _row(rng, 2 * half[1] - 1, rng.uniform(0.4, 0.9), 0.7, height) for k in (1, 3)}
     if rng.random() < 0.5 and kind not in ("lamps", "bulbs"):
         slits[4] = _row(rng, 2 * half[0] - 1, rng.uniform(0.3, 0.9), 0.5, 2 * half[1])
     shell, holes = _walls(half, height, rng.uniform(0.3, 0.6), slits, roof=True)
@@ -95,18 +96,18 @@ def _open(rng: Generator, kind: str) -> Place:
 def _water(rng: Generator, kind: str) -> Place:
     half = (rng.uniform(2.2, 4), rng.uniform(2.5, 4.5))
     deep = rng.uniform(0.25, 0.7)
-    roof = kind != "sky" or rng.random() < 0.5
+    roof = kind == "lamps" or (kind == "sky" and rng.random() < 0.4)
     height = deep + (rng.uniform(2.6, 3.6) if roof else rng.uniform(0.4, 2.0))
-    holes = {0: _row(rng, 2 * half[0] - 0.5, rng.uniform(0.8, 1.6), 0.5, height)}
-    holes[4] = _row(rng, 2 * half[0] - 0.5, rng.uniform(0.8, 1.6), 0.4, 2 * half[1])
-    if not roof or kind != "sky":
-        holes = {}
+    holes = {}
+    if kind == "sky" and roof:  # through large openings, for the light must find the floor too
+        holes[0] = _row(rng, 2 * half[0] - 0.5, rng.uniform(1.2, 2), 0.4, height)
+        holes[4] = _row(rng, 2 * half[0] - 0.5, rng.uniform(1.2, 2), 0.3, 2 * half[1])
     shell, gaps = _walls(half, height, 0.25, holes, roof)
     shell = {name: moved(shape, [0, 0, -deep]) for name, shape in shell.items()}
     shell["water"] = shapes.sheet(2 * half[0] + 0.1, 2 * half[1] + 0.1, 80)
     walk = (half[0] - 0.35, half[1] - 0.35)
     top = height - deep if roof else 4.0
-    return Place(half, walk, (0.8, 1.9), (-0.3, 0.4), top, shell, (), gaps, roof, -deep, 1.0)
+    return Place(half, walk, (0.8, 1.9), (-0.3, 0.4), top, shell, (), gaps, roof, -deep, 2.4, 1.0)
 
 
 PLACES = {"room": _room, "hall": _hall, "open": _open, "water": _water}

@@ -1,0 +1,28 @@
+"""NTAS: one network places the samples, a second filters them with kernels (Hasselgren 2020)."""
+
+from __future__ import annotations
+
+from rlbench.family import Family, Traits, Variant
+
+TRAITS = Traits(
+    needs=frozenset({"albedo", "normal", "depth", "motion"}),
+    adapts=True,
+    temporal=True,
+    floor=1,
+    spp=(1.0, 8.0),
+)
+
+FAMILY = Family(
+    name="ntas",
+    title="NTAS",
+    paper=(
+        "Hasselgren, Munkberg, Salvi, Patney, Lefohn 2020, "
+        "Neural Temporal Adaptive Sampling and Denoising"
+    ),
+    licence="Apache-2.0",
+    variants={
+        "": Variant("adaptive samples and hierarchical kernels, both with warped feedback", TRAITS),
+    },
+    build="baselines.ntas.method:build",
+    train="baselines.ntas.train:trainer",
+)

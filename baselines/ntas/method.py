@@ -1,0 +1,116 @@
+"""Plan from the last image, then filter what was bought with it: the two halves of NTAS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from baselines.ntas import FAMILY
+from baselines.ntas.network import Networks
+from rlbench.family import Traits
+from rlbench.frames import Size, View
+from rlbench.ops.transfer import log_forward, squash_depth
+from rlbench.ops.warp import reproject
+from rlbench.sampling import Samples
+from rlbench.weights import load_into
+
+MISSING = -1.0  # what a network sees where there is no history
+DARK = 0.01  # added to albedo before dividing by it
+LARGEST = 65504.0  # radiance above this, the largest half, is cut
+LOWEST = -30.0  # log density below which a pixel is at its floor in any case
+
+
+@dataclass(frozen=True)
+class Config:
+    """What of NTAS is a choice."""
+
+    bptt: int = 2  # frames that training differentiates through, >= 1
+
+
+class State(NamedTuple):
+    """What is remembered of the frames so far."""
+
+    light: Float[Tensor, "n 3 h w"]  # the last image over its reflectance, linear
+    age: int  # frames so far; at 0 `light` means nothing
+
+
+@dataclass(frozen=True)
+class Ntas:
+    """Neural temporal adaptive sampling and denoising (Hasselgren et al. 2020).
+
+    The density is the exponential of a U-Net that sees the view and the last image, moved to
+    where it is now; every pixel gets one sample or more. A second U-Net sees the view, the mean of
+    the samples and the same history, and filters them by kernels (see `network.Denoiser`).
+
+    Ours, since of the paper only the outline was at hand: both U-Nets are that
+    of Open Image Denoise; colours enter them as `log_forward(radiance)`; what is filtered is linear
+    radiance over (albedo + 0.01), or over 1.01 where the albedo is black as it is for lights and
+    sky; what is remembered is likewise free of albedo, so that texture is not blurred from frame to
+    frame and the last image is shown to the networks with the albedo of this frame. Of the means
+    of samples those that are NaN or negative enter as 0, those above 65504 as 65504, as OIDN has
+    it; history that is not finite is missing.
+    """
+
+    networks: Networks
+    config: Config = Config()
+    traits: Traits = FAMILY.variants[""].traits
+
+    def start(self, size: Size) -> State:
+        """Nothing is remembered."""
+        weight = next(self.networks.parameters())
+        return State(torch.zeros(size.n, 3, size.h, size.w, device=weight.device), age=0)
+
+    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+        """Density in (0, 1], 1 where it is largest: exp(x - max x) of the sampler's map x."""
+        seen = _seen(view, *_history(view, state))
+        wish: Tensor = self.networks.sampler(seen)
+        return (wish - wish.amax((2, 3), keepdim=True)).clamp_min(LOWEST).exp()
+
+    def denoise(
+        self, view: View, samples: Samples, state: State
+    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """The image by kernels on samples and history; state is cut off each `bptt` frames."""
+        noisy = samples.mean.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
+        history, valid = _history(view, state)
+        reflectance = _reflectance(view)
+        seen = torch.cat((log_forward(noisy), _seen(view, history, valid)), 1)
+        light = self.networks.denoiser(seen, noisy / reflectance, history, valid)
+        age = state.age + 1
+        remembered = light.detach() if age % self.config.bptt == 0 else light
+        return light * reflectance, State(remembered, age)
+
+
+def _history(view: View, state: State) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
+    """The light of the last frame as seen from this one, zero where it is not valid."""
+    moved, valid = reproject(state.light, view.motion)
+    valid = valid & torch.isfinite(moved).all(1, keepdim=True) & (state.age > 0)
+    return moved.where(valid, 0.0), valid
+
+
+def _seen(view: View, history: Tensor, valid: Tensor) -> Float[Tensor, "n 10 h w"]:
+    """What both networks see: normal, albedo, depth and the last image."""
+    last = log_forward(history * _reflectance(view)).where(valid, MISSING)
+    return torch.cat((view.normal, view.albedo, squash_depth(view.depth), last), 1)
+
+
+def _reflectance(view: View) -> Float[Tensor, "n 3 h w"]:
+    """What light is multiplied by to give radiance, in [0.01, 1.01]."""
+    black = (view.albedo <= 0).all(1, keepdim=True)
+    return torch.where(black, 1.0, view.albedo) + DARK
+
+
+def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
+    """NTAS with shipped weights, those of a file, or random ones."""
+    networks = Networks()
+    if weights == "random":
+        networks.draw(seed=0)
+    else:
+        shipped = Path(__file__).parent / "cards" / f"{variant or 'ntas'}.safetensors"
+        load_into(networks, Path(weights) if weights else shipped)
+    networks.to(device).eval().requires_grad_(False)
+    return Ntas(networks, traits=FAMILY.variants[variant].traits)

@@ -1,0 +1,284 @@
+"""NTAS: sizes, what its kernels may and may not do, and the gradient that trains its sampler."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from baselines.ntas import TRAITS
+from baselines.ntas.method import Ntas, State, build
+from baselines.ntas.network import Networks
+from baselines.ntas.train import Surrogate, shares, teach, trainer
+from rlbench.frames import Frame, Reference, Size, View
+from rlbench.memory import MemoryClip
+from rlbench.run import run_clip, unroll
+from rlbench.sampling import Samples, StoredPool, spend
+
+CPU = torch.device("cpu")
+SIZE = Size(1, 16, 16)
+
+
+def drawn(*shape: int, seed: int = 0) -> Tensor:
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
+
+
+def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> MemoryClip:
+    """Noise around a smooth truth, under a slow pan."""
+    n, h, w = size
+    shown = []
+    for i in range(frames):
+        truth = drawn(n, 3, 1, 1, seed=seed) * torch.linspace(0.2, 2, w).expand(n, 3, h, w)
+        noise = -drawn(n, 8, 1, h, w, seed=seed + i + 1).clamp_min(1e-6).log()  # mean one
+        normal = nn.functional.normalize(drawn(n, 3, h, w, seed=2) - 0.5, dim=1)
+        view = View(
+            {
+                "albedo": drawn(n, 3, h, w, seed=3),
+                "normal": normal,
+                "depth": 1 + drawn(n, 1, h, w, seed=4),
+                "motion": torch.full((n, 2, h, w), 0.5),
+            }
+        )
+        pool = StoredPool(truth[:, None] * noise, tuple(range(i, i + n)))
+        shown.append(Frame(i, view, pool, Reference(truth, truth)))
+    return MemoryClip("small", "small", "", shown)
+
+
+def half_noisy(seed: int) -> MemoryClip:
+    """A grey world at rest: noise left, none right, and only albedo tells them apart."""
+    shown = []
+    for frame in small_clip(2, Size(1, 32, 32), seed):
+        left = torch.arange(32).expand(1, 1, 32, 32) < 16
+        truth = torch.full((1, 3, 32, 32), 0.5)
+        noise = -drawn(1, 8, 1, 32, 32, seed=100 * seed + frame.index).clamp_min(1e-6).log()
+        radiance = torch.where(left[:, None], noise, 1.0) * truth[:, None]
+        albedo = torch.where(left, 0.8, 0.3).expand(1, 3, 32, 32)
+        view = View({**frame.view.buffers, "albedo": albedo}, static=True)
+        pool = StoredPool(radiance, (frame.index,))
+        shown.append(Frame(frame.index, view, pool, Reference(truth, truth)))
+    return MemoryClip("half noisy", "half noisy", "", shown)
+
+
+@pytest.fixture(scope="module")
+def method() -> Ntas:
+    return build("", CPU, "random")
+
+
+@pytest.mark.parametrize(
+    ("part", "count"),
+    [("sampler", 920_097), ("denoiser", 947_114), ("denoiser.heads", 7_150)],
+)
+def test_parameter_counts(part: str, count: int) -> None:
+    # a U-Net of OIDN has 920,675 with 10 channels in and 3 out; 289 for each channel out, 864 in
+    module = Networks().get_submodule(part)
+    assert sum(p.numel() for p in module.parameters()) == count
+
+
+@pytest.mark.parametrize("size", [Size(1, 16, 16), Size(2, 17, 31), Size(1, 5, 40), Size(1, 1, 1)])
+def test_any_size_goes_in_and_comes_out(method: Ntas, size: Size) -> None:
+    for shown in run_clip(method, small_clip(2, size), spp=2.0):
+        assert shown.image.shape == (size.n, 3, size.h, size.w)
+        assert torch.isfinite(shown.image).all()
+
+
+def test_density_is_positive_with_its_largest_at_one(method: Ntas) -> None:
+    frame = next(iter(small_clip()))
+    density = method.plan(frame.view, frame.pool.empty(), method.start(frame.pool.size))
+    assert (density > 0).all()
+    assert density.max() == 1
+
+
+def test_a_map_of_any_range_still_gives_every_pixel_some_density(method: Ntas) -> None:
+    networks = Networks()
+    networks.draw(seed=0)
+    nn.init.normal_(
+        networks.sampler.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
+    )
+    frame = next(iter(small_clip()))
+    steep = Ntas(networks)
+    density = steep.plan(frame.view, frame.pool.empty(), steep.start(frame.pool.size))
+    assert density.min() > 0
+
+
+def test_before_the_first_frame_the_state_means_nothing(method: Ntas) -> None:
+    frame = next(iter(small_clip()))
+    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    zeros, noise = (
+        State(light, age=0) for light in (torch.zeros(1, 3, 16, 16), drawn(1, 3, 16, 16))
+    )
+    assert torch.equal(
+        method.denoise(frame.view, samples, zeros)[0], method.denoise(frame.view, samples, noise)[0]
+    )
+
+
+def test_later_the_state_counts(method: Ntas) -> None:
+    frame = next(iter(small_clip()))
+    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    dark, bright = (State(torch.full((1, 3, 16, 16), light), age=1) for light in (0.0, 9.0))
+    darker = method.denoise(frame.view, samples, dark)[0].mean()
+    assert darker < method.denoise(frame.view, samples, bright)[0].mean()
+
+
+def test_history_enters_no_pixel_that_has_only_invalid_taps() -> None:
+    networks = Networks()
+    networks.draw(seed=0)
+    seen, light = drawn(1, 13, 16, 16), drawn(1, 3, 16, 16, seed=1)
+    valid = torch.zeros(1, 1, 16, 16, dtype=torch.bool)
+    valid[..., 8:] = True
+    dark = networks.denoiser(seen, light, torch.zeros(1, 3, 16, 16), valid)
+    bright = networks.denoiser(seen, light, torch.full((1, 3, 16, 16), 1e3), valid)
+    assert torch.equal(dark[..., :6], bright[..., :6])  # 5x5 taps reach two pixels
+    assert (bright[..., 6:] > dark[..., 6:]).all()
+
+
+@pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
+def test_constant_light_stays_constant(method: Ntas, age: int) -> None:
+    """Kernels sum to one on every level, masked or not, whatever the weights."""
+    view = next(iter(small_clip())).view
+    reflectance = view.albedo + 0.01
+    samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
+    image, state = method.denoise(view, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
+    # float32 through five levels and one division by reflectance
+    torch.testing.assert_close(state.light, torch.full_like(state.light, 0.7), rtol=1e-5, atol=0)
+    torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
+
+
+def test_a_bad_state_is_forgotten_where_it_is_bad(method: Ntas) -> None:
+    frame = next(iter(small_clip()))
+    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    light = torch.ones(1, 3, 16, 16)
+    light[..., 3, 3] = torch.nan
+    image, state = method.denoise(frame.view, samples, State(light, age=1))
+    assert torch.isfinite(image).all()
+    assert torch.isfinite(state.light).all()
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -1.0])
+def test_a_bad_sample_leaves_the_image_finite(method: Ntas, bad: float) -> None:
+    frame = next(iter(small_clip()))
+    radiance = frame.pool.radiance.clone()
+    radiance[..., 3, 3] = bad
+    samples = Samples(radiance, torch.full((1, 1, 16, 16), 8))
+    image, _ = method.denoise(frame.view, samples, method.start(SIZE))
+    assert torch.isfinite(image).all()
+    assert (image >= 0).all()
+
+
+def test_shares_are_what_spend_rounds() -> None:
+    density = (4 * drawn(1, 1, 20, 20)).exp() / 55
+    counts = spend(density, 2 * 400, torch.ones(1, 1, 20, 20, dtype=torch.int64), 8, keys=(0,))
+    due = shares(density, 2.0, 1, 8)
+    assert float(due.mean()) == pytest.approx(2.0, rel=1e-5)  # float32 sum of 400
+    assert ((due - counts).abs() < 1 + 1e-4).all()
+
+
+def test_shares_have_the_gradient_of_finite_differences() -> None:
+    density = drawn(2, 1, 3, 4).double().mul(3).exp().div(25).requires_grad_()
+    # the multiplier is bisected to 1e-8, which the step of 1e-4 turns into 1e-4
+    assert torch.autograd.gradcheck(
+        lambda d: shares(d, 2.5, 1, 8), density, eps=1e-4, atol=1e-3, rtol=1e-3
+    )
+
+
+def test_shares_at_the_floor_have_no_gradient() -> None:
+    density = drawn(1, 1, 4, 4).requires_grad_()
+    shares(density, 1.0, 1, 8).square().sum().backward()
+    assert torch.equal(density.grad, torch.zeros_like(density))
+
+
+def test_teaching_changes_no_value() -> None:
+    clip = small_clip(3)
+    method = build("", CPU, "random")
+    taught = Surrogate(method, (frame.reference.mean for frame in clip), 2.0)
+    plain = [shown.image for shown in unroll(method, clip, 2.0)]
+    lesson = [shown.image for shown in unroll(taught, clip, 2.0)]
+    assert all(torch.equal(a, b) for a, b in zip(plain, lesson, strict=True))
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_surrogate_is_twice_the_derivative_of_the_squared_error(count: int) -> None:
+    """For the mean of s normal samples of variance v: E[2 (I - T) (T - I) / s] = -2 v / s^2."""
+    deviation, pixels = 0.5, 200_000
+    generator = torch.Generator().manual_seed(count)
+    radiance = 1 + deviation * torch.randn(1, 8, 3, 1, pixels, generator=generator)
+    counts = torch.full((1, 1, 1, pixels), count)
+    samples = Samples(radiance.where(Samples(radiance, counts).filled, 0.0), counts)
+    due = counts.float().requires_grad_()
+    truth = torch.ones(1, 3, 1, pixels)
+    (teach(samples, due, truth).mean - truth).square().mean(1).sum().backward()
+    expected = -2 * deviation**2 / count**2
+    error = due.grad.std() / pixels**0.5
+    assert abs(due.grad.mean() - expected) < 4 * error
+
+
+def test_one_step_reaches_every_parameter_of_both_networks() -> None:
+    made = trainer("", CPU, seed=0)
+    next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
+    silent = [
+        name
+        for name, weight in made.networks.named_parameters()
+        if weight.grad is None or not weight.grad.abs().sum() > 0
+    ]
+    assert silent == []
+
+
+@pytest.mark.parametrize(("frames", "losses"), [(1, 1), (2, 1), (4, 2), (5, 3)])
+def test_there_is_one_loss_for_each_two_frames(frames: int, losses: int) -> None:
+    made = trainer("", CPU, seed=0)
+    count = 0
+    for loss in made.losses(small_clip(frames), 2.0):
+        loss.backward()  # a graph left over from the loss before would raise here
+        count += 1
+    assert count == losses
+
+
+def test_a_few_steps_bring_the_loss_down() -> None:
+    made = trainer("", CPU, seed=0)
+    optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
+    clip, means = small_clip(2, Size(1, 32, 32)), []
+    for _ in range(12):
+        for loss in made.losses(clip, 2.0):
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            means.append(loss.item())
+    assert means[-1] < 0.8 * means[0]
+
+
+def test_the_sampler_learns_where_noise_is() -> None:
+    made = trainer("", CPU, seed=0)
+    optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
+    for seed in range(15):
+        for loss in made.losses(half_noisy(seed), 3.0):
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    *_, shown = run_clip(made.method, half_noisy(99), 3.0)
+    left, right = shown.samples.counts.float().mean((0, 1, 2)).view(2, 16).mean(1).tolist()
+    assert left > 2 * right  # 3 and 3 before, 5 and 1 at best
+
+
+def test_half_precision_gives_the_same_image_but_for_rounding(method: Ntas) -> None:
+    frame = next(iter(small_clip()))
+    samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
+    image, _ = method.denoise(frame.view, samples, method.start(SIZE))
+    with torch.autocast("cpu", torch.bfloat16):
+        half, state = method.denoise(frame.view, samples, method.start(SIZE))
+    assert state.light.dtype == torch.float32
+    # bfloat16 has 8 bits, so logits of order one are off by 1/256, and weights by as much
+    torch.testing.assert_close(half, image, rtol=3e-2, atol=0)
+
+
+def test_seeds_decide_the_weights() -> None:
+    first, again, other = (trainer("", CPU, seed).networks for seed in (1, 1, 2))
+    assert all(
+        torch.equal(a, b) for a, b in zip(first.parameters(), again.parameters(), strict=True)
+    )
+    assert not torch.equal(first.denoiser.coarsest.weight, other.denoiser.coarsest.weight)
+
+
+def test_every_pixel_is_promised_a_sample() -> None:
+    assert TRAITS.floor == 1
+    for shown in run_clip(build("", CPU, "random"), small_clip(2), spp=1.5):
+        assert int(shown.samples.counts.min()) >= 1
+        assert int(shown.samples.counts.sum()) == round(1.5 * 256)
