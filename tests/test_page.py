@@ -109,3 +109,10 @@ def test_only_training_keeps_gradients(run, traced):
 
     shown = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))
     assert shown.image.requires_grad is traced
+
+
+def test_runs_that_take_turns_leave_gradients_as_they_were():
+    clips = [procedural(seed, SIZE, frames=2) for seed in (0, 1)]
+    for _ in zip(*(run_clip(Diary(), clip, 1.0) for clip in clips), strict=True):
+        assert not torch.is_inference_mode_enabled()
+    assert not torch.is_inference_mode_enabled()
