@@ -2,8 +2,8 @@
 
 Three places are searched: entry points of installed packages (`rlbench.methods` and so on), the
 variable RLBENCH_METHODS="name=module:FAMILY,...", and loose files given with `--plugin path.py`,
-which hold `FAMILY` or a list `METHODS` of families. A loose file is imported under a name of its
-own, so there `build=f"{__name__}:build"` names its own function.
+which hold `FAMILY` or a list `METHODS` of families. In a loose file `my_method.py`,
+`build="my_method:build"` names its own function, whatever else is called `my_method`.
 
 A name belongs to whom it was given first, and nothing is overwritten: the same name twice with
 different targets is an error that says where both come from. A plugin that cannot be imported is
@@ -48,7 +48,7 @@ class Entry:
     load: Callable[[], Any] = field(compare=False, repr=False)
 
 
-_files: dict[Path, None] = {}  # loose files, in the order in which they were given
+_files: dict[str, Path] = {}  # loose files by their names without .py, in the order given
 
 
 def use_plugin(path: str | Path) -> None:
@@ -56,7 +56,8 @@ def use_plugin(path: str | Path) -> None:
     file = Path(path).resolve()
     if not file.is_file():
         raise PluginError(f"no plugin file at {file}; --plugin takes the path of a Python file")
-    _files[file] = None
+    if _files.setdefault(file.stem, file) != file:
+        raise PluginError(f"two plugin files are called {file.name}: {_files[file.stem]}, {file}")
 
 
 def forget_plugins() -> None:
@@ -71,7 +72,7 @@ def entries(group: str) -> dict[str, Entry]:
     found = _installed(group)
     if group == "methods":
         found += _from_variable(os.environ.get(VARIABLE, ""))
-        found += [entry for file in _files for entry in _from_file(file)]
+        found += [entry for file in _files.values() for entry in _from_file(file)]
     known: dict[str, Entry] = {}
     for entry in found:
         other = known.setdefault(entry.name, entry)
@@ -129,9 +130,7 @@ def variant(name: str) -> Variant:
     return found.variants[key]
 
 
-def method(
-    name: str, device: torch.device | str = "cpu", weights: str | None = None
-) -> Method:
+def method(name: str, device: torch.device | str = "cpu", weights: str | None = None) -> Method:
     """The method `family` or `family/variant` on a device, with shipped, given or random weights.
 
     Raises PluginError if its traits are not those that its family declares.
@@ -148,6 +147,28 @@ def method(
     if built.traits != declared.traits:
         raise PluginError(f"'{name}' declares {declared.traits}, but was built as {built.traits}")
     return built
+
+
+def trainer(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
+    """What is trained of a method: the `rlbench.training.Trainer` that its family's `train` makes.
+
+    Raises PluginError where nothing is learned.
+    """
+    import torch
+
+    if not learns(name):
+        raise PluginError(f"'{name}' has nothing to train")
+    return resolve(family(name).train)(name.partition("/")[2], torch.device(device), seed)
+
+
+def learns(name: str) -> bool:
+    """Is there anything to train?"""
+    return variant(name).learned and bool(family(name).train)
+
+
+def metric(name: str) -> Any:
+    """One metric."""
+    return load("metrics", name)
 
 
 def metrics() -> dict[str, Any]:
@@ -184,10 +205,27 @@ def expand(patterns: Iterable[str]) -> list[str]:
 def resolve(target: str) -> Any:
     """What `module:attribute` names, imported now."""
     module, _, attribute = target.partition(":")
-    found: Any = importlib.import_module(module)
+    loose = _files.get(module)
+    found: Any = _import_file(loose) if loose else importlib.import_module(module)
     for part in attribute.split("."):
         found = getattr(found, part)
     return found
+
+
+def loose_file(module: str) -> Path | None:
+    """The file given with `--plugin` that goes by this module name, or None."""
+    return _files.get(module)
+
+
+def place(target: str) -> Path:
+    """The file of the module that `module:attribute` names; the module is not imported."""
+    module = target.partition(":")[0]
+    if module in _files:
+        return _files[module]
+    spec = importlib.util.find_spec(module)
+    if spec is None or not spec.origin:
+        raise PluginError(f"'{target}' names no module that can be found")
+    return Path(spec.origin)
 
 
 def _unknown(name: str, kind: str, known: Mapping[str, Entry]) -> str:
@@ -225,7 +263,7 @@ def _from_file(file: Path) -> list[Entry]:
 
 
 def _import_file(file: Path) -> Any:
-    name = f"rlbench_plugin_{file.stem}_{sha256(str(file).encode()).hexdigest()[:8]}"
+    name = f"rlbench_plugin_{sha256(str(file).encode()).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, file)

@@ -37,7 +37,7 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         yield Shown(frame, samples, image)
 
 
+@torch.inference_mode()  # as a decorator it holds while a frame is made, not between frames
 def run_clip(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
     """`unroll` without gradients, for measuring."""
-    with torch.inference_mode():
-        yield from unroll(method, clip, spp)
+    yield from unroll(method, clip, spp)

@@ -81,6 +81,11 @@ def cells(folder: Path) -> set[str]:
     return {unquote(file.name.removesuffix(SUFFIX)) for file in _finished(folder)}
 
 
+def drop_cell(folder: Path, cell: str) -> None:
+    """Remove a cell, if it is there."""
+    _file(folder, cell).unlink(missing_ok=True)
+
+
 def read(folder: Path) -> pd.DataFrame:
     """All cells below `folder` as one frame, in the order of `COLUMNS`, sorted by cell.
 

@@ -1,0 +1,189 @@
+"""Measuring: methods x clips x budgets x seeds, one cell each, written when it is done.
+
+What is in the results already is not run again, so a run that was killed goes on where it was. A
+cell whose content has changed (code, weights, clip, cost profile) replaces its older self, so that
+a results folder holds one answer for each method, clip, budget, seed and device. A cell that
+cannot run is one row that says why.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from pathlib import Path
+
+from rlbench import cost, latency, provenance, registry, table
+from rlbench.cells import Cell, Names, Request, cells
+from rlbench.cost import Cost
+from rlbench.frames import Clip
+from rlbench.latency import Timing
+from rlbench.method import Method
+from rlbench.run import Shown, run_clip
+from rlbench.source import Short, Source, unusable
+from rlbench.table import WHOLE_CLIP, Row
+
+
+@dataclass(frozen=True)
+class Done:
+    """What became of the cells."""
+
+    measured: int = 0  # with numbers
+    refused: int = 0  # with a reason instead
+    known: int = 0  # in the results already
+
+
+def measure(
+    request: Request, results: Path, tell: Callable[[Cell], None] = lambda cell: None
+) -> Done:
+    """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
+
+    Raises PluginError for an unknown method and CostError for an unknown profile before anything
+    is measured.
+    """
+    bench = _Bench(request)
+    stored = table.cells(results)
+    done = Done()
+    for cell in cells(request):
+        name = bench.names.of(cell)
+        if name in stored:
+            done = replace(done, known=done.known + 1)
+        else:
+            rows = bench.rows(cell)
+            table.write_cell(results, name, rows)
+            refused = len(rows) == 1
+            done = replace(
+                done, measured=done.measured + (not refused), refused=done.refused + refused
+            )
+        _drop_older(results, name, stored)
+        tell(cell)
+    return done
+
+
+class _Bench:
+    """What the cells of one request share: built methods, costs, and times already taken."""
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+        self.metrics = registry.metrics()
+        self.names = Names(request)
+        self.profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
+        self._built: dict[str, Method | Exception] = {}
+        self._times: dict[tuple[str, int, int, float], Timing] = {}
+
+    def rows(self, cell: Cell) -> list[Row]:
+        """Scores of each frame, then times; or one row that says why there are none."""
+        if why := unusable(cell.clip, registry.variant(cell.method).traits, cell.spp):
+            return [self._refusal(cell, why)]
+        try:
+            return self._measured(cell, self._method(cell.method))
+        except Exception as error:  # whatever a stranger's method may raise is what is reported
+            return [self._refusal(cell, f"{type(error).__name__}: {error}")]
+
+    def _measured(self, cell: Cell, method: Method) -> list[Row]:
+        clip = cell.clip.open(method.traits, cell.spp, cell.seed, self.request.device)
+        clip = Short(clip, self.request.frames) if self.request.frames else clip
+        blank = replace(self._blank(cell), config=_config(method))
+        rows = [row for shown in run_clip(method, clip, cell.spp) for row in self._scores(blank, shown)]
+        bought = sum(row.spp_realised for row in rows) / len(rows)
+        return rows + self._timing(replace(blank, spp_realised=bought), cell, method, clip)
+
+    def _scores(self, blank: Row, shown: Shown) -> Iterator[Row]:
+        reference = shown.frame.reference
+        bought = float(shown.samples.counts.double().mean())
+        h, w = shown.image.shape[-2:]
+        for metric in (each.at(h, w) for each in self.metrics.values()):
+            score = float(metric.score(shown.image, reference.a, reference.b)[0])
+            told = (metric.name, score, metric.unit, metric.better, metric.convention)
+            yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
+
+    def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
+        key = (cell.method, clip.size.h, clip.size.w, cell.spp)
+        if key not in self._times:
+            self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
+        times, price = self._times[key], self._cost(cell.clip)
+        told = f"{times.inference.n} frames after {latency.WARM_UP} of warm-up"
+        rows = []
+        for part in ("plan", "denoise", "buy", "inference"):
+            spread = getattr(times, part)
+            charged = "" if part != "buy" else ", charged to nobody"
+            rows += [
+                _row(blank, f"{part}_ms", spread.p50, "ms", "low", f"median of {told}{charged}"),
+                _row(blank, f"{part}_p95_ms", spread.p95, "ms", "low", f"p95 of {told}{charged}"),
+            ]
+        sampling = blank.spp_realised * price.sample_ms
+        total, how = times.inference.p50 + sampling, price.convention
+        return [
+            *rows,
+            _row(blank, "sample_ms", price.sample_ms, "ms", "low", how, price.note),
+            _row(blank, "sampling_ms", sampling, "ms", "low", how, price.note),
+            _row(blank, "total_ms", total, "ms", "low", f"plan + denoise + {how}", price.note),
+        ]
+
+    def _cost(self, clip: Source) -> Cost:
+        header = clip.header
+        if self.profile:
+            return self.profile.cost(header.scene, header.height, header.width)
+        return cost.measured(header, provenance.machine().cpu)
+
+    def _method(self, name: str) -> Method:
+        if name not in self._built:
+            try:
+                built = registry.method(name, self.request.device, self.request.weights)
+            except Exception as error:  # missing weights or packages: a reason for each cell
+                self._built[name] = error
+            else:
+                self._built[name] = built
+        found = self._built[name]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    def _refusal(self, cell: Cell, why: str) -> Row:
+        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
+
+    def _blank(self, cell: Cell) -> Row:
+        """A row of this cell, without a number."""
+        header = cell.clip.header
+        return Row(
+            run=self.names.run,
+            method=cell.method,
+            clip=header.name,
+            scene=header.scene,
+            spp=cell.spp,
+            spp_realised=math.nan,
+            frame=WHOLE_CLIP,
+            metric="",
+            value=math.nan,
+            seed=cell.seed,
+            device=self.names.device,
+            dtype="float32",
+            code=self.names.code[cell.method],
+            weights=self.names.weights[cell.method],
+        )
+
+
+def _row(
+    blank: Row, metric: str, value: float, unit: str, better: str, how: str, note: str = ""
+) -> Row:
+    """A number; one that is not finite is no number, and the note says so."""
+    if not math.isfinite(value):
+        note, value = note or f"the value is {value}", math.nan
+    told = {"unit": unit, "better": better, "convention": how, "note": note}
+    return replace(blank, metric=metric, value=value, **told)
+
+
+def _config(method: Method) -> str:
+    """A method's settings as JSON: those of its `config`, if it has one."""
+    config = getattr(method, "config", None)
+    known = is_dataclass(config) and not isinstance(config, type)
+    return json.dumps(asdict(config), default=repr, sort_keys=True) if known else "{}"
+
+
+def _drop_older(results: Path, name: str, stored: set[str]) -> None:
+    """Remove the stored cells of the same title and other content."""
+    title = name.rpartition(" ")[0]
+    for other in stored:
+        if other != name and other.rpartition(" ")[0] == title:
+            table.drop_cell(results, other)

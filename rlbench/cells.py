@@ -1,0 +1,137 @@
+"""What is to be measured, and what a cell of it is known by: its content, code and weights included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from itertools import product
+from pathlib import Path
+
+import torch
+
+from rlbench import cost, latency, provenance, registry
+from rlbench.source import Source
+
+SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be measured."""
+
+    methods: tuple[str, ...]  # family or family/variant
+    clips: tuple[Source, ...]
+    spp: tuple[float, ...] = SPP  # samples per pixel
+    seeds: tuple[int, ...] = (0,)  # of the order in which samples are sold, and of ties
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+    cost: str = cost.MEASURED  # or a profile
+    weights: str | None = None  # None for the shipped ones, "random", or a path
+    frames: int | None = None  # only the first frames of each clip, for trying out
+    repeats: int = latency.REPEATS  # frames that each time is the distribution of
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one clip at one budget with one seed."""
+
+    method: str
+    clip: Source
+    spp: float
+    seed: int
+
+
+def cells(request: Request) -> list[Cell]:
+    """Every cell of a request, clip by clip."""
+    grid = product(request.clips, request.methods, request.spp, request.seeds)
+    return [Cell(method, clip, spp, seed) for clip, method, spp, seed in grid]
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names under which the cells of a request are stored, and the hashes that they are made of."""
+
+    request: Request
+
+    def of(self, cell: Cell) -> str:
+        """What the cell is, and after the last space a hash of its content."""
+        content = (
+            *(cell.method, cell.clip.digest, cell.spp, cell.seed, self.device),
+            *(self.code[cell.method], self.weights[cell.method], self.scores),
+            *(self.cost, self.request.frames, self.request.repeats),
+        )
+        return f"{self.title(cell)} {sha256(repr(content).encode()).hexdigest()[:16]}"
+
+    def title(self, cell: Cell) -> str:
+        """What the cell is, without spaces at its end: at most one such cell is kept."""
+        device = "-".join(self.device.split())
+        return f"{cell.method} {cell.clip.header.name} {cell.spp:g}spp seed{cell.seed} {device}"
+
+    @cached_property
+    def run(self) -> str:
+        """Hash of the whole request: the same command on the same content has the same."""
+        told = " ".join(self.of(cell) for cell in cells(self.request))
+        return sha256(told.encode()).hexdigest()[:12]
+
+    @cached_property
+    def device(self) -> str:
+        """The device's model name."""
+        return latency.device_name(self.request.device)
+
+    @cached_property
+    def cost(self) -> str:
+        """What samples are charged by: `measured`, or a profile's content."""
+        known = self.request.cost == cost.MEASURED
+        return cost.MEASURED if known else repr(cost.profile(self.request.cost))
+
+    @cached_property
+    def scores(self) -> str:
+        """Hash of the metrics: their names and their code."""
+        known = registry.entries("metrics")
+        modules = {entry.target.partition(":")[0] for entry in known.values()}
+        return f"{list(known)} {provenance.code_hash(map(package, modules), core=())}"
+
+    @cached_property
+    def code(self) -> dict[str, str]:
+        """Hash of each method's code, and of the core's that hands it its samples."""
+        return {name: _code(registry.family(name).build) for name in self.request.methods}
+
+    @cached_property
+    def weights(self) -> dict[str, str]:
+        """Hash of each method's weights; empty where it has none."""
+        return {name: self._weights(name) for name in self.request.methods}
+
+    def _weights(self, name: str) -> str:
+        if not registry.variant(name).learned:
+            return ""
+        if self.request.weights == "random":
+            return "random"
+        family, _, variant = name.partition("/")
+        beside = registry.place(registry.family(name).build).parent / "cards"
+        shipped = beside / f"{variant or family}.safetensors"
+        file = Path(self.request.weights) if self.request.weights else shipped
+        return _hash([file]) if file.is_file() else ""
+
+
+def package(module: str) -> str:
+    """The package that a module is part of, or the module itself where that is a whole plugin.
+
+    `methods.ours.method` belongs to `methods.ours`; `baselines.mean` is one of many in its package.
+    """
+    return module.rpartition(".")[0] if module.count(".") > 1 else module
+
+
+def _code(target: str) -> str:
+    """Hash of what builds a method; of a loose file, that file."""
+    module = target.partition(":")[0]
+    loose = registry.loose_file(module)
+    told = provenance.code_hash([] if loose else [package(module)])
+    return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
+
+
+def _hash(files: Iterable[Path]) -> str:
+    digest = sha256()
+    for file in files:
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,329 @@
+"""The command line: run, list, render, train, report, regress, doctor."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from rlbench.source import Stored
+
+OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
+
+
+class _Told(TyperGroup):
+    """Commands whose expected errors are one clear message and exit code 2, without a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; errors of our own types are told, all others are defects and rise."""
+        try:
+            return super().invoke(ctx)
+        except Exception as error:
+            if type(error).__module__.partition(".")[0] not in OURS:
+                raise
+            typer.secho(f"error: {error}", fg="red", err=True)
+            raise SystemExit(2) from error
+
+
+app = typer.Typer(
+    cls=_Told,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Which adaptive sampler and denoiser gives the least error in a given frame time?\n\n"
+    "A first look:  rlbench run --methods ours,ntas && rlbench report all",
+)
+
+Methods = Annotated[
+    list[str], typer.Option("--methods", "-m", help="names a,b; all; family/*; may be repeated")
+]
+Scenes = Annotated[list[str] | None, typer.Option("--scenes", help="names a,b; default every one")]
+Plugins = Annotated[
+    list[Path] | None, typer.Option("--plugin", help="a Python file with FAMILY or METHODS")
+]
+Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
+Results = Annotated[Path, typer.Option(help="folder of the results table")]
+Device = Annotated[str, typer.Option(help="auto, cpu, cuda, or a torch device")]
+
+
+@app.command()
+def run(
+    methods: Methods = ["all"],  # noqa: B006 - typer reads it and never changes it
+    scenes: Scenes = None,
+    spp: Annotated[str, typer.Option(help="budgets, samples per pixel")] = "0.5,1,2,4",
+    preset: Preset = "mini",
+    clips: Annotated[
+        list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
+    ] = None,
+    seed: Annotated[str, typer.Option(help="one or more, of the order of sale and of ties")] = "0",
+    device: Device = "auto",
+    out: Annotated[Path, typer.Option(help="results folder; it is added to")] = Path("results"),
+    cost: Annotated[
+        str, typer.Option(help="time of a sample: measured, paper-2080ti, or a TOML file")
+    ] = "measured",
+    weights: Annotated[
+        str | None, typer.Option(help="a weights file, or random; default the shipped ones")
+    ] = None,
+    plugin: Plugins = None,
+    limit_frames: Annotated[
+        int | None, typer.Option(min=1, help="first frames of each clip only, for trying out")
+    ] = None,
+) -> None:
+    """Measure methods on clips; what OUT holds already is not run again.
+
+    Examples:
+
+      rlbench run --methods ours,ntas
+
+      rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti
+
+      rlbench run -m mine --plugin mine.py --clips my_renders/
+    """
+    _use(plugin)
+    from rlbench import registry, show
+    from rlbench.bench import measure
+    from rlbench.cells import Request
+
+    asked = tuple(registry.expand(_split(methods)))
+    request = Request(
+        methods=asked,
+        clips=_clips(clips, scenes, preset),
+        spp=_numbers("--spp", spp, float),
+        seeds=_numbers("--seed", seed, int),
+        device=_device(device),
+        cost=cost,
+        weights=weights,
+        frames=limit_frames,
+    )
+    with show.progress(request) as tell:
+        done = measure(request, out, tell)
+    show.done(done, out)
+    show.table(request, out)
+
+
+@app.command("list")
+def list_(
+    kind: Annotated[
+        str, typer.Argument(help="methods, metrics, scenes, reports, pools, presets, profiles")
+    ] = "all",
+    as_json: Annotated[bool, typer.Option("--json", help="for scripts")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """List what is installed: methods, metrics, scenes, reports, pools, presets and profiles.
+
+    Examples:
+
+      rlbench list
+
+      rlbench list methods --json
+    """
+    _use(plugin)
+    from rlbench import listing, show
+
+    found = listing.listed(kind)
+    typer.echo(json.dumps(found, indent=1)) if as_json else show.listed(found)
+
+
+@app.command()
+def render(
+    scenes: Scenes = None,
+    preset: Preset = "mini",
+) -> None:
+    """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
+
+    Examples:
+
+      rlbench render
+
+      rlbench render --preset train
+
+      rlbench render --scenes city,hall --preset standard
+    """
+    for folder in _rendered(scenes, preset):
+        typer.echo(folder)
+
+
+@app.command()
+def train(
+    methods: Methods = ["all"],  # noqa: B006
+    out: Annotated[Path, typer.Option(help="weights, checkpoints and logs")] = Path("runs"),
+    minutes: Annotated[float, typer.Option(help="stop after so many, for each method")] = 1e9,
+    frames: Annotated[int, typer.Option(help="crops to see, for each method")] = 12_000,
+    batch: Annotated[int, typer.Option(help="crops advanced together")] = 2,
+    crop: Annotated[int, typer.Option(help="side of a crop, pixels")] = 128,
+    seed: int = 0,
+    device: Device = "auto",
+    preset: Preset = "train",
+    plugin: Plugins = None,
+) -> None:
+    """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
+
+    Examples:
+
+      rlbench train --methods ours,ntas
+
+      rlbench train -m ours --minutes 30 --device cuda
+    """
+    _use(plugin)
+    from rlbench import registry, show
+    from rlbench.training import Plan
+    from rlbench.training import train as fit
+
+    names = registry.expand(_split(methods))
+    learning = [name for name in names if registry.learns(name)]
+    for name in set(names) - set(learning):
+        typer.echo(f"{name} has nothing to train")
+    folders = _rendered(None, preset) if learning else []
+    validate = folders[:: max(len(folders) // 2, 2)][:2]
+    plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed)
+    command = " ".join(["rlbench", *sys.argv[1:]])
+    for name in learning:
+        place = out / name.replace("/", "-")
+        train_on = [folder for folder in folders if folder not in validate]
+        with show.training(name, frames) as tell:
+            fit(name, train_on, validate, place, plan, str(_device(device)), minutes, command, tell)
+        typer.echo(f"{name}: {place}")
+
+
+@app.command()
+def report(
+    name: Annotated[str, typer.Argument(help="a report's name, or all")] = "all",
+    results: Results = Path("results"),
+    out: Annotated[Path, typer.Option(help="folder to write to")] = Path("results/report"),
+) -> None:
+    """Write reports from a results table.
+
+    Examples:
+
+      rlbench report all
+
+      rlbench report pareto --results results/ --out figures/
+    """
+    from rlbench import registry
+
+    for each in registry.names("reports") if name == "all" else [name]:
+        written = registry.load("reports", each)(results, out)
+        for file in written if isinstance(written, list | tuple) else [written or out]:
+            typer.echo(file)
+
+
+@app.command()
+def regress(
+    results: Results = Path("results"),
+    baseline: Annotated[Path, typer.Option(help="the committed scores")] = Path(
+        "tests/regression/mini.json"
+    ),
+    update: Annotated[bool, typer.Option("--update", help="rewrite the baseline")] = False,
+    only: Annotated[list[str] | None, typer.Option(help="methods a,b; default all")] = None,
+) -> None:
+    """Compare scores with committed ones; exit code 1 if one fell more than its tolerance.
+
+    Examples:
+
+      rlbench regress --results results/
+
+      rlbench regress --only mean,ours
+
+      rlbench regress --update
+    """
+    from rlbench import regress as gate
+    from rlbench import table
+
+    wanted = _split(only or [])
+    rows = table.read(results)
+    rows = rows[rows["method"].isin(wanted)] if wanted else rows
+    if update:
+        written = gate.update(rows, baseline)
+        typer.echo(f"{baseline}: {len(written.entries)} entries")
+        return
+    outcome = gate.compare(rows, gate.load(baseline), subset=bool(wanted))
+    typer.echo(outcome.text())
+    raise typer.Exit(0 if outcome.passed else 1)
+
+
+@app.command()
+def doctor(plugin: Plugins = None) -> None:
+    """Say what this machine has, what it lacks, and what would help.
+
+    Examples:
+
+      rlbench doctor
+    """
+    _use(plugin)
+    from rlbench import show
+    from rlbench.doctor import examine
+
+    show.findings(examine())
+
+
+class AskedError(ValueError):
+    """An option's value that cannot be used."""
+
+
+def _use(plugins: list[Path] | None) -> None:
+    from rlbench import registry
+
+    for path in plugins or []:
+        registry.use_plugin(path)
+
+
+def _split(values: list[str]) -> list[str]:
+    return [part.strip() for value in values for part in value.split(",") if part.strip()]
+
+
+def _numbers(option: str, text: str, kind: Any) -> tuple[Any, ...]:
+    try:
+        found = tuple(kind(part) for part in _split([text]))
+    except ValueError:
+        found = ()
+    if not found or min(found) < 0:
+        raise AskedError(f"{option} takes numbers such as 0.5,1,2 and was given '{text}'")
+    return found
+
+
+def _device(name: str) -> Any:
+    import torch
+
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise AskedError(f"--device {name} cannot be used here: {error}") from error
+    return device
+
+
+def _clips(own: list[Path] | None, scenes: list[str] | None, preset: str) -> tuple[Stored, ...]:
+    """The clips asked for: those of one's own folders, or those of a preset, rendered if need be."""
+    from rlbench.source import Stored, below
+
+    if own is None:
+        return tuple(Stored(folder) for folder in _rendered(scenes, preset))
+    found = [Stored(folder) for place in own for folder in below(place)]
+    wanted = _split(scenes or [])
+    kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
+    if not kept:
+        have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
+        raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
+    return kept
+
+
+def _rendered(scenes: list[str] | None, preset: str) -> list[Path]:
+    """The clip folders of a preset; those that are missing are rendered now."""
+    from rlbench import registry
+    from rlbench.render.presets import PRESETS
+    from rlbench.render.record import ensure
+
+    if preset not in PRESETS:
+        raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
+    known, wanted = registry.names("scenes"), _split(scenes or [])
+    if unknown := [name for name in wanted if name not in known]:
+        raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
+    return ensure(preset, wanted or None)

@@ -1,0 +1,108 @@
+"""What a sample costs: the time of one sample per pixel of a scene, measured or published.
+
+`measured` is the time that the clip's renderer wrote down, if it was this machine, and else that of
+this machine's own path tracer, traced now and remembered in the cache. Any other name is a profile:
+one that is shipped, such as `paper-2080ti`, or a TOML file like those.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from rlbench import paths, registry
+from rlbench.clips import Header
+
+MEASURED = "measured"
+
+
+class CostError(ValueError):
+    """A cost profile that is not there or cannot be used."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time of one sample per pixel, and how it came about."""
+
+    sample_ms: float  # nan where it is not known
+    convention: str
+    note: str = ""  # why it is not known
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What a full frame at 1 sample per pixel takes on a named machine, by scene."""
+
+    title: str
+    source: str
+    device: str
+    height: int
+    width: int
+    default_ms: float  # for scenes that are not named
+    scene_ms: Mapping[str, float]
+
+    def cost(self, scene: str, height: int, width: int) -> Cost:
+        """The scene's published time, scaled linearly in pixels from the profile's size."""
+        share = height * width / (self.height * self.width)
+        entry = scene if scene in self.scene_ms else "default"
+        scaled = f", scaled by pixels from {self.width}x{self.height} to {width}x{height}"
+        told = f"{entry} on {self.device}, {self.source}{scaled if share != 1 else ''}"
+        return Cost(self.scene_ms.get(scene, self.default_ms) * share, told)
+
+
+def profiles() -> list[str]:
+    """Names of the profiles that are shipped."""
+    there = (files("rlbench") / "profiles").iterdir()
+    return sorted(file.name.removesuffix(".toml") for file in there if file.name.endswith(".toml"))
+
+
+def profile(name: str) -> Profile:
+    """A profile by name, or by the path of a TOML file. Raises CostError."""
+    shipped = name in profiles()
+    place = files("rlbench") / "profiles" / f"{name}.toml" if shipped else Path(name)
+    if not place.is_file():
+        have = ", ".join([MEASURED, *profiles()])
+        raise CostError(f"no cost profile '{name}'; there are: {have}, or the path of a TOML file")
+    try:
+        read = Profile(**tomllib.loads(place.read_text()))
+    except (tomllib.TOMLDecodeError, TypeError) as error:
+        raise CostError(f"cost profile '{name}' cannot be read: {error}") from error
+    bad = [k for k, v in {**read.scene_ms, "default": read.default_ms}.items() if not v >= 0]
+    if bad or read.height * read.width <= 0:
+        raise CostError(f"cost profile '{name}' has times or a size below zero: {', '.join(bad)}")
+    return read
+
+
+def measured(header: Header, here: str) -> Cost:
+    """What the clip's renderer wrote if it was `here`, else what this machine's path tracer takes.
+
+    The tracer is asked once for each scene and size, and its answer kept in the cache.
+    """
+    if header.device == here and math.isfinite(header.sample_ms):
+        return Cost(header.sample_ms, f"measured on {here} when the clip was rendered")
+    file = paths.cache() / "sample_ms.json"
+    known = json.loads(file.read_text()) if file.is_file() else {}
+    key = f"{header.scene} {header.width}x{header.height} {here}"
+    if key not in known:
+        try:
+            known[key] = _trace(header)
+        except Exception as error:  # a scene or a tracer that is not there is a reason, not an end
+            why = f"{type(error).__name__}: {error}"
+            note = f"rendered on '{header.device}', not here, and not traceable here: {why}"
+            return Cost(math.nan, f"measured on {here}", note)
+        with paths.replacing(file) as temporary:
+            temporary.write_text(json.dumps(known, indent=1))
+    return Cost(known[key], f"measured on {here} with this machine's path tracer")
+
+
+def _trace(header: Header) -> float:
+    """Milliseconds of one sample per pixel of the scene, traced now."""
+    scene = registry.load("scenes", header.scene)()
+    from rlbench.render.trace import sample_ms
+
+    return float(sample_ms(scene, header.height, header.width))

@@ -1,0 +1,113 @@
+"""What this machine has and lacks, and what would help."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from rlbench import paths, provenance, registry
+from rlbench.clips import read_header
+from rlbench.header import ClipError
+
+EXTRAS = {  # extra: what it gives, and a module of each package in it
+    "oidn": ("Intel's own Open Image Denoise beside our retrained network", ("pyoidn",)),
+    "train": ("reinforcement learning by ray's RLlib", ("ray", "gymnasium")),
+    "perceptual": ("FLIP and ColorVideoVDP", ("flip_evaluator", "pycvvdp")),
+    "dev": ("what make test needs", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at."""
+
+    topic: str
+    fine: bool
+    told: str  # what was found, and if it is not fine what would do
+
+
+def examine() -> Iterator[Finding]:
+    """Everything, one finding after the other; nothing is changed."""
+    looks: tuple[Callable[[], Iterator[Finding]], ...] = (
+        _versions,
+        _device,
+        _tracer,
+        _cache,
+        _plugins,
+        _extras,
+    )
+    for look in looks:
+        yield from look()
+
+
+def _versions() -> Iterator[Finding]:
+    yield Finding("python", True, f"{platform.python_version()} on {platform.platform()}")
+    for package in ("rlbench", "torch", "mitsuba", "OpenEXR", "numpy", "pandas"):
+        try:
+            yield Finding(package, True, importlib.metadata.version(package))
+        except importlib.metadata.PackageNotFoundError:
+            yield Finding(package, False, "not installed; pip install -e .")
+
+
+def _device() -> Iterator[Finding]:
+    import torch
+
+    cores = f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads"
+    yield Finding("processor", True, f"{provenance.machine().cpu}, {cores}")
+    if torch.cuda.is_available():
+        yield Finding("cuda", True, provenance.machine().gpu)
+    else:
+        yield Finding("cuda", True, "no device; everything runs on the processor")
+
+
+def _tracer() -> Iterator[Finding]:
+    from rlbench.render import llvm
+
+    told = llvm.report()
+    yield Finding("path tracer", "scalar" not in told.splitlines()[0], told)
+
+
+def _cache() -> Iterator[Finding]:
+    whole, unfinished = [], []
+    for folder in sorted(paths.clips().glob("*/*/")):
+        try:
+            whole.append(f"{folder.parent.name}/{read_header(folder).name}")
+        except ClipError:
+            unfinished.append(f"{folder.parent.name}/{folder.name}")
+    told = f"{paths.clips()}: {len(whole)} clips"
+    if unfinished:
+        told += f"; unfinished, rlbench render resumes: {', '.join(unfinished)}"
+    yield Finding("clips", not unfinished, told)
+    there = next(p for p in (paths.cache(), *paths.cache().parents) if p.exists())
+    free = shutil.disk_usage(there).free / 2**30
+    told = f"{free:.1f} GiB free for {paths.cache()}, which holds {_gib(paths.cache()):.2f} GiB"
+    yield Finding("disk", free > 2, told + ("" if free > 2 else "; set RLBENCH_CACHE elsewhere"))
+
+
+def _plugins() -> Iterator[Finding]:
+    for group in registry.GROUPS:
+        names = registry.names(group)
+        broken = {name: why for name in names if (why := registry.broken(group, name))}
+        told = ", ".join(names) or "none"
+        told += "".join(f"; {name} is broken: {why}" for name, why in broken.items())
+        yield Finding(group, not broken, told)
+
+
+def _extras() -> Iterator[Finding]:
+    for extra, (gives, modules) in EXTRAS.items():
+        absent = [name for name in modules if importlib.util.find_spec(name) is None]
+        if absent:
+            hint = f"{gives}: without {', '.join(absent)}; pip install 'rlbench[{extra}]'"
+            yield Finding(f"extra {extra}", True, hint)
+        else:
+            yield Finding(f"extra {extra}", True, f"{gives}: installed")
+
+
+def _gib(folder: Path) -> float:
+    return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 2**30

@@ -1,0 +1,124 @@
+"""What the command line shows: progress, tables, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from rlbench import table as results_table
+from rlbench.cells import Cell, Request, cells
+
+if TYPE_CHECKING:
+    from rlbench.bench import Done
+    from rlbench.doctor import Finding
+
+COLUMNS = {  # of `rlbench list`, in their order
+    "methods": ("name", "paper", "licence", "needs", "spp", "adapts"),
+    "metrics": ("name", "unit", "better", "convention"),
+    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "purpose"),
+}
+
+
+@contextmanager
+def progress(request: Request) -> Iterator[Callable[[Cell], None]]:
+    """A bar over the cells of a request, on the error stream."""
+    with _bar() as bar:
+        task = bar.add_task("measuring", total=len(cells(request)))
+
+        def tell(cell: Cell) -> None:
+            told = f"{cell.method} on {cell.clip.header.name}, {cell.spp:g} spp"
+            bar.update(task, advance=1, description=told)
+
+        yield tell
+
+
+@contextmanager
+def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
+    """A bar over the frames that a training sees, on the error stream."""
+    with _bar() as bar:
+        task = bar.add_task(name, total=frames)
+
+        def tell(stands: Any, loss: float) -> None:
+            bar.update(task, completed=stands.seen, description=f"{name}, loss {loss:.4f}")
+
+        yield tell
+
+
+def done(what: Done, out: Path) -> None:
+    """What became of the cells of a run."""
+    console = Console()
+    if not what.measured + what.refused:
+        console.print(f"nothing to do: all {what.known} cells are in {out} already")
+        return
+    told = f"{what.measured} cells measured, {what.known} known before, {what.refused} not possible"
+    console.print(f"{told}; results are in {out}")
+
+
+def table(request: Request, out: Path) -> None:
+    """Mean PSNR and frame time of what was asked for, and why cells have no numbers."""
+    rows = results_table.read(out)
+    names = [clip.header.name for clip in request.clips]
+    rows = rows[rows["method"].isin(request.methods) & rows["clip"].isin(names)]
+    rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
+    shown = Table(title=f"mean over {len(names)} clips")
+    for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
+        shown.add_column(column, justify="left" if column == "method" else "right")
+    for (method, spp), group in rows.groupby(["method", "spp"]):
+        means = group.groupby("metric")["value"].mean()
+        figures = [means.get(name) for name in ("psnr", "inference_ms", "total_ms")]
+        shown.add_row(str(method), f"{spp:g}", *(_figure(value) for value in figures))
+    console = Console()
+    console.print(shown)
+    whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & (rows["note"] != "")]
+    for (method, metric, note), group in whole.groupby(["method", "metric", "note"]):
+        if metric in ("psnr", "sample_ms"):
+            where = ", ".join(sorted(set(group["clip"])))
+            console.print(f"{method}: no {metric} on {where}: {note}", markup=False)
+
+
+def listed(found: dict[str, list[dict[str, Any]]]) -> None:
+    """What is installed, one table a kind; broken plugins below it with their error."""
+    console = Console()
+    for kind, rows in found.items():
+        fine = [row for row in rows if "broken" not in row]
+        columns = COLUMNS.get(kind) or tuple(fine[0] if fine else ("name",))
+        shown = Table(*columns, title=kind, title_justify="left")
+        for row in fine:
+            shown.add_row(*(_told(row[column]) for column in columns))
+        console.print(shown)
+        for row in rows:
+            if "broken" in row:
+                told = f"{row['name']} (from {row['from']}) is broken: {row['broken']}"
+                console.print(told, style="red", markup=False)
+
+
+def findings(found: Iterable[Finding]) -> None:
+    """What the doctor says, line by line as it is found."""
+    console = Console()
+    for each in found:
+        mark = "[green]ok  [/green]" if each.fine else "[yellow]note[/yellow]"
+        console.print(f"{mark} [bold]{each.topic}[/bold]", end="  ")
+        console.print(each.told, markup=False, highlight=False)
+
+
+def _bar() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    return Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None or value != value else f"{value:.2f}"
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return " ".join(f"{item:g}" if isinstance(item, float) else str(item) for item in value)
+    return str(value)

@@ -1,0 +1,120 @@
+"""Where a clip of the benchmark comes from: what it holds, and how it is opened for one method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from rlbench.clips import ClipError, Header, open_clip, read_header
+from rlbench.family import Traits
+from rlbench.frames import Clip, Frame, Size
+from rlbench.header import FILE
+
+
+class Source(Protocol):
+    """A clip that can be opened once for each cell, with what the cell's method declared."""
+
+    @property
+    def header(self) -> Header:
+        """What the clip says of itself."""
+
+    @property
+    def digest(self) -> str:
+        """Hash of its content."""
+
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip, of which nothing is read that the method cannot use at this budget."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A clip folder, format v1."""
+
+    folder: Path
+
+    @cached_property
+    def header(self) -> Header:
+        """What clip.toml says."""
+        return read_header(self.folder)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the folder's content."""
+        return open_clip(self.folder, needs=frozenset(), slots=1, pool=self.header.pools[0]).digest
+
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip with the buffers and the samples that `traits` can touch at `spp`."""
+        slots = affordable(traits, spp, self.header.pool_spp)
+        return open_clip(self.folder, traits.needs, slots, traits.pool, seed, device)
+
+
+@dataclass(frozen=True)
+class Short:
+    """The first frames of a clip, as a clip."""
+
+    clip: Clip
+    frames: int
+
+    @property
+    def name(self) -> str:
+        """The whole clip's name."""
+        return self.clip.name
+
+    @property
+    def scene(self) -> str:
+        """The scene that it shows."""
+        return self.clip.scene
+
+    @property
+    def size(self) -> Size:
+        """Clips in the batch and pixels of each."""
+        return self.clip.size
+
+    @property
+    def digest(self) -> str:
+        """The whole clip's digest."""
+        return self.clip.digest
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return min(self.frames, len(self.clip))
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The first frames in order."""
+        return islice(iter(self.clip), self.frames)
+
+
+def below(place: Path) -> list[Path]:
+    """The clip folders at or directly below a folder. Raises ClipError where there is none."""
+    found = [file.parent for file in sorted([*place.glob(FILE), *place.glob(f"*/{FILE}")])]
+    if not found:
+        raise ClipError(f"no clip in {place}: a clip is a folder with {FILE} in it")
+    return found
+
+
+def affordable(traits: Traits, spp: float, stored: int) -> int:
+    """Most samples that one pixel can come to have: all for a method that adapts, else ceil(spp)."""
+    return stored if traits.adapts else min(stored, max(1, traits.floor, math.ceil(spp)))
+
+
+def unusable(source: Source, traits: Traits, spp: float) -> str | None:
+    """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
+    header = source.header
+    if refused := traits.refuses(spp):
+        return refused
+    if traits.pool not in header.pools:
+        return f"buys from a '{traits.pool}' pool, the clip has: {', '.join(header.pools)}"
+    absent = traits.needs - set(header.buffers) - ({"motion"} if header.static else set())
+    if absent:
+        have = ", ".join(header.buffers) or "none"
+        return f"reads {', '.join(sorted(absent))}, the clip has: {have}"
+    if spp > header.pool_spp:
+        return f"{spp:g} spp asked for, the clip holds {header.pool_spp} samples of each pixel"
+    return None

@@ -1,0 +1,60 @@
+"""Shared by all tests: one thread, a cache of their own, and tiny clips on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from rlbench import registry
+from rlbench.clips import Header, write_frame, write_header
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """No test reads or fills the user's cache, and no loose plugin outlives its test."""
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv(registry.VARIABLE, raising=False)
+    torch.set_num_threads(1)
+    yield
+    registry.forget_plugins()
+
+
+@pytest.fixture
+def clip_folder(tmp_path: Path) -> Path:
+    """A finished clip on disk: 3 frames of 20 x 24 pixels, noise from a seed."""
+    return write_noise(tmp_path / "clips" / "noise")
+
+
+def write_noise(
+    folder: Path, scene: str = "noise", frames: int = 3, h: int = 20, w: int = 24, **header: object
+) -> Path:
+    """A clip folder of noise around a gradient, that any renderer could have written."""
+    rng = np.random.default_rng(len(folder.name))
+    told = {
+        "name": folder.name,
+        "scene": scene,
+        "sampler": "numpy",
+        "height": h,
+        "width": w,
+        "frames": frames,
+        "reference_spp": (64,) * frames,
+        "sample_ms": 2.0,
+        "device": "another machine",
+        **header,
+    }
+    truth = np.linspace(0.1, 0.9, h * w * 3, dtype=np.float32).reshape(h, w, 3)
+    for index in range(frames):
+        view = {
+            "albedo": truth,
+            "normal": np.full((h, w, 3), 3**-0.5, np.float32),
+            "depth": np.full((h, w, 1), 5, np.float32),
+            "motion": np.zeros((h, w, 2), np.float32),
+        }
+        pool = truth * rng.exponential(size=(8, h, w, 3)).astype(np.float32)
+        halves = [truth + rng.normal(0, 1e-3, truth.shape).astype(np.float32) for _ in "AB"]
+        write_frame(folder, index, view, {"path": pool}, *halves)
+    write_header(folder, Header(**told))
+    return folder

@@ -1,0 +1,118 @@
+"""The page: order of calls, passes, and what is bought."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+import torch
+
+from rlbench.family import Traits
+from rlbench.frames import Size
+from rlbench.procedural import procedural
+from rlbench.run import run_clip, unroll
+
+SIZE = Size(1, 9, 11)
+
+
+@dataclass(frozen=True)
+class Diary:
+    """A method that writes down when it is called, with what count of samples, in what state."""
+
+    traits: Traits = Traits()
+    pages: list[tuple[str, int, object]] = field(default_factory=list)
+
+    def start(self, size):
+        self.pages.append(("start", size.h * size.w, None))
+        return 0
+
+    def plan(self, view, samples, state):
+        self.pages.append(("plan", int(samples.counts.sum()), state))
+        return torch.ones_like(samples.counts, dtype=torch.float32)
+
+    def denoise(self, view, samples, state):
+        self.pages.append(("denoise", int(samples.counts.sum()), state))
+        return samples.mean, state + 1
+
+
+def diary(traits: Traits, spp: float, frames: int = 2) -> list[tuple[str, int, object]]:
+    kept = Diary(traits)
+    list(run_clip(kept, procedural(size=SIZE, frames=frames), spp))
+    return kept.pages
+
+
+def test_a_frame_is_planned_bought_and_denoised_in_this_order():
+    assert diary(Traits(), 2.0) == [
+        ("start", 99, None),
+        ("plan", 0, 0),
+        ("denoise", 198, 0),
+        ("plan", 0, 1),
+        ("denoise", 198, 1),
+    ]
+
+
+def test_a_second_pass_sees_what_the_first_one_bought():
+    assert diary(Traits(passes=(0.25, 1.0)), 4.0, frames=1) == [
+        ("start", 99, None),
+        ("plan", 0, 0),
+        ("plan", 99, 0),
+        ("denoise", 396, 0),
+    ]
+
+
+@pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 1.0, 3.3, 8.0])
+def test_the_budget_is_bought_to_the_sample(spp):
+    *_, (_, bought, _) = diary(Traits(), spp, frames=1)
+    assert bought == round(spp * 99)
+
+
+def test_the_floor_is_kept():
+    method = Diary(Traits(floor=1))
+    (shown,) = run_clip(method, procedural(size=SIZE, frames=1), 1.2)
+    assert int(shown.samples.counts.min()) == 1
+
+
+def test_a_second_pass_keeps_the_samples_of_the_first():
+    seen = []
+
+    @dataclass(frozen=True)
+    class Two(Diary):
+        def plan(self, view, samples, state):
+            seen.append(samples)
+            return super().plan(view, samples, state)
+
+    (shown,) = run_clip(
+        Two(Traits(passes=(0.5, 1.0))), procedural(size=SIZE, frames=1), 2.0
+    )
+    before = seen[1]
+    assert torch.equal(before.radiance, shown.samples.radiance.where(before.filled, 0.0))
+
+
+def test_a_method_never_sees_a_buffer_that_it_did_not_declare():
+    @dataclass(frozen=True)
+    class Greedy(Diary):
+        def plan(self, view, samples, state):
+            return view.depth
+
+    with pytest.raises(LookupError, match="'depth' was read but not declared"):
+        list(run_clip(Greedy(Traits(needs=frozenset({"albedo"}))), procedural(size=SIZE), 1.0))
+
+
+@pytest.mark.parametrize(("run", "traced"), [(unroll, True), (run_clip, False)])
+def test_only_training_keeps_gradients(run, traced):
+    weight = torch.ones((), requires_grad=True)
+
+    @dataclass(frozen=True)
+    class Scaled(Diary):
+        def denoise(self, view, samples, state):
+            return samples.mean * weight, state
+
+    shown = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))
+    assert shown.image.requires_grad is traced
+
+
+def test_runs_that_take_turns_leave_gradients_as_they_were():
+    clips = [procedural(seed, SIZE, frames=2) for seed in (0, 1)]
+    for _ in zip(*(run_clip(Diary(), clip, 1.0) for clip in clips), strict=True):
+        assert not torch.is_inference_mode_enabled()
+    assert not torch.is_inference_mode_enabled()
