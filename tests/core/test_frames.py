@@ -24,7 +24,7 @@ def test_an_undeclared_buffer_is_refused(name):
 
 
 def test_the_refusal_says_what_there_is():
-    with pytest.raises(LookupError, match="has: depth"):
+    with pytest.raises(LookupError, match="declared: depth"):
         _ = VIEW.only(frozenset({"depth"})).albedo
 
 
