@@ -85,7 +85,9 @@ class _Bench:
         clip = cell.clip.open(method.traits, cell.spp, cell.seed, self.request.device)
         clip = Short(clip, self.request.frames) if self.request.frames else clip
         blank = replace(self._blank(cell), config=_config(method))
-        rows = [row for shown in run_clip(method, clip, cell.spp) for row in self._scores(blank, shown)]
+        rows = [
+            row for shown in run_clip(method, clip, cell.spp) for row in self._scores(blank, shown)
+        ]
         bought = sum(row.spp_realised for row in rows) / len(rows)
         return rows + self._timing(replace(blank, spp_realised=bought), cell, method, clip)
 

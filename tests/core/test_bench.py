@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from rlbench import registry, table
 from rlbench.bench import Done, measure
 from rlbench.cells import Request
@@ -13,7 +11,9 @@ from rlbench.source import Stored
 
 
 def request(folder: Path, *methods: str, **asked: object) -> Request:
-    return Request(methods or ("mean",), (Stored(folder),), **{"spp": (1.0,), "repeats": 2, **asked})
+    return Request(
+        methods or ("mean",), (Stored(folder),), **{"spp": (1.0,), "repeats": 2, **asked}
+    )
 
 
 def test_every_frame_has_a_row_of_every_metric(clip_folder, tmp_path):

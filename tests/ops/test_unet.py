@@ -102,13 +102,13 @@ def test_gradients_reach_every_parameter(side):
     assert without == []
 
 
-def test_weights_are_those_of_the_generator_and_no_other():
+def test_weights_are_those_of_the_seed_and_no_other():
     torch.manual_seed(1)
     before = torch.random.get_rng_state()
-    first = UNet(9, generator=torch.Generator().manual_seed(5))
+    first = UNet(9, seed=5)
     assert torch.equal(before, torch.random.get_rng_state())
-    second = UNet(9, generator=torch.Generator().manual_seed(5))
-    other = UNet(9, generator=torch.Generator().manual_seed(6))
+    second = UNet(9, seed=5)
+    other = UNet(9, seed=6)
     for layer in NAMES:
         weights = [getattr(net, layer).weight for net in (first, second, other)]
         assert torch.equal(weights[0], weights[1])
