@@ -10,7 +10,7 @@ import torch
 
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, develop
-from baselines.oidn.train import BUDGETS, Still, _loss, trainer
+from baselines.oidn.train import BUDGETS, _loss, trainer
 from rlbench.frames import Frame, Reference, View
 from rlbench.memory import MemoryClip
 from rlbench.method import Method
@@ -182,7 +182,7 @@ def test_the_loss_of_a_perfect_output_is_zero():
     """Exposure and target are the reference's: a clean pool and a network that changes nothing."""
     (frame,) = clip(32, 32)
     pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    still = Still(Frame(0, frame.view, pool, frame.reference), "", "", "")
+    still = MemoryClip("", "", "", [Frame(0, frame.view, pool, frame.reference)])
     assert float(_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
 
 
@@ -190,7 +190,7 @@ def test_exposure_in_training_comes_from_the_reference():
     (frame,) = clip(32, 32)
     reference, spy = frame.reference.mean, Spy()
     dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    _loss(Oidn(spy), Still(Frame(0, frame.view, dark, frame.reference), "", "", ""), 4.0)
+    _loss(Oidn(spy), MemoryClip("", "", "", [Frame(0, frame.view, dark, frame.reference)]), 4.0)
     expected = pu_forward(0.1 * reference * autoexposure(reference))
     torch.testing.assert_close(spy.seen[:, :3], expected)
 
