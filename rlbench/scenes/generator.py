@@ -90,7 +90,7 @@ def _dealt(seed: int, cards: Sequence[str], salt: int) -> str:
     """The card of this seed: each run of len(cards) seeds is one shuffled pack."""
     pack, card = divmod(seed, len(cards))
     order = np.random.default_rng([0xDEA1, salt, pack]).permutation(len(cards))
-    return cards[order[card]]
+    return cards[int(order[card])]
 
 
 def _track(rng: Generator, place: Place, move: str) -> Track:
@@ -128,9 +128,13 @@ def _track(rng: Generator, place: Place, move: str) -> Track:
 
     def camera(time: float) -> Camera:
         origin, target = pose(reach * float(np.sin(pace * time + phase)))
-        return Camera(tuple(map(float, origin)), tuple(map(float, target)), fov=float(fov))
+        return Camera(_point(origin), _point(target), fov=float(fov))
 
     return Track(camera, visits, focus, float(focal))
+
+
+def _point(place: Floats) -> tuple[float, float, float]:
+    return float(place[0]), float(place[1]), float(place[2])
 
 
 def _movers(rng: Generator, place: Place, track: Track, least: int) -> dict[str, Mover]:

@@ -130,7 +130,7 @@ def light(rng: Generator, place: Place, kind: str) -> Light:
             flux += 0.7 * hole.area * (np.pi * dome + sun * slant)
         level = flux * GREY / (np.pi * area * (1 - GREY))
     else:
-        level = GREY * (flux / 120 / np.pi + 0.8 * dome + 0.7 * sun * toward[2] / np.pi)
+        level = GREY * (flux / 180 / np.pi + 0.8 * dome + 0.7 * sun * toward[2] / np.pi)
     return Light(float(level), sky, tuple(lamps), sharp=kind in ("bulbs", "sunsky"))
 
 
@@ -149,7 +149,7 @@ def _sky(
         scale = {"sun_scale": 10.0, "sky_scale": 10.0, "turbidity": float(rng.uniform(2.5, 6))}
         return (plugin | scale,), toward, 11.0, 0.9  # measured, elevations of 15 to 60 degrees
     night = kind in ("lamps", "bulbs")
-    tint = colour(rng, 0.9, 1, vivid=0.35) * (rng.uniform(0.01, 0.1) if night else 1)
+    tint = _white(rng) * (rng.uniform(0.01, 0.1) if night else 1)
     sky: tuple[Plugin, ...] = ({"type": "constant", "radiance": rgb(tint)},)
     dome = float(tint @ BRIGHTNESS)
     if kind != "sun":
@@ -157,6 +157,11 @@ def _sky(
     beam = np.array([1, rng.uniform(0.75, 1), rng.uniform(0.5, 0.95)]) * rng.uniform(5, 14)
     sun = {"type": "directional", "direction": [float(-v) for v in toward]}
     return (*sky, sun | {"irradiance": rgb(beam)}), toward, float(beam @ BRIGHTNESS), dome
+
+
+def _white(rng: Generator) -> Floats:
+    """White, between warm and cool."""
+    return np.array([1, 1, 1]) + rng.uniform(-1, 1) * np.array([0.2, 0, -0.3])
 
 
 def _lamps(rng: Generator, place: Place, scale: float) -> Mesh:
@@ -170,7 +175,7 @@ def _lamps(rng: Generator, place: Place, scale: float) -> Mesh:
         drop = 0.02 + 0.01 * k if place.roof else rng.uniform(0, 1)
         lamps.append(placed(down, [*rng.uniform(-spread, spread), place.top - drop], slant))
     power = rng.uniform(4, 12) * scale / place.lamp**2
-    return _emissive("lamps", merge(*lamps), rgb(colour(rng, 0.9, 1, vivid=0.35) * power))
+    return _emissive("lamps", merge(*lamps), rgb(_white(rng) * power))
 
 
 def _bulbs(rng: Generator, place: Place) -> Mesh:

@@ -1,9 +1,9 @@
-"""Places and things for random scenes: rooms, halls, open ground and pools; furniture and bushes."""
+"""Places and things for random scenes: rooms, halls, open ground, pools; furniture, bushes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,11 +35,14 @@ class Opening(NamedTuple):
     high: float
 
 
+Rows = dict[int, list[Opening]]  # by wall: 0 north, 1 west, 2 south, 3 east, 4 roof
+
+
 class Hole(NamedTuple):
     """What the light estimate needs to know of the openings in one wall."""
 
     outward: tuple[float, float, float]
-    area: float  # m2
+    area: float  # m2, of all of them
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def room(rng: Generator, kind: str) -> Place:
     }
     shell, holes = _walls(half, height, rng.uniform(0.1, 0.35), windows, roof=True)
     walk = (half[0] - 0.35, half[1] - 0.35)
-    return Place(half, walk, (1.0, 1.9), (0.4, 1.2), height, shell, holes=holes, roof=True)
+    return Place(half, walk, (1.0, 1.9), (0.4, 1.2), height, shell, (), holes, roof=True)
 
 
 def hall(rng: Generator, kind: str) -> Place:
@@ -92,8 +95,8 @@ def hall(rng: Generator, kind: str) -> Place:
     shell["column"] = merge(*(placed(column, [x, y, 0]) for x, y, _ in spots))
     walk = (aisle - 2 * girth - 0.3, half[1] - 0.5)
     gaze = (0.8, 0.4 * height)
-    common = {"taken": spots, "holes": holes, "near": 1.6, "size": 1.4, "crowd": 1.5}
-    return Place(half, walk, (1.2, 2.6), gaze, height, shell, roof=True, **common)
+    place = Place(half, walk, (1.2, 2.6), gaze, height, shell, spots, holes, roof=True)
+    return replace(place, near=1.6, size=1.4, crowd=1.5)
 
 
 def field(rng: Generator, kind: str) -> Place:
@@ -102,20 +105,20 @@ def field(rng: Generator, kind: str) -> Place:
     taken = []
     for angle in np.arange(0, 2 * np.pi, rng.uniform(0.35, 0.6)):
         size = rng.uniform(0.8, 2.2)
-        spot = rng.uniform(7.5, 14) * np.array([np.cos(angle), np.sin(angle), 0])
+        way = np.array([np.cos(angle), np.sin(angle)])
         if rng.random() < 0.5:
-            spot *= max(1, 10 / np.linalg.norm(spot))
-            spot[2] = -0.3
-            parts["block"].append(placed(stack(rng, 3 * size), spot, yaw(rng.uniform(0, 6))))
+            spot = np.append(way * rng.uniform(10, 14), -0.3)  # with its foot in the ground
+            parts["block"].append(placed(stack(rng, 3 * size), spot, yaw(angle)))
         elif rng.random() < 0.8:
+            x, y = way * rng.uniform(7.5, 11)
             crown, trunk = _tree(rng, size)
-            parts["leaf"].append(placed(crown, spot))
-            parts["wood"].append(placed(trunk, spot - [0, 0, 0.3]))
-            taken.append((float(spot[0]), float(spot[1]), 0.5))
+            parts["leaf"].append(placed(crown, [x, y, 0]))
+            parts["wood"].append(placed(trunk, [x, y, -0.3]))
+            taken.append((float(x), float(y), 0.5))
     shell = {"ground": _ground(rng)}
     shell |= {name: merge(*part) for name, part in parts.items() if part}
-    common = {"taken": tuple(taken), "near": 1.8, "size": 1.4, "crowd": 1.5}
-    return Place((5.0, 5.0), (5.2, 5.2), (1.2, 2.6), (0.5, 1.3), 5.0, shell, **common)
+    place = Place((5.0, 5.0), (5.2, 5.2), (1.2, 2.6), (0.5, 1.3), 5.0, shell, tuple(taken))
+    return replace(place, near=1.8, size=1.4, crowd=1.5)
 
 
 def water(rng: Generator, kind: str) -> Place:
@@ -133,14 +136,14 @@ def water(rng: Generator, kind: str) -> Place:
     shell["water"] = grid(2 * half[0] + 0.1, 2 * half[1] + 0.1, (80, 80))
     walk = (half[0] - 0.35, half[1] - 0.35)
     top = height - deep if roof else 4.0
-    common = {"holes": gaps, "roof": roof, "floor": -deep, "lamp": 2.4, "near": 1.0}
-    return Place(half, walk, (0.8, 1.9), (-0.3, 0.4), top, shell, **common)
+    place = Place(half, walk, (0.8, 1.9), (-0.3, 0.4), top, shell, (), gaps, roof, -deep)
+    return replace(place, lamp=2.4, near=1.0)
 
 
 def thing(rng: Generator, size: float) -> tuple[str, Shape]:
     """A random object that stands on the origin, and the name of its material."""
-    names, share = ("solid0", "solid1", "solid2", "glass", "leaf"), (0.27, 0.25, 0.2, 0.1, 0.18)
-    name = str(rng.choice(names, p=share))
+    names = ("solid0", "solid1", "solid2", "glass", "leaf")
+    name = str(rng.choice(names, p=(0.27, 0.25, 0.2, 0.1, 0.18)))
     size *= rng.uniform(0.5, 1.1)
     if name == "leaf":
         radii = size * rng.uniform(0.25, 0.6, 3)
@@ -153,9 +156,8 @@ def thing(rng: Generator, size: float) -> tuple[str, Shape]:
 
 def ball(rng: Generator, size: float) -> Shape:
     """A sphere; by revolution, so that textures wrap it."""
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 17)
-    waist = np.where(abs(angle) < 1.57, np.cos(angle), 0)
-    return _turned(0.4 * size * np.stack([waist, 1 + np.sin(angle)], -1))
+    angle = np.linspace(0, np.pi, 17)
+    return _turned(0.4 * size * np.stack([np.sin(angle).round(6), 1 - np.cos(angle)], -1))
 
 
 def drum(rng: Generator, size: float) -> Shape:
@@ -168,7 +170,7 @@ def drum(rng: Generator, size: float) -> Shape:
 def ring(rng: Generator, size: float) -> Shape:
     """A torus that lies, or stands on its edge."""
     thick, wide = size * rng.uniform(0.06, 0.16), 0.35 * size
-    angle = np.linspace(0, 2 * np.pi, 19)
+    angle = np.linspace(0, 2 * np.pi, 21)
     flat = _turned(np.stack([wide + thick * np.cos(angle), thick * (1 + np.sin(angle))], -1), 36)
     if rng.random() < 0.5:
         return flat
@@ -176,7 +178,7 @@ def ring(rng: Generator, size: float) -> Shape:
 
 
 def crate(rng: Generator, size: float) -> Shape:
-    """A box."""
+    """A box of any proportions."""
     return _box(*(size * rng.uniform(0.3, 0.9, 3)))
 
 
@@ -194,8 +196,8 @@ def stack(rng: Generator, size: float) -> Shape:
     z, blocks = 0.0, []
     for _ in range(int(rng.integers(2, 6))):
         x, y, rise = size * rng.uniform([0.3, 0.3, 0.15], [0.8, 0.8, 0.5])
-        offset = [*(rng.uniform(-0.06, 0.06, 2) * size), z]
-        blocks.append(placed(_box(x, y, rise), offset, yaw(rng.uniform(-0.5, 0.5))))
+        a, b, angle = rng.uniform(-1, 1, 3) * [0.06 * size, 0.06 * size, 0.5]
+        blocks.append(placed(_box(x, y, rise), [a, b, z], yaw(angle)))
         z += rise
     return merge(*blocks)
 
@@ -219,18 +221,14 @@ def _row(rng: Generator, length: float, width: float, gap: float, height: float)
 
 
 def _walls(
-    half: tuple[float, float],
-    height: float,
-    thick: float,
-    openings: dict[int, list[Opening]],
-    roof: bool,
+    half: tuple[float, float], height: float, thick: float, openings: Rows, roof: bool
 ) -> tuple[dict[str, Shape], tuple[Hole, ...]]:
-    """Four walls (0 north, 1 west, 2 south, 3 east), floor, and perhaps a roof (4)."""
-    x, y = 2 * half[0] + 2 * thick, 2 * half[1] + 2 * thick
+    """Floor, four walls, perhaps a roof, and where light comes in."""
+    x, y = (2 * (side + thick) for side in half)
     walls = []
     for k in range(4):
         wall = _wall((x, 2 * half[1])[k % 2], height, thick, openings.get(k, []))
-        walls.append(placed(placed(wall, [0, half[1 - k % 2], 0]), 0, _side(k)))
+        walls.append(placed(placed(wall, [0, half[1 - k % 2], 0]), 0, yaw(k * np.pi / 2)))
     if roof:
         row = [o._replace(low=o.low + thick, high=o.high + thick) for o in openings.get(4, [])]
         flat = _wall(x, y, 0.2, row)
@@ -238,14 +236,10 @@ def _walls(
     holes = []
     for k, row in openings.items():
         area = sum((o.right - o.left) * (o.high - o.low) for o in row)
-        outward = np.array([0, 0, 1]) if k == 4 else _side(k) @ [0, 1, 0]
-        holes.append(Hole(tuple(map(float, outward)), float(area)))
+        x_out, y_out = (0.0, 0.0) if k == 4 else yaw(k * np.pi / 2)[:2, 1]
+        holes.append(Hole((float(x_out), float(y_out), float(k == 4)), float(area)))
     floor = boxes([-x / 2, -y / 2, -0.2], [x / 2, y / 2, 0])
     return {"floor": floor, "wall": merge(*walls)}, tuple(holes)
-
-
-def _side(k: int) -> NDArray[np.float32]:
-    return yaw(k * np.pi / 2)
 
 
 def _wall(length: float, height: float, thick: float, openings: Sequence[Opening]) -> Shape:
@@ -264,8 +258,8 @@ def _ground(rng: Generator) -> Shape:
     flat = grid(60, 60, (64, 64))
     plane = flat.vertices[:, :2]
     reach = np.abs(plane).max(-1) / 30
-    swell = np.sin(plane @ rng.normal(size=(2, 5)) * 0.8 + rng.uniform(0, 6, 5)).mean(-1)
-    height = (1 - reach**2) * rng.uniform(0, 0.15) * (swell - 1)
+    swell = np.sin(plane @ rng.normal(size=(2, 5)) * 0.8 + rng.uniform(0, 6, 5)) @ np.ones(5)
+    height = (1 - reach**2) * rng.uniform(0, 0.03) * (swell - 5)
     stretched = plane * (1 + 12 * reach[:, None] ** 6)
     return Shape(np.column_stack([stretched, height]).astype(np.float32), flat.faces, stretched)
 
@@ -286,29 +280,21 @@ def _tree(rng: Generator, size: float) -> tuple[Shape, Shape]:
 
 
 def _rods(rng: Generator, size: float) -> Shape:
-    feet, shift = rng.uniform(-0.4, 0.4, (2, int(rng.integers(3, 14)), 2)) * size
-    tall = size * rng.uniform(0.8, 2, len(feet))
-    return merge(
-        *(
-            _rod(foot, 0.5 * (lean - foot), z, rng.uniform(0.008, 0.03))
-            for foot, lean, z in zip(feet, shift, tall, strict=True)
-        )
-    )
+    """A thicket of thin leaning bars."""
+    rods, shear = [], np.eye(3, dtype=np.float32)
+    for _ in range(int(rng.integers(3, 14))):
+        bar = cylinder(rng.uniform(0.008, 0.03), 0, size * rng.uniform(0.8, 2), sides=6)
+        shear[:2, 2] = rng.uniform(-0.2, 0.2, 2)
+        rods.append(placed(bar, [*rng.uniform(-0.4, 0.4, 2) * size, 0], shear))
+    return merge(*rods)
 
 
 def _table(rng: Generator, size: float) -> Shape:
     x, y, z = size * rng.uniform([0.7, 0.5, 0.4], [1.2, 0.9, 0.8])
-    feet = 0.45 * np.array([[x, y], [-x, y], [x, -y], [-x, -y]])
-    legs = [_rod(foot, np.zeros(2), z, 0.03) for foot in feet]
-    return merge(*legs, placed(_box(x, y, 0.05), [0, 0, z]))
-
-
-def _rod(foot: Floats, lean: Floats, height: float, radius: float) -> Shape:
-    """A thin six-sided bar from `foot` (x, y) that leans by x, y over its height; a shear."""
-    bar = cylinder(radius, 0, height, sides=6)
-    shear = np.eye(3, dtype=np.float32)
-    shear[:2, 2] = lean / height
-    return placed(bar, [*foot, 0], shear)
+    feet = 0.45 * np.array([[x, y, 0], [-x, y, 0], [x, -y, 0], [-x, -y, 0]])
+    return merge(
+        boxes(feet - [0.03, 0.03, 0], feet + [0.03, 0.03, z]), placed(_box(x, y, 0.05), [0, 0, z])
+    )
 
 
 def _box(x: float, y: float, z: float) -> Shape:
