@@ -209,7 +209,7 @@ def _clutter(
     taken = [*place.taken, *(m.disc for m in movers.values())]
     found: dict[str, list[Shape]] = {}
     room = np.array(place.half)
-    wanted = int(rng.integers(10, 24) * place.crowd)
+    wanted = int(rng.integers(10, 24) * place.size)
     for _ in range(4 * wanted):
         name, item = thing(rng, place.size)
         if name == "glass" and sharp:

@@ -168,7 +168,7 @@ def _lamps(rng: Generator, place: Place, scale: float) -> Mesh:
     """A few rectangles of one radiance under the roof, or hanging in the open."""
     spread = np.array(place.half) - 0.7 * place.lamp - 0.1
     lamps = []
-    for k in range(int(rng.integers(1, 5))):
+    for k in range(int(rng.integers(1, 5) * place.lamp)):
         x, y = rng.uniform(0.5, 1.4, 2) * place.lamp
         down = quads([-x / 2, y / 2, 0], [x, 0, 0], [0, -y, 0])
         slant = rotation(np.eye(3)[rng.integers(2)], 0 if place.roof else rng.uniform(-0.6, 0.6))

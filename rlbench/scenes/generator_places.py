@@ -27,11 +27,11 @@ Floats = NDArray[np.float64]
 
 
 class Opening(NamedTuple):
-    """A hole in a wall: from left to right along it, from low to high above its foot, metres."""
+    """A hole in a wall, in metres."""
 
-    left: float
+    left: float  # along the wall, from its middle
     right: float
-    low: float
+    low: float  # above its foot
     high: float
 
 
@@ -61,14 +61,12 @@ class Place:
     floor: float = 0.0
     lamp: float = 1.0  # lamps are this much larger than usual
     near: float = 1.4  # objects keep this far from the camera, m
-    size: float = 1.0  # of things
-    crowd: float = 1.0  # more things than usual by this factor
+    size: float = 1.0  # things are this much larger and more than usual
 
 
 def room(rng: Generator, kind: str) -> Place:
     """A closed room with windows in one wall, or in two where daylight is all its light."""
-    half = (rng.uniform(2.0, 3.5), rng.uniform(2.4, 4.5))
-    height = rng.uniform(2.4, 3.4)
+    half, height = (rng.uniform(2.0, 3.5), rng.uniform(2.4, 4.5)), rng.uniform(2.4, 3.4)
     day = kind in ("sky", "sun", "sunsky")
     windows = {
         k: _row(rng, 2 * half[k % 2] - 0.4, rng.uniform(0.8, 1.8), 0.4 if day else 1.5, height)
@@ -81,8 +79,7 @@ def room(rng: Generator, kind: str) -> Place:
 
 def hall(rng: Generator, kind: str) -> Place:
     """A long hall with two rows of columns, slits along its walls, and perhaps in its roof."""
-    half = (rng.uniform(3.5, 6), rng.uniform(7, 12))
-    height = rng.uniform(4, 7)
+    half, height = (rng.uniform(3.5, 6), rng.uniform(7, 12)), rng.uniform(4, 7)
     slits = {k: _row(rng, 2 * half[1] - 1, rng.uniform(0.4, 0.9), 0.7, height) for k in (1, 3)}
     if rng.random() < 0.5 and kind not in ("lamps", "bulbs"):
         slits[4] = _row(rng, 2 * half[0] - 1, rng.uniform(0.3, 0.9), 0.5, 2 * half[1])
@@ -94,9 +91,8 @@ def hall(rng: Generator, kind: str) -> Place:
     spots = tuple((side * aisle, float(y), 2.2 * girth) for y in rows for side in (-1, 1))
     shell["column"] = merge(*(placed(column, [x, y, 0]) for x, y, _ in spots))
     walk = (aisle - 2 * girth - 0.3, half[1] - 0.5)
-    gaze = (0.8, 0.4 * height)
-    place = Place(half, walk, (1.2, 2.6), gaze, height, shell, spots, holes, roof=True)
-    return replace(place, near=1.6, size=1.4, crowd=1.5)
+    place = Place(half, walk, (1.2, 2.6), (0.8, 0.4 * height), height, shell, spots, holes, True)
+    return replace(place, near=1.6, size=1.4)
 
 
 def field(rng: Generator, kind: str) -> Place:
@@ -115,16 +111,15 @@ def field(rng: Generator, kind: str) -> Place:
             parts["leaf"].append(placed(crown, [x, y, 0]))
             parts["wood"].append(placed(trunk, [x, y, -0.3]))
             taken.append((float(x), float(y), 0.5))
-    shell = {"ground": _ground(rng)}
-    shell |= {name: merge(*part) for name, part in parts.items() if part}
+    parts["ground"] = [_ground(rng)]
+    shell = {name: merge(*part) for name, part in parts.items() if part}
     place = Place((5.0, 5.0), (5.2, 5.2), (1.2, 2.6), (0.5, 1.3), 5.0, shell, tuple(taken))
-    return replace(place, near=1.8, size=1.4, crowd=1.5)
+    return replace(place, near=1.8, size=1.4)
 
 
 def water(rng: Generator, kind: str) -> Place:
     """A shallow pool from wall to wall: an open court, or a bath under large lamps or windows."""
-    half = (rng.uniform(2.2, 4), rng.uniform(2.5, 4.5))
-    deep = rng.uniform(0.25, 0.7)
+    half, deep = (rng.uniform(2.2, 4), rng.uniform(2.5, 4.5)), rng.uniform(0.25, 0.7)
     roof = kind == "lamps" or (kind == "sky" and rng.random() < 0.4)
     height = deep + (rng.uniform(2.6, 3.6) if roof else rng.uniform(0.4, 2.0))
     holes = {}
@@ -135,8 +130,7 @@ def water(rng: Generator, kind: str) -> Place:
     shell = {name: placed(shape, [0, 0, -deep]) for name, shape in walls.items()}
     shell["water"] = grid(2 * half[0] + 0.1, 2 * half[1] + 0.1, (80, 80))
     walk = (half[0] - 0.35, half[1] - 0.35)
-    top = height - deep if roof else 4.0
-    place = Place(half, walk, (0.8, 1.9), (-0.3, 0.4), top, shell, (), gaps, roof, -deep)
+    place = Place(half, walk, (0.8, 1.9), (-0.3, 0.4), height - deep, shell, (), gaps, roof, -deep)
     return replace(place, lamp=2.4, near=1.0)
 
 
@@ -202,10 +196,10 @@ def stack(rng: Generator, size: float) -> Shape:
     return merge(*blocks)
 
 
-def bushy(rng: Generator, count: int, radii: ArrayLike, size: float) -> Shape:
+def bushy(rng: Generator, count: int, radii: Floats, size: float) -> Shape:
     """Loose leaves of side about `size` in an ellipsoid about the origin."""
-    foliage = leaves(rng, np.zeros((count, 3)), 1.0, size / float(np.mean(radii)))
-    return foliage._replace(vertices=foliage.vertices * np.asarray(radii, np.float32))
+    foliage = leaves(rng, np.zeros((count, 3)), 1.0, size / float(radii.mean()))
+    return foliage._replace(vertices=foliage.vertices * radii.astype(np.float32))
 
 
 PLACES = {"room": room, "hall": hall, "open": field, "water": water}
@@ -230,8 +224,7 @@ def _walls(
         wall = _wall((x, 2 * half[1])[k % 2], height, thick, openings.get(k, []))
         walls.append(placed(placed(wall, [0, half[1 - k % 2], 0]), 0, yaw(k * np.pi / 2)))
     if roof:
-        row = [o._replace(low=o.low + thick, high=o.high + thick) for o in openings.get(4, [])]
-        flat = _wall(x, y, 0.2, row)
+        flat = _wall(x, y, 0.2, openings.get(4, []))
         walls.append(placed(flat, [0, y / 2, height], rotation((1, 0, 0), np.pi / 2)))
     holes = []
     for k, row in openings.items():
@@ -255,8 +248,7 @@ def _wall(length: float, height: float, thick: float, openings: Sequence[Opening
 
 def _ground(rng: Generator) -> Shape:
     """Gently wavy ground, flat and coarse towards a far horizon."""
-    flat = grid(60, 60, (64, 64))
-    plane = flat.vertices[:, :2]
+    plane = (flat := grid(60, 60, (64, 64))).vertices[:, :2]
     reach = np.abs(plane).max(-1) / 30
     swell = np.sin(plane @ rng.normal(size=(2, 5)) * 0.8 + rng.uniform(0, 6, 5)) @ np.ones(5)
     height = (1 - reach**2) * rng.uniform(0, 0.03) * (swell - 5)
@@ -273,8 +265,7 @@ def _column(rng: Generator, girth: float, height: float) -> Shape:
 
 def _tree(rng: Generator, size: float) -> tuple[Shape, Shape]:
     """Crown of leaves and trunk."""
-    height = 1.8 + size * rng.uniform(0.5, 1)
-    radii = size * rng.uniform([0.7, 0.7, 0.6], [1, 1, 1.3])
+    height, radii = 1.8 + size * rng.uniform(0.5, 1), size * rng.uniform(0.65, 1.2, 3)
     crown = bushy(rng, int(rng.integers(400, 1100)), radii, rng.uniform(0.12, 0.3))
     return placed(crown, [0, 0, height + radii[2] / 2]), cylinder(0.08 * size, 0, height + 0.5)
 
