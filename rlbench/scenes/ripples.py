@@ -56,7 +56,7 @@ def scene() -> Scene:
 
 
 def _camera(time: float) -> Camera:
-    angle = 0.45 * np.sin(2 * np.pi * time / 180) - 0.2
+    angle = 0.45 * np.sin(2 * np.pi * time / 130) - 0.2
     lift = 2.5 + 0.25 * np.sin(2 * np.pi * time / 130)
     return Camera((5.2 * np.sin(angle), -5.2 * np.cos(angle), lift), (0.1, 0.25, 0.0), fov=58)
 
