@@ -56,9 +56,9 @@ def scene() -> Scene:
 
 
 def _camera(time: float) -> Camera:
-    angle = 0.32 * np.sin(2 * np.pi * time / 170) - 0.16
+    angle = 0.32 * np.sin(2 * np.pi * time / 125) - 0.16
     origin = (15.0 * np.sin(angle), -14.0 * np.cos(angle), 2.7 + 0.25 * np.sin(time / 30))
-    return Camera(origin, (0.6 + 1.2 * np.sin(time / 37), 3.0, 4.3), fov=66)
+    return Camera(origin, (0.6 + 1.2 * np.sin(time / 27), 3.0, 4.3), fov=66)
 
 
 def _ground(random: np.random.Generator) -> tuple[Mesh, ...]:

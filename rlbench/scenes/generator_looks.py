@@ -1,24 +1,29 @@
-"""Looks for random scenes: procedural textures, materials, skies and lamps with known power."""
+"""Looks for random scenes: procedural textures, materials, skies and lamps of known power."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
 
 from rlbench.render.scene import Mesh, Plugin
-from rlbench.scenes.generator_shapes import Floats, Shape, merged, quad
+from rlbench.scenes.generator_places import Floats, Place
+from rlbench.scenes.shapes import Shape, merge, placed, quads, rotation
 
 BRIGHTNESS = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709 luminance of linear RGB
+GREY = 0.45  # mean albedo that the light estimate assumes
 TILE = 128  # texels along each side of a texture
 
 
-class Glow(NamedTuple):
-    """Emissive mesh and the luminous flux that leaves it, in radiance x m2 x sr."""
+@dataclass(frozen=True)
+class Light:
+    """Lamps and sky, and the mean radiance they are expected to give."""
 
-    mesh: Mesh
-    flux: float
+    level: float
+    sky: tuple[Plugin, ...] = ()
+    lamps: tuple[Mesh, ...] = ()
+    sharp: bool = False  # would mirrors and glass make fireflies of it?
 
 
 def colour(rng: Generator, low: float = 0.15, high: float = 0.85, vivid: float = 0.7) -> Floats:
@@ -109,55 +114,130 @@ def twosided(material: Plugin) -> Plugin:
     return {"type": "twosided", "bsdf": material}
 
 
-def panels(name: str, shapes: list[Shape], tint: Floats) -> Glow:
-    """Lamps of one radiance [3] as one mesh."""
-    shape = merged(shapes)
-    flux = np.pi * _area(shape) * float(tint @ BRIGHTNESS)
-    return Glow(_emissive(name, shape, shape.uv, rgb(tint)), flux)
+def light(rng: Generator, place: Place, kind: str) -> Light:
+    """Sky and lamps of one kind, and the mean radiance that the grey place reflects."""
+    sky, toward, sun, dome = _sky(rng, place, kind)
+    lamps, flux = [], 0.0
+    if kind == "bulbs":
+        lamps, flux = [made := _bulbs(rng, place)], _flux(made)
+    elif kind == "lamps" or (place.roof and rng.random() < 0.6):
+        lamps, flux = [made := _lamps(rng, place, 1.0 if kind == "lamps" else 0.3)], _flux(made)
+    if place.roof:  # as in an integrating sphere
+        x, y = 2 * place.half[0], 2 * place.half[1]
+        area = 2 * x * y + 2 * (x + y) * (place.top - place.floor)
+        for hole in place.holes:
+            slant = max(0.0, float(toward @ hole.outward))
+            flux += 0.7 * hole.area * (np.pi * dome + sun * slant)
+        level = flux * GREY / (np.pi * area * (1 - GREY))
+    else:
+        level = GREY * (flux / 180 / np.pi + 0.8 * dome + 0.7 * sun * toward[2] / np.pi)
+    return Light(float(level), sky, tuple(lamps), sharp=kind in ("bulbs", "sunsky"))
 
 
-def bulbs(rng: Generator, centres: Floats, normals: Floats, sizes: Floats) -> Glow:
-    """Many small square lamps, each of its own colour: one mesh, one texel of an atlas a lamp.
+def _sky(
+    rng: Generator, place: Place, kind: str
+) -> tuple[tuple[Plugin, ...], Floats, float, float]:
+    """Emitters, direction to the sun, irradiance of the sun and radiance of the sky dome."""
+    around, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(0.35, 0.9)
+    if place.holes:  # the sun shines in
+        outward = place.holes[rng.integers(len(place.holes))].outward
+        around = np.arctan2(outward[1], outward[0]) + rng.uniform(-0.8, 0.8)
+        tilt = rng.uniform(1.0, 1.3) if outward[2] > 0.5 else tilt
+    toward = np.array([np.cos(around), np.sin(around), np.tan(tilt)]) * np.cos(tilt)
+    if kind == "sunsky":
+        plugin = {"type": "sunsky", "sun_direction": [float(v) for v in toward]}
+        scale = {"sun_scale": 10.0, "sky_scale": 10.0, "turbidity": float(rng.uniform(2.5, 6))}
+        return (plugin | scale,), toward, 11.0, 0.9  # measured, elevations of 15 to 60 degrees
+    night = kind in ("lamps", "bulbs")
+    tint = _white(rng) * (rng.uniform(0.01, 0.1) if night else 1)
+    sky: tuple[Plugin, ...] = ({"type": "constant", "radiance": rgb(tint)},)
+    dome = float(tint @ BRIGHTNESS)
+    if kind != "sun":
+        return sky, toward, 0.0, dome
+    beam = np.array([1, rng.uniform(0.75, 1), rng.uniform(0.5, 0.95)]) * rng.uniform(5, 14)
+    sun = {"type": "directional", "direction": [float(-v) for v in toward]}
+    return (*sky, sun | {"irradiance": rgb(beam)}), toward, float(beam @ BRIGHTNESS), dome
 
-    centres and normals [n 3], sides [n] in metres. Every texel is covered by exactly one lamp, so
-    that a texture-space sampler always lands on the mesh.
+
+def _white(rng: Generator) -> Floats:
+    """White, between warm and cool."""
+    return np.array([1, 1, 1]) + rng.uniform(-1, 1) * np.array([0.2, 0, -0.3])
+
+
+def _lamps(rng: Generator, place: Place, scale: float) -> Mesh:
+    """A few rectangles of one radiance under the roof, or hanging in the open."""
+    spread = np.array(place.half) - 0.7 * place.lamp - 0.1
+    lamps = []
+    for k in range(int(rng.integers(1, 5) * place.lamp)):
+        x, y = rng.uniform(0.5, 1.4, 2) * place.lamp
+        down = quads([-x / 2, y / 2, 0], [x, 0, 0], [0, -y, 0])
+        slant = rotation(np.eye(3)[rng.integers(2)], 0 if place.roof else rng.uniform(-0.6, 0.6))
+        drop = 0.02 + 0.01 * k if place.roof else rng.uniform(0, 1)
+        lamps.append(placed(down, [*rng.uniform(-spread, spread), place.top - drop], slant))
+    power = rng.uniform(4, 12) * scale / place.lamp**2
+    return _emissive("lamps", merge(*lamps), rgb(_white(rng) * power))
+
+
+def _bulbs(rng: Generator, place: Place) -> Mesh:
+    """Many small square lamps, each of its own colour, on walls and roof or around an open place.
+
+    One mesh, one texel of an atlas a lamp; every texel is covered by exactly one lamp, so that a
+    sampler of the texture always lands on the mesh.
     """
-    count = len(centres)
-    cols = next(c for c in range(int(np.sqrt(count)), 0, -1) if count % c == 0)
-    rows = count // cols
+    cols, rows = int(rng.integers(8, 21)), int(rng.integers(6, 17))
+    count = cols * rows
+    centres, normals = (_on_walls if place.roof else _around)(rng, place, count)
+    sides = rng.uniform(0.05, 0.2, (count, 1)) * (1 if place.size == 1 else 1.6)
+    across = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.7, [[1, 0, 0]], [[0, 1, 0]]))
+    across *= sides / np.linalg.norm(across, axis=-1, keepdims=True)
+    up = np.cross(normals, across)
+    shape = quads(centres - (across + up) / 2, across, up)
+
+    texel = np.stack([np.arange(count) % cols, np.arange(count) // cols], -1)[:, None]
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    shape = shape._replace(uv=((texel + corners) / [cols, rows]).reshape(-1, 2).astype(np.float32))
     hues = np.stack([colour(rng, 0.7, 1, vivid=0.85) for _ in range(int(rng.integers(2, 7)))])
     power = 6 * 2 ** rng.uniform(-1, 1, (count, 1))
     atlas = (hues[rng.integers(len(hues), size=count)] * power).reshape(rows, cols, 3)
-    corners, uv = [], []
-    for k, (centre, normal, size) in enumerate(zip(centres, normals, sizes, strict=True)):
-        side = np.cross(normal, [1, 0, 0] if abs(normal[0]) < 0.7 else [0, 1, 0])
-        side *= size / 2 / np.linalg.norm(side)
-        up = np.cross(normal, side)
-        corners.append([centre - side - up, centre + side - up, centre + side + up])
-        corners[-1].append(centre - side + up)
-        u, v = k % cols, k // cols
-        uv += [[u, v], [u + 1, v], [u + 1, v + 1], [u, v + 1]]
-    shape = merged([quad(c) for c in corners])
     bitmap = {"type": "bitmap", "data": atlas.astype(np.float32), "raw": True}
-    bitmap |= {"filter_type": "nearest", "wrap_mode": "clamp"}
-    flux = np.pi * float(np.sum(sizes**2)) * float(atlas.mean((0, 1)) @ BRIGHTNESS)
-    return Glow(_emissive("bulbs", shape, np.array(uv) / [cols, rows], bitmap), flux)
+    return _emissive("bulbs", shape, bitmap | {"filter_type": "nearest", "wrap_mode": "clamp"})
 
 
-def _emissive(name: str, shape: Shape, uv: Floats, radiance: Plugin) -> Mesh:
-    return Mesh(
-        name,
-        shape.vertices.astype(np.float32),
-        shape.faces.astype(np.uint32),
-        {"type": "diffuse", "reflectance": rgb(np.full(3, 0.1))},
-        uv.astype(np.float32),
-        {"type": "area", "radiance": radiance},
-    )
+def _on_walls(rng: Generator, place: Place, count: int) -> tuple[Floats, Floats]:
+    """Places [n 3] 2 cm before the four walls and the roof, and normals [n 3] into the room."""
+    high = np.array([*place.half, place.top])
+    spot = rng.uniform([*(0.2 - high[:2]), 0.4], high - 0.2, (count, 3))
+    axis, sign = np.array([[0, 0, 1, 1, 2], [1, -1, 1, -1, 1]])[:, rng.integers(5, size=count)]
+    lamp = np.arange(count)
+    spot[lamp, axis] = sign * (high[axis] - 0.02)
+    normals = np.zeros((count, 3))
+    normals[lamp, axis] = -sign
+    return spot, normals
 
 
-def _area(shape: Shape) -> float:
-    p, q, r = (shape.vertices[shape.faces[:, k]] for k in range(3))
-    return float(np.linalg.norm(np.cross(q - p, r - p), axis=-1).sum() / 2)
+def _around(rng: Generator, place: Place, count: int) -> tuple[Floats, Floats]:
+    """Places [n 3] in a ring about an open place, and normals [n 3] towards its middle."""
+    angle, far = rng.uniform(0, 2 * np.pi, count), rng.uniform(5.6, 8, count)
+    spot = np.stack([far * np.cos(angle), far * np.sin(angle), rng.uniform(0.5, 4, count)], -1)
+    inward = rng.uniform([-2, -2, 0], [2, 2, 1], (count, 3)) - spot
+    return spot, inward / np.linalg.norm(inward, axis=-1, keepdims=True)
+
+
+def _emissive(name: str, shape: Shape, radiance: Plugin) -> Mesh:
+    black: Plugin = {"type": "diffuse", "reflectance": rgb(np.full(3, 0.1))}
+    emission = {"type": "area", "radiance": radiance}
+    return Mesh(name, shape.vertices, shape.faces, black, shape.uv, emission)
+
+
+def _flux(lamp: Mesh) -> float:
+    """Flux that leaves a lamp, as mean luminance x area x pi."""
+    p, q, r = (lamp.vertices[lamp.faces[:, k]].astype(float) for k in range(3))
+    area = np.linalg.norm(np.cross(q - p, r - p), axis=-1) / 2
+    assert lamp.emission is not None
+    radiance = lamp.emission["radiance"]
+    values = np.asarray(radiance.get("data", radiance.get("value")), float).reshape(-1, 3)
+    each = np.resize(np.repeat(values, 2, 0), (len(area), 3))  # two triangles a texel
+    return float(np.pi * area @ each @ BRIGHTNESS)
 
 
 def _checker(rng: Generator) -> Floats:

@@ -1,23 +1,48 @@
-"""Places for random scenes: rooms, halls with slits, open ground and shallow pools, unlit."""
+"""Places and things for random scenes: rooms, halls, open ground, pools; furniture, bushes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes import generator_shapes as shapes
-from rlbench.scenes.generator_shapes import Opening, Shape, moved, turn
+from rlbench.scenes.shapes import (
+    Shape,
+    boxes,
+    cylinder,
+    grid,
+    lathe,
+    leaves,
+    merge,
+    placed,
+    rotation,
+    yaw,
+)
+
+Floats = NDArray[np.float64]
+
+
+class Opening(NamedTuple):
+    """A hole in a wall, in metres."""
+
+    left: float  # along the wall, from its middle
+    right: float
+    low: float  # above its foot
+    high: float
+
+
+Rows = dict[int, list[Opening]]  # by wall: 0 north, 1 west, 2 south, 3 east, 4 roof
 
 
 class Hole(NamedTuple):
-    """What the light estimate needs to know of openings in one wall."""
+    """What the light estimate needs to know of the openings in one wall."""
 
     outward: tuple[float, float, float]
-    area: float  # m2
+    area: float  # m2, of all of them
 
 
 @dataclass(frozen=True)
@@ -36,24 +61,25 @@ class Place:
     floor: float = 0.0
     lamp: float = 1.0  # lamps are this much larger than usual
     near: float = 1.4  # objects keep this far from the camera, m
+    size: float = 1.0  # things are this much larger and more than usual
 
 
-def _room(rng: Generator, kind: str) -> Place:
-    half = (rng.uniform(2.0, 3.5), rng.uniform(2.4, 4.5))
-    height = rng.uniform(2.4, 3.4)
-    big = kind in ("sky", "sun", "sunsky")
+def room(rng: Generator, kind: str) -> Place:
+    """A closed room with windows in one wall, or in two where daylight is all its light."""
+    half, height = (rng.uniform(2.0, 3.5), rng.uniform(2.4, 4.5)), rng.uniform(2.4, 3.4)
+    day = kind in ("sky", "sun", "sunsky")
     windows = {
-        k: _row(rng, 2 * half[k % 2] - 0.4, rng.uniform(0.8, 1.8), 0.4 if big else 1.5, height)
-        for k in rng.choice(4, 2 if big else 1, replace=False)
+        k: _row(rng, 2 * half[k % 2] - 0.4, rng.uniform(0.8, 1.8), 0.4 if day else 1.5, height)
+        for k in rng.choice(4, 2 if day else 1, replace=False)
     }
     shell, holes = _walls(half, height, rng.uniform(0.1, 0.35), windows, roof=True)
     walk = (half[0] - 0.35, half[1] - 0.35)
-    return Place(half, walk, (1.0, 1.9), (0.4, 1.2), height, shell, holes=holes, roof=True)
+    return Place(half, walk, (1.0, 1.9), (0.4, 1.2), height, shell, (), holes, roof=True)
 
 
-def _hall(rng: Generator, kind: str) -> Place:
-    half = (rng.uniform(3.5, 6), rng.uniform(7, 12))
-    height = rng.uniform(4, 7)
+def hall(rng: Generator, kind: str) -> Place:
+    """A long hall with two rows of columns, slits along its walls, and perhaps in its roof."""
+    half, height = (rng.uniform(3.5, 6), rng.uniform(7, 12)), rng.uniform(4, 7)
     slits = {k: _row(rng, 2 * half[1] - 1, rng.uniform(0.4, 0.9), 0.7, height) for k in (1, 3)}
     if rng.random() < 0.5 and kind not in ("lamps", "bulbs"):
         slits[4] = _row(rng, 2 * half[0] - 1, rng.uniform(0.3, 0.9), 0.5, 2 * half[1])
@@ -61,56 +87,123 @@ def _hall(rng: Generator, kind: str) -> Place:
     girth = rng.uniform(0.15, 0.4)
     aisle = half[0] * rng.uniform(0.5, 0.7)
     column = _column(rng, girth, height)
-    spots = [
-        (side * aisle, y, 1.5 * girth)
-        for y in np.arange(-half[1] + 1.2, half[1] - 0.8, rng.uniform(1.8, 3.2))
-        for side in (-1, 1)
-    ]
-    shell["column"] = shapes.merged([moved(column, [x, y, 0]) for x, y, _ in spots])
+    rows = np.arange(-half[1] + 1.2, half[1] - 0.8, rng.uniform(1.8, 3.2))
+    spots = tuple((side * aisle, float(y), 2.2 * girth) for y in rows for side in (-1, 1))
+    shell["column"] = merge(*(placed(column, [x, y, 0]) for x, y, _ in spots))
     walk = (aisle - 2 * girth - 0.3, half[1] - 0.5)
-    eye, gaze = (1.2, 2.6), (0.8, 0.4 * height)
-    return Place(half, walk, eye, gaze, height, shell, tuple(spots), holes, True, near=1.6)
+    place = Place(half, walk, (1.2, 2.6), (0.8, 0.4 * height), height, shell, spots, holes, True)
+    return replace(place, near=1.6, size=1.4)
 
 
-def _open(rng: Generator, kind: str) -> Place:
-    ground = _ground(rng)
-    blocks, trees, trunks, taken = [], [], [], []
+def field(rng: Generator, kind: str) -> Place:
+    """Open ground to the horizon, ringed by staggered blocks and trees."""
+    parts: dict[str, list[Shape]] = {"block": [], "leaf": [], "wood": []}
+    taken = []
     for angle in np.arange(0, 2 * np.pi, rng.uniform(0.35, 0.6)):
-        far, size = rng.uniform(9.5, 14), rng.uniform(0.8, 2.2)
-        x, y = far * np.cos(angle), far * np.sin(angle)
+        size = rng.uniform(0.8, 2.2)
+        way = np.array([np.cos(angle), np.sin(angle)])
         if rng.random() < 0.5:
-            blocks += [moved(_tower(rng, size), [x, y, -0.3], turn(rng.uniform(0, 6)))]
+            spot = np.append(way * rng.uniform(10, 14), -0.3)  # with its foot in the ground
+            parts["block"].append(placed(stack(rng, 3 * size), spot, yaw(angle)))
         elif rng.random() < 0.8:
-            x, y = 0.75 * x, 0.75 * y
+            x, y = way * rng.uniform(7.5, 11)
             crown, trunk = _tree(rng, size)
-            trees.append(moved(crown, [x, y, 0]))
-            trunks.append(moved(trunk, [x, y, -0.3]))
-            taken.append((x, y, 0.5))
-    shell = {"ground": ground}
-    parts = (("block", blocks), ("leaf", trees), ("wood", trunks))
-    shell |= {name: shapes.merged(part) for name, part in parts if part}
-    half = (5.0, 5.0)
-    return Place(half, (5.2, 5.2), (1.2, 2.6), (0.5, 1.3), 5.0, shell, tuple(taken), near=1.8)
+            parts["leaf"].append(placed(crown, [x, y, 0]))
+            parts["wood"].append(placed(trunk, [x, y, -0.3]))
+            taken.append((float(x), float(y), 0.5))
+    parts["ground"] = [_ground(rng)]
+    shell = {name: merge(*part) for name, part in parts.items() if part}
+    place = Place((5.0, 5.0), (5.2, 5.2), (1.2, 2.6), (0.5, 1.3), 5.0, shell, tuple(taken))
+    return replace(place, near=1.8, size=1.4)
 
 
-def _water(rng: Generator, kind: str) -> Place:
-    half = (rng.uniform(2.2, 4), rng.uniform(2.5, 4.5))
-    deep = rng.uniform(0.25, 0.7)
+def water(rng: Generator, kind: str) -> Place:
+    """A shallow pool from wall to wall: an open court, or a bath under large lamps or windows."""
+    half, deep = (rng.uniform(2.2, 4), rng.uniform(2.5, 4.5)), rng.uniform(0.25, 0.7)
     roof = kind == "lamps" or (kind == "sky" and rng.random() < 0.4)
     height = deep + (rng.uniform(2.6, 3.6) if roof else rng.uniform(0.4, 2.0))
     holes = {}
     if kind == "sky" and roof:  # through large openings, for the light must find the floor too
         holes[0] = _row(rng, 2 * half[0] - 0.5, rng.uniform(1.2, 2), 0.4, height)
         holes[4] = _row(rng, 2 * half[0] - 0.5, rng.uniform(1.2, 2), 0.3, 2 * half[1])
-    shell, gaps = _walls(half, height, 0.25, holes, roof)
-    shell = {name: moved(shape, [0, 0, -deep]) for name, shape in shell.items()}
-    shell["water"] = shapes.sheet(2 * half[0] + 0.1, 2 * half[1] + 0.1, 80)
+    walls, gaps = _walls(half, height, 0.25, holes, roof)
+    shell = {name: placed(shape, [0, 0, -deep]) for name, shape in walls.items()}
+    shell["water"] = grid(2 * half[0] + 0.1, 2 * half[1] + 0.1, (80, 80))
     walk = (half[0] - 0.35, half[1] - 0.35)
-    top = height - deep if roof else 4.0
-    return Place(half, walk, (0.8, 1.9), (-0.3, 0.4), top, shell, (), gaps, roof, -deep, 2.4, 1.0)
+    place = Place(half, walk, (0.8, 1.9), (-0.3, 0.4), height - deep, shell, (), gaps, roof, -deep)
+    return replace(place, lamp=2.4, near=1.0)
 
 
-PLACES = {"room": _room, "hall": _hall, "open": _open, "water": _water}
+def thing(rng: Generator, size: float) -> tuple[str, Shape]:
+    """A random object that stands on the origin, and the name of its material."""
+    names = ("solid0", "solid1", "solid2", "glass", "leaf")
+    name = str(rng.choice(names, p=(0.27, 0.25, 0.2, 0.1, 0.18)))
+    size *= rng.uniform(0.5, 1.1)
+    if name == "leaf":
+        radii = size * rng.uniform(0.25, 0.6, 3)
+        bush = bushy(rng, int(rng.integers(150, 500)), radii, size * rng.uniform(0.08, 0.25))
+        return name, placed(bush, [0, 0, radii[2] + 0.2 * size])
+    makers = (ball, ring, crate, vase) if name == "glass" else (*SOLIDS, _rods, _table)
+    item = makers[rng.integers(len(makers))](rng, size)
+    return name, placed(item, [0, 0, 0], yaw(rng.uniform(0, 2 * np.pi)))
+
+
+def ball(rng: Generator, size: float) -> Shape:
+    """A sphere; by revolution, so that textures wrap it."""
+    angle = np.linspace(0, np.pi, 17)
+    return _turned(0.4 * size * np.stack([np.sin(angle).round(6), 1 - np.cos(angle)], -1))
+
+
+def drum(rng: Generator, size: float) -> Shape:
+    """A cylinder, a blunt or a pointed cone."""
+    height, tip = size * rng.uniform(0.3, 1.5), float(rng.choice([1, 0.6, 0.05]))
+    rims = [(0, 0), (0.3 * size, 0), (0.3 * size * tip, height), (0, height)]
+    return merge(*(_turned(rims[k : k + 2]) for k in range(3)))  # apart, so that rims stay sharp
+
+
+def ring(rng: Generator, size: float) -> Shape:
+    """A torus that lies, or stands on its edge."""
+    thick, wide = size * rng.uniform(0.06, 0.16), 0.35 * size
+    angle = np.linspace(0, 2 * np.pi, 21)
+    flat = _turned(np.stack([wide + thick * np.cos(angle), thick * (1 + np.sin(angle))], -1), 36)
+    if rng.random() < 0.5:
+        return flat
+    return placed(flat, [0, thick, wide + thick], rotation((1, 0, 0), np.pi / 2))
+
+
+def crate(rng: Generator, size: float) -> Shape:
+    """A box of any proportions."""
+    return _box(*(size * rng.uniform(0.3, 0.9, 3)))
+
+
+def vase(rng: Generator, size: float) -> Shape:
+    """A closed solid of revolution with a random smooth outline."""
+    radii = 0.35 * size * rng.uniform(0.3, 1, 4)
+    height = np.linspace(0, size * rng.uniform(0.7, 1.4), 25)
+    radius = np.interp(height, np.linspace(0, height[-1], 4), radii)
+    smooth = np.convolve(np.pad(radius, 3, "edge"), np.ones(7) / 7, "valid")
+    return _turned([[0, 0], *np.stack([smooth, height], -1), [0, height[-1]]])
+
+
+def stack(rng: Generator, size: float) -> Shape:
+    """Staggered blocks, one upon the other."""
+    z, blocks = 0.0, []
+    for _ in range(int(rng.integers(2, 6))):
+        x, y, rise = size * rng.uniform([0.3, 0.3, 0.15], [0.8, 0.8, 0.5])
+        a, b, angle = rng.uniform(-1, 1, 3) * [0.06 * size, 0.06 * size, 0.5]
+        blocks.append(placed(_box(x, y, rise), [a, b, z], yaw(angle)))
+        z += rise
+    return merge(*blocks)
+
+
+def bushy(rng: Generator, count: int, radii: Floats, size: float) -> Shape:
+    """Loose leaves of side about `size` in an ellipsoid about the origin."""
+    foliage = leaves(rng, np.zeros((count, 3)), 1.0, size / float(radii.mean()))
+    return foliage._replace(vertices=foliage.vertices * radii.astype(np.float32))
+
+
+PLACES = {"room": room, "hall": hall, "open": field, "water": water}
+SOLIDS = (ball, drum, ring, crate, vase, stack)
 
 
 def _row(rng: Generator, length: float, width: float, gap: float, height: float) -> list[Opening]:
@@ -122,71 +215,86 @@ def _row(rng: Generator, length: float, width: float, gap: float, height: float)
 
 
 def _walls(
-    half: tuple[float, float],
-    height: float,
-    thick: float,
-    openings: dict[int, list[Opening]],
-    roof: bool,
+    half: tuple[float, float], height: float, thick: float, openings: Rows, roof: bool
 ) -> tuple[dict[str, Shape], tuple[Hole, ...]]:
-    """Four walls (0 north, 1 west, 2 south, 3 east), floor, and perhaps a roof (4)."""
-    walls, holes = [], []
+    """Floor, four walls, perhaps a roof, and where light comes in."""
+    x, y = (2 * (side + thick) for side in half)
+    walls = []
     for k in range(4):
-        row, spin = openings.get(k, []), turn(k * np.pi / 2)
-        length = 2 * half[k % 2] + (2 * thick if k % 2 == 0 else 0)
-        piece = shapes.wall(length, height, thick, row)
-        walls.append(moved(moved(piece, [0, half[1 - k % 2], 0]), [0, 0, 0], spin))
-        if row:
-            outward = spin @ [0, 1, 0]
-            holes.append(Hole(tuple(outward), _open_area(row)))
-    x, y = 2 * half[0] + 2 * thick, 2 * half[1] + 2 * thick
-    shell = {"floor": moved(shapes.box(x, y, 0.2), [0, 0, -0.2])}
+        wall = _wall((x, 2 * half[1])[k % 2], height, thick, openings.get(k, []))
+        walls.append(placed(placed(wall, [0, half[1 - k % 2], 0]), 0, yaw(k * np.pi / 2)))
     if roof:
-        row = [o._replace(low=o.low + thick, high=o.high + thick) for o in openings.get(4, [])]
-        flat = moved(shapes.wall(x, y, 0.2, row), [0, 0, 0], turn(np.pi / 2, 0))
-        walls.append(moved(flat, [0, y / 2, height]))
-        holes += [Hole((0.0, 0.0, 1.0), _open_area(row))] if row else []
-    return shell | {"wall": shapes.merged(walls)}, tuple(holes)
+        flat = _wall(x, y, 0.2, openings.get(4, []))
+        walls.append(placed(flat, [0, y / 2, height], rotation((1, 0, 0), np.pi / 2)))
+    holes = []
+    for k, row in openings.items():
+        area = sum((o.right - o.left) * (o.high - o.low) for o in row)
+        x_out, y_out = (0.0, 0.0) if k == 4 else yaw(k * np.pi / 2)[:2, 1]
+        holes.append(Hole((float(x_out), float(y_out), float(k == 4)), float(area)))
+    floor = boxes([-x / 2, -y / 2, -0.2], [x / 2, y / 2, 0])
+    return {"floor": floor, "wall": merge(*walls)}, tuple(holes)
 
 
-def _open_area(row: Sequence[Opening]) -> float:
-    return float(sum((o.right - o.left) * (o.high - o.low) for o in row))
+def _wall(length: float, height: float, thick: float, openings: Sequence[Opening]) -> Shape:
+    """A wall along x, centred, its inner face in y = 0 and its body behind."""
+    pieces, left = [], -length / 2
+    for hole in sorted(openings):
+        pieces += [(left, hole.left, 0.0, height), (hole.left, hole.right, 0.0, hole.low)]
+        pieces += [(hole.left, hole.right, hole.high, height)]
+        left = hole.right
+    a, b, c, d = np.array([*pieces, (left, length / 2, 0.0, height)]).T
+    return boxes(np.stack([a, 0 * a, c], -1), np.stack([b, 0 * b + thick, d], -1))
 
 
 def _ground(rng: Generator) -> Shape:
     """Gently wavy ground, flat and coarse towards a far horizon."""
-    flat = shapes.sheet(60, 60, 64)
-    plane = flat.vertices[:, :2]
-    relief = shapes.lift(shapes.ripple(rng, 5, 6.0, rng.uniform(0, 0.1)), plane, 0.0) - 0.1
+    plane = (flat := grid(60, 60, (64, 64))).vertices[:, :2]
     reach = np.abs(plane).max(-1) / 30
+    swell = np.sin(plane @ rng.normal(size=(2, 5)) * 0.8 + rng.uniform(0, 6, 5)) @ np.ones(5)
+    height = (1 - reach**2) * rng.uniform(0, 0.03) * (swell - 5)
     stretched = plane * (1 + 12 * reach[:, None] ** 6)
-    height = relief * (1 - reach**2)
-    return Shape(np.column_stack([stretched, height]), flat.faces, stretched)
+    return Shape(np.column_stack([stretched, height]).astype(np.float32), flat.faces, stretched)
 
 
 def _column(rng: Generator, girth: float, height: float) -> Shape:
     """A round or square column with foot and head."""
-    foot = shapes.box(3 * girth, 3 * girth, 0.25)
-    shaft = shapes.cylinder(girth, height) if rng.random() < 0.6 else None
-    shaft = shaft or shapes.box(1.8 * girth, 1.8 * girth, height)
-    return shapes.merged([foot, shaft, moved(foot, [0, 0, height - 0.25])])
-
-
-def _tower(rng: Generator, size: float) -> Shape:
-    """Staggered blocks, each a little smaller than the one below."""
-    blocks, z = [], 0.0
-    for _ in range(int(rng.integers(1, 5))):
-        rise = size * rng.uniform(0.6, 1.8)
-        block = shapes.box(2 * size, 2 * size * rng.uniform(0.5, 1), rise)
-        blocks.append(moved(block, [0, 0, z], turn(rng.uniform(-0.3, 0.3))))
-        z, size = z + rise, size * rng.uniform(0.6, 0.95)
-    return shapes.merged(blocks)
+    foot = _box(3 * girth, 3 * girth, 0.25)
+    shaft = cylinder(girth, 0, height) if rng.random() < 0.6 else _box(2 * girth, girth, height)
+    return merge(foot, shaft, placed(foot, [0, 0, height - 0.25]))
 
 
 def _tree(rng: Generator, size: float) -> tuple[Shape, Shape]:
     """Crown of leaves and trunk."""
-    height = 1.8 + size * rng.uniform(0.5, 1)
-    radii = size * rng.uniform([0.7, 0.7, 0.6], [1, 1, 1.3])
-    crown = shapes.leaves(rng, int(rng.integers(400, 1100)), radii, rng.uniform(0.12, 0.3))
-    return moved(crown, [0, 0, height + radii[2] / 2]), shapes.cylinder(
-        0.1 * size, height + 0.5, 0.6
+    height, radii = 1.8 + size * rng.uniform(0.5, 1), size * rng.uniform(0.65, 1.2, 3)
+    crown = bushy(rng, int(rng.integers(400, 1100)), radii, rng.uniform(0.12, 0.3))
+    return placed(crown, [0, 0, height + radii[2] / 2]), cylinder(0.08 * size, 0, height + 0.5)
+
+
+def _rods(rng: Generator, size: float) -> Shape:
+    """A thicket of thin leaning bars."""
+    rods, shear = [], np.eye(3, dtype=np.float32)
+    for _ in range(int(rng.integers(3, 14))):
+        bar = cylinder(rng.uniform(0.008, 0.03), 0, size * rng.uniform(0.8, 2), sides=6)
+        shear[:2, 2] = rng.uniform(-0.2, 0.2, 2)
+        rods.append(placed(bar, [*rng.uniform(-0.4, 0.4, 2) * size, 0], shear))
+    return merge(*rods)
+
+
+def _table(rng: Generator, size: float) -> Shape:
+    x, y, z = size * rng.uniform([0.7, 0.5, 0.4], [1.2, 0.9, 0.8])
+    feet = 0.45 * np.array([[x, y, 0], [-x, y, 0], [x, -y, 0], [-x, -y, 0]])
+    return merge(
+        boxes(feet - [0.03, 0.03, 0], feet + [0.03, 0.03, z]), placed(_box(x, y, 0.05), [0, 0, z])
     )
+
+
+def _box(x: float, y: float, z: float) -> Shape:
+    return boxes([-x / 2, -y / 2, 0], [x / 2, y / 2, z])
+
+
+def _turned(profile: ArrayLike, sides: int = 32) -> Shape:
+    """A solid of revolution, without the empty triangles at its poles."""
+    shape = lathe([(float(r), float(z)) for r, z in np.asarray(profile)], sides)
+    a, b, c = (shape.vertices[shape.faces[:, k]] for k in range(3))
+    full = np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 1e-12
+    return shape._replace(faces=shape.faces[full])

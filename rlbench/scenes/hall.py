@@ -54,8 +54,8 @@ def scene() -> Scene:
 
 
 def _camera(time: float) -> Camera:
-    glide = np.sin(2 * np.pi * time / 200)
-    x, y = -1.6 + 1.8 * np.sin(2 * np.pi * time / 160), 1.2 + 3.2 * glide
+    glide = np.sin(2 * np.pi * time / 140)
+    x, y = -1.6 + 1.8 * np.sin(2 * np.pi * time / 110), 1.2 + 3.2 * glide
     return Camera((x, y, 1.7), (0.8 + 1.2 * glide, y + 11, 2.5), fov=70)
 
 

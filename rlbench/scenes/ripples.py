@@ -48,7 +48,7 @@ def scene() -> Scene:
         title="Ripples: caustics, glass and a mirror",
         meshes=(*_basin(random), _pebbles(random), *_optics(), *_movers(0.0)),
         camera=_camera,
-        sky=({"type": "constant", "radiance": rgb(0.13, 0.20, 0.31)},),
+        sky=({"type": "constant", "radiance": rgb(0.17, 0.26, 0.40)},),
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=1.0,
         depth=10,
@@ -56,7 +56,7 @@ def scene() -> Scene:
 
 
 def _camera(time: float) -> Camera:
-    angle = 0.45 * np.sin(2 * np.pi * time / 180) - 0.2
+    angle = 0.45 * np.sin(2 * np.pi * time / 130) - 0.2
     lift = 2.5 + 0.25 * np.sin(2 * np.pi * time / 130)
     return Camera((5.2 * np.sin(angle), -5.2 * np.cos(angle), lift), (0.1, 0.25, 0.0), fov=58)
 
@@ -129,7 +129,7 @@ def _optics() -> tuple[Mesh, ...]:
         [(1.8, 0.12, 0.0), (1.8, 0.12, 2.7), (-1.7, 0.12, 2.7), (1.8, 0.12, 2.7)],
     )
     frame = placed(bars, (0.2, 4.4, 0.2), lean)
-    lamp = quads((-1.9, -1.0, 3.4), (0, 1.7, 0), (3.8, 0, 0))
+    lamp = quads((-2.1, -1.1, 3.4), (0, 2.4, 0), (4.2, 0, 0))
     return (
         glass.mesh(
             "mirror",
@@ -145,7 +145,7 @@ def _optics() -> tuple[Mesh, ...]:
             lamp.faces,
             {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)},
             uv=lamp.uv,
-            emission={"type": "area", "radiance": rgb(13, 10, 6.5)},
+            emission={"type": "area", "radiance": rgb(9, 6.8, 4.2)},
         ),
     )
 
@@ -158,7 +158,7 @@ def _height(x: NDArray[np.float64], y: NDArray[np.float64], time: float) -> NDAr
     for at_x, at_y, first in DROPS:
         distance = np.hypot(x - at_x, y - at_y)
         phase = 10.5 * distance - 2 * np.pi * (time - first) / 17
-        level = level + 0.030 * np.cos(phase) * np.exp(-0.25 * distance) / np.sqrt(1 + 4 * distance)
+        level = level + 0.034 * np.cos(phase) * np.exp(-0.25 * distance) / np.sqrt(1 + 4 * distance)
     return level
 
 

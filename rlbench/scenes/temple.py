@@ -48,8 +48,8 @@ def scene() -> Scene:
 
 
 def _camera(time: float) -> Camera:
-    sway = np.sin(2 * np.pi * time / 150)
-    y = 1.6 + 3.0 * np.sin(2 * np.pi * time / 240)
+    sway = np.sin(2 * np.pi * time / 105)
+    y = 1.6 + 3.0 * np.sin(2 * np.pi * time / 170)
     x = 0.9 + 0.9 * sway
     return Camera((x, y, 1.9), (-0.9 + 1.2 * sway, y + 12, 3.1), fov=68)
 

@@ -1,0 +1,202 @@
+"""Training scenes are sound data: repeatable, varied, closed off from the test scenes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from rlbench.render.scene import Scene
+from rlbench.scenes.generator import FAMILIES, LIGHTS, scene
+from rlbench.scenes.generator_looks import TILE, texture
+from rlbench.scenes.generator_places import SOLIDS
+
+SEEDS = range(16)  # four of each family
+TIMES = (0.0, 1.0, 7.0, 30.0)
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def drawn(request) -> Scene:
+    return scene(request.param)
+
+
+@pytest.fixture(scope="module")
+def many() -> list[Scene]:
+    return [scene(seed) for seed in range(64)]
+
+
+def _pieces(mesh):
+    """For each vertex of a mesh, the number of the piece it hangs together with."""
+    _, point = np.unique(mesh.vertices.round(4), axis=0, return_inverse=True)
+    point = point.reshape(-1)
+    pairs = point[np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]]).astype(np.int64)]
+    graph = coo_matrix((np.ones(len(pairs)), pairs.T), (point.max() + 1,) * 2)
+    return connected_components(graph, directed=False)[1][point]
+
+
+def _boxes(vertices, piece):
+    """Low and high corners [n 3] of the pieces."""
+    low = np.full((piece.max() + 1, 3), np.inf)
+    high = -low
+    np.minimum.at(low, piece, vertices)
+    np.maximum.at(high, piece, vertices)
+    return low, high
+
+
+def _winding(mesh, eye):
+    """How many closed solids of a mesh surround the eye: its solid angle over 4 pi.
+
+    Van Oosterom and Strackee, The solid angle of a plane triangle, 1983.
+    """
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64) - eye, 1, 0)
+    x, y, z = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    below = x * y * z + (a * b).sum(-1) * z + (b * c).sum(-1) * x + (c * a).sum(-1) * y
+    return np.arctan2((a * np.cross(b, c)).sum(-1), below).sum() / (2 * np.pi)
+
+
+def _plugins(value):
+    if isinstance(value, dict):
+        yield value.get("type")
+        for part in value.values():
+            yield from _plugins(part)
+
+
+def test_the_same_seed_gives_the_same_scene():
+    one, two = scene(5), scene(5)
+    assert (one.title, one.exposure, one.sky) == (two.title, two.exposure, two.sky)
+    assert one.camera(3.0) == two.camera(3.0)
+    for a, b in zip(one.meshes, two.meshes, strict=True):
+        assert_array_equal(a.vertices, b.vertices)
+        assert repr(a.material) == repr(b.material)
+
+
+def test_different_seeds_give_different_scenes(many):
+    assert len({s.exposure for s in many}) == len(many)
+    assert len({s.camera(0.0) for s in many}) == len(many)
+    assert len({s.meshes[0].vertices.tobytes() for s in many}) == len(many)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_occurs_under_several_lights(many, family):
+    lights = {s.title.split(", ")[1] for s in many if s.title.startswith(family)}
+    assert len(lights) >= 3
+    assert lights <= set(LIGHTS)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("diffuse", "roughplastic", "roughconductor", "conductor", "dielectric", "twosided"),
+        *("bitmap", "area", "constant", "sunsky", "directional"),
+    ],
+)
+def test_every_plugin_occurs_in_32_seeds(many, kind):
+    found = {
+        name
+        for s in many[:32]
+        for part in (*s.sky, *(m.material for m in s.meshes), *(m.emission for m in s.meshes))
+        for name in _plugins(part)
+    }
+    assert kind in found
+
+
+def test_about_one_scene_in_eight_is_static(many):
+    assert 6 <= sum(s.static for s in many) <= 12  # 8 dealt, and some whose still camera sees none
+
+
+def test_meshes_are_few_and_named_apart(drawn):
+    names = [m.name for m in drawn.meshes]
+    assert len(names) == len(set(names)) <= 12
+
+
+def test_faces_are_valid(drawn):
+    for mesh in drawn.meshes:
+        assert mesh.vertices.dtype == np.float32
+        assert mesh.faces.dtype == np.uint32
+        assert mesh.uv is not None
+        assert mesh.uv.shape == (len(mesh.vertices), 2)
+        assert np.isfinite(mesh.vertices).all()
+        assert np.isfinite(mesh.uv).all()
+        assert mesh.faces.max() < len(mesh.vertices)
+        a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
+        assert np.linalg.norm(np.cross(b - a, c - a), axis=-1).min() > 0, mesh.name
+
+
+def test_what_moves_is_a_mesh_of_the_scene(drawn):
+    meshes = {m.name: m for m in drawn.meshes}
+    for name, vertices in drawn.moving(0.0).items():
+        assert_array_equal(vertices, meshes[name].vertices)
+    for name, vertices in drawn.moving(4.5).items():
+        assert vertices.dtype == np.float32
+        assert vertices.shape == meshes[name].vertices.shape
+        assert not np.array_equal(vertices, meshes[name].vertices)
+
+
+def test_static_scenes_stand_still_and_others_move(drawn):
+    moves = bool(drawn.moving(1.0)) or drawn.camera(0.0) != drawn.camera(3.0)
+    assert drawn.static == (not moves)
+
+
+def test_the_camera_is_in_the_bounding_box_of_no_object(drawn):
+    objects = [(m, _pieces(m)) for m in drawn.meshes if m.name != "wall"]
+    for time in TIMES:
+        eye, poses = np.array(drawn.camera(time).origin), drawn.moving(time)
+        for mesh, piece in objects:
+            low, high = _boxes(poses.get(mesh.name, mesh.vertices), piece)
+            assert not ((low < eye) & (eye < high)).all(-1).any(), mesh.name
+
+
+def test_the_camera_is_in_no_wall(drawn):
+    walls = [m for m in drawn.meshes if m.name == "wall"]
+    eyes = [np.array(drawn.camera(time).origin) for time in TIMES]
+    assert all(_winding(wall, eye) < 0.01 for wall in walls for eye in eyes)  # whole but rounding
+
+
+def test_the_camera_moves_a_few_pixels_a_frame(drawn):
+    a, b = drawn.camera(0.0), drawn.camera(1.0)
+    ahead = np.subtract(a.target, a.origin)
+    focal = 96 / np.tan(np.radians(a.fov / 2))
+    away = np.linalg.norm(ahead)
+    shift = np.linalg.norm(np.subtract(a.origin, b.origin)) / away
+    turned = np.linalg.norm(np.subtract(b.target, b.origin) - ahead) / away
+    assert max(shift, turned) * focal < 7  # 6, and a little for rounding a chord to an arc
+
+
+def test_each_bulb_has_its_own_texel(many):
+    lamps = [m for s in many for m in s.meshes if m.name == "bulbs"]
+    assert lamps
+    for lamp in lamps:
+        rows, cols, _ = lamp.emission["radiance"]["data"].shape
+        centre = lamp.uv.reshape(-1, 4, 2).mean(1) * [cols, rows]
+        at = np.floor(centre).astype(int)
+        assert sorted(map(tuple, at)) == sorted((u, v) for u in range(cols) for v in range(rows))
+
+
+@pytest.mark.parametrize("maker", SOLIDS)
+def test_solids_stand_on_the_floor_and_face_outward(maker):
+    shape = maker(np.random.default_rng(3), 1.0)
+    a, b, c = np.moveaxis(shape.vertices[shape.faces].astype(np.float64), 1, 0)
+    assert (a * np.cross(b, c)).sum() / 6 > 1e-3  # volume by the divergence theorem, m3
+    assert shape.vertices[:, 2].min() == pytest.approx(0, abs=1e-6)  # float32 vertices
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_textures_are_reflectances(seed):
+    tile = texture(np.random.default_rng(seed))["data"]
+    assert tile.shape == (TILE, TILE, 3)
+    assert tile.dtype == np.float32
+    assert 0 < tile.min() <= tile.max() < 1
+
+
+def test_neither_a_renderer_nor_a_test_scene_is_imported():
+    code = (
+        "import sys, rlbench.scenes.generator; print([m for m in sys.modules if m.split('.')[-1] in"
+        " ('mitsuba', 'drjit', 'torch', 'city', 'temple', 'hall', 'ripples', 'textures')])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
