@@ -40,6 +40,7 @@ def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
     for scene, axes in panels.items():
         points = plotted[plotted["scene"] == scene]
         _scale(axes, points, texts["better"])
+        _beaten(axes, points[points["front"]], texts["better"])
         _panel(axes, points, looks, sizes)
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
     panels[scenes[0]].set_ylabel(texts["value"] + texts["direction"])
@@ -95,16 +96,18 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
         axes.set_title("below: " + ", ".join(outside), loc="right", fontsize=10, color=style.FAINT)
 
 
+def _beaten(axes: Axes, best: pd.DataFrame, better: str) -> None:
+    """Grey over all that is slower and worse than some point of the front."""
+    best = best.sort_values("total_ms")
+    times = [*best["total_ms"], axes.get_xlim()[1]]
+    values = [*best["value"], best["value"].iloc[-1]]
+    worst = axes.get_ylim()[1 if better == "low" else 0]
+    axes.fill_between(times, values, worst, step="post", color=BEATEN, lw=0, zorder=0.5)
+
+
 def _panel(
     axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], sizes: dict[float, float]
 ) -> None:
-    best = points[points["front"]].sort_values("total_ms")
-    times, values = (
-        [*best["total_ms"], axes.get_xlim()[1]],
-        [*best["value"], best["value"].iloc[-1]],
-    )
-    beaten = axes.get_ylim()[0 if values[-1] >= values[0] else 1]
-    axes.fill_between(times, values, beaten, step="post", color=BEATEN, lw=0, zorder=0.5)
     for method, curve in points.groupby("method"):
         look, curve = looks[str(method)], curve.sort_values("spp")
         axes.plot(curve["total_ms"], curve["value"], c=look.color, ls=look.dash, lw=1.8, zorder=2)

@@ -135,6 +135,14 @@ def test_equal_results_give_equal_files(results, files, tmp_path):
     assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
 
 
+@pytest.mark.parametrize(("better", "edge"), [("high", 0), ("low", 1)])
+def test_what_a_single_point_beats_is_grey_on_its_worse_side(better, edge):
+    point = frame_of([r for r in rows(["ours"]) if r.scene == "city" and r.spp == 1])
+    axes = draw(pareto.curves(point), TEXTS | {"better": better}).axes[0]
+    heights = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert {round(h, 6) for h in heights} == {29.9, round(axes.get_ylim()[edge], 6)}
+
+
 def test_an_error_is_better_below(results):
     found = pareto.curves(results, "relmse")
     front = found[found["front"] & (found["scene"] == "city")].sort_values("total_ms")
