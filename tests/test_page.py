@@ -81,9 +81,7 @@ def test_a_second_pass_keeps_the_samples_of_the_first():
             seen.append(samples)
             return super().plan(view, samples, state)
 
-    (shown,) = run_clip(
-        Two(Traits(passes=(0.5, 1.0))), procedural(size=SIZE, frames=1), 2.0
-    )
+    (shown,) = run_clip(Two(Traits(passes=(0.5, 1.0))), procedural(size=SIZE, frames=1), 2.0)
     before = seen[1]
     assert torch.equal(before.radiance, shown.samples.radiance.where(before.filled, 0.0))
 

@@ -21,7 +21,9 @@ MS = "_ms"  # end of the names of times, which no two runs share
 
 
 def request(folder: Path, *methods: str, **asked: object) -> Request:
-    return Request(methods or ("mean",), (Stored(folder),), **{"spp": (1.0,), "repeats": 2, **asked})
+    return Request(
+        methods or ("mean",), (Stored(folder),), **{"spp": (1.0,), "repeats": 2, **asked}
+    )
 
 
 def scores(results: Path) -> list[tuple]:

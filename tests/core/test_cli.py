@@ -166,6 +166,7 @@ def test_doctor_says_which_path_tracer_and_device_there_is():
     assert "torch" in told
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_ends_as_an_undisturbed_one(tmp_path):
     for name in ("foyer", "attic", "cellar"):
         write_noise(tmp_path / "clips" / name, name, frames=4)

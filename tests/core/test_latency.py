@@ -47,15 +47,15 @@ class Sleepy:
 def test_plan_and_denoise_are_timed_apart():
     times = time_method(Sleepy(0.004, 0.008), procedural(size=SIZE), 1.0, repeats=3)
     # sleeping never takes less than asked for; a busy machine makes it longer
-    assert 4 <= times.plan.p50
-    assert 8 <= times.denoise.p50
-    assert 12 <= times.inference.p50
+    assert times.plan.p50 >= 4
+    assert times.denoise.p50 >= 8
+    assert times.inference.p50 >= 12
     assert times.buy.p50 < times.inference.p50
 
 
 def test_all_passes_of_a_frame_are_counted():
     method = Sleepy(0.004, traits=Traits(passes=(0.5, 1.0)))
-    assert 8 <= time_method(method, procedural(size=SIZE), 1.0, repeats=3).plan.p50
+    assert time_method(method, procedural(size=SIZE), 1.0, repeats=3).plan.p50 >= 8
 
 
 def test_warm_up_does_not_count():

@@ -171,7 +171,8 @@ def test_a_package_of_its_own_is_found_by_its_entry_point(tmp_path):
         import sys
         sys.path.insert(0, {str(place)!r})
         from rlbench import registry
-        print(registry.entries("methods")["stranger"].origin, registry.method("stranger").traits.pool)
+        origin = registry.entries("methods")["stranger"].origin
+        print(origin, registry.method("stranger").traits.pool)
     """
     assert _python(code).stdout == "a-strangers-package path\n"
 
