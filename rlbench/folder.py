@@ -105,6 +105,8 @@ def _check(
     b: NDArray[Any],
 ) -> None:
     """Raise ClipError for the first array that could not be read back: its shape, or not finite."""
+    if not view:
+        raise ClipError(f"frame {index}: no view buffer; write at least one of {', '.join(VIEWS)}")
     if unknown := sorted(set(view) - set(VIEWS)):
         raise ClipError(f"frame {index}: unknown view buffer {', '.join(unknown)}")
     found = {name: (v, (*size, VIEWS[name])) for name, v in view.items()}

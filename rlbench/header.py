@@ -58,6 +58,8 @@ class Header:
                 f"clip '{self.name}': reference_spp lists {len(self.reference_spp)} frames, "
                 f"the clip has {self.frames}"
             )
+        if not (self.buffers and self.pools):
+            raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
         if unknown := sorted(set(self.buffers) - set(VIEWS)):
             raise ClipError(
                 f"clip '{self.name}': unknown view buffer {', '.join(unknown)}; "

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench import world
+from rlbench import cast, world
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
 from rlbench.sampling import StoredPool
@@ -47,7 +47,7 @@ def procedural(
     Frames are computed anew whenever they are read, and equal whenever they are read.
     """
     told = f"{seed} {tuple(size)} {frames} {pool_spp} {speed} {cut} {static}".encode()
-    for module in (world.__file__, __file__):
+    for module in (cast.__file__, world.__file__, __file__):
         told += Path(module).read_bytes()
     return MemoryClip(
         name=f"procedural-{seed}",
@@ -99,7 +99,7 @@ class _Frames(Sequence[Frame]):
     def _frame(self, index: int) -> Frame:
         shot = self.cut is not None and index >= self.cut
         time = index * self.speed
-        seen = world.look(self.worlds[shot], time, time - self.speed, self.size.h, self.size.w)
+        seen = cast.look(self.worlds[shot], time, time - self.speed, self.size.h, self.size.w)
         buffers = {"albedo": seen.albedo, "normal": seen.normal, "depth": seen.depth}
         if self.speed:
             buffers["motion"] = seen.motion
@@ -111,7 +111,7 @@ class _Frames(Sequence[Frame]):
             Reference(truth, truth),
         )
 
-    def _noise(self, index: int, seen: world.Seen) -> Float[Tensor, "n s 1 h w"]:
+    def _noise(self, index: int, seen: cast.Seen) -> Float[Tensor, "n s 1 h w"]:
         """Factors of mean 1: exp(sigma z - sigma^2 / 2), times a flash or its lack."""
         shape = (self.pool_spp, 1, self.size.h, self.size.w)
         drawn = []

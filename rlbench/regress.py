@@ -145,7 +145,8 @@ def update(table: pd.DataFrame, path: Path, preset: str = "", command: str = "")
 def measured(table: pd.DataFrame) -> dict[Key, float | None]:
     """PSNR of each method, scene and budget in dB, or None where a frame of it has no value."""
     rows = table[table["metric"] == "psnr"]
-    means = rows.groupby(["method", "scene", "spp"], as_index=False)["value"].mean(skipna=False)
+    groups = rows.groupby(["method", "scene", "spp"])["value"]
+    means = groups.agg(lambda values: values.mean(skipna=False)).reset_index()
     keys = zip(means["method"], means["scene"], means["spp"], strict=True)
     values = [round(psnr, DECIMALS) if psnr == psnr else None for psnr in means["value"]]
     return dict(zip(keys, values, strict=True))

@@ -163,7 +163,7 @@ def _sequence(
             min(plan.average, (1 + progress.steps) / (10 + progress.steps)),
         )
         progress.steps += 1
-        total, count = total + float(loss), count + 1
+        total, count = total + loss.item(), count + 1
     progress.seen += len(clip) * clip.size.n
     progress.draws += 1
     return total / max(count, 1)
@@ -202,6 +202,12 @@ def _log(path: Path, progress: Progress, loss: float) -> None:
         file.write(json.dumps(line) + "\n")
 
 
+def _device(device: str) -> str:
+    machine = provenance.machine()
+    cpu = f"{machine.cpu}, {torch.get_num_threads()} threads"
+    return cpu if torch.device(device).type == "cpu" else machine.gpu
+
+
 def _ship(
     name: str,
     out: Path,
@@ -220,7 +226,7 @@ def _ship(
         frames_seen=progress.seen,
         steps=progress.steps,
         seconds=round(progress.seconds),
-        device=provenance.device(device),
+        device=_device(device),
         seed=plan.seed,
         command=command,
         commit=provenance.commit(),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from baselines.oidn.method import INPUTS, VARIANTS, Oidn
-from rlbench.frames import Clip, Frame, Size
+from rlbench.frames import Clip
+from rlbench.memory import MemoryClip
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import EVEN, mixed
 from rlbench.ops.transfer import pu_forward
@@ -20,29 +21,6 @@ from rlbench.training import Trainer
 BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
 
 
-@dataclass(frozen=True)
-class Still:
-    """A clip of one frame, for a method that sees no more."""
-
-    frame: Frame
-    name: str
-    scene: str
-    digest: str
-
-    @property
-    def size(self) -> Size:
-        """That of the frame."""
-        return self.frame.pool.size
-
-    def __len__(self) -> int:
-        """One."""
-        return 1
-
-    def __iter__(self) -> Iterator[Frame]:
-        """The frame."""
-        yield self.frame
-
-
 def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     """A seeded U-Net and its loss, 0.16 L1 + 0.84 (1 - MS-SSIM) with five equal scales.
 
@@ -51,19 +29,18 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     Differs from it in what all methods here share: crops, schedule, averaged weights, no permuted
     channels; and crops below 176 pixels use the scales that fit.
     """
-    generator = torch.Generator().manual_seed(seed)
-    network = UNet(INPUTS, widths=VARIANTS[variant].widths, generator=generator).to(device)
+    network = UNet(INPUTS, widths=VARIANTS[variant].widths, seed=seed).to(device)
     method = Oidn(network)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
-            yield _loss(method, Still(frame, clip.name, clip.scene, clip.digest), spp)
+            yield _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
 
     return Trainer(method, network, losses, BUDGETS)
 
 
-def _loss(method: Oidn, still: Still, spp: float) -> Tensor:
-    reference = still.frame.reference.mean
+def _loss(method: Oidn, still: MemoryClip, spp: float) -> Tensor:
+    reference = still.frames[0].reference.mean
     exposure = autoexposure(reference)
     # the network's output as it is, no clamp: what is clamped gets no gradient
     method = replace(method, expose=lambda noisy: exposure, develop=lambda value, _: value)

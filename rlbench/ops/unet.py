@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+from rlbench.ops.initialise import initialise
 
 STRIDE = 16  # four poolings: both sides of the input divide by this
 
@@ -38,7 +39,7 @@ class UNet(nn.Module):
     Afra 2019, Open Image Denoise, the network of its training toolkit, with the names of its
     parameters, so that files of either can be laid side by side. Skips carry the *pooled* features
     of a level, and the top skip is the raw input. Weights start as He et al. 2015 have it for ReLU,
-    drawn from `generator` (a fixed one if None), biases at zero.
+    drawn from `seed`, biases at zero.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class UNet(nn.Module):
         inputs: int,
         outputs: int = 3,
         widths: Widths = BASE,
-        generator: torch.Generator | None = None,
+        seed: int = 0,
     ) -> None:
         """Layers for `inputs` channels in and `outputs` out."""
         super().__init__()
@@ -68,14 +69,14 @@ class UNet(nn.Module):
         self.dec_conv1a = _conv(d2b + inputs, d1a)
         self.dec_conv1b = _conv(d1a, d1b)
         self.dec_conv0 = _conv(d1b, outputs)
-        initialise(self, generator)
+        initialise(self, seed)
 
     def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """The outputs at full resolution; h and w divide by 16."""
         result: Tensor = self.dec_conv0(self.decode(x)[-1])
         return result
 
-    def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n c2 h2 w2"]]:
+    def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n _ _ _"]]:
         """Decoder features at 1/8, 1/4, 1/2 and full resolution: where heads can be attached.
 
         Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
@@ -95,24 +96,6 @@ class UNet(nn.Module):
         level1 = _join(level2, x)
         level1 = F.relu(self.dec_conv1b(F.relu(self.dec_conv1a(level1))))
         return [level4, level3, level2, level1]
-
-
-def initialise(module: nn.Module, generator: torch.Generator | None = None) -> None:
-    """Every convolution in `module`, in its order: He-normal for ReLU, zero bias (He et al. 2015).
-
-    The same numbers on every device; without a generator, the same at every call.
-    """
-    if generator is None:
-        generator = torch.Generator().manual_seed(0)
-    for layer in module.modules():
-        if isinstance(layer, nn.Conv2d):
-            with torch.no_grad():
-                fan = layer.weight[0].numel()  # inputs of one output: channels x taps
-                shape, device = layer.weight.shape, generator.device
-                drawn = torch.randn(shape, generator=generator, device=device)
-                layer.weight.copy_(drawn * math.sqrt(2 / fan))
-                if layer.bias is not None:
-                    layer.bias.zero_()
 
 
 def _conv(inputs: int, outputs: int) -> nn.Conv2d:

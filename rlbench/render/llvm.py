@@ -111,15 +111,16 @@ def libraries() -> list[Library]:
 
 
 def activate(variant: str | None = None) -> str:
-    """Start Mitsuba and return its variant; later calls return the one that is running.
+    """Start Mitsuba and return its variant.
 
     `variant`, or else the variable RLBENCH_VARIANT, asks for one by name, such as `cuda_ad_rgb`.
-    Otherwise it is `llvm_ad_rgb` where a usable libLLVM is found, and `scalar_rgb` elsewhere.
-    It must run before anything else imports drjit, which loads LLVM at once.
+    Otherwise it is the one that is running already, or `llvm_ad_rgb` where a usable libLLVM is
+    found, or `scalar_rgb` with a warning. It must run before anything else imports drjit, which
+    loads LLVM at once.
     """
+    if not variant and "mitsuba" in sys.modules and (runs := sys.modules["mitsuba"].variant()):
+        return str(runs)
     asked = variant or os.environ.get("RLBENCH_VARIANT", "")
-    if "mitsuba" in sys.modules and (running := sys.modules["mitsuba"].variant()):
-        return str(running)
     good = next((lib for lib in libraries() if not lib.refused), None)
     if good:
         _prepare(good)

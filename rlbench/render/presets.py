@@ -33,7 +33,7 @@ class Preset:
 
     @property
     def samples(self) -> int:
-        """Light paths that the whole preset costs; two idle cores trace 0.6 to 2 million a second."""
+        """Light paths that the whole preset costs; two cores trace about a million a second."""
         return self.clip_samples * (len(self.scenes) + len(self.seeds))
 
 

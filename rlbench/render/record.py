@@ -123,7 +123,7 @@ def _render_all(jobs: list[Job], bar: Progress) -> None:
     todo = {job: len(job.missing) * job.preset.frame_samples for job in jobs}
     total = sum(todo.values())
     seconds = total / area * open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(3) / 1e3
-    gc.collect()  # while a scene is alive, Dr.Jit numbers the next one's shapes otherwise: recompiles
+    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     bar.console.print(
         f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} with {llvm.activate()}: "
         f"{total / 1e6:.0f} million light paths, about {_duration(seconds)}; "

@@ -34,11 +34,11 @@ def keyed(pixels: Any, samples: Any, salt: Any) -> Any:
 def _kind() -> type:
     import mitsuba as mi  # a variant must be running before the class can be made
 
-    class Keyed(mi.Sampler):  # type: ignore[misc]
+    class Keyed(mi.Sampler):
         """A PCG32 for each lane; position and sequence come from two rounds of TEA.
 
         TEA (Wheeler, Needham 1994) maps 64 bits to 64 one to one, so that two (pixel, sample)
-        pairs of one frame never share a sequence.
+        pairs of one frame never start alike.
         """
 
         def __init__(self, pixels: Any, samples: Any, salt: Any) -> None:
@@ -47,7 +47,8 @@ def _kind() -> type:
             high, low = mi.sample_tea_32(pixels, samples)
             sequence = (mi.UInt64(high) << 32) | mi.UInt64(low)
             high, low = mi.sample_tea_32(high ^ salt[0], low ^ salt[1])
-            self.rng = mi.PCG32()
+            generator: Any = mi.PCG32
+            self.rng = generator()
             self.rng.seed((mi.UInt64(high) << 32) | mi.UInt64(low), sequence)
 
         def next_1d(self, active: Any = True) -> Any:

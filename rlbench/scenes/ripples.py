@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.shapes import (
-    Floats,
     Shape,
     ball,
     boxes,
     grid,
-    lathe,
     merge,
     painted,
     placed,
@@ -50,7 +48,7 @@ def scene() -> Scene:
         title="Ripples: caustics, glass and a mirror",
         meshes=(*_basin(random), _pebbles(random), *_optics(), *_movers(0.0)),
         camera=_camera,
-        sky=({"type": "constant", "radiance": rgb(0.16, 0.24, 0.36)},),
+        sky=({"type": "constant", "radiance": rgb(0.13, 0.20, 0.31)},),
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=1.0,
         depth=10,
@@ -66,10 +64,10 @@ def _camera(time: float) -> Camera:
 def _basin(random: np.random.Generator) -> tuple[Mesh, ...]:
     mosaic = tiles(
         random,
-        [(0.36, 0.60, 0.62), (0.44, 0.68, 0.68), (0.28, 0.50, 0.56), (0.62, 0.74, 0.70)],
-        (0.70, 0.68, 0.62),
-        (10, 10),
-        gap=0.1,
+        [(0.30, 0.62, 0.64), (0.34, 0.66, 0.66), (0.26, 0.57, 0.61)],
+        (0.30, 0.48, 0.50),
+        (6, 6),
+        gap=0.05,
     )
     deck = tiles(
         random, [(0.50, 0.40, 0.30), (0.56, 0.46, 0.35)], (0.25, 0.20, 0.16), (3, 3), gap=0.03
@@ -95,9 +93,9 @@ def _basin(random: np.random.Generator) -> tuple[Mesh, ...]:
     wall = boxes((-far, 6.0, 0), (far, 6.5, 7), tile=3.0)
     plaster = mix((0.42, 0.20, 0.14), (0.55, 0.30, 0.20), noise(random, 128, 0.6))
     return (
-        _mesh("liner", liner, diffuse(bitmap(mosaic))),
-        _mesh("deck", flags, glossy(bitmap(deck), 0.2)),
-        _mesh("wall", wall, diffuse(bitmap(plaster))),
+        liner.mesh("liner", diffuse(bitmap(mosaic))),
+        flags.mesh("deck", glossy(bitmap(deck), 0.2)),
+        wall.mesh("wall", diffuse(bitmap(plaster))),
     )
 
 
@@ -119,36 +117,35 @@ def _pebbles(random: np.random.Generator) -> Mesh:
     ):
         block = boxes((-size / 2, -size / 2, 0), (size / 2, size / 2, height))
         parts.append(painted(placed(block, (x, y, -DEPTH), yaw(0.5 * x)), slot, 7))
-    return _mesh("pebbles", merge(*parts), diffuse(palette(PEBBLES)))
+    return merge(*parts).mesh("pebbles", diffuse(palette(PEBBLES)))
 
 
 def _optics() -> tuple[Mesh, ...]:
     """The mirror behind the pool and the lamp above it."""
-    lean = rotation((1, 0, 0), -0.12)
+    lean = rotation((1, 0, 0), 0.2)  # towards the pool
     glass = placed(quads((-1.7, 0, 0), (3.4, 0, 0), (0, 0, 2.6)), (0.2, 4.4, 0.2), lean)
     bars = boxes(
         [(-1.8, 0.01, -0.1), (-1.8, 0.01, 2.6), (-1.8, -0.05, -0.1), (1.7, -0.05, -0.1)],
         [(1.8, 0.12, 0.0), (1.8, 0.12, 2.7), (-1.7, 0.12, 2.7), (1.8, 0.12, 2.7)],
     )
     frame = placed(bars, (0.2, 4.4, 0.2), lean)
-    lamp = quads((-0.9, -0.9, 4.6), (0, 1.8, 0), (1.8, 0, 0))
+    lamp = quads((-1.9, -1.0, 3.4), (0, 1.7, 0), (3.8, 0, 0))
     return (
-        _mesh(
+        glass.mesh(
             "mirror",
-            glass,
             {
                 "type": "twosided",
                 "bsdf": {"type": "conductor", "specular_reflectance": rgb(0.9, 0.9, 0.9)},
             },
         ),
-        _mesh("frame", frame, glossy(rgb(0.30, 0.16, 0.05), 0.1)),
+        frame.mesh("frame", glossy(rgb(0.30, 0.16, 0.05), 0.1)),
         Mesh(
             "lamp",
             lamp.vertices,
             lamp.faces,
             {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)},
             uv=lamp.uv,
-            emission={"type": "area", "radiance": rgb(26, 21, 15)},
+            emission={"type": "area", "radiance": rgb(13, 10, 6.5)},
         ),
     )
 
@@ -160,8 +157,8 @@ def _height(x: NDArray[np.float64], y: NDArray[np.float64], time: float) -> NDAr
     )
     for at_x, at_y, first in DROPS:
         distance = np.hypot(x - at_x, y - at_y)
-        phase = 13.0 * distance - 2 * np.pi * (time - first) / 17
-        level = level + 0.016 * np.cos(phase) * np.exp(-0.5 * distance) / np.sqrt(1 + 4 * distance)
+        phase = 10.5 * distance - 2 * np.pi * (time - first) / 17
+        level = level + 0.030 * np.cos(phase) * np.exp(-0.25 * distance) / np.sqrt(1 + 4 * distance)
     return level
 
 
@@ -178,9 +175,9 @@ def _movers(time: float) -> tuple[Mesh, ...]:
     )
     orb = placed(ball(5), hover, scale=0.55)
     return (
-        _mesh("water", water, {"type": "dielectric", "int_ior": 1.33}, smooth=True),
-        _mesh("floats", merge(*floats), glossy(palette(PEBBLES), 0.08), smooth=True),
-        _mesh("orb", orb, {"type": "dielectric", "int_ior": 1.5}, smooth=True),
+        water.mesh("water", {"type": "dielectric", "int_ior": 1.33}, smooth=True),
+        merge(*floats).mesh("floats", glossy(palette(PEBBLES), 0.08), smooth=True),
+        orb.mesh("orb", {"type": "dielectric", "int_ior": 1.5}, smooth=True),
     )
 
 
@@ -201,7 +198,3 @@ def _float(number: int, time: float) -> Shape:
     return placed(
         painted(sphere, slots, len(PEBBLES)), (x, y, 1.6 * height + 0.35 * radius), tilt, radius
     )
-
-
-def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:
-    return Mesh(name, shape.vertices, shape.faces, material, uv=shape.uv, smooth=smooth)

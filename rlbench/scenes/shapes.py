@@ -1,4 +1,4 @@
-"""Shapes to build scenes from: boxes, walls of quads, columns, balls, grids and leaves, as arrays."""
+"""Shapes to build scenes from: boxes, quads, columns, balls, grids and leaves, as arrays."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rlbench.render.scene import Mesh, Plugin
+
 Floats = NDArray[np.float32]
 
 
@@ -18,6 +20,10 @@ class Shape(NamedTuple):
     vertices: Floats  # v 3, metres, z up
     faces: NDArray[np.uint32]  # f 3
     uv: Floats  # v 2, in repeats of the texture
+
+    def mesh(self, name: str, material: Plugin, smooth: bool = False) -> Mesh:
+        """The shape as a mesh of one material."""
+        return Mesh(name, self.vertices, self.faces, material, uv=self.uv, smooth=smooth)
 
 
 def merge(*shapes: Shape) -> Shape:
@@ -36,7 +42,7 @@ def rotation(axis: ArrayLike, angle: float) -> Floats:
     x, y, z = np.asarray(axis, np.float64) / np.linalg.norm(np.asarray(axis, np.float64))
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return turn.astype(np.float32)
+    return np.asarray(turn, np.float32)
 
 
 def yaw(angle: float) -> Floats:
@@ -157,9 +163,16 @@ def column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> S
 
 @cache
 def ball(levels: int = 3) -> Shape:
-    """A ball of radius one without seam or poles: an icosahedron, each face split 4^levels times."""
+    """A ball of radius one without seam or poles: an icosahedron, split `levels` times."""
     g = (1 + 5**0.5) / 2
-    corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
+    corners: list[tuple[float, float, float]] = [
+        (-1, g, 0),
+        (1, g, 0),
+        (-1, -g, 0),
+        (1, -g, 0),
+        (0, -1, g),
+        (0, 1, g),
+    ]
     corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
     vertices = np.array(corners, float)
     faces = np.array(
@@ -203,7 +216,7 @@ def leaves(random: np.random.Generator, centres: ArrayLike, radius: float, size:
 
 def _directions(random: np.random.Generator, count: int) -> NDArray[np.float64]:
     vectors = random.normal(size=(count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _cells(rows: int, columns: int) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Temple: a hall of columns lit only through slits by the sun outside; nearly all light is indirect."""
+"""Temple: a hall of columns lit only through slits by the sun outside; most light is indirect."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from rlbench.scenes.shapes import (
 )
 from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
 
-WIDTH, LENGTH, HEIGHT = 6.0, 30.0, 9.0  # half width; metres
+WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
+Point = tuple[float, float, float]
+
 BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
 PIVOT = np.array([0.3, 12.0, HEIGHT])  # where the lamp hangs from
 
@@ -33,15 +35,15 @@ def scene() -> Scene:
         meshes=(*_building(random), *_furniture(random), *_movers()),
         camera=_camera,
         sky=(
-            {"type": "constant", "radiance": rgb(1.1, 1.5, 2.1)},
+            {"type": "constant", "radiance": rgb(2.0, 2.6, 3.4), "sampling_weight": 0.4},
             {
                 "type": "directional",
                 "direction": [-0.78, 0.22, -0.6],
-                "irradiance": rgb(46, 39, 29),
+                "irradiance": rgb(42, 36, 27),
             },
         ),
         moving=_moving,
-        exposure=1.0,
+        exposure=0.8,
     )
 
 
@@ -70,22 +72,21 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
         random, [(0.55, 0.20, 0.11), (0.66, 0.54, 0.38)], (0.16, 0.10, 0.07), (4, 4), gap=0.03
     )
     return (
-        _mesh("walls", merge(_wall(1.0), _wall(-1.0), _ends()), diffuse(bitmap(ashlar))),
-        _mesh("columns", _columns(), diffuse(bitmap(stone)), smooth=True),
-        _mesh(
+        merge(_wall(1.0), _wall(-1.0), _ends()).mesh("walls", diffuse(bitmap(ashlar))),
+        _columns().mesh("columns", diffuse(bitmap(stone)), smooth=True),
+        _ceiling().mesh(
             "ceiling",
-            _ceiling(),
-            diffuse(bitmap(mix((0.2, 0.11, 0.06), (0.3, 0.17, 0.09), noise(random, 128)))),
+            diffuse(bitmap(mix((0.34, 0.20, 0.11), (0.46, 0.29, 0.17), noise(random, 128)))),
         ),
-        _mesh("floor", _floor(), glossy(bitmap(marble), 0.12)),
+        _floor().mesh("floor", glossy(bitmap(marble), 0.12)),
     )
 
 
 def _wall(side: float) -> Shape:
-    """One long wall, 0.7 m thick, with a slit in the middle of each bay."""
+    """One long wall with a slit in the middle of each bay."""
     slits = (BAYS[:-1] + BAYS[1:]) / 2
-    half = 0.42 if side > 0 else 0.3  # metres
-    x0, x1 = sorted((side * WIDTH, side * (WIDTH + 0.7)))
+    half = 0.65 if side > 0 else 0.4  # metres
+    x0, x1 = sorted((side * WIDTH, side * (WIDTH + THICK)))
     starts = np.concatenate([[-4.0], slits + half])
     ends = np.concatenate([slits - half, [LENGTH]])
     low, high = (1.6, 7.6) if side > 0 else (4.6, 7.6)
@@ -101,12 +102,12 @@ def _wall(side: float) -> Shape:
 
 
 def _ends() -> Shape:
-    back = boxes((-WIDTH - 0.7, -4.7, 0), (WIDTH + 0.7, -4, HEIGHT + 0.5), tile=3.0)
+    back = boxes((-WIDTH - THICK, -4.7, 0), (WIDTH + THICK, -4, HEIGHT + 0.5), tile=3.0)
     niche = boxes(
-        [(-WIDTH - 0.7, LENGTH, 0), (2.2, LENGTH, 0), (-2.2, LENGTH, 6), (-2.2, LENGTH + 2, 0)],
+        [(-WIDTH - THICK, LENGTH, 0), (2.2, LENGTH, 0), (-2.2, LENGTH, 6), (-2.2, LENGTH + 2, 0)],
         [
             (-2.2, LENGTH + 2, HEIGHT + 0.5),
-            (WIDTH + 0.7, LENGTH + 2, HEIGHT + 0.5),
+            (WIDTH + THICK, LENGTH + 2, HEIGHT + 0.5),
             (2.2, LENGTH + 2, HEIGHT + 0.5),
             (2.2, LENGTH + 2.7, HEIGHT + 0.5),
         ],
@@ -121,8 +122,8 @@ def _columns() -> Shape:
 
 
 def _ceiling() -> Shape:
-    slab = boxes((-WIDTH - 0.7, -4.7, HEIGHT), (WIDTH + 0.7, LENGTH + 2.7, HEIGHT + 0.5))
-    beams = [
+    slab = boxes((-WIDTH - THICK, -4.7, HEIGHT), (WIDTH + THICK, LENGTH + 2.7, HEIGHT + 0.5))
+    beams: list[tuple[Point, Point]] = [
         ((-3.75, -4, HEIGHT - 0.8), (-2.85, LENGTH, HEIGHT)),
         ((2.85, -4, HEIGHT - 0.8), (3.75, LENGTH, HEIGHT)),
     ]
@@ -132,7 +133,7 @@ def _ceiling() -> Shape:
 
 
 def _floor() -> Shape:
-    flat = boxes((-WIDTH - 0.7, -4.7, -0.4), (WIDTH + 0.7, LENGTH + 2.7, 0), tile=4.0)
+    flat = boxes((-WIDTH - THICK, -4.7, -0.4), (WIDTH + THICK, LENGTH + 2.7, 0), tile=4.0)
     steps = [
         boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH, 0.25 + s / 2), tile=4.0)
         for s in (0, 0.5, 1)
@@ -155,9 +156,9 @@ def _furniture(random: np.random.Generator) -> tuple[Mesh, ...]:
         placed(vase, (x, y, 0)) for x, y in ((-2.1, 7.2), (2.15, 11.3), (-2.15, 19), (4.9, 5.2))
     ]
     return (
-        _mesh("carpet", carpet, diffuse(bitmap(weave))),
-        _mesh("gold", disc_of_sun, metal(rgb(0.95, 0.70, 0.32), 0.25), smooth=True),
-        _mesh("vases", merge(*vases), glossy(rgb(0.05, 0.20, 0.24), 0.08), smooth=True),
+        carpet.mesh("carpet", diffuse(bitmap(weave))),
+        disc_of_sun.mesh("gold", metal(rgb(0.95, 0.70, 0.32), 0.25), smooth=True),
+        merge(*vases).mesh("vases", glossy(rgb(0.05, 0.20, 0.24), 0.08), smooth=True),
     )
 
 
@@ -168,15 +169,8 @@ def _movers(time: float = 0.0) -> tuple[Mesh, ...]:
     lamp += [placed(lathe([(0.56, 0), (0.62, 0.05), (0.56, 0.1)], 40), (0, 0, -5.6))]
     orb = placed(ball(4), (0, 27.6, 2.1 + 0.35 * np.sin(2 * np.pi * time / 60)), scale=0.7)
     return (
-        _mesh(
-            "lamp",
-            placed(merge(*lamp), PIVOT, swing),
-            metal(rgb(0.88, 0.62, 0.30), 0.18),
-            smooth=True,
+        placed(merge(*lamp), PIVOT, swing).mesh(
+            "lamp", metal(rgb(0.88, 0.62, 0.30), 0.18), smooth=True
         ),
-        _mesh("orb", orb, glossy(rgb(0.62, 0.10, 0.05), 0.05), smooth=True),
+        orb.mesh("orb", glossy(rgb(0.62, 0.10, 0.05), 0.05), smooth=True),
     )
-
-
-def _mesh(name: str, shape: Shape, material: dict[str, object], smooth: bool = False) -> Mesh:
-    return Mesh(name, shape.vertices, shape.faces, material, uv=shape.uv, smooth=smooth)

@@ -1,4 +1,4 @@
-"""Textures without files: palettes, noise, paving and bricks as arrays, wrapped as bitmap plugins."""
+"""Textures without files: palettes, noise, paving and bricks as arrays, and plain materials."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def glossy(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
 
 
 def metal(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
-    """A conductor that reflects `reflectance` at every angle, with roughness alpha, on both sides."""
+    """A conductor tinted by `reflectance`, with roughness alpha, on both sides."""
     plain = {"type": "roughconductor", "specular_reflectance": reflectance, "alpha": alpha}
     return {"type": "twosided", "bsdf": plain}
 
 
 def noise(random: np.random.Generator, size: int, rough: float = 1.0) -> Pixels:
-    """Cloudy noise [size size 1] in 0..1 that repeats: white noise filtered by 1 / f^(1 + rough)."""
+    """Cloudy noise [size size 1] in 0..1 that repeats: white noise times 1 / f^(1 + rough)."""
     ring = np.fft.fftfreq(size)
     frequency = np.hypot(ring[:, None], ring[None]) * size
     spectrum = np.fft.fft2(random.normal(size=(size, size))) / np.maximum(frequency, 1) ** (
@@ -55,12 +55,12 @@ def noise(random: np.random.Generator, size: int, rough: float = 1.0) -> Pixels:
     spectrum[0, 0] = 0
     cloud = np.fft.ifft2(spectrum).real
     cloud = 0.5 + cloud / (4.5 * cloud.std())
-    return np.clip(cloud, 0, 1).astype(np.float32)[..., None]
+    return np.asarray(np.clip(cloud, 0, 1)[..., None], np.float32)
 
 
 def mix(a: Colour, b: Colour, share: Pixels) -> Pixels:
     """From colour a to colour b as `share` [h w 1] goes from 0 to 1."""
-    return (np.array(a) * (1 - share) + np.array(b) * share).astype(np.float32)
+    return np.asarray(np.array(a) * (1 - share) + np.array(b) * share, np.float32)
 
 
 def tiles(
@@ -89,4 +89,4 @@ def tiles(
     wide = gap * columns / rows
     inside = (np.abs(y % 1 - 0.5) < 0.5 - gap / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
     grain = 0.85 + 0.3 * noise(random, size, 0.3)
-    return (np.where(inside[..., None], face, np.array(joint)) * grain).astype(np.float32)
+    return np.asarray(np.where(inside[..., None], face, np.array(joint)) * grain, np.float32)

@@ -21,14 +21,14 @@ class KnownOptimum:
         return self.sigma.square() / (counts + PRIOR)
 
     def best(self, cost: int, cap: int) -> Tensor:
-        """The best whole allocation: take the `cost` largest gains, which fall with every sample."""
+        """The best whole allocation: the `cost` largest gains; they fall with every sample."""
         n = torch.arange(cap)
         gains = self.sigma.flatten()[:, None].square() / ((n + PRIOR) * (n + 1 + PRIOR))
         chosen = gains.flatten().topk(cost).indices // cap
         return torch.bincount(chosen, minlength=self.sigma.numel()).view(self.sigma.shape)
 
     def score(self, counts: Tensor, cap: int) -> float:
-        """Share of the optimal error reduction over uniform sampling: 0 is uniform, 1 is optimal."""
+        """Share of the optimal reduction of error: 0 for uniform sampling, 1 for the optimum."""
         cost = int(counts.sum())
         uniform = torch.full_like(counts, cost // self.sigma.numel())
         errors = [float(self.error(n).mean()) for n in (uniform, counts, self.best(cost, cap))]

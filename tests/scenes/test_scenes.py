@@ -33,7 +33,7 @@ def _normals(vertices, faces):
 
 
 def _volume(shape):
-    """Volume that the faces enclose, by the divergence theorem: positive where they face outside."""
+    """Volume that the faces enclose, by the divergence theorem; negative if inside out."""
     a, b, c = np.moveaxis(shape.vertices[shape.faces].astype(np.float64), 1, 0)
     return (a * np.cross(b, c)).sum() / 6
 

@@ -1,0 +1,153 @@
+"""Panels of error against time: curves over budgets, what is beaten in grey, keys below."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from reports import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LOG_FROM = 10.0  # what spans more than this factor stands on a logarithmic axis
+WINDOW = 10.0  # dB below the best that a panel shows
+WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top of the height
+KEY_ROOM = 9.0  # inches of the width for the key of methods
+OVERALL = "mean of all scenes"
+FRONT, BEATEN = "another is faster and better", "#EFEFEF"
+
+
+def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
+    """The figure: the mean over scenes at the left, a panel a scene at the right, keys below."""
+    scenes = [scene for scene in sorted(set(plotted["scene"])) if scene != OVERALL]
+    looks = style.looks(plotted["method"])
+    columns = _columns(looks)
+    room = 1.25 + 0.27 * math.ceil((len(looks) + 1) / columns)  # inches for keys and caption
+    figure = Figure(figsize=(WIDTH, HEIGHT + room))
+    panels = _panels(figure, scenes, room / (HEIGHT + room))
+    sizes = _sizes(plotted["spp"])
+    for scene, axes in panels.items():
+        points = plotted[plotted["scene"] == scene]
+        _scale(axes, points, texts["better"])
+        _panel(axes, points, looks, sizes)
+        axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
+    panels[OVERALL].set_ylabel(texts["value"] + texts["direction"])
+    _keys(figure, looks, sizes, columns, (room - 0.58) / (HEIGHT + room))
+    figure.text(0.012, 0.014, texts["caption"], fontsize=10.5, color=style.INK, va="bottom")
+    return figure
+
+
+def _panels(figure: Figure, scenes: list[str], bottom: float) -> dict[str, Axes]:
+    rows = 1 if len(scenes) <= 1 else 2
+    columns = math.ceil(len(scenes) / rows)
+    grid = figure.add_gridspec(
+        rows, 1 + columns, width_ratios=[1.3 if columns > 1 else 1] + [0.85] * columns,
+        left=0.06, right=0.988, top=0.95, bottom=bottom, wspace=0.16, hspace=0.3,
+    )  # fmt: skip
+    panels = {OVERALL: figure.add_subplot(grid[:, 0])}
+    for i, scene in enumerate(scenes):
+        panels[scene] = figure.add_subplot(grid[i // columns, 1 + i % columns])
+    for i, axes in enumerate(panels.values()):
+        if i == 0 or i + columns > len(scenes):
+            axes.set_xlabel("whole frame time [ms]")
+    return panels
+
+
+def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
+    """Axes that hold the points: logarithmic where they span decades, and PSNR from 10 dB below.
+
+    A method that falls out of that window is named, with its range, at the lower edge.
+    """
+    left, right = points["total_ms"].min(), points["total_ms"].max()
+    low, high = points["value"].min(), points["value"].max()
+    if left > 0 and right / left > LOG_FROM:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=20))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlim(left / (right / left) ** 0.06, right * (right / left) ** 0.06)
+    else:
+        axes.set_xlim(left - 0.06 * (right - left or 1), right + 0.06 * (right - left or 1))
+    if better == "low" and low > 0 and high / low > LOG_FROM:
+        axes.set_yscale("log")
+        axes.set_ylim(low / 1.3, high * 1.3)
+        return
+    bottom = max(low, high - WINDOW) if better == "high" else low
+    margin = 0.07 * (high - bottom or 1)
+    axes.set_ylim(bottom - margin, high + margin)
+    outside = [
+        f"{method} from {curve.min():.1f}"
+        for method, curve in points.groupby("method")["value"]
+        if curve.min() < bottom - margin
+    ]
+    if outside:
+        axes.set_title("below: " + ", ".join(outside), loc="right", fontsize=10, color=style.FAINT)
+
+
+def _panel(
+    axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], sizes: dict[float, float]
+) -> None:
+    best = points[points["front"]].sort_values("total_ms")
+    times, values = (
+        [*best["total_ms"], axes.get_xlim()[1]],
+        [*best["value"], best["value"].iloc[-1]],
+    )
+    beaten = axes.get_ylim()[0 if values[-1] >= values[0] else 1]
+    axes.fill_between(times, values, beaten, step="post", color=BEATEN, lw=0, zorder=0.5)
+    for method, curve in points.groupby("method"):
+        look, curve = looks[str(method)], curve.sort_values("spp")
+        axes.plot(curve["total_ms"], curve["value"], c=look.color, ls=look.dash, lw=1.8, zorder=2)
+        axes.scatter(
+            curve["total_ms"], curve["value"], s=[sizes[spp] for spp in curve["spp"]], zorder=3,
+            color=look.face, marker=look.marker, edgecolors=look.edge, linewidths=look.rim,
+        )  # fmt: skip
+
+
+def _sizes(spp: pd.Series) -> dict[float, float]:
+    """Area of a marker in square points, in equal steps from the least budget to the largest."""
+    budgets = sorted(set(spp))
+    return {spp: 26 + 95 * i / max(len(budgets) - 1, 1) for i, spp in enumerate(budgets)}
+
+
+def _columns(looks: dict[str, style.Look]) -> int:
+    """Columns of the key of methods that fit beside the key of budgets."""
+    inches = 0.85 + 0.1 * max(len(name) for name in looks)
+    return max(1, min(len(looks) + 1, int((KEY_ROOM - len(FRONT) * 0.1) / inches) + 1))
+
+
+def _keys(
+    figure: Figure, looks: dict[str, style.Look], sizes: dict[float, float], columns: int, y: float
+) -> None:
+    methods: list[Any] = [_line(look, name) for name, look in looks.items()]
+    methods.append(Patch(color=BEATEN, label=FRONT))
+    budgets = [_dot(size, f"{spp:g}") for spp, size in sizes.items()]
+    shared: dict[str, Any] = {"frameon": False, "fontsize": 12, "borderaxespad": 0}
+    figure.legend(
+        handles=methods, loc="upper left", bbox_to_anchor=(0.012, y), columnspacing=1.4,
+        ncol=columns, handlelength=2.8, handletextpad=0.5, **shared,
+    )  # fmt: skip
+    figure.legend(
+        handles=budgets, loc="upper right", bbox_to_anchor=(0.99, y), columnspacing=0.8,
+        ncol=len(budgets), handletextpad=0.1, title="samples per pixel", **shared,
+    )  # fmt: skip
+
+
+def _line(look: style.Look, name: str) -> Line2D:
+    return Line2D(
+        [], [], color=look.color, linestyle=look.dash, linewidth=1.8, marker=look.marker, label=name,
+        markersize=8, markerfacecolor=look.face, markeredgecolor=look.edge,
+    )  # fmt: skip
+
+
+def _dot(size: float, name: str) -> Line2D:
+    return Line2D(
+        [], [], linestyle="", marker="o", color=style.FAINT, markersize=math.sqrt(size),
+        markeredgecolor="white", label=name,
+    )  # fmt: skip

@@ -1,0 +1,70 @@
+"""The Pareto plot: error against the whole time of a frame, a curve a method, over budgets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import pandas as pd
+
+from reports import scores, style
+from reports.panels import OVERALL, draw
+
+
+def write(
+    table: pd.DataFrame, folder: Path, metric: str = "psnr", name: str = "pareto"
+) -> list[Path]:
+    """PNG, PDF and SVG of the plot, and a CSV of what is plotted; one set for each device.
+
+    Total time = plan + denoise + samples bought per pixel x time of one sample per pixel. Cells
+    without score or time are not plotted. Raises ReportError if nothing can be.
+    """
+    parts = scores.by_device(table)
+    written = []
+    for device, rows in parts.items():
+        scores.check(rows)
+        plotted = curves(rows, metric)
+        file = name if len(parts) == 1 else f"{name}-{style.slug(device)}"
+        with mpl.rc_context(style.RC):
+            figure = draw(plotted, _texts(rows, metric, device))
+            written += style.save(figure, folder, file)
+        plotted.to_csv(folder / f"{file}.csv", index=False)
+        written.append(folder / f"{file}.csv")
+    return written
+
+
+def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
+    """What is plotted: rows of `scores.points` with a total time, and their means over scenes.
+
+    `front` is true for a point of its panel that none is both faster and better than.
+    """
+    per_scene = scores.points(table, metric)
+    per_scene = per_scene[per_scene["total_ms"].notna()]
+    if per_scene.empty:
+        raise scores.ReportError(
+            f"no cell has {metric}, plan_ms, denoise_ms and sample_ms, so no time can be plotted; "
+            f"the table has: {', '.join(sorted(set(table['metric'])))}"
+        )
+    mean = scores.overall(per_scene).assign(scene=OVERALL)
+    every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
+    every["front"] = False
+    better = scores.about(table, metric, "better")
+    for _, panel in every.groupby("scene"):
+        kept = scores.front(panel["total_ms"], panel["value"], better)
+        every.loc[panel.index[kept], "front"] = True
+    return every
+
+
+def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
+    unit, better = scores.about(table, metric, "unit"), scores.about(table, metric, "better")
+    title = metric.upper().replace("_", "-") if metric in ("psnr", "ms_ssim") else metric
+    value = f"{title} [{unit}]" if unit else title
+    direction = {"high": "  (up is better)", "low": "  (down is better)"}.get(better, "")
+    counted = table[(table["metric"] == metric) & table["value"].notna()]
+    clips, frames = counted["clip"].nunique(), len(counted.drop_duplicates(["clip", "frame"]))
+    caption = (
+        f"{title}: {scores.about(table, metric, 'convention')}; {frames} frames of {clips} clips. "
+        f"Time: plan + denoise (p50) on {device or 'a device not named'}\n+ samples bought per "
+        f"pixel x time of one sample per pixel ({scores.profile(table) or 'source not named'})."
+    )
+    return {"value": value, "direction": direction, "better": better, "caption": caption}

@@ -1,0 +1,165 @@
+"""What the results table says, read out: scores, times and reasons, of one device at a time."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+CELL = ["method", "scene", "spp"]
+SHOT = ["scene", "clip", "frame"]  # by which methods are paired
+TIMES = ["plan_ms", "plan_p95_ms", "denoise_ms", "denoise_p95_ms"]
+VERSION = ["dtype", "code", "weights"]  # of one method, these have one value in one report
+
+
+class ReportError(ValueError):
+    """A table of which no honest report can be made."""
+
+
+def by_device(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """The rows of each device; rows that belong to none of them are in every part.
+
+    The cost per sample belongs to the scene, so its rows do not name a device of the methods.
+    """
+    devices = sorted(set(table.loc[table["metric"] != "sample_ms", "device"]) - {""})
+    if len(devices) < 2:
+        return {(devices or [""])[0]: table}
+    return {name: table[~table["device"].isin(set(devices) - {name})] for name in devices}
+
+
+def check(table: pd.DataFrame) -> None:
+    """Raise ReportError where figures would be averaged that must not share a column."""
+    if table.empty:
+        raise ReportError("the results table has no rows; rlbench run makes some")
+    devices = list(by_device(table))
+    if len(devices) > 1:
+        raise ReportError(f"rows of {len(devices)} devices in one column: {', '.join(devices)}")
+    known = table[table["value"].notna() & (table["metric"] != "sample_ms")]
+    for method, rows in known.groupby("method"):
+        for column in VERSION:
+            found = sorted(set(rows[column]))
+            if len(found) > 1:
+                raise ReportError(
+                    f"'{method}' has results of {len(found)} {column} values ({', '.join(found)}); "
+                    "report them apart, or remove the older cells"
+                )
+    profile(table)
+
+
+def profile(table: pd.DataFrame) -> str:
+    """Whose cost per sample the table counts: the convention of its rows, or empty without any."""
+    rows = table[(table["metric"] == "sample_ms") & table["value"].notna()]
+    found = sorted(set(rows["convention"]))
+    if len(found) > 1:
+        raise ReportError(f"the cost per sample is from {len(found)} sources: {', '.join(found)}")
+    return str(found[0]) if found else ""
+
+
+def metrics(table: pd.DataFrame) -> list[str]:
+    """Metrics that are not times and have a value, PSNR first."""
+    rows = table[table["value"].notna() & (table["unit"] != "ms")]
+    return sorted(set(rows["metric"]), key=lambda name: (name != "psnr", name))
+
+
+def about(table: pd.DataFrame, metric: str, column: str) -> str:
+    """What the rows of `metric` say in `column`, one text if they agree, else all of them."""
+    found = sorted(set(table.loc[table["metric"] == metric, column]) - {""})
+    return "; ".join(found)
+
+
+def shots(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """Score of each method, scene, clip, budget and frame, averaged over seeds, where complete.
+
+    A method that lacks frames which another has on that scene has no mean that compares; those
+    cells are left out here and told by `gaps`.
+    """
+    every = _every_shot(table, metric)
+    counts = _counts(every)
+    whole = counts.loc[counts["frames"] == counts["asked"], CELL]
+    return every.merge(whole, on=CELL)
+
+
+def gaps(table: pd.DataFrame, metric: str) -> list[str]:
+    """Cells that were left out since frames are missing, one sentence each."""
+    counts = _counts(_every_shot(table, metric))
+    short = counts[counts["frames"] < counts["asked"]]
+    return [
+        f"{row.method} on {row.scene} at {row.spp:g} spp: {metric} of {row.frames} frames, "
+        f"others have {row.asked}"
+        for row in short.itertuples()
+    ]
+
+
+def scene_means(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """Columns method, scene, spp, value: mean over the frames of a clip, then over clips."""
+    clips = shots(table, metric).groupby([*CELL, "clip"])["value"].mean()
+    return clips.groupby(CELL).mean().reset_index()
+
+
+def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
+    """One row a method, scene and budget: score, realised budget, and each part of its frame time.
+
+    Columns method, scene, spp, value, spp_realised, plan_ms, plan_p95_ms, denoise_ms,
+    denoise_p95_ms, sample_ms, sampling_ms, total_ms, where
+    total = plan + denoise + spp_realised * sample. What was not measured is nan.
+    """
+    scored = table[(table["metric"] == metric) & table["value"].notna()]
+    realised = scored.groupby(CELL)["spp_realised"].mean().reset_index()
+    found = scene_means(table, metric).merge(realised, on=CELL, how="left")
+    timed = table[table["metric"].isin(TIMES)]
+    parts = timed.pivot_table("value", CELL, "metric").reindex(columns=TIMES).reset_index()
+    sampled = table[table["metric"] == "sample_ms"]
+    clips = sampled.groupby(["scene", "clip"])["value"].mean()
+    cost = clips.groupby("scene").mean().rename("sample_ms").reset_index()
+    found = found.merge(parts, on=CELL, how="left").merge(cost, on="scene", how="left")
+    found["sampling_ms"] = found["spp_realised"] * found["sample_ms"]
+    found["total_ms"] = found["plan_ms"] + found["denoise_ms"] + found["sampling_ms"]
+    return found
+
+
+def overall(per_scene: pd.DataFrame) -> pd.DataFrame:
+    """Mean over scenes of what `points` or `scene_means` gives, where every scene is there."""
+    scenes = per_scene["scene"].nunique()
+    groups = per_scene.groupby(["method", "spp"])
+    means = groups.mean(numeric_only=True).reset_index()
+    return means[groups["scene"].nunique().to_numpy() == scenes].reset_index(drop=True)
+
+
+def front(times: pd.Series, values: pd.Series, better: str) -> list[int]:
+    """Positions that no other beats in both time and value, by rising time."""
+    sign = -1 if better == "low" else 1
+    order = sorted(range(len(times)), key=lambda i: (times.iloc[i], -sign * values.iloc[i]))
+    kept: list[int] = []
+    for i in order:
+        if not kept or sign * values.iloc[i] > sign * values.iloc[kept[-1]]:
+            kept.append(i)
+    return kept
+
+
+def reasons(table: pd.DataFrame) -> list[str]:
+    """What was not measured and why, one sentence for each method and reason."""
+    holes = table[table["value"].isna()]
+    lines = []
+    for (method, note), rows in holes.groupby(["method", "note"], sort=True):
+        where = ", ".join(sorted({name for name in rows["scene"] if name})) or "any scene"
+        budgets = ", ".join(f"{spp:g}" for spp in sorted(set(rows["spp"].dropna())))
+        what = ", ".join(sorted(set(rows["metric"])))
+        lines.append(f"{method} on {where} at {budgets or 'any'} spp ({what}): {note}")
+    return lines
+
+
+def remarks(table: pd.DataFrame) -> list[str]:
+    """Notes on what was measured."""
+    noted = table[table["value"].notna() & (table["note"] != "")]
+    return sorted({f"{m}, {k}: {n}" for m, k, n in noted[["method", "metric", "note"]].to_numpy()})
+
+
+def _every_shot(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    rows = table[(table["metric"] == metric) & table["value"].notna()]
+    return rows.groupby([*CELL, "clip", "frame"])["value"].mean().reset_index()
+
+
+def _counts(every: pd.DataFrame) -> pd.DataFrame:
+    counts = every.groupby(CELL, as_index=False).agg(frames=("value", "size"))
+    asked = (
+        every.drop_duplicates(SHOT).groupby("scene", as_index=False).agg(asked=("value", "size"))
+    )
+    return counts.merge(asked, on="scene")

@@ -1,0 +1,120 @@
+"""What every tracer does: a scene that moves, stacks of samples, means."""
+
+from __future__ import annotations
+
+import statistics
+import time as clock
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from rlbench.render import load
+from rlbench.render.pose import Pose
+from rlbench.render.scene import Scene
+
+LANES = 2**20  # paths of one launch at most, each of about 100 bytes
+
+
+class Tracer(ABC):
+    """A scene in Mitsuba, seen through a pinhole of height x width pixels with a box filter.
+
+    Streams are named in `rlbench.render.sampler`; they are independent of each other, and so are
+    the times and the samples of one stream. Radiance is linear, as the scene gives it.
+    """
+
+    def __init__(self, scene: Scene, height: int, width: int, seed: int = 0) -> None:
+        """Load `scene`; Mitsuba must be running. `seed` makes all of its streams other ones."""
+        self.scene, self.height, self.width, self.seed = scene, height, width, seed
+        import mitsuba as mi
+
+        self.mitsuba = load.load(scene)
+        self.integrator = load.plugin({"type": "path", "max_depth": scene.depth})
+        self._parameters = mi.traverse(self.mitsuba)
+        self.set_time(0.0)
+
+    def set_time(self, time: float) -> None:
+        """Move camera and vertices to `time`, in frames. Nothing is loaded or compiled again."""
+        self.time, self.pose = float(time), Pose.of(self.scene, time)
+        moved = self.scene.moving(time)
+        for name, vertices in moved.items():
+            load.assign(self._parameters, f"{name}.vertex_positions", vertices)
+        if moved:
+            self._parameters.update()
+        self._look()
+
+    @abstractmethod
+    def trace(
+        self, pixels: Int[Array, " n"], samples: Int[Array, " n"], stream: str = "input"
+    ) -> Float[Array, "n 3"]:
+        """Radiance of any (pixel, sample) pairs; pixels count row by row from the upper left."""
+
+    @abstractmethod
+    def each(
+        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    ) -> list[Float[Array, " p"]]:
+        """The numbers that `look` finds along the ray of each film position.
+
+        `film` is in pixels, x right and y down, from the upper left corner. `look` takes Mitsuba
+        rays, be it one or a wavefront, and returns one number or Dr.Jit array for each quantity.
+        """
+
+    @abstractmethod
+    def mesh(self, hit: Any) -> Any:
+        """The place in `scene.meshes` of what a preliminary intersection has hit."""
+
+    @abstractmethod
+    def _look(self) -> None:
+        """Take over the camera of the new pose."""
+
+    @abstractmethod
+    def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
+        """`count` independent images, or fewer images of which each is a mean of several."""
+
+    def stack(self, n: int, stream: str = "input", first: int = 0) -> Float[Array, "n h w 3"]:
+        """Samples `first` .. `first + n - 1` of every pixel: independent 1-spp images."""
+        chunk = self._chunk()
+        return np.concatenate(
+            [
+                self._launch(start, min(chunk, first + n - start), stream)
+                for start in range(first, first + n, chunk)
+            ]
+        )
+
+    def mean(
+        self,
+        spp: int,
+        stream: str,
+        chunk: int | None = None,
+        traced: Callable[[int], None] = lambda spp: None,
+    ) -> Float[Array, "h w 3"]:
+        """The mean of samples 0 .. spp - 1 of every pixel, summed in float64, `chunk` a launch.
+
+        `traced` is told after each launch how many samples per pixel it had.
+        """
+        chunk = chunk or self._chunk()
+        total = np.zeros((self.height, self.width, 3))
+        for start in range(0, spp, chunk):
+            count = min(chunk, spp - start)
+            total += self._sum(start, count, stream)
+            traced(count)
+        return (total / spp).astype(np.float32)
+
+    def sample_ms(self, repeats: int = 5) -> float:
+        """Median milliseconds of one full frame at one sample per pixel, after a warm-up."""
+        self.stack(1, "pilot")
+        times = []
+        for number in range(repeats):
+            start = clock.perf_counter()
+            self.stack(1, "pilot", first=number)
+            times.append(1e3 * (clock.perf_counter() - start))
+        return statistics.median(times)
+
+    def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
+        return np.asarray(self._launch(first, count, stream).sum(0, dtype=np.float64))
+
+    def _chunk(self) -> int:
+        return max(1, LANES // (self.height * self.width))

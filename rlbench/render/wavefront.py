@@ -1,0 +1,95 @@
+"""Tracing with LLVM or CUDA: any (pixel, sample) pairs in one wavefront."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from rlbench.render import load, sampler
+from rlbench.render.tracer import Tracer
+
+
+class Wavefront(Tracer):
+    """Traces on LLVM or CUDA: a sample depends on (pixel, sample, time, stream, seed) only.
+
+    Bit for bit so on one machine, whatever else is in the wavefront and in whatever order.
+    """
+
+    def trace(
+        self, pixels: Int[Array, " n"], samples: Int[Array, " n"], stream: str = "input"
+    ) -> Float[Array, "n 3"]:
+        """Radiance of any (pixel, sample) pairs; the only function that calls the integrator."""
+        import drjit as dr
+        import mitsuba as mi
+
+        n = len(pixels)
+        if n < 2:  # one lane would be a scalar to Dr.Jit, and so another kernel; none is an error
+            some = [np.resize(np.append(a, np.uint32(0)), 2) for a in (pixels, samples)]
+            return self.trace(some[0], some[1], stream)[:n]
+        pixel, sample = load.upload(mi.UInt32, pixels), load.upload(mi.UInt32, samples)
+        salt = [dr.opaque(mi.UInt32, k) for k in sampler.key(stream, self.time, self.seed)]
+        numbers = sampler.keyed(pixel, sample, salt)
+        jitter = numbers.next_2d()
+        row = pixel // self._columns
+        x, y = mi.Float(pixel - row * self._columns) + jitter.x, mi.Float(row) + jitter.y
+        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self._rays(x, y))
+        dr.eval(radiance)  # at once, or reading the channels traces every path three times
+        return np.stack([radiance[c].numpy() for c in range(3)], axis=-1)
+
+    def each(
+        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    ) -> list[Float[Array, " p"]]:
+        """The numbers that `look` finds along the ray of each film position, in one kernel."""
+        import drjit as dr
+        import mitsuba as mi
+
+        found = look(self._rays(*(load.upload(mi.Float, film[:, axis]) for axis in range(2))))
+        dr.eval(*found)
+        return [np.broadcast_to(quantity.numpy(), len(film)) for quantity in found]
+
+    def mesh(self, hit: Any) -> Any:
+        """The place in `scene.meshes` of what each preliminary intersection has hit."""
+        import drjit as dr
+        import mitsuba as mi
+
+        number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
+        return dr.gather(mi.UInt32, self._places, number, hit.is_valid())
+
+    def _rays(self, x: Any, y: Any) -> Any:
+        import drjit as dr
+        import mitsuba as mi
+
+        origin, corner, across, down = self._lens
+        return mi.RayDifferential3f(origin, dr.normalize(corner + across * x + down * y))
+
+    @cached_property
+    def _places(self) -> Any:
+        """Mesh by the number that Dr.Jit has given its shape, which depends on what else lives."""
+        import drjit as dr
+        import mitsuba as mi
+
+        names = [m.name for m in self.scene.meshes]
+        shapes = self.mitsuba.shapes()
+        pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in shapes]
+        numbers = [int(pointer[0]) for pointer in pointers]
+        places = np.zeros(max(2, *numbers) + 1, np.uint32)
+        places[numbers] = [names.index(s.id()) for s in shapes]
+        return load.upload(mi.UInt32, places)
+
+    def _look(self) -> None:
+        import drjit as dr
+        import mitsuba as mi
+
+        self._lens = load.lens(self.pose, self.height, self.width)
+        self._columns = dr.opaque(mi.UInt32, self.width)
+
+    def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
+        area = self.height * self.width
+        pixels = np.tile(np.arange(area, dtype=np.uint32), count)
+        samples = np.repeat(np.arange(first, first + count, dtype=np.uint32), area)
+        return self.trace(pixels, samples, stream).reshape(count, self.height, self.width, 3)

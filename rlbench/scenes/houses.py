@@ -1,0 +1,108 @@
+"""Houses: fronts with shops, windows, shutters, awnings and roofs, part by part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rlbench.scenes.shapes import (
+    Floats,
+    Shape,
+    boxes,
+    merge,
+    painted,
+    quads,
+)
+
+FLOOR, BAY = 3.1, 2.4  # metres: height of a storey, width of a window bay
+PAINTS = (
+    (0.06, 0.16, 0.12),  # 0 shutters
+    (0.05, 0.10, 0.22),
+    (0.30, 0.05, 0.04),
+    (0.045, 0.05, 0.06),  # 3 slate
+    (0.14, 0.08, 0.05),  # 4 bark and wood
+    (0.65, 0.09, 0.07),  # 5 awnings
+    (0.78, 0.74, 0.66),
+    (0.08, 0.26, 0.30),
+    (0.025, 0.03, 0.03),  # 8 iron
+)
+
+
+def house(random: np.random.Generator, bays: int, floors: int) -> dict[str, Shape]:
+    """A house front from x = 0 that faces -y: shop, storeys of windows, cornice and slate roof."""
+    width, shop, depth = bays * BAY, 3.9, 0.32
+    top = shop + floors * FLOOR
+    middles = BAY * (np.arange(bays) + 0.5)
+    x, z = (grid.ravel() for grid in np.meshgrid(middles, shop + FLOOR * np.arange(floors)))
+    half = 0.55  # of a window, metres
+    level, wall_z = np.zeros_like(x), np.zeros(bays + 1)
+
+    edges = np.concatenate([[0.0], middles + half]), np.concatenate([middles - half, [width]])
+    piers = boxes(
+        np.stack([edges[0], wall_z, wall_z + shop], -1),
+        np.stack([edges[1], wall_z + depth, wall_z + top], -1),
+        tile=2.0,
+    )
+    sill, head = z + 0.75, z + 2.55
+    below = boxes(
+        np.stack([x - half, level, z], -1), np.stack([x + half, level + depth, sill], -1), tile=2.0
+    )
+    above = boxes(
+        np.stack([x - half, level, head], -1),
+        np.stack([x + half, level + depth, z + FLOOR], -1),
+        tile=2.0,
+    )
+    body = boxes((0, depth + 0.1, 0), (width, 9, top), tile=2.0)
+
+    sills = boxes(
+        np.stack([x - 0.72, level - 0.14, sill - 0.1], -1),
+        np.stack([x + 0.72, level + depth, sill], -1),
+    )
+    bars = boxes(
+        np.stack([x - 0.03, level + 0.2, sill], -1), np.stack([x + 0.03, level + 0.3, head], -1)
+    )
+    bands = boxes(
+        [(0, -0.1, shop - 0.35), (0, -0.45, top - 0.1), (0, -0.25, top - 0.4)],
+        [(width, 0.35, shop), (width, depth, top + 0.25), (width, depth, top)],
+    )
+    posts = boxes(
+        np.stack([BAY * np.arange(bays + 1) - 0.18, wall_z - 0.05, wall_z], -1).clip(
+            (0, -9, 0), None
+        ),
+        np.stack([BAY * np.arange(bays + 1) + 0.18, wall_z + 0.3, wall_z + shop], -1).clip(
+            None, (width, 9, 99)
+        ),
+    )
+    glass = quads((0, depth - 0.04, 0), (width, 0, 0), (0, 0, top))
+    return {
+        "wall": merge(piers, below, above, body),
+        "trim": merge(sills, bars, bands, posts),
+        "glass": glass,
+        "paint": merge(*_dressing(random, x, sill, head, width, top)),
+    }
+
+
+def _dressing(
+    random: np.random.Generator, x: Floats, sill: Floats, head: Floats, width: float, top: float
+) -> list[Shape]:
+    """Shutters, an awning above each shop window, the roof and its chimneys."""
+    shut = random.integers(3)
+    of = len(PAINTS)
+    left = np.stack([x - 1.05, np.full_like(x, -0.07), sill], -1)
+    leaf = np.stack([np.full_like(x, 0.48), np.full_like(x, 0.06), head - sill], -1)
+    shutters = boxes(
+        np.concatenate([left, left + (1.62, 0, 0)]),
+        np.concatenate([left + leaf, left + leaf + (1.62, 0, 0)]),
+    )
+    stripes = np.arange(0.3, width - 0.5, 0.3)
+    corner = np.stack([stripes, np.full_like(stripes, -1.3), np.full_like(stripes, 2.6)], -1)
+    awning = quads(corner, (0.3, 0, 0), (0, 1.3, 0.75))
+    colour = np.where(np.arange(len(stripes)) % 2, 6, random.choice([5, 7])).repeat(4)
+    roof = quads((0, -0.3, top + 0.25), (width, 0, 0), (0, 1.9, 2.8))
+    pots = random.uniform(0.8, width - 1.2, 3)
+    low = np.stack([pots, np.full(3, 1.6), np.full(3, top)], -1)
+    return [
+        painted(shutters, shut, of),
+        painted(awning, colour, of),
+        painted(roof, 3, of),
+        painted(boxes(low, low + (0.8, 0.6, 3.6)), 2, of),
+    ]

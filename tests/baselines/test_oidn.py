@@ -1,0 +1,221 @@
+"""OIDN: built like the original, equivariant to exposure, and it learns."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from baselines.oidn import FAMILY
+from baselines.oidn.method import VARIANTS, Oidn, build, develop
+from baselines.oidn.train import BUDGETS, Still, _loss, trainer
+from rlbench.frames import Frame, Reference, View
+from rlbench.memory import MemoryClip
+from rlbench.method import Method
+from rlbench.ops.exposure import autoexposure
+from rlbench.ops.transfer import pu_forward
+from rlbench.run import run_clip
+from rlbench.sampling import Samples, StoredPool
+from rlbench.weights import Card, save
+
+CPU = torch.device("cpu")
+
+
+def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 1) -> MemoryClip:
+    """Noise around a smooth picture on a tilted plane, with background on the left."""
+    generator = torch.Generator().manual_seed(7)
+    made = []
+    for index in range(frames):
+        picture = (torch.linspace(0, 6 + index, w).sin() + 1.5).expand(n, 3, h, w) * gain
+        noise = torch.empty(n, 8, 3, h, w).exponential_(generator=generator)
+        normal = torch.tensor([0.6, 0.0, -0.8]).view(1, 3, 1, 1).repeat(n, 1, h, w)
+        normal[..., : w // 4] = 0
+        view = View({"albedo": torch.full((n, 3, h, w), 0.5), "normal": normal})
+        pool = StoredPool(picture[:, None] * noise, keys=tuple(range(index, index + n)))
+        made.append(Frame(index, view, pool, Reference(picture, picture)))
+    return MemoryClip("made", "made", "", made)
+
+
+def test_metadata_is_readable_without_torch():
+    code = "import sys, baselines.oidn; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_it_is_a_method_with_the_traits_its_family_says():
+    method = build("", CPU, "random")
+    assert isinstance(method, Method)
+    assert method.traits == FAMILY.variants[""].traits
+
+
+@pytest.mark.parametrize(("variant", "parameters"), [("", 919_811), ("small", 320_035)])
+def test_the_network_has_oidns_size(variant, parameters):
+    network = build(variant, CPU, "random").network
+    assert sum(p.numel() for p in network.parameters()) == parameters
+
+
+def test_every_variant_of_the_family_can_be_built():
+    assert set(FAMILY.variants) <= set(VARIANTS)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (21, 35)])
+@pytest.mark.parametrize("spp", [1.0, 1.5, 8.0])
+def test_any_size_and_budget_gives_a_finite_image(size, spp):
+    (shown,) = run_clip(build("", CPU, "random"), clip(*size), spp)
+    assert shown.image.shape == (1, 3, *size)
+    assert torch.isfinite(shown.image).all()
+    assert (shown.image >= 0).all()
+
+
+@pytest.mark.parametrize("gain", [2.0**-5, 3.0, 2.0**7])
+def test_the_image_scales_with_the_light(gain):
+    method = build("", CPU, "random")
+    (plain,) = run_clip(method, clip(), 2.0)
+    (scaled,) = run_clip(method, clip(gain=gain), 2.0)
+    assert plain.image.max() > plain.image.min()
+    # exposure in float32, then a logarithm and an exponential with 16 nats between 0 and 1
+    torch.testing.assert_close(scaled.image / gain, plain.image, rtol=2e-3, atol=1e-5)
+
+
+def test_one_frame_knows_nothing_of_another():
+    method = build("", CPU, "random")
+    third = list(run_clip(method, clip(frames=3), 4.0))[2].image
+    alone = MemoryClip("alone", "made", "", list(clip(frames=3))[2:])
+    (shown,) = run_clip(method, alone, 4.0)
+    assert torch.equal(shown.image, third)
+
+
+def test_clips_of_a_batch_are_independent():
+    method = build("", CPU, "random")
+    (both,) = run_clip(method, clip(n=2), 8.0)
+    for i in range(2):
+        (frame,) = clip(n=2)
+        view = View({k: v[i : i + 1] for k, v in frame.view.buffers.items()})
+        assert isinstance(frame.pool, StoredPool)
+        samples = Samples(frame.pool.radiance[i : i + 1], torch.full((1, 1, 21, 35), 8))
+        image, _ = method.denoise(view, samples, None)
+        torch.testing.assert_close(both.image[i : i + 1], image, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
+def test_bad_radiance_gives_a_finite_image(bad):
+    (frame,) = clip()
+    samples = Samples(torch.full((1, 8, 3, 21, 35), bad), torch.full((1, 1, 21, 35), 8))
+    image, _ = build("", CPU, "random").denoise(frame.view, samples, None)
+    assert torch.isfinite(image).all()
+
+
+@pytest.mark.parametrize("value", [-1e4, 1e4])
+def test_an_output_out_of_range_gives_radiance_that_half_floats_hold(value):
+    image = develop(torch.full((1, 3, 2, 2), value), torch.ones(1, 1, 1, 1))
+    assert ((image >= 0) & (image <= 65504 * 1.001)).all()  # PU in float32
+
+
+def test_negative_radiance_counts_as_none():
+    (frame,) = clip()
+    counts = torch.full((1, 1, 21, 35), 8)
+    radiance = frame.pool.take(frame.pool.empty(), counts)
+    radiance[..., :5] = 0
+    lower = radiance.clone()
+    lower[..., :5] = -1
+    method = build("", CPU, "random")
+    expected, _ = method.denoise(frame.view, Samples(radiance, counts), None)
+    found, _ = method.denoise(frame.view, Samples(lower, counts), None)
+    assert torch.equal(found, expected)
+
+
+class Spy(torch.nn.Module):
+    """A network that gives back the colour it sees, and remembers what that was."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        self.seen = x
+        return x[:, :3]
+
+
+def test_a_network_that_changes_nothing_gives_the_mean_of_the_samples():
+    """Exposure, transfer and padding are all undone."""
+    (frame,) = clip()
+    (shown,) = run_clip(Oidn(Spy()), clip(), 8.0)
+    mean = frame.pool.take(frame.pool.empty(), torch.full((1, 1, 21, 35), 8)).mean(1)
+    torch.testing.assert_close(shown.image, mean, rtol=2e-4, atol=1e-6)  # PU in float32
+
+
+def test_the_network_sees_exposed_colour_albedo_and_normals_from_zero_to_one():
+    spy = Spy()
+    (shown,) = run_clip(Oidn(spy), clip(32, 48), 8.0)
+    colour, albedo, normal = spy.seen.split(3, dim=1)
+    mean = shown.samples.mean
+    luminance = (mean * torch.tensor([0.212671, 0.71516, 0.072169]).view(3, 1, 1)).sum(1)
+    tiles = luminance.unflatten(1, (-1, 16)).unflatten(3, (-1, 16)).mean((2, 4))
+    exposure = 0.18 / tiles.log().mean().exp()
+    torch.testing.assert_close(colour, pu_forward(mean * exposure), rtol=1e-5, atol=1e-6)
+    assert torch.equal(albedo, torch.full_like(albedo, 0.5))
+    assert (normal[..., :12] == 0.5).all()  # background
+    torch.testing.assert_close(normal[0, :, 0, -1], torch.tensor([0.8, 0.5, 0.1]))
+
+
+def test_weights_of_a_file_are_used(tmp_path):
+    path = tmp_path / "mine.safetensors"
+    random = build("", CPU, "random")
+    with torch.no_grad():
+        random.network.dec_conv0.bias.fill_(0.125)
+    save(random.network, path, Card(name="oidn"))
+    assert (build("", CPU, str(path)).network.dec_conv0.bias == 0.125).all()
+
+
+def test_random_weights_are_the_same_each_time():
+    first, second = (build("", CPU, "random").network.state_dict() for _ in range(2))
+    assert all(torch.equal(first[k], second[k]) for k in first)
+
+
+def test_each_frame_gives_one_loss_that_reaches_every_parameter():
+    made = trainer("", CPU, seed=0)
+    losses = list(made.losses(clip(32, 32, frames=3), BUDGETS[0]))
+    assert len(losses) == 3
+    losses[0].backward()
+    without = [k for k, p in made.networks.named_parameters() if p.grad is None or not p.grad.any()]
+    assert without == []
+
+
+def test_the_loss_of_a_perfect_output_is_zero():
+    """Exposure and target are the reference's: a clean pool and a network that changes nothing."""
+    (frame,) = clip(32, 32)
+    pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
+    still = Still(Frame(0, frame.view, pool, frame.reference), "", "", "")
+    assert float(_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
+
+
+def test_exposure_in_training_comes_from_the_reference():
+    (frame,) = clip(32, 32)
+    reference, spy = frame.reference.mean, Spy()
+    dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
+    _loss(Oidn(spy), Still(Frame(0, frame.view, dark, frame.reference), "", "", ""), 4.0)
+    expected = pu_forward(0.1 * reference * autoexposure(reference))
+    torch.testing.assert_close(spy.seen[:, :3], expected)
+
+
+def test_seeds_of_training_differ():
+    first, second = (trainer("", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
+    assert not torch.equal(first, second)
+
+
+def test_a_few_steps_of_training_lower_the_loss():
+    made, scene = trainer("small", CPU, seed=0), clip(32, 32)
+    optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
+    history = []
+    for _ in range(25):
+        for loss in made.losses(scene, 4.0):
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            history.append(float(loss.detach()))
+    assert history[-1] < 0.6 * history[0]
+
+
+def test_what_was_trained_is_what_runs():
+    made = trainer("", CPU, seed=0)
+    assert isinstance(made.method, Oidn)
+    assert made.method.network is made.networks
+    (shown,) = run_clip(made.method, clip(), 1.0)
+    assert shown.image.shape == (1, 3, 21, 35)

@@ -1,0 +1,59 @@
+"""Speed of operations on hot paths, beside other libraries: pytest --benchmark-only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import kornia
+import pytest
+import pytorch_msssim
+import torch
+
+from rlbench.ops.exposure import autoexposure
+from rlbench.ops.losses import ms_ssim
+from rlbench.ops.transfer import pu_forward, pu_inverse
+from rlbench.ops.unet import FAST, UNet
+from rlbench.ops.warp import reproject
+
+Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+KORNIA = kornia.losses.MS_SSIMLoss(alpha=1.0, compensation=1.0, reduction="mean")  # no L1
+LOSSES: dict[str, Loss] = {
+    "rlbench": lambda x, y: 1 - ms_ssim(x, y).mean(),
+    "pytorch_msssim": lambda x, y: 1 - pytorch_msssim.ms_ssim(x, y, data_range=1),
+    "kornia": lambda x, y: KORNIA(x, y),
+}
+
+
+@pytest.mark.parametrize("name", LOSSES)
+@pytest.mark.benchmark(group="MS-SSIM, forward and backward, 1x3x176x176")
+def test_ms_ssim(benchmark, name):
+    """The size that all accept; kornia has five full-size windows in place of scales."""
+    generator = torch.Generator().manual_seed(0)
+    reference = torch.rand(1, 3, 176, 176, generator=generator)
+    image = (reference + 0.1 * torch.randn(reference.shape, generator=generator)).clamp(0, 1)
+    image.requires_grad_()
+
+    def step() -> None:
+        image.grad = None
+        LOSSES[name](image, reference).backward()
+
+    benchmark.pedantic(step, rounds=5, warmup_rounds=1)
+    assert image.grad is not None
+    assert torch.isfinite(image.grad).all()
+
+
+@pytest.mark.parametrize("pair", ["autoexposure", "pu", "reproject", "unet"])
+@pytest.mark.benchmark(group="ops, 1x3x256x256")
+def test_op(benchmark, pair):
+    image = torch.rand(1, 3, 256, 256, generator=torch.Generator().manual_seed(0))
+    motion = (image[:, :2] - 0.5) * 8
+    net = UNet(3, widths=FAST)
+    ops: dict[str, Callable[[], torch.Tensor]] = {
+        "autoexposure": lambda: autoexposure(image),
+        "pu": lambda: pu_inverse(pu_forward(image)),
+        "reproject": lambda: reproject(image, motion)[0],
+        "unet": lambda: net(image),
+    }
+    with torch.inference_mode():
+        result = benchmark.pedantic(ops[pair], rounds=5, warmup_rounds=1)
+    assert torch.isfinite(result).all()

@@ -1,0 +1,19 @@
+"""How long spending a frame's budget takes."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rlbench.sampling import spend
+
+SIDE = 720
+
+
+@pytest.mark.parametrize("spp", [0.5, 2.0])
+def test_spend_a_frame(benchmark, spp):
+    generator = torch.Generator().manual_seed(0)
+    density = torch.rand(1, 1, SIDE, SIDE, generator=generator).pow(4)
+    low = torch.zeros(1, 1, SIDE, SIDE, dtype=torch.int64)
+    counts = benchmark(spend, density, round(spp * SIDE * SIDE), low, 8, (1,))
+    assert int(counts.sum()) == round(spp * SIDE * SIDE)

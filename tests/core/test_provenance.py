@@ -1,0 +1,133 @@
+"""A number's origin: code that changes changes the hash, code that does not matter does not."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rlbench.provenance import Machine, code_hash, commit, machine, versions
+
+
+@pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """A package of two files on the path, named `stranger`."""
+    package = tmp_path / "stranger"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "net.py").write_text("WIDTH = 8\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield package
+    sys.modules.pop("stranger", None)
+
+
+@pytest.mark.parametrize("change", ["edit", "add", "rename"])
+def test_any_change_of_the_sources_changes_the_hash(plugin, change):
+    before = code_hash(["stranger"])
+    net = plugin / "net.py"
+    if change == "edit":
+        net.write_text("WIDTH = 9\n")
+    elif change == "add":
+        (plugin / "loss.py").write_text("")
+    else:
+        net.rename(plugin / "network.py")
+    assert code_hash(["stranger"]) != before
+
+
+def test_other_files_do_not_change_the_hash(plugin):
+    before = code_hash(["stranger"])
+    (plugin / "notes.md").write_text("hello")
+    assert code_hash(["stranger"]) == before
+
+
+def test_a_module_is_hashed_by_its_own_file(plugin):
+    before = code_hash(["stranger.net"])
+    (plugin / "loss.py").write_text("")
+    assert code_hash(["stranger.net"]) == before
+
+
+def test_the_core_counts(plugin):
+    assert code_hash(["stranger"]) != code_hash(["stranger"], core=())
+
+
+def test_the_order_of_modules_does_not_count():
+    assert code_hash(["rlbench.run", "rlbench.method"]) == code_hash(
+        ["rlbench.method", "rlbench.run"]
+    )
+
+
+def test_hashing_imports_no_plugin(plugin):
+    (plugin / "net.py").write_text("raise RuntimeError('imported')\n")
+    assert len(code_hash(["stranger.net"])) == 16
+
+
+def test_a_module_from_a_loose_file_is_found(tmp_path, monkeypatch):
+    import types
+
+    loose = types.ModuleType("loose")
+    (tmp_path / "loose.py").write_text("FAMILY = 1\n")
+    loose.__file__ = str(tmp_path / "loose.py")
+    monkeypatch.setitem(sys.modules, "loose", loose)
+    assert code_hash(["loose"]) != code_hash([])
+
+
+def test_an_unknown_module_is_an_error():
+    with pytest.raises(LookupError, match="'no_such_plugin'"):
+        code_hash(["no_such_plugin"])
+
+
+def _git(folder: Path, *words: str) -> str:
+    who = ("-c", "user.name=a", "-c", "user.email=a@b")
+    done = subprocess.run(["git", "-C", str(folder), *who, *words], capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    _git(tmp_path, "init")
+    (tmp_path / "code.py").write_text("1\n")
+    _git(tmp_path, "add", ".")
+    _git(tmp_path, "commit", "-m", "first")
+    return tmp_path
+
+
+def test_a_clean_checkout_is_its_commit(checkout):
+    assert commit(checkout) == _git(checkout, "rev-parse", "HEAD")[:12]
+
+
+def test_a_changed_checkout_has_a_plus(checkout):
+    (checkout / "code.py").write_text("2\n")
+    assert commit(checkout) == _git(checkout, "rev-parse", "HEAD")[:12] + "+"
+
+
+def test_an_installed_package_in_somebody_elses_checkout_has_no_commit(checkout):
+    installed = checkout / "site-packages" / "rlbench"
+    installed.mkdir(parents=True)
+    assert commit(installed) == ""
+
+
+def test_outside_a_checkout_there_is_no_commit(tmp_path):
+    assert commit(tmp_path) == ""
+
+
+def test_versions_are_those_installed():
+    assert versions() == {"python": platform.python_version()} | {
+        name: importlib.metadata.version(name) for name in ("torch", "mitsuba", "rlbench")
+    }
+
+
+def test_the_machine_is_described():
+    found = machine()
+    assert isinstance(found, Machine)
+    assert found.cores >= 1
+    assert found.cpu
+    assert platform.system() in found.os
+
+
+def test_provenance_needs_no_torch():
+    code = "import sys, rlbench.provenance, rlbench.pools; assert 'torch' not in sys.modules"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -1,0 +1,67 @@
+"""Autoexposure against a loop, and what it must not depend on."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from rlbench.ops.exposure import autoexposure
+
+
+def looped(image: torch.Tensor) -> float:
+    """Exposure of one image [3 h w], tile by tile."""
+    _, h, w = image.shape
+    rows, columns = math.ceil(h / 16), math.ceil(w / 16)
+    logs = []
+    for i in range(rows):
+        for j in range(columns):
+            tile = image[
+                :, i * h // rows : (i + 1) * h // rows, j * w // columns : (j + 1) * w // columns
+            ]
+            r, g, b = tile.double().mean((1, 2)).tolist()
+            luminance = 0.212671 * r + 0.71516 * g + 0.072169 * b
+            if luminance > 1e-8:
+                logs.append(math.log2(luminance))
+    return 0.18 / 2 ** (sum(logs) / len(logs)) if logs else 1.0
+
+
+def drawn(h: int, w: int) -> torch.Tensor:
+    """Two log-normal images, the second 100 times brighter, each with a black corner."""
+    generator = torch.Generator().manual_seed(h + w)
+    image = torch.randn(2, 3, h, w, generator=generator).exp()
+    image[..., : h // 2, : w // 2] = 0
+    return image * torch.tensor([1.0, 100.0]).view(2, 1, 1, 1)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (33, 50), (1, 1), (16, 17), (7, 100)])
+def test_autoexposure_equals_a_loop(size):
+    image = drawn(*size)
+    expected = torch.tensor([looped(one) for one in image]).view(2, 1, 1, 1)
+    torch.testing.assert_close(autoexposure(image), expected, rtol=1e-5, atol=0)
+
+
+def test_a_grey_image_is_brought_to_the_key():
+    image = torch.full((1, 3, 20, 30), 0.5)
+    assert float(autoexposure(image)) == pytest.approx(0.36, rel=1e-5)
+
+
+def test_a_black_image_is_left_alone():
+    assert float(autoexposure(torch.zeros(1, 3, 20, 30))) == 1.0
+
+
+@pytest.mark.parametrize("gain", [2**-6, 0.3, 1e3])
+def test_exposed_images_do_not_depend_on_brightness(gain):
+    image = drawn(40, 40)
+    expected = image * autoexposure(image)
+    found = (gain * image) * autoexposure(gain * image)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=0)
+
+
+def test_noise_of_zero_mean_hardly_moves_it():
+    generator = torch.Generator().manual_seed(0)
+    clean = torch.full((1, 3, 128, 128), 0.5)
+    noisy = clean * torch.empty_like(clean).exponential_(generator=generator)
+    # mean luminance of 256 pixels is off by 1/16 or less, of 64 tiles by 1/128
+    assert float(autoexposure(noisy) / autoexposure(clean)) == pytest.approx(1, abs=0.02)

@@ -1,0 +1,159 @@
+"""Losses against other libraries, closed forms and loops."""
+
+from __future__ import annotations
+
+import math
+
+import kornia
+import pytest
+import pytorch_msssim
+import torch
+
+from rlbench.ops.losses import EVEN, WANG, l1, mixed, ms_ssim, smape, temporal_l1
+
+
+def pair(h: int, w: int, noise: float = 0.1, n: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
+    """A smooth image and a noisy one."""
+    generator = torch.Generator().manual_seed(h * 1000 + w)
+    x = torch.linspace(0, 9, w).sin() * torch.linspace(0, 7, h).cos()[:, None]
+    reference = (0.5 + 0.4 * x).expand(n, 3, h, w)
+    drawn = torch.randn(n, 3, h, w, generator=generator)
+    return (reference + noise * drawn).clamp(0, 1), reference
+
+
+def slow_ms_ssim(x: torch.Tensor, y: torch.Tensor, weights: tuple[float, ...]) -> float:
+    """One channel [h w], in float64, window by window, as the paper writes it."""
+    x, y = x.double(), y.double()
+    at = torch.arange(11, dtype=torch.float64) - 5
+    window = torch.exp(-(at[:, None] ** 2 + at**2) / 4.5)
+    window /= window.sum()
+    product = 1.0
+    for scale, weight in enumerate(weights):
+        if scale:
+            x, y = (z.unflatten(0, (-1, 2)).unflatten(2, (-1, 2)).mean((1, 3)) for z in (x, y))
+        contrasts, whole = [], []
+        for i in range(x.shape[0] - 10):
+            for j in range(x.shape[1] - 10):
+                a, b = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
+                ma, mb = (window * a).sum(), (window * b).sum()
+                va, vb = (window * (a - ma) ** 2).sum(), (window * (b - mb) ** 2).sum()
+                cov = (window * (a - ma) * (b - mb)).sum()
+                contrast = (2 * cov + 9e-4) / (va + vb + 9e-4)
+                contrasts.append(contrast)
+                whole.append(contrast * (2 * ma * mb + 1e-4) / (ma**2 + mb**2 + 1e-4))
+        terms = whole if scale == len(weights) - 1 else contrasts
+        product *= max(0.0, float(torch.stack(terms).mean())) ** weight
+    return product
+
+
+@pytest.mark.parametrize("size", [(176, 176), (163, 201)])
+@pytest.mark.parametrize("weights", [WANG, EVEN])
+def test_ms_ssim_equals_pytorch_msssim(size, weights):
+    x, y = pair(*size)
+    theirs = pytorch_msssim.ms_ssim(
+        x, y, data_range=1, size_average=False, weights=[w / sum(weights) for w in weights]
+    )
+    # float32 moments of values up to 1 against C2 = 9e-4
+    torch.testing.assert_close(ms_ssim(x, y, weights), theirs, atol=1e-5, rtol=0)
+
+
+def test_ms_ssim_of_one_scale_equals_kornias_ssim():
+    x, y = pair(21, 30)
+    theirs = kornia.metrics.ssim(x, y, 11, padding="valid").mean((1, 2, 3))
+    # float32, kornia subtracts squares of means of order 1 from one another
+    torch.testing.assert_close(ms_ssim(x, y, (1.0,)), theirs, atol=1e-4, rtol=0)
+
+
+def test_ms_ssim_equals_the_papers_formula_where_two_scales_fit():
+    x, y = pair(24, 32, n=1)
+    weights = (WANG[0] / sum(WANG[:2]), WANG[1] / sum(WANG[:2]))
+    slow = sum(slow_ms_ssim(x[0, c], y[0, c], weights) for c in range(3)) / 3
+    assert float(ms_ssim(x, y)) == pytest.approx(slow, abs=1e-5)  # float32 against float64
+
+
+@pytest.mark.parametrize(
+    ("side", "scales"), [(11, 1), (20, 1), (21, 2), (22, 2), (128, 4), (160, 4), (161, 5), (400, 5)]
+)
+def test_the_scales_used_are_those_that_fit(side, scales):
+    x, y = pair(side, side + 3, n=1)
+    fitting = tuple(w / sum(WANG[:scales]) for w in WANG[:scales])
+    torch.testing.assert_close(ms_ssim(x, y), ms_ssim(x, y, fitting))
+
+
+def test_an_image_smaller_than_the_window_is_refused():
+    with pytest.raises(ValueError, match=r"at least 11 pixels, got \[10, 40\]"):
+        ms_ssim(*pair(10, 40))
+
+
+def test_ms_ssim_of_equal_images_is_one():
+    image, _ = pair(32, 32)
+    torch.testing.assert_close(ms_ssim(image, image), torch.ones(2))
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.0, 0.5), (0.2, 0.8), (1e3, 0.0)])
+def test_ms_ssim_of_flat_images_is_their_luminance_term(a, b):
+    x, y = torch.full((1, 3, 16, 16), a), torch.full((1, 3, 16, 16), b)
+    expected = (2 * a * b + 1e-4) / (a * a + b * b + 1e-4)
+    # variance of a flat image is float32 rounding of its square, against C2 = 9e-4
+    assert float(ms_ssim(x, y)) == pytest.approx(expected, abs=1e-3)
+
+
+def test_ms_ssim_gives_the_same_gradient_as_pytorch_msssim():
+    x, y = pair(176, 176, n=1)
+    mine, theirs = (x.clone().requires_grad_() for _ in range(2))
+    ms_ssim(mine, y).mean().backward()
+    pytorch_msssim.ms_ssim(theirs, y, data_range=1).backward()
+    assert mine.grad is not None
+    assert theirs.grad is not None
+    torch.testing.assert_close(
+        mine.grad, theirs.grad, atol=1e-3 * float(theirs.grad.abs().max()), rtol=0
+    )  # WANG sums to 1.0001 and is rescaled here; float32 as above
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_gradients_of_the_mixed_loss_are_finite(sign):
+    """Also for an image that is the opposite of the reference, whose similarity counts as zero."""
+    x, y = pair(48, 48)
+    x = (0.5 + sign * (x - 0.5)).requires_grad_()
+    mixed(x, y).backward()
+    assert x.grad is not None
+    assert torch.isfinite(x.grad).all()
+    assert x.grad.any()
+
+
+def test_mixed_is_sixteen_parts_l1_and_eighty_four_parts_dissimilarity():
+    x, y = pair(32, 40)
+    expected = 0.16 * (x - y).abs().mean() + 0.84 * (1 - ms_ssim(x, y).mean())
+    torch.testing.assert_close(mixed(x, y), expected)
+
+
+def test_the_mixed_loss_is_float32_under_autocast():
+    x, y = pair(48, 48)
+    plain = mixed(x, y)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(mixed(x, y), plain)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e4])
+def test_smape_equals_a_loop(scale):
+    x, y = (scale * z[:1, :, :4, :5] for z in pair(16, 16))
+    terms = [
+        abs(a - b) / (abs(a) + abs(b) + 0.01)
+        for a, b in zip(x.flatten().tolist(), y.flatten().tolist(), strict=True)
+    ]
+    assert float(smape(x, y)) == pytest.approx(math.fsum(terms) / len(terms), rel=1e-5)
+
+
+def test_l1_of_a_shifted_image_is_the_shift():
+    _, y = pair(16, 16)
+    assert float(l1(y - 0.25, y)) == pytest.approx(0.25, rel=1e-5)
+
+
+def test_temporal_l1_ignores_an_error_that_stays():
+    x, y = pair(16, 16)
+    assert float(temporal_l1(x + 0.3, x + 0.1, y + 0.2, y)) < 1e-6  # float32 rounding
+
+
+def test_temporal_l1_counts_a_flicker_against_a_still_reference():
+    x, y = pair(16, 16)
+    assert float(temporal_l1(x + 0.1, x - 0.1, y, y)) == pytest.approx(0.2, rel=1e-5)

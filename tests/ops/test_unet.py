@@ -1,0 +1,125 @@
+"""The U-Net is Open Image Denoise's: sizes, names, shapes; and it learns everywhere."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+from rlbench.ops.unet import BASE, FAST, SMALL, UNet
+
+ENCODER = [
+    "enc_conv0",
+    "enc_conv1",
+    "enc_conv2",
+    "enc_conv3",
+    "enc_conv4",
+    "enc_conv5a",
+    "enc_conv5b",
+]
+DECODER = [f"dec_conv{level}{half}" for level in (4, 3, 2, 1) for half in "ab"]
+NAMES = [*ENCODER, *DECODER, "dec_conv0"]
+
+
+@pytest.mark.parametrize(
+    ("inputs", "widths", "parameters"),
+    [
+        (3, BASE, 914_627),
+        (6, BASE, 917_219),
+        (9, BASE, 919_811),  # in half precision, the size of OIDN's own file
+        (10, BASE, 920_675),
+        (32, BASE, 939_683),
+        (32, SMALL, 261_939),
+        (9, FAST, 320_035),
+    ],
+)
+def test_parameter_counts_are_the_published_ones(inputs, widths, parameters):
+    assert sum(p.numel() for p in UNet(inputs, widths=widths).parameters()) == parameters
+
+
+def test_layers_have_the_official_names_in_order():
+    assert [name for name, _ in UNet(9).named_children()] == NAMES
+
+
+def test_sides_are_halved_four_times_and_doubled_back():
+    with torch.device("meta"):
+        net = UNet(9)
+        sides: dict[str, int] = {}
+        for name, layer in net.named_children():
+            layer.register_forward_hook(
+                lambda _l, _i, y, name=name: sides.update({name: y.size(3)})
+            )
+        image = net(torch.empty(1, 9, 720, 720))
+    down = [sides[f"enc_conv{i}"] for i in ("1", "2", "3", "4", "5a")]
+    up = [sides[f"dec_conv{i}"] for i in ("4a", "3a", "2a", "1a", "0")]
+    assert (down, up) == ([720, 360, 180, 90, 45], [90, 180, 360, 720, 720])
+    assert image.shape == (1, 3, 720, 720)
+
+
+def test_decoder_features_are_coarse_to_fine_and_as_wide_as_said():
+    net = UNet(9, widths=SMALL)
+    shapes = [tuple(x.shape) for x in net.decode(torch.zeros(2, 9, 32, 48))]
+    assert shapes == [
+        (2, SMALL.dec4[1], 4, 6),
+        (2, SMALL.dec3[1], 8, 12),
+        (2, SMALL.dec2[1], 16, 24),
+        (2, SMALL.dec1[1], 32, 48),
+    ]
+
+
+def test_the_image_is_the_last_convolution_of_the_finest_features():
+    net, x = UNet(4, widths=SMALL), torch.rand(1, 4, 16, 32)
+    torch.testing.assert_close(net(x), net.dec_conv0(net.decode(x)[-1]))
+
+
+def test_the_last_layer_is_linear():
+    """Negative outputs exist, and with a negated last layer they are the negated ones."""
+    net, x = UNet(4, widths=SMALL), torch.rand(1, 4, 16, 16)
+    image = net(x)
+    with torch.no_grad():
+        net.dec_conv0.weight.neg_()
+        assert image.min() < 0
+        torch.testing.assert_close(net(x), -image)
+
+
+def test_the_top_skip_is_the_raw_input():
+    """With all features before it cut, the first layer of the top level still sees the input."""
+    net = UNet(3, widths=SMALL)
+    with torch.no_grad():
+        net.dec_conv2b.weight.zero_()
+    x = torch.rand(1, 3, 16, 16)
+    seen: list[torch.Tensor] = []
+    net.dec_conv1a.register_forward_hook(lambda _l, inputs, _y: seen.append(inputs[0]))
+    net(x)
+    assert torch.equal(seen[0][:, SMALL.dec2[1] :], x)
+
+
+@pytest.mark.parametrize("side", [16, 32])
+def test_gradients_reach_every_parameter(side):
+    net = UNet(9)
+    net(torch.rand(1, 9, side, side)).square().sum().backward()
+    without = [k for k, p in net.named_parameters() if p.grad is None or not p.grad.any()]
+    assert without == []
+
+
+def test_weights_are_those_of_the_seed_and_no_other():
+    torch.manual_seed(1)
+    before = torch.random.get_rng_state()
+    first = UNet(9, seed=5)
+    assert torch.equal(before, torch.random.get_rng_state())
+    second = UNet(9, seed=5)
+    other = UNet(9, seed=6)
+    for layer in NAMES:
+        weights = [getattr(net, layer).weight for net in (first, second, other)]
+        assert torch.equal(weights[0], weights[1])
+        assert not torch.equal(weights[0], weights[2])
+
+
+@pytest.mark.parametrize("layer", ["enc_conv2", "dec_conv4a", "dec_conv1b"])
+def test_weights_start_as_he_normal_for_relu(layer):
+    """Against torch's own: same deviation, and nothing beyond a normal's tails."""
+    weight = getattr(UNet(9), layer).weight.detach()
+    theirs = nn.init.kaiming_normal_(torch.empty_like(weight), nonlinearity="relu").std()
+    # relative error of a deviation from N numbers is about 1 / sqrt(2 N), twice, N >= 13,824
+    assert float(weight.std() / theirs) == pytest.approx(1, abs=0.04)
+    assert not getattr(UNet(9), layer).bias.any()

@@ -1,0 +1,98 @@
+"""Reprojection against shifts, kornia and a loop."""
+
+from __future__ import annotations
+
+import math
+
+import kornia
+import pytest
+import torch
+
+from rlbench.ops.warp import recall, reproject
+
+N, C, H, W = 2, 3, 9, 14
+
+
+def history() -> torch.Tensor:
+    return torch.rand(N, C, H, W, generator=torch.Generator().manual_seed(0))
+
+
+def motion(reach: float = 3.0) -> torch.Tensor:
+    drawn = torch.rand(N, 2, H, W, generator=torch.Generator().manual_seed(1))
+    return (2 * drawn - 1) * reach
+
+
+def constant(dx: float, dy: float) -> torch.Tensor:
+    return torch.tensor([float(dx), float(dy)]).view(1, 2, 1, 1).expand(N, 2, H, W)
+
+
+def test_no_motion_is_identity():
+    moved, valid = reproject(history(), None)
+    assert torch.equal(moved, history())
+    assert valid.all()
+
+
+def test_zero_motion_is_identity_up_to_rounding():
+    moved, valid = reproject(history(), constant(0, 0))
+    torch.testing.assert_close(moved, history(), atol=1e-5, rtol=0)  # float32 grid coordinates
+    assert valid.all()
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(1, 0), (0, 1), (-2, 3), (5, -4), (-13, 8)])
+def test_whole_steps_shift_the_image(dx, dy):
+    moved, valid = reproject(history(), constant(dx, dy))
+    for y in range(H):
+        for x in range(W):
+            inside = 0 <= x + dx < W and 0 <= y + dy < H
+            assert valid[:, 0, y, x].tolist() == [inside] * N
+            if inside:
+                torch.testing.assert_close(
+                    moved[..., y, x], history()[..., y + dy, x + dx], atol=1e-5, rtol=0
+                )
+
+
+def test_bilinear_taps_are_those_of_kornia():
+    moved, valid = reproject(history(), motion())
+    x = torch.arange(W) + motion()[:, 0]
+    y = torch.arange(H)[:, None] + motion()[:, 1]
+    theirs = kornia.geometry.transform.remap(history(), x, y, align_corners=True)
+    assert 0.3 < valid.float().mean() < 0.95
+    difference = (moved - theirs).abs().where(valid, 0.0)
+    assert difference.max() < 1e-5  # float32 grid coordinates
+
+
+def test_valid_means_that_every_tap_with_weight_is_inside():
+    found = reproject(history(), motion())[1]
+    for n in range(N):
+        for y in range(H):
+            for x in range(W):
+                px, py = (float(v) for v in motion()[n, :, y, x] + torch.tensor([x, y]))
+                taps = [
+                    (math.floor(px), math.floor(py)),
+                    (math.ceil(px), math.ceil(py)),
+                ]
+                inside = all(0 <= i < W and 0 <= j < H for i, j in taps)
+                assert bool(found[n, 0, y, x]) == inside
+
+
+def test_what_was_outside_has_the_value_for_missing():
+    remembered = recall(history(), constant(4, 0), missing=-1.0)
+    assert (remembered[..., W - 4 :] == -1).all()
+    assert (remembered[..., : W - 4] >= 0).all()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e30])
+def test_motion_that_is_no_number_is_invalid_and_spreads_nowhere(bad):
+    broken = constant(0, 0).clone()
+    broken[0, 1, 4, 5] = bad
+    moved, valid = reproject(history(), broken)
+    assert not valid[0, 0, 4, 5]
+    assert int(valid.logical_not().sum()) == 1
+    assert torch.isfinite(moved).all()
+
+
+def test_a_bad_pixel_of_history_reaches_its_four_neighbours_and_no_more():
+    bad = history()
+    bad[0, 0, 4, 5] = math.nan
+    moved, _ = reproject(bad, constant(0.5, 0.5))
+    assert int(moved.isnan().sum()) == 4

@@ -1,0 +1,71 @@
+"""Finding libLLVM."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from rlbench.render import llvm
+
+
+@pytest.fixture
+def false_library(tmp_path, monkeypatch):
+    file = tmp_path / "libLLVM.so.19.1"
+    file.write_bytes(b"not a library")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(file))
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
+    return file
+
+
+def test_a_file_that_is_no_library_is_refused_with_a_reason(false_library):
+    assert "LLVM" in llvm.probe(false_library)
+
+
+def test_a_library_that_the_machine_offers_is_usable(llvm):
+    assert llvm == "llvm_ad_rgb"
+
+
+def test_a_library_is_probed_once(false_library, tmp_path):
+    reason = llvm.libraries()[0].refused
+    note = tmp_path / "cache" / "llvm.json"
+    note.write_text(note.read_text().replace(reason[:20], "as noted"))
+    assert llvm.libraries()[0].refused.startswith("as noted")
+
+
+def test_a_library_that_was_replaced_is_probed_again(false_library, tmp_path):
+    reason = llvm.libraries()[0].refused
+    note = tmp_path / "cache" / "llvm.json"
+    note.write_text(note.read_text().replace(reason[:20], "as noted"))
+    os.utime(false_library, ns=(1, 1))
+    assert llvm.libraries()[0].refused == reason
+
+
+def test_what_is_too_old_is_refused_without_being_loaded(tmp_path, monkeypatch):
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-15.so.1"))
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
+    assert "too old" in llvm.libraries()[0].refused
+    assert not (tmp_path / "llvm.json").exists()
+
+
+def test_candidates_come_newest_first(tmp_path, monkeypatch):
+    names = ("libLLVM-14.so.1", "libLLVM.so.19.1", "libLLVM-16.0.6.so", "libLLVM.so.22.1")
+    for name in names:
+        (tmp_path / name).touch()
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(llvm, "PATTERNS", (f"{tmp_path}/libLLVM*",))
+    assert [version for version, _ in llvm.candidates()] == [22, 19, 16, 14]
+
+
+def test_without_llvm_it_is_scalar_and_says_how_to_get_the_fast_one(false_library):
+    code = "from rlbench.render import llvm; print(llvm.activate())"
+    run = [sys.executable, "-c", code]
+    done = subprocess.run(run, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == ["scalar_rgb"]
+    assert "apt-get install libllvm" in done.stderr
+
+
+def test_the_report_says_what_was_refused_and_what_would_do(false_library):
+    text = llvm.report()
+    assert f"refused {false_library}" in text
+    assert "apt-get install libllvm" in text

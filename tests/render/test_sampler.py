@@ -1,0 +1,55 @@
+"""Random numbers for paths."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from rlbench.render import load, sampler
+
+
+def numbers(pixels, samples, key, count):
+    import drjit as dr
+    import mitsuba as mi
+
+    arrays = [load.upload(mi.UInt32, np.asarray(a)) for a in (pixels, samples)]
+    source = sampler.keyed(*arrays, [dr.opaque(mi.UInt32, k) for k in key])
+    return np.stack([np.array(source.next_1d()) for _ in range(count)], axis=1)
+
+
+def test_streams_times_and_seeds_never_share_a_key():
+    choices = itertools.product(sampler.STREAMS, (-1.0, 0.0, 0.5, 1.0), (0, 1))
+    keys = [sampler.key(*choice) for choice in choices]
+    assert len(set(keys)) == len(keys)
+
+
+def test_an_unknown_stream_is_an_error_that_lists_those_there_are():
+    with pytest.raises(LookupError, match="referenceA"):
+        sampler.key("reference", 0.0, 0)
+
+
+def test_numbers_are_uniform(llvm):
+    pixel, sample = np.indices((100, 100)).reshape(2, -1)
+    drawn = numbers(pixel, sample, sampler.key("input", 0.0, 0), 4)
+    counts = np.histogram(drawn, 50, (0, 1))[0]
+    expected = drawn.size / 50
+    assert ((counts - expected) ** 2 / expected).sum() < 49 + 4 * np.sqrt(2 * 49)  # chi2 + 4 sd
+
+
+@pytest.mark.parametrize("moved", ["pixel", "sample", "dimension"])
+def test_neighbours_are_uncorrelated(llvm, moved):
+    pixel, sample = np.indices((100, 100)).reshape(2, -1)
+    drawn = numbers(pixel, sample, sampler.key("input", 0.0, 0), 2).reshape(100, 100, 2)
+    first, second = {
+        "pixel": (drawn[1:], drawn[:-1]),
+        "sample": (drawn[:, 1:], drawn[:, :-1]),
+        "dimension": (drawn[..., 0], drawn[..., 1]),
+    }[moved]
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 4 / np.sqrt(first.size)
+
+
+def test_two_streams_share_no_number(llvm):
+    pixel, sample = np.indices((50, 50)).reshape(2, -1)
+    a, b = (numbers(pixel, sample, sampler.key(s, 0.0, 0), 2) for s in ("input", "referenceA"))
+    # 24-bit numbers agree by chance in one of 16 million
+    assert (a == b).sum() <= 2

@@ -1,0 +1,113 @@
+"""Tracing: the same sample whatever surrounds it, and the right radiance."""
+
+import numpy as np
+import pytest
+
+from rlbench.render.trace import open_tracer
+from tests.render.worlds import diffuse, looking_down, room, under_a_lamp
+
+H, W = 24, 32
+
+
+@pytest.fixture
+def tracer(llvm):
+    return open_tracer(room(), H, W)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 1000])
+def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
+    random = np.random.default_rng(count)
+    pixels, samples = random.integers(0, H * W, count), random.integers(0, 4, count)
+    stack = tracer.stack(4).reshape(4, -1, 3)
+    np.testing.assert_array_equal(tracer.trace(pixels, samples), stack[samples, pixels])
+
+
+def test_without_llvm_pairs_are_those_of_the_stack_too():
+    from rlbench.render.llvm import activate
+
+    activate("scalar_rgb")
+    tracer = open_tracer(room(), H, W)
+    pixels, samples = np.array([5, 700, 5]), np.array([1, 0, 0])
+    stack = tracer.stack(2).reshape(2, -1, 3)
+    np.testing.assert_array_equal(tracer.trace(pixels, samples), stack[samples, pixels])
+
+
+def test_samples_do_not_depend_on_where_the_scene_was_before(variant):
+    tracer = open_tracer(room(), H, W)
+    tracer.set_time(1.0)
+    before = tracer.stack(1)
+    tracer.set_time(5.0)
+    tracer.set_time(1.0)
+    np.testing.assert_array_equal(tracer.stack(1), before)
+
+
+def test_a_stack_continues_where_another_ended(variant):
+    tracer = open_tracer(room(), H, W)
+    parts = [tracer.stack(1), tracer.stack(2, first=1)]
+    np.testing.assert_array_equal(tracer.stack(3), np.concatenate(parts))
+
+
+def test_the_mean_is_that_of_the_stack_whatever_the_chunk(tracer):
+    stack = tracer.stack(6, "referenceA").mean(0, dtype=np.float64)
+    # float32 result of a float64 sum
+    np.testing.assert_allclose(tracer.mean(6, "referenceA", chunk=4), stack, rtol=1e-6)
+
+
+@pytest.mark.parametrize("other", ["referenceA", "referenceB", "pilot"])
+def test_streams_are_independent(variant, other):
+    tracer = open_tracer(room(), H, W)
+    first, second = tracer.stack(32), tracer.stack(32, other)
+    noise = [(s - (first.mean(0) + second.mean(0)) / 2)[:, H // 2 :, :, 0] for s in (first, second)]
+    product = (np.clip(noise[0], -1, 1) * np.clip(noise[1], -1, 1)).reshape(32, -1)
+    # the common mean leaves -1/64 of the variance; 4 standard errors
+    assert abs(product.mean()) < 4 * product.std() / np.sqrt(product.size) + 2e-3
+
+
+def test_a_diffuse_plane_under_a_constant_sky_shines_by_its_albedo(variant):
+    tracer = open_tracer(looking_down(diffuse(0.5, 0.25, 0.75), sky=2.0), 16, 16)
+    samples = tracer.stack(64).reshape(-1, 3).astype(np.float64)
+    error = 4 * samples.std(0) / np.sqrt(len(samples)) + 1e-6
+    assert (abs(samples.mean(0) - [1.0, 0.5, 1.5]) < error).all()
+
+
+def test_a_floor_below_a_lamp_has_the_radiance_of_the_form_factor(variant):
+    scene, radiance = under_a_lamp(half=0.5, height=2.0, radiance=10.0, albedo=0.6)
+    samples = open_tracer(scene, 16, 16).stack(64).ravel().astype(np.float64)
+    # 4 standard errors, and 1e-3 for the patch of floor that the pixels cover
+    error = 4 * samples.std() / np.sqrt(len(samples)) + 1e-3 * radiance
+    assert abs(samples.mean() - radiance) < error
+
+
+def test_both_kinds_of_tracer_see_the_same_picture(llvm):
+    from rlbench.render.llvm import activate
+
+    first = open_tracer(room(), H, W).stack(256)
+    activate("scalar_rgb")
+    second = open_tracer(room(), H, W).stack(256)
+    blocks = [s.reshape(256, 3, 8, 4, 8, 3).mean((2, 4)) for s in (first, second)]
+    error = np.sqrt(sum(b.var(0) for b in blocks) / 256) + 1e-4
+    score = (blocks[0].mean(0) - blocks[1].mean(0)) / error
+    assert abs(score).max() < 5  # 36 scores
+
+
+def test_no_kernel_is_compiled_after_the_first_frame(tracer):
+    import drjit as dr
+
+    from rlbench.render.views import views
+
+    def work(time):
+        tracer.set_time(time)
+        views(tracer)
+        tracer.stack(2)
+        random = np.random.default_rng(int(time))
+        count = int(random.integers(1, 200))
+        tracer.trace(random.integers(0, H * W, count), random.integers(0, 99, count), "pilot")
+
+    work(0.0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for time in (1.0, 2.0, 3.5):
+            work(time)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)

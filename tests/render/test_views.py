@@ -1,0 +1,168 @@
+"""Albedo, normal, depth and motion."""
+
+import numpy as np
+import pytest
+
+from rlbench.render.pose import Pose
+from rlbench.render.scene import Camera, Scene
+from rlbench.render.trace import open_tracer
+from rlbench.render.views import views
+from tests.render.worlds import STEP, diffuse, grey, looking_down, room
+
+H, W = 48, 64
+MIRROR = {"type": "conductor", "material": "none", "specular_reflectance": grey(0.6)}
+ROUGH = {**MIRROR, "type": "roughconductor", "alpha": 0.05}
+
+
+def plane_albedo(material):
+    return views(open_tracer(looking_down(material, fov=1.0), 4, 4), {"albedo"})["albedo"]
+
+
+@pytest.mark.parametrize(
+    ("material", "known", "error"),
+    [
+        (diffuse(0.6, 0.5, 0.4), (0.6, 0.5, 0.4), 1e-6),
+        (MIRROR, (0.6, 0.6, 0.6), 1e-6),
+        (ROUGH, (0.6, 0.6, 0.6), 5e-3),  # a smooth rough mirror loses next to nothing
+    ],
+    ids=["diffuse", "mirror", "rough mirror"],
+)
+def test_albedo_of_known_materials(variant, material, known, error):
+    np.testing.assert_allclose(
+        plane_albedo(material), np.broadcast_to(known, (4, 4, 3)), atol=error
+    )
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"type": "roughconductor", "alpha": 0.2, "material": "Au"},
+        {"type": "roughplastic", "diffuse_reflectance": grey(0.6)},
+        {"type": "principled", "base_color": grey(0.6), "roughness": 0.4},
+    ],
+    ids=lambda material: material["type"],
+)
+def test_albedo_is_the_hemispherical_reflectance(llvm, material):
+    import drjit as dr
+    import mitsuba as mi
+
+    lanes = 65_536
+    surface = dr.zeros(mi.SurfaceInteraction3f, lanes)
+    surface.wi = mi.Vector3f(0, 0, 1)
+    source = mi.load_dict({"type": "independent"})
+    source.seed(1, lanes)
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    _, weight = mi.load_dict(material).sample(context, surface, source.next_1d(), source.next_2d())
+    truth = [weight[c].numpy().mean() for c in range(3)]
+    # 16 points against 65 thousand: the quadrature errs by up to 0.035 over all angles
+    np.testing.assert_allclose(plane_albedo(material)[2, 2], truth, atol=0.04)
+
+
+def test_albedo_looks_through_glass(variant):
+    tracer = open_tracer(room(), H, W)
+    found = views(tracer, {"albedo"})["albedo"]
+    rows, columns = np.nonzero(_mesh(tracer) == 3)
+    assert len(rows) > 20
+    behind = (abs(found[rows, columns] - [0.6, 0.5, 0.4]) < 0.02).all(-1)
+    assert behind.mean() > 0.5  # the rest shows the sky, or the pane's edges
+
+
+def test_depth_runs_along_the_view_axis(variant):
+    depth = views(open_tracer(looking_down(diffuse(0.5, 0.5, 0.5), height=3.0), 8, 8))["depth"]
+    np.testing.assert_allclose(depth, 3.0, rtol=1e-6)
+
+
+def test_background_has_no_normal_no_albedo_and_infinite_depth(variant):
+    found = views(open_tracer(room(), H, W))
+    sky = np.isinf(found["depth"][..., 0])
+    assert 0 < sky.sum() < sky.size
+    assert not found["normal"][sky].any()
+    assert not found["albedo"][sky].any()
+
+
+def test_normals_are_unit_vectors_towards_the_camera(variant):
+    tracer = open_tracer(room(), H, W)
+    found = views(tracer)
+    seen = np.isfinite(found["depth"][..., 0])
+    normal = found["normal"][seen]
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-5)
+    towards = tracer.pose.directions(_centres(), H, W)[seen.ravel()]
+    assert ((normal * towards).sum(1) < 0).all()
+
+
+def test_only_what_is_needed_is_returned(variant):
+    assert set(views(open_tracer(room(), 4, 4), {"depth", "normal"})) == {"depth", "normal"}
+
+
+def test_nothing_moves_where_nothing_moves(variant):
+    assert not views(open_tracer(room(static=True), H, W))["motion"].any()
+
+
+def test_the_sky_moves_with_the_turning_camera(llvm):
+    def camera(time):
+        angle = 0.01 * time  # radians to the left per frame, seen from above
+        return Camera((0, 0, 0), (-np.sin(angle), np.cos(angle), 0), fov=60.0)
+
+    sky = ({"type": "constant", "radiance": grey(1.0)},)
+    ground = looking_down(diffuse(0.5, 0.5, 0.5)).meshes[0]
+    below = ground.vertices - np.float32([0, 0, 5])
+    scene = Scene("sky", "", (ground,), camera, sky, moving=lambda time: {"plane": below})
+    tracer = open_tracer(scene, 3, 65)
+    motion = views(tracer)["motion"][0, 32]
+    # what is ahead now was to the left of ahead, as the camera then looked further right
+    pixels = np.tan(0.01) / (np.tan(np.radians(30)) / 32.5)
+    np.testing.assert_allclose(motion[0], -pixels, rtol=1e-4)
+
+
+def test_motion_leads_to_the_same_point_in_the_previous_frame(variant):
+    tracer = open_tracer(room(), H, W)
+    tracer.set_time(3.0)
+    motion = views(tracer)["motion"].reshape(-1, 2)
+    mesh = _mesh(tracer).ravel()
+    hit = mesh >= 0
+    now = _places(tracer, _centres())
+    expected = now - np.where(mesh[:, None] == 1, STEP, 0.0)  # the cube, and no other mesh, moved
+    tracer.set_time(2.0)
+    found = _places(tracer, _centres() + motion)
+    eye = np.asarray(tracer.pose.camera.origin)
+    apart = np.linalg.norm(found - expected, axis=1)
+    nearer = np.linalg.norm(found - eye, axis=1) < np.linalg.norm(expected - eye, axis=1) - 1e-3
+    unexplained = hit & ~(apart < 1e-3) & ~nearer  # 1 mm in a room of 10 m
+    assert hit.mean() > 0.5
+    assert (nearer & hit).mean() < 0.2
+    assert unexplained.mean() < 1e-4
+
+
+def test_projection_undoes_directions():
+    pose = Pose.of(room(), 2.0)
+    film = np.random.default_rng(0).uniform(0, [W, H], (100, 2))
+    rays = np.column_stack([pose.directions(film, H, W), np.zeros(100)])
+    np.testing.assert_allclose(pose.project(rays, H, W)[0], film, atol=1e-9)
+
+
+def _centres():
+    rows, columns = np.indices((H, W)).reshape(2, -1)
+    return np.stack([columns, rows], 1) + 0.5
+
+
+def _mesh(tracer):
+    """Which mesh each pixel shows, -1 for none."""
+
+    def look(ray):
+        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+        return tracer.mesh(hit), hit.t
+
+    mesh, distance = tracer.each(look, _centres())
+    return np.where(np.isfinite(distance), mesh.astype(int), -1).reshape(H, W)
+
+
+def _places(tracer, film):
+    """World positions that are seen at film positions."""
+
+    def look(ray):
+        return (tracer.mitsuba.ray_intersect_preliminary(ray).t,)
+
+    (distance,) = tracer.each(look, film)
+    eye = np.asarray(tracer.pose.camera.origin)
+    distance = np.where(np.isfinite(distance), distance, 1e6).astype(np.float64)
+    return eye + distance[:, None] * tracer.pose.directions(film, H, W)

@@ -1,0 +1,95 @@
+"""Small scenes whose pixels are known, or can be worked out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rlbench.render.scene import Camera, Mesh, Scene
+
+STEP = np.array([0.1, -0.05, 0.02])  # metres that the cube of `room` moves per frame
+
+
+def grey(value):
+    return {"type": "rgb", "value": [value] * 3}
+
+
+def diffuse(*colour):
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}
+
+
+def square(name, half, z, material, up=1, **more):
+    corners = [[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]]
+    faces = [[0, 1, 2], [0, 2, 3]] if up > 0 else [[0, 2, 1], [0, 3, 2]]
+    vertices = np.array(corners, np.float32)
+    return Mesh(name, vertices, np.array(faces, np.uint32), material, **more)
+
+
+def box(name, low, high, material):
+    vertices = [[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]
+    sides = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
+    return Mesh(name, np.array(vertices, np.float32), np.array(faces, np.uint32), material)
+
+
+def room(static=False):
+    """Ground, a moving cube, gold, a pane of glass, a lamp and a sky; the camera passes by."""
+    cube = box("cube", (-0.5, -0.5, 0.1), (0.5, 0.5, 1.1), diffuse(0.2, 0.4, 0.8))
+    gold = {"type": "roughconductor", "alpha": 0.2, "material": "Au"}
+    pane = box("pane", (-1.5, -2.0, 0.0), (-0.5, -1.9, 1.5), {"type": "dielectric"})
+    lamp = {"type": "area", "radiance": grey(12.0)}
+    pace = 0.0 if static else 1.0
+    return Scene(
+        name="room",
+        title="A room for tests",
+        meshes=(
+            square("ground", 5.0, 0.0, diffuse(0.6, 0.5, 0.4)),
+            cube,
+            box("gold", (1.0, -0.5, 0.0), (2.0, 0.5, 1.0), gold),
+            pane,
+            square("lamp", 1.0, 4.0, diffuse(0.0, 0.0, 0.0), up=-1, emission=lamp),
+        ),
+        camera=lambda time: Camera((0.5 + 0.2 * pace * time, -6.0, 2.5), (0, 0, 0.5), fov=50.0),
+        sky=({"type": "constant", "radiance": grey(0.3)},),
+        moving=lambda time: {
+            "cube": (cube.vertices + pace * time * STEP).astype(np.float32),
+        },
+        exposure=2.0,
+        static=static,
+    )
+
+
+def looking_down(material, height=3.0, fov=50.0, sky=1.0, depth=2):
+    """A wide plane of one material at z = 0, seen straight from above under a constant sky."""
+    return Scene(
+        name="plane",
+        title="A plane for tests",
+        meshes=(square("plane", 100.0, 0.0, material),),
+        camera=lambda time: Camera((0, 0, height), (0, 0, 0), up=(0, 1, 0), fov=fov),
+        sky=({"type": "constant", "radiance": grey(sky)},),
+        depth=depth,
+    )
+
+
+def under_a_lamp(half, height, radiance, albedo):
+    """The point of a floor below the middle of a square lamp that faces it, and its radiance.
+
+    Howell's catalogue of configuration factors, B-4: a differential element parallel to a
+    rectangle, its normal through the rectangle's corner; four such rectangles make the lamp.
+    """
+    lamp = {"type": "area", "radiance": grey(radiance)}
+    scene = Scene(
+        name="lamp",
+        title="A lamp for tests",
+        meshes=(
+            square("floor", 50.0, 0.0, diffuse(albedo, albedo, albedo)),
+            square("lamp", half, height, diffuse(0.0, 0.0, 0.0), up=-1, emission=lamp),
+        ),
+        camera=lambda time: Camera((5.0, 0.0, height / 2), (0, 0, 0), fov=0.2),
+        depth=2,
+    )
+    side = half / height
+    slant = math.sqrt(1 + side**2)
+    factor = 4 / (2 * math.pi) * 2 * side / slant * math.atan(side / slant)
+    return scene, albedo * radiance * factor

@@ -1,0 +1,68 @@
+"""A made-up but realistic results table, from formulas whose means are known."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rlbench.table import Row, frame_of
+
+SCENES = {"city": 0.0, "temple": -2.0, "hall": -4.0, "ripples": 1.5}  # dB
+SAMPLE_MS = {"city": 16.6, "temple": 17.6, "hall": 34.5, "ripples": 36.6}
+BUDGETS = (0.5, 1.0, 2.0, 4.0, 8.0)
+METHODS = {  # dB at 1 spp, dB a doubling, plan ms, denoise ms
+    "mean": (17.0, 2.9, 0.0, 0.3),
+    "oidn": (27.5, 1.25, 0.0, 9.0),
+    "ntas": (28.6, 1.2, 6.5, 14.0),
+    "ours": (29.9, 1.15, 5.5, 11.0),
+    "ours/small": (29.2, 1.1, 2.2, 4.5),
+}
+CLIPS, FRAMES = 2, 4
+
+
+def psnr(method, scene, spp, clip=0, frame=0):
+    """Frame and clip wobbles have mean zero; those of a clip differ a little between methods."""
+    start, slope, _, _ = METHODS[method]
+    own = 0.06 * (2 * clip - 1) * (1 + list(METHODS).index(method) % 2)
+    wobble = 0.3 * math.cos(math.pi * frame) + 0.5 * (2 * clip - 1) + own
+    return start + slope * math.log2(spp) + SCENES[scene] + wobble
+
+
+def rows(methods=METHODS, device="NVIDIA RTX 2080 Ti", profile="profile paper-2080ti"):
+    made = []
+    for method in methods:
+        for scene in SCENES:
+            for spp in BUDGETS:
+                for clip in range(CLIPS):
+                    made += cell(method, scene, spp, clip, device, profile)
+    return made
+
+
+def cell(method, scene, spp, clip, device, profile):
+    def row(frame, metric, value, unit, better, convention):
+        return Row(
+            "r1", method, f"{scene}-{clip}", scene, spp, spp * 0.99, frame, metric, value, unit,
+            better, convention, device=device, dtype="float32", code="c0de",
+        )  # fmt: skip
+
+    _, _, plan, denoise = METHODS[method]
+    made = []
+    for frame in range(FRAMES):
+        value = psnr(method, scene, spp, clip, frame)
+        made.append(row(frame, "psnr", value, "dB", "high", "peak 1, clipped sRGB"))
+        made.append(row(frame, "relmse", 10 ** (-value / 10), "", "low", "linear radiance"))
+    for metric, value in {
+        "plan_ms": plan,
+        "plan_p95_ms": plan * 1.1,
+        "denoise_ms": denoise,
+        "denoise_p95_ms": denoise * 1.2,
+    }.items():
+        made.append(row(-1, metric, value, "ms", "low", "p50 of 50"))
+    made.append(row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "low", profile))
+    return made
+
+
+@pytest.fixture(scope="session")
+def results():
+    return frame_of(rows())
