@@ -18,8 +18,7 @@ CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Ev
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
     "rlbench/latency.py",
     "rlbench/training.py",
-    "rlbench/render/trace.py",
-    "rlbench/render/record.py",
+    "rlbench/render/tracer.py",
 )
 
 
