@@ -25,8 +25,12 @@ FRONT, BEATEN = "another is faster and better", "#EFEFEF"
 
 
 def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
-    """The figure: the mean over scenes at the left, a panel a scene at the right, keys below."""
+    """The figure: the mean over scenes at the left, a panel a scene at the right, keys below.
+
+    With one scene that is the only panel.
+    """
     scenes = [scene for scene in sorted(set(plotted["scene"])) if scene != OVERALL]
+    scenes = [OVERALL, *scenes] if len(scenes) > 1 else scenes
     looks = style.looks(plotted["method"])
     columns = _columns(looks)
     room = 1.25 + 0.27 * math.ceil((len(looks) + 1) / columns)  # inches for keys and caption
@@ -38,24 +42,24 @@ def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
         _scale(axes, points, texts["better"])
         _panel(axes, points, looks, sizes)
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
-    panels[OVERALL].set_ylabel(texts["value"] + texts["direction"])
+    panels[scenes[0]].set_ylabel(texts["value"] + texts["direction"])
     _keys(figure, looks, sizes, columns, (room - 0.58) / (HEIGHT + room))
     figure.text(0.012, 0.014, texts["caption"], fontsize=10.5, color=style.INK, va="bottom")
     return figure
 
 
 def _panels(figure: Figure, scenes: list[str], bottom: float) -> dict[str, Axes]:
-    rows = 1 if len(scenes) <= 1 else 2
-    columns = math.ceil(len(scenes) / rows)
+    rows = 1 if len(scenes) <= 2 else 2
+    columns = math.ceil((len(scenes) - 1) / rows)
     grid = figure.add_gridspec(
         rows, 1 + columns, width_ratios=[1.3 if columns > 1 else 1] + [0.85] * columns,
-        left=0.06, right=0.988, top=0.95, bottom=bottom, wspace=0.16, hspace=0.3,
+        left=0.075, right=0.988, top=0.95, bottom=bottom, wspace=0.17, hspace=0.3,
     )  # fmt: skip
-    panels = {OVERALL: figure.add_subplot(grid[:, 0])}
-    for i, scene in enumerate(scenes):
+    panels = {scenes[0]: figure.add_subplot(grid[:, 0])}
+    for i, scene in enumerate(scenes[1:]):
         panels[scene] = figure.add_subplot(grid[i // columns, 1 + i % columns])
     for i, axes in enumerate(panels.values()):
-        if i == 0 or i + columns > len(scenes):
+        if i == 0 or i + columns >= len(scenes):
             axes.set_xlabel("whole frame time [ms]")
     return panels
 
@@ -141,8 +145,8 @@ def _keys(
 
 def _line(look: style.Look, name: str) -> Line2D:
     return Line2D(
-        [], [], color=look.color, linestyle=look.dash, linewidth=1.8, marker=look.marker, label=name,
-        markersize=8, markerfacecolor=look.face, markeredgecolor=look.edge,
+        [], [], color=look.color, linestyle=look.dash, linewidth=1.8, marker=look.marker,
+        label=name, markersize=8, markerfacecolor=look.face, markeredgecolor=look.edge,
     )  # fmt: skip
 
 

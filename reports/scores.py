@@ -73,25 +73,29 @@ def shots(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     """
     every = _every_shot(table, metric)
     counts = _counts(every)
-    whole = counts.loc[counts["frames"] == counts["asked"], CELL]
+    whole = counts[counts["frames"] == counts["asked"]][CELL]
     return every.merge(whole, on=CELL)
 
 
 def gaps(table: pd.DataFrame, metric: str) -> list[str]:
-    """Cells that were left out since frames are missing, one sentence each."""
+    """What has no mean since frames or scenes are missing that others have, one sentence each."""
     counts = _counts(_every_shot(table, metric))
     short = counts[counts["frames"] < counts["asked"]]
-    return [
+    lines = [
         f"{row.method} on {row.scene} at {row.spp:g} spp: {metric} of {row.frames} frames, "
         f"others have {row.asked}"
         for row in short.itertuples()
     ]
+    for (method, spp), cells in counts.groupby(["method", "spp"]):
+        if absent := sorted(set(counts["scene"]) - set(cells["scene"])):
+            lines.append(f"{method} at {spp:g} spp: no {metric} on {', '.join(absent)}")
+    return lines
 
 
 def scene_means(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Columns method, scene, spp, value: mean over the frames of a clip, then over clips."""
     clips = shots(table, metric).groupby([*CELL, "clip"])["value"].mean()
-    return clips.groupby(CELL).mean().reset_index()
+    return pd.DataFrame(clips.groupby(CELL).mean().reset_index())
 
 
 def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
@@ -107,7 +111,7 @@ def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     timed = table[table["metric"].isin(TIMES)]
     parts = timed.pivot_table("value", CELL, "metric").reindex(columns=TIMES).reset_index()
     sampled = table[table["metric"] == "sample_ms"]
-    clips = sampled.groupby(["scene", "clip"])["value"].mean()
+    clips: pd.Series[float] = sampled.groupby(["scene", "clip"])["value"].mean()
     cost = clips.groupby("scene").mean().rename("sample_ms").reset_index()
     found = found.merge(parts, on=CELL, how="left").merge(cost, on="scene", how="left")
     found["sampling_ms"] = found["spp_realised"] * found["sample_ms"]
@@ -120,7 +124,8 @@ def overall(per_scene: pd.DataFrame) -> pd.DataFrame:
     scenes = per_scene["scene"].nunique()
     groups = per_scene.groupby(["method", "spp"])
     means = groups.mean(numeric_only=True).reset_index()
-    return means[groups["scene"].nunique().to_numpy() == scenes].reset_index(drop=True)
+    whole = groups["scene"].nunique().to_numpy() == scenes
+    return pd.DataFrame(means[whole].reset_index(drop=True))
 
 
 def front(times: pd.Series, values: pd.Series, better: str) -> list[int]:
@@ -154,7 +159,7 @@ def remarks(table: pd.DataFrame) -> list[str]:
 
 def _every_shot(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     rows = table[(table["metric"] == metric) & table["value"].notna()]
-    return rows.groupby([*CELL, "clip", "frame"])["value"].mean().reset_index()
+    return pd.DataFrame(rows.groupby([*CELL, "clip", "frame"])["value"].mean().reset_index())
 
 
 def _counts(every: pd.DataFrame) -> pd.DataFrame:

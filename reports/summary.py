@@ -1,0 +1,142 @@
+"""The summary: every score and time by method and budget, how sure, and what was not run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from reports import scores
+from reports.grids import Bold, Grid, latex, markdown
+from reports.ranking import EVERY, ranking
+from reports.statistics import DRAWS
+
+TIME_COLUMNS = {
+    "plan_ms": "plan p50",
+    "plan_p95_ms": "plan p95",
+    "denoise_ms": "denoise p50",
+    "denoise_p95_ms": "denoise p95",
+    "sampling_ms": "sampling",
+    "total_ms": "total",
+}
+Show = Callable[[float], str]
+
+
+def write(
+    table: pd.DataFrame, folder: Path, name: str = "summary", seed: int = 0, draws: int = DRAWS
+) -> list[Path]:
+    """`name`.md, .csv and .tex: scores, times, scenes and reasons, a section for each device.
+
+    `seed` and `draws` are those of the bootstrap. Raises ReportError where rows would be averaged
+    that must not be.
+    """
+    pages, ranked, floats = [f"# {_heading(table)}\n"], [], []
+    for device, rows in scores.by_device(table).items():
+        scores.check(rows)
+        ranks = [ranking(rows, metric, seed, draws) for metric in scores.metrics(rows)]
+        grids = [*_score_grids(rows, ranks), *_time_grids(rows, device), *_scene_grids(rows, ranks)]
+        pages += [f"## {device or 'Device not named'}\n", *map(markdown, grids), _lists(rows)]
+        ranked += [rank.assign(device=device) for rank in ranks]
+        floats += [f"% {device}\n", *map(latex, grids)]
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.{kind}" for kind in ("md", "csv", "tex")]
+    files[0].write_text("\n".join(pages), encoding="utf-8")
+    pd.concat(ranked or [pd.DataFrame()]).to_csv(files[1], index=False)
+    files[2].write_text("\n".join(floats), encoding="utf-8")
+    return files
+
+
+def _heading(table: pd.DataFrame) -> str:
+    runs = ", ".join(sorted(set(table["run"])))
+    return f"Summary of {runs or 'no run'}"
+
+
+def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:
+    return [
+        _grid(
+            table,
+            rank[rank["scene"] == EVERY],
+            "mean over scenes",
+            "Bold is best at its budget. In brackets: the 95 % interval of the paired difference "
+            "to the best, resampled by clip; a tie is a difference whose interval holds zero.",
+        )
+        for rank in ranks
+    ]
+
+
+def _scene_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:
+    first = ranks[0] if ranks else pd.DataFrame(columns=["scene"])
+    return [
+        _grid(table, rows, str(scene), "Bold is best at its budget.")
+        for scene, rows in first.groupby("scene")
+        if scene != EVERY
+    ]
+
+
+def _grid(table: pd.DataFrame, rank: pd.DataFrame, of: str, caption: str) -> Grid:
+    metric = str(rank["metric"].iloc[0]) if len(rank) else "score"
+    unit, better, convention = (
+        scores.about(table, metric, c) for c in ("unit", "better", "convention")
+    )
+    budgets, show = sorted(set(rank["spp"])), _shown(unit)
+    cells = {(row.method, row.spp): _cell(row, show) for row in rank.itertuples()}
+    body = tuple(
+        (method, *(cells.get((method, spp), "-") for spp in budgets))
+        for method in sorted(set(rank["method"]))
+    )
+    name = f"{metric} [{unit}]" if unit else metric
+    head = ("method", *(f"{spp:g} spp" for spp in budgets))
+    rule = {"high": "Higher is better. ", "low": "Lower is better. "}.get(better, "")
+    return Grid(f"{name}, {of}", f"{convention}. {rule}{caption}", head, body)
+
+
+def _cell(row: object, show: Show) -> str:
+    mean, low, high = (getattr(row, name) for name in ("mean", "low", "high"))
+    text = show(mean)
+    if getattr(row, "best"):  # noqa: B009
+        return Bold(text)
+    if low == low:
+        text += f" [{show(low)}, {show(high)}]"
+    return f"{text} tie" if getattr(row, "tie") else text  # noqa: B009
+
+
+def _shown(unit: str) -> Show:
+    return (lambda v: f"{v:.2f}") if unit in ("dB", "ms") else (lambda v: f"{v:.3g}")
+
+
+def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
+    metrics = scores.metrics(table)
+    if not metrics:
+        return []
+    means = scores.overall(scores.points(table, metrics[0]))
+    if means["total_ms"].isna().all():
+        return []
+    head = ("method", "spp", "spp bought", *TIME_COLUMNS.values())
+    body = tuple(
+        (row["method"], f"{row['spp']:g}", f"{row['spp_realised']:.3g}")
+        + tuple("-" if pd.isna(row[c]) else f"{row[c]:.2f}" for c in TIME_COLUMNS)
+        for _, row in means.iterrows()
+    )
+    source = scores.profile(table) or "a source not named"
+    caption = (
+        f"Plan and denoise on {device or 'a device not named'}; sampling = samples bought per "
+        f"pixel x time of one sample per pixel ({source}); total = plan and denoise p50 + sampling."
+    )
+    return [Grid("time of a frame [ms], mean over scenes", caption, head, body)]
+
+
+def _lists(table: pd.DataFrame) -> str:
+    """What is missing, and notes on what is not, as lists."""
+    missing = [line for metric in scores.metrics(table) for line in scores.gaps(table, metric)]
+    parts = {
+        "Not run": scores.reasons(table),
+        "Left out of the means": missing,
+        "Remarks": scores.remarks(table),
+    }
+    sections = [
+        f"### {title}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
+        for title, lines in parts.items()
+        if lines
+    ]
+    return "\n".join(sections)

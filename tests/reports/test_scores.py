@@ -1,0 +1,141 @@
+"""Reading the table: means and times by hand, and nothing averaged that must not be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
+
+from reports import scores
+from rlbench.table import frame_of
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("method", ["ours", "mean"])
+def test_the_score_of_a_scene_is_the_formula_without_its_wobbles(results, method, scene):
+    found = scores.scene_means(results, "psnr").set_index(["method", "scene", "spp"])["value"]
+    start, slope, _, _ = METHODS[method]
+    assert found[method, scene, 4.0] == pytest.approx(start + 2 * slope + SCENES[scene])
+
+
+@pytest.mark.parametrize("spp", BUDGETS)
+def test_total_time_is_plan_and_denoise_and_the_samples_bought(results, spp):
+    found = scores.points(results).set_index(["method", "scene", "spp"])["total_ms"]
+    assert found["ours", "hall", spp] == pytest.approx(5.5 + 11.0 + 0.99 * spp * SAMPLE_MS["hall"])
+
+
+def test_overall_is_the_mean_over_scenes(results):
+    found = scores.overall(scores.points(results)).set_index(["method", "spp"])
+    offset = sum(SCENES.values()) / 4
+    assert found.loc[("ntas", 1.0), "value"] == pytest.approx(28.6 + offset)
+    sampling = 0.99 * sum(SAMPLE_MS.values()) / 4
+    assert found.loc[("ntas", 1.0), "total_ms"] == pytest.approx(6.5 + 14.0 + sampling)
+
+
+def test_a_clip_of_many_frames_weighs_no_more_than_another():
+    made = [r for r in rows(["ours"]) if r.metric == "psnr" and r.scene == "city" and r.spp == 1]
+    extra = [replace(r, frame=r.frame + 100) for r in made if r.clip == "city-1"]
+    found = scores.scene_means(frame_of(made + extra), "psnr")["value"].item()
+    assert found == pytest.approx(METHODS["ours"][0])
+
+
+def test_seeds_are_averaged_before_frames_are_counted():
+    made = [r for r in rows(["ours", "ntas"]) if r.metric == "psnr"]
+    again = [replace(r, seed=1, value=r.value + 2) for r in made if r.method == "ours"]
+    found = scores.scene_means(frame_of(made + again), "psnr")
+    cells = found[(found["scene"] == "city") & (found["spp"] == 1.0)].set_index("method")["value"]
+    assert cells.to_dict() == pytest.approx({"ours": 30.9, "ntas": 28.6})
+
+
+def incomplete():
+    """ntas lacks one frame of the city at 1 spp, and all of the hall."""
+    return frame_of(
+        [
+            r
+            for r in rows(["ours", "ntas"])
+            if r.method == "ours"
+            or not (r.scene == "hall" or (r.scene == "city" and r.spp == 1 and r.frame == 2))
+        ]
+    )
+
+
+def test_a_cell_that_lacks_frames_has_no_mean():
+    found = scores.scene_means(incomplete(), "psnr")
+    assert found[(found["method"] == "ntas") & (found["scene"] == "city")]["spp"].tolist() == [
+        0.5, 2.0, 4.0, 8.0,
+    ]  # fmt: skip
+
+
+def test_a_method_that_lacks_a_scene_has_no_overall_mean():
+    assert set(scores.overall(scores.points(incomplete()))["method"]) == {"ours"}
+
+
+def test_what_was_left_out_is_told():
+    lines = scores.gaps(incomplete(), "psnr")
+    assert "ntas on city at 1 spp: psnr of 6 frames, others have 8" in lines
+    assert "ntas at 2 spp: no psnr on hall" in lines
+
+
+def test_a_method_without_time_has_a_score_and_no_total():
+    timeless = frame_of([r for r in rows(["ours"]) if r.unit != "ms"])
+    found = scores.points(timeless)
+    assert found["total_ms"].isna().all()
+    assert found["value"].notna().all()
+
+
+def test_two_devices_do_not_share_a_column():
+    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
+    with pytest.raises(scores.ReportError, match="2 devices in one column: H100, NVIDIA RTX"):
+        scores.check(mixed)
+
+
+def test_rows_are_split_by_device():
+    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
+    parts = {name: set(part["method"]) for name, part in scores.by_device(mixed).items()}
+    assert parts == {"H100": {"ntas"}, "NVIDIA RTX 2080 Ti": {"ours"}}
+
+
+def test_the_machine_that_rendered_is_not_a_device_of_the_methods():
+    made = [replace(r, device="farm") if r.metric == "sample_ms" else r for r in rows(["ours"])]
+    assert list(scores.by_device(frame_of(made))) == ["NVIDIA RTX 2080 Ti"]
+
+
+def test_two_costs_per_sample_are_refused():
+    mixed = frame_of(rows(["ours"]) + rows(["ntas"], profile="this machine"))
+    with pytest.raises(scores.ReportError, match="2 sources: profile paper-2080ti, this machine"):
+        scores.check(mixed)
+
+
+@pytest.mark.parametrize("column", ["code", "weights", "dtype"])
+def test_two_versions_of_a_method_are_refused(column):
+    made = rows(["ours"])
+    made[0] = replace(made[0], **{column: "other"})
+    with pytest.raises(scores.ReportError, match=f"'ours' has results of 2 {column} values"):
+        scores.check(frame_of(made))
+
+
+def test_an_empty_table_is_refused():
+    with pytest.raises(scores.ReportError, match="has no rows"):
+        scores.check(frame_of(rows(["ours"])).iloc[:0])
+
+
+def test_reasons_are_told_once_for_each_method():
+    hole = replace(rows(["ours"])[0], method="restir", value=math.nan, note="no restir pool")
+    lines = scores.reasons(frame_of([hole, replace(hole, scene="hall", frame=1)]))
+    assert lines == ["restir on city, hall at 0.5 spp (psnr): no restir pool"]
+
+
+@pytest.mark.parametrize(
+    ("better", "expected"), [("high", [0, 2, 3]), ("low", [0, 1])], ids=["high", "low"]
+)
+def test_the_front_is_what_none_beats(better, expected):
+    times, values = pd.Series([1.0, 2.0, 3.0, 4.0, 4.0]), pd.Series([5.0, 4.0, 6.0, 9.0, 7.0])
+    assert scores.front(times, values, better) == expected
+
+
+def test_wobbles_of_the_made_up_table_have_mean_zero():
+    values = [psnr("ours", "city", 1.0, clip, frame) for clip in range(2) for frame in range(4)]
+    assert sum(values) / 8 == pytest.approx(METHODS["ours"][0])
