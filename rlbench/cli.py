@@ -213,11 +213,11 @@ def report(
 
       rlbench report pareto --results results/ --out figures/
     """
-    from rlbench import registry
+    from rlbench import registry, table
 
+    rows = table.read(results)
     for each in registry.names("reports") if name == "all" else [name]:
-        written = registry.load("reports", each)(results, out)
-        for file in written if isinstance(written, list | tuple) else [written or out]:
+        for file in registry.load("reports", each)(rows, out):
             typer.echo(file)
 
 

@@ -149,7 +149,7 @@ def scenes() -> dict[str, Any]:
 
 
 def reports() -> dict[str, Callable[..., Any]]:
-    """All reports by name: functions of a results folder and a folder to write to."""
+    """All reports by name: functions of the results table and a folder, to files written."""
     return {name: entry.load() for name, entry in entries("reports").items()}
 
 

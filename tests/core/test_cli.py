@@ -160,6 +160,18 @@ def test_regress_fails_where_quality_fell(clip_folder, tmp_path):
     assert "FAILED: 1 worse" in rlbench("regress", *words, code=1)
 
 
+def test_reports_are_written_where_asked(clip_folder, tmp_path):
+    words = ("--clips", clip_folder, "--out", tmp_path / "r", "--cost", "paper-2080ti")
+    rlbench("run", "-m", "mean", *words)
+    told = rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+    assert f"{tmp_path}/figures/pareto.png" in told
+    assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_a_report_without_results_is_told(tmp_path):
+    assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
+
+
 def test_doctor_says_which_path_tracer_and_device_there_is():
     told = rlbench("doctor")
     assert "path tracer" in told
