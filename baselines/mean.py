@@ -1,4 +1,4 @@
-"""The Monte-Carlo average: what a path tracer shows before anyone helps it, the floor of any table."""
+"""The Monte-Carlo average: what a path tracer shows by itself, the floor of any table."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rlbench import cost, latency, provenance, registry, table
 from rlbench.cells import Cell, Names, Request, cells
@@ -172,15 +173,17 @@ def _row(
     """A number; one that is not finite is no number, and the note says so."""
     if not math.isfinite(value):
         note, value = note or f"the value is {value}", math.nan
-    told = {"unit": unit, "better": better, "convention": how, "note": note}
-    return replace(blank, metric=metric, value=value, **told)
+    return replace(
+        blank, metric=metric, value=value, unit=unit, better=better, convention=how, note=note
+    )
 
 
 def _config(method: Method) -> str:
     """A method's settings as JSON: those of its `config`, if it has one."""
-    config = getattr(method, "config", None)
-    known = is_dataclass(config) and not isinstance(config, type)
-    return json.dumps(asdict(config), default=repr, sort_keys=True) if known else "{}"
+    config: Any = getattr(method, "config", None)
+    if not is_dataclass(config) or isinstance(config, type):
+        return "{}"
+    return json.dumps(asdict(config), default=repr, sort_keys=True)
 
 
 def _drop_older(results: Path, name: str, stored: set[str]) -> None:

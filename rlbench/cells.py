@@ -1,4 +1,4 @@
-"""What is to be measured, and what a cell of it is known by: its content, code and weights included."""
+"""What is to be measured, and the name of each cell: a hash of all that its numbers depend on."""
 
 from __future__ import annotations
 

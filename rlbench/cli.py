@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-if TYPE_CHECKING:
-    from rlbench.source import Stored
+from rlbench import asked
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
 
@@ -90,13 +89,12 @@ def run(
     from rlbench.bench import measure
     from rlbench.cells import Request
 
-    asked = tuple(registry.expand(_split(methods)))
     request = Request(
-        methods=asked,
-        clips=_clips(clips, scenes, preset),
-        spp=_numbers("--spp", spp, float),
-        seeds=_numbers("--seed", seed, int),
-        device=_device(device),
+        methods=tuple(registry.expand(asked.split(methods))),
+        clips=asked.clips(clips, scenes, preset),
+        spp=asked.numbers("--spp", spp, float),
+        seeds=asked.numbers("--seed", seed, int),
+        device=asked.device(device),
         cost=cost,
         weights=weights,
         frames=limit_frames,
@@ -145,7 +143,7 @@ def render(
 
       rlbench render --scenes city,hall --preset standard
     """
-    for folder in _rendered(scenes, preset):
+    for folder in asked.rendered(scenes, preset):
         typer.echo(folder)
 
 
@@ -175,11 +173,11 @@ def train(
     from rlbench.training import Plan
     from rlbench.training import train as fit
 
-    names = registry.expand(_split(methods))
+    names = registry.expand(asked.split(methods))
     learning = [name for name in names if registry.learns(name)]
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    folders = _rendered(None, preset) if learning else []
+    folders = asked.rendered(None, preset) if learning else []
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed)
     command = " ".join(["rlbench", *sys.argv[1:]])
@@ -187,7 +185,17 @@ def train(
         place = out / name.replace("/", "-")
         train_on = [folder for folder in folders if folder not in validate]
         with show.training(name, frames) as tell:
-            fit(name, train_on, validate, place, plan, str(_device(device)), minutes, command, tell)
+            fit(
+                name,
+                train_on,
+                validate,
+                place,
+                plan,
+                str(asked.device(device)),
+                minutes,
+                command,
+                tell,
+            )
         typer.echo(f"{name}: {place}")
 
 
@@ -205,11 +213,11 @@ def report(
 
       rlbench report pareto --results results/ --out figures/
     """
-    from rlbench import registry
+    from rlbench import registry, table
 
+    rows = table.read(results)
     for each in registry.names("reports") if name == "all" else [name]:
-        written = registry.load("reports", each)(results, out)
-        for file in written if isinstance(written, list | tuple) else [written or out]:
+        for file in registry.load("reports", each)(rows, out):
             typer.echo(file)
 
 
@@ -235,7 +243,7 @@ def regress(
     from rlbench import regress as gate
     from rlbench import table
 
-    wanted = _split(only or [])
+    wanted = asked.split(only or [])
     rows = table.read(results)
     rows = rows[rows["method"].isin(wanted)] if wanted else rows
     if update:
@@ -262,68 +270,8 @@ def doctor(plugin: Plugins = None) -> None:
     show.findings(examine())
 
 
-class AskedError(ValueError):
-    """An option's value that cannot be used."""
-
-
 def _use(plugins: list[Path] | None) -> None:
     from rlbench import registry
 
     for path in plugins or []:
         registry.use_plugin(path)
-
-
-def _split(values: list[str]) -> list[str]:
-    return [part.strip() for value in values for part in value.split(",") if part.strip()]
-
-
-def _numbers(option: str, text: str, kind: Any) -> tuple[Any, ...]:
-    try:
-        found = tuple(kind(part) for part in _split([text]))
-    except ValueError:
-        found = ()
-    if not found or min(found) < 0:
-        raise AskedError(f"{option} takes numbers such as 0.5,1,2 and was given '{text}'")
-    return found
-
-
-def _device(name: str) -> Any:
-    import torch
-
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise AskedError(f"--device {name} cannot be used here: {error}") from error
-    return device
-
-
-def _clips(own: list[Path] | None, scenes: list[str] | None, preset: str) -> tuple[Stored, ...]:
-    """The clips asked for: those of one's own folders, or those of a preset, rendered if need be."""
-    from rlbench.source import Stored, below
-
-    if own is None:
-        return tuple(Stored(folder) for folder in _rendered(scenes, preset))
-    found = [Stored(folder) for place in own for folder in below(place)]
-    wanted = _split(scenes or [])
-    kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
-    if not kept:
-        have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
-        raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
-    return kept
-
-
-def _rendered(scenes: list[str] | None, preset: str) -> list[Path]:
-    """The clip folders of a preset; those that are missing are rendered now."""
-    from rlbench import registry
-    from rlbench.render.presets import PRESETS
-    from rlbench.render.record import ensure
-
-    if preset not in PRESETS:
-        raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
-    known, wanted = registry.names("scenes"), _split(scenes or [])
-    if unknown := [name for name in wanted if name not in known]:
-        raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
-    return ensure(preset, wanted or None)

@@ -100,7 +100,7 @@ def below(place: Path) -> list[Path]:
 
 
 def affordable(traits: Traits, spp: float, stored: int) -> int:
-    """Most samples that one pixel can come to have: all for a method that adapts, else ceil(spp)."""
+    """Most samples that one pixel can have: all for a method that adapts, else ceil(spp)."""
     return stored if traits.adapts else min(stored, max(1, traits.floor, math.ceil(spp)))
 
 

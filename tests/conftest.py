@@ -58,3 +58,52 @@ def write_noise(
         write_frame(folder, index, view, {"path": pool}, *halves)
     write_header(folder, Header(**told))
     return folder
+
+
+def write_plugin(
+    path: Path,
+    name: str,
+    gain: float = 1.0,
+    traits: str = "",
+    body: str = "return samples.mean * GAIN, None",
+    build: str = "return Scaled()",
+) -> Path:
+    """A loose file with a method that shows the mean, times `gain`, or does what `body` says."""
+    path.write_text(
+        f'''
+from dataclasses import dataclass
+
+import torch
+
+from rlbench.family import Family, Traits, Variant
+
+GAIN = {gain}
+TRAITS = Traits({traits})
+
+
+@dataclass(frozen=True)
+class Scaled:
+    traits: Traits = TRAITS
+
+    def start(self, size):
+        return None
+
+    def plan(self, view, samples, state):
+        return torch.ones_like(samples.counts, dtype=torch.float32)
+
+    def denoise(self, view, samples, state):
+        {body}
+
+
+def build(variant, device, weights):
+    {build}
+
+
+FAMILY = Family(
+    "{name}", "A title", "Nobody 2026", "MIT",
+    {{"": Variant("?", TRAITS, learned=False), "B1": Variant("??", TRAITS, learned=False)}},
+    "{path.stem}:build",
+)
+'''
+    )
+    return path

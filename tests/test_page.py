@@ -10,7 +10,7 @@ import torch
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.procedural import procedural
-from rlbench.run import run_clip, unroll
+from rlbench.run import run_clip
 
 SIZE = Size(1, 9, 11)
 
@@ -94,23 +94,3 @@ def test_a_method_never_sees_a_buffer_that_it_did_not_declare():
 
     with pytest.raises(LookupError, match="'depth' was read but not declared"):
         list(run_clip(Greedy(Traits(needs=frozenset({"albedo"}))), procedural(size=SIZE), 1.0))
-
-
-@pytest.mark.parametrize(("run", "traced"), [(unroll, True), (run_clip, False)])
-def test_only_training_keeps_gradients(run, traced):
-    weight = torch.ones((), requires_grad=True)
-
-    @dataclass(frozen=True)
-    class Scaled(Diary):
-        def denoise(self, view, samples, state):
-            return samples.mean * weight, state
-
-    shown = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))
-    assert shown.image.requires_grad is traced
-
-
-def test_runs_that_take_turns_leave_gradients_as_they_were():
-    clips = [procedural(seed, SIZE, frames=2) for seed in (0, 1)]
-    for _ in zip(*(run_clip(Diary(), clip, 1.0) for clip in clips), strict=True):
-        assert not torch.is_inference_mode_enabled()
-    assert not torch.is_inference_mode_enabled()

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
 
 from rlbench import registry, table
 from rlbench.bench import Done, measure
-from rlbench.cells import Request
-from rlbench.source import Stored
+from rlbench.cells import Request, cells
+from rlbench.clips import open_clip
+from rlbench.source import Stored, affordable
+from tests.conftest import write_noise, write_plugin
+
+MS = "_ms"  # end of the names of times, which no two runs share
 
 
 def request(folder: Path, *methods: str, **asked: object) -> Request:
@@ -16,9 +26,169 @@ def request(folder: Path, *methods: str, **asked: object) -> Request:
     )
 
 
-def test_every_frame_has_a_row_of_every_metric(clip_folder, tmp_path):
-    assert measure(request(clip_folder), tmp_path / "r") == Done(measured=1)
+def scores(results: Path) -> list[tuple]:
+    """All rows but times, without the run's own name."""
+    rows = table.read(results)
+    kept = rows[~rows["metric"].str.endswith(MS)].drop(columns="run")
+    return sorted(kept.itertuples(index=False, name=None), key=repr)
+
+
+def reasons(results: Path) -> list[str]:
+    return sorted(set(table.read(results)["note"]) - {""})
+
+
+def test_every_frame_has_a_row_of_every_metric(tmp_path):
+    folder = write_noise(tmp_path / "large", h=176, w=176, frames=2)  # MS-SSIM needs 161
+    assert measure(request(folder), tmp_path / "r") == Done(measured=1)
     rows = table.read(tmp_path / "r")
-    scored = rows[rows.frame >= 0]
-    assert sorted(scored.metric.unique()) == registry.names("metrics")
-    assert (scored.groupby("metric").frame.apply(sorted).map(list) == [[0, 1, 2]] * 5).all()
+    found = set(zip(rows["frame"], rows["metric"], strict=True))
+    assert {(f, m) for f, m in found if f >= 0} == {
+        (frame, metric) for frame in (0, 1) for metric in registry.names("metrics")
+    }
+
+
+def test_psnr_of_the_mean_is_that_of_numpy(clip_folder, tmp_path):
+    measure(request(clip_folder, spp=(8.0,)), tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    found = rows[(rows["metric"] == "psnr") & (rows["frame"] == 1)]["value"].item()
+
+    frame = list(open_clip(clip_folder))[1]
+    shown, truth = (
+        _srgb(image[0].numpy().astype(np.float64))
+        for image in (frame.pool.radiance.mean(1), frame.reference.mean)
+    )
+    # float32 sums of eight samples
+    assert found == pytest.approx(-10 * math.log10(((shown - truth) ** 2).mean()), abs=1e-3)
+
+
+def test_total_time_is_plan_denoise_and_samples(clip_folder, tmp_path):
+    measure(request(clip_folder, spp=(2.0,), cost="paper-2080ti"), tmp_path / "r")
+    times = table.read(tmp_path / "r").set_index("metric")["value"]
+    published = 26.3 * (20 * 24) / (720 * 720)
+    assert times["sample_ms"] == pytest.approx(published)
+    assert times["total_ms"] == pytest.approx(times["inference_ms"] + 2 * published)
+
+
+def test_a_second_run_measures_nothing(clip_folder, tmp_path):
+    measure(request(clip_folder), tmp_path / "r")
+    before = _files(tmp_path / "r")
+    assert measure(request(clip_folder), tmp_path / "r") == Done(known=1)
+    assert _files(tmp_path / "r") == before
+
+
+def test_scores_of_two_runs_are_equal_bit_for_bit(clip_folder, tmp_path):
+    for place in ("a", "b"):
+        measure(request(clip_folder, spp=(0.5, 3.0), seeds=(0, 1)), tmp_path / place)
+    assert scores(tmp_path / "a") == scores(tmp_path / "b")
+
+
+def test_a_run_that_was_cut_short_ends_as_an_undisturbed_one(clip_folder, tmp_path):
+    asked = request(clip_folder, spp=(0.5, 1.0, 2.0))
+
+    class CutError(Exception):
+        pass
+
+    def cut(cell):
+        if cell.spp == 1.0:
+            raise CutError
+
+    with pytest.raises(CutError):
+        measure(asked, tmp_path / "r", cut)
+    assert measure(asked, tmp_path / "r") == Done(measured=1, known=2)
+    measure(asked, tmp_path / "undisturbed")
+    assert scores(tmp_path / "r") == scores(tmp_path / "undisturbed")
+
+
+def test_what_else_is_measured_does_not_change_a_cell(clip_folder, tmp_path):
+    measure(request(clip_folder, spp=(1.0,)), tmp_path / "alone")
+    measure(request(clip_folder, spp=(8.0, 1.0)), tmp_path / "both")
+    assert set(scores(tmp_path / "alone")) <= set(scores(tmp_path / "both"))
+
+
+@pytest.mark.parametrize(
+    "asked", [{"seeds": (1,)}, {"spp": (2.0,)}, {"cost": "paper-2080ti"}, {"frames": 1}]
+)
+def test_another_request_is_another_cell(clip_folder, tmp_path, asked):
+    measure(request(clip_folder), tmp_path / "r")
+    assert measure(request(clip_folder, **asked), tmp_path / "r") == Done(measured=1)
+
+
+def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
+    plugin = write_plugin(tmp_path / "grey.py", "grey", gain=1.0)
+    registry.use_plugin(plugin)
+    measure(request(clip_folder, "grey"), tmp_path / "r")
+    write_plugin(plugin, "grey", gain=0.5)
+    assert measure(request(clip_folder, "grey"), tmp_path / "r") == Done(measured=1)
+    assert len(table.cells(tmp_path / "r")) == 1
+
+
+@pytest.mark.parametrize(
+    ("plugin", "header", "spp", "reason"),
+    [
+        ({"traits": "spp=(1.0, 4.0)"}, {}, 8.0, "supports 1 to 4 spp, asked for 8"),
+        ({"traits": "pool='restir'"}, {}, 1.0, "buys from a 'restir' pool, the clip has: path"),
+        (
+            {"traits": "needs=frozenset({'depth'})"},
+            {"buffers": ("albedo",)},
+            1.0,
+            "reads depth, the clip has: albedo",
+        ),
+        ({}, {"pool_spp": 4}, 8.0, "8 spp asked for, the clip holds 4 samples of each pixel"),
+        ({"body": "raise RuntimeError('no luck')"}, {}, 1.0, "RuntimeError: no luck"),
+        ({"build": "raise OSError('no weights')"}, {}, 1.0, "OSError: no weights"),
+        (
+            {"body": "return samples.mean * float('nan'), None"},
+            {},
+            1.0,
+            None,  # scored as errors, not refused
+        ),
+    ],
+)
+def test_a_cell_that_cannot_run_is_one_row_that_says_why(tmp_path, plugin, header, spp, reason):
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", **plugin))
+    folder = write_noise(tmp_path / "clip", **header)
+    done = measure(request(folder, "odd", spp=(spp,), cost="paper-2080ti"), tmp_path / "r")
+    assert done == (Done(refused=1) if reason else Done(measured=1))
+    assert reasons(tmp_path / "r") == ([reason] if reason else [])
+    if reason:
+        (row,) = table.read(tmp_path / "r").itertuples()
+        assert (row.frame, row.metric, math.isnan(row.value)) == (-1, "psnr", True)
+
+
+def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
+    done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
+    assert done == Done(measured=1, refused=1)
+
+
+def test_an_unknown_method_stops_the_run_before_it_begins(clip_folder, tmp_path):
+    with pytest.raises(registry.PluginError, match="'foo' is not a method; there are: mean"):
+        measure(request(clip_folder, "mean", "foo"), tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+
+
+def test_cells_are_the_whole_grid(clip_folder):
+    asked = request(clip_folder, "mean", "ours", spp=(1.0, 2.0), seeds=(0, 1, 2))
+    assert len(cells(asked)) == 2 * 2 * 3
+
+
+@pytest.mark.parametrize(
+    ("adapts", "spp", "slots"), [(True, 0.5, 8), (False, 0.5, 1), (False, 3.2, 4), (False, 0.0, 1)]
+)
+def test_only_samples_that_can_be_bought_are_read(adapts, spp, slots):
+    traits = replace(registry.variant("mean").traits, adapts=adapts)
+    assert affordable(traits, spp, 8) == slots
+
+
+def test_fewer_samples_read_are_the_same_samples(clip_folder):
+    few, all_ = (next(iter(open_clip(clip_folder, slots=n))).pool.radiance for n in (3, 8))
+    assert torch.equal(few, all_[:, :3])
+
+
+def _files(folder: Path) -> dict[str, int]:
+    return {file.name: file.stat().st_mtime_ns for file in folder.iterdir()}
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    x = linear.clip(0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)

@@ -1,0 +1,46 @@
+# make demo: from a fresh clone to a Pareto plot.  make test: every check.  Both create .venv themselves.
+
+PYTHON ?= python3
+BIN := .venv/bin
+RESULTS := results
+REPORT := $(RESULTS)/report
+METHODS := ours,ntas,oidn,mean
+
+.PHONY: demo test test-all format clean
+
+demo: .venv/run.stamp
+	$(BIN)/rlbench render --preset mini
+	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
+	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
+	@echo
+	@echo "Pareto plot and tables: $(REPORT)/"
+
+test: .venv/dev.stamp
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest $(PYTEST)
+
+test-all: PYTEST = -m "not gpu"
+test-all: test
+
+format: .venv/dev.stamp
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+
+# entry points are read from installed metadata: a changed pyproject.toml is installed again
+.venv/run.stamp: pyproject.toml constraints.txt | $(BIN)/pip
+	$(BIN)/pip install --quiet -c constraints.txt -e .
+	touch $@
+
+.venv/dev.stamp: pyproject.toml constraints.txt | $(BIN)/pip
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+	touch $@ .venv/run.stamp
+
+$(BIN)/pip:
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "rlbench needs Python 3.11 or newer: make PYTHON=python3.12"'
+	$(PYTHON) -m venv .venv

@@ -1,0 +1,74 @@
+"""What was asked for on the command line, checked and turned into what the bench takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import torch
+
+    from rlbench.source import Stored
+
+
+class AskedError(ValueError):
+    """An option's value that cannot be used."""
+
+
+def split(values: list[str]) -> list[str]:
+    """Names given as `a,b`, as several options, or both."""
+    return [part.strip() for value in values for part in value.split(",") if part.strip()]
+
+
+def numbers(option: str, text: str, kind: type[Any]) -> tuple[Any, ...]:
+    """Numbers >= 0 given as `1,2`. Raises AskedError."""
+    try:
+        found = tuple(kind(part) for part in split([text]))
+    except ValueError:
+        found = ()
+    if not found or min(found) < 0:
+        raise AskedError(f"{option} takes numbers such as 0.5,1,2 and was given '{text}'")
+    return found
+
+
+def device(name: str) -> torch.device:
+    """A device that works here; `auto` is CUDA where there is one. Raises AskedError."""
+    import torch
+
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        found = torch.device(name)
+        torch.empty(0, device=found)
+    except (RuntimeError, AssertionError) as error:
+        raise AskedError(f"--device {name} cannot be used here: {error}") from error
+    return found
+
+
+def clips(own: list[Path] | None, scenes: list[str] | None, preset: str) -> tuple[Stored, ...]:
+    """The clips of one's own folders, or those of a preset, rendered if need be."""
+    from rlbench.source import Stored, below
+
+    if own is None:
+        return tuple(Stored(folder) for folder in rendered(scenes, preset))
+    found = [Stored(folder) for place in own for folder in below(place)]
+    wanted = split(scenes or [])
+    kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
+    if not kept:
+        have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
+        raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
+    return kept
+
+
+def rendered(scenes: list[str] | None, preset: str) -> list[Path]:
+    """The clip folders of a preset; those that are missing are rendered now."""
+    from rlbench import registry
+    from rlbench.render.presets import PRESETS
+    from rlbench.render.record import ensure
+
+    if preset not in PRESETS:
+        raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
+    known, wanted = registry.names("scenes"), split(scenes or [])
+    if unknown := [name for name in wanted if name not in known]:
+        raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
+    return ensure(preset, wanted or None)

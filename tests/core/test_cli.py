@@ -1,0 +1,215 @@
+"""The command line, on tiny clips of one's own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from rlbench import table
+from rlbench.cli import app
+from tests.conftest import write_noise, write_plugin
+
+CHECKOUT = Path(__file__).parents[2]
+COMMANDS = ("run", "list", "render", "train", "report", "regress", "doctor")
+
+
+def rlbench(*words: object, code: int = 0) -> str:
+    """What a command prints, errors included."""
+    found = CliRunner().invoke(app, [str(word) for word in words])
+    assert found.exit_code == code, found.output
+    return " ".join(found.output.split())
+
+
+def scores(results: Path) -> list[tuple]:
+    rows = table.read(results)
+    kept = rows[~rows["metric"].str.endswith("_ms")]
+    return sorted(kept.itertuples(index=False, name=None), key=repr)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_has_an_example(command):
+    assert f"rlbench {command}" in rlbench(command, "--help").split("Examples:")[1]
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom typer.testing import CliRunner\nfrom rlbench.cli import app\n"
+        "assert 'regress' in CliRunner().invoke(app, ['--help']).output\n"
+        "print({'torch', 'mitsuba', 'pandas', 'numpy', 'matplotlib'} & set(sys.modules))"
+    )
+    assert _python("-c", code) == "set()\n"
+
+
+def test_run_measures_and_says_where_results_are(clip_folder, tmp_path):
+    told = rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    assert f"4 cells measured, 0 known before, 0 not possible; results are in {tmp_path}/r" in told
+    assert "PSNR" in told
+
+
+def test_the_same_run_again_does_nothing_and_says_so(clip_folder, tmp_path):
+    words = ("run", "--methods", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    rlbench(*words)
+    assert "nothing to do: all 4 cells are in" in rlbench(*words)
+
+
+def test_clips_may_be_a_folder_of_clips_and_are_chosen_by_scene(tmp_path):
+    for scene in ("foyer", "attic"):
+        write_noise(tmp_path / "clips" / scene, scene)
+    words = ("run", "-m", "mean", "--clips", tmp_path / "clips", "--out", tmp_path / "r")
+    rlbench(*words, "--scenes", "attic", "--spp", "1,2")
+    assert set(table.read(tmp_path / "r")["scene"]) == {"attic"}
+
+
+def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
+    words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    rlbench(*words, "--limit-frames", 2)
+    assert set(table.read(tmp_path / "r")["frame"]) == {-1, 0, 1}
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--methods", "foo"), "error: 'foo' is not a method; there are: mean, ntas, oidn, ours"),
+        (("--methods", "mean/A9"), "error: 'mean' has no variant 'A9'; it has: mean"),
+        (("--spp", "one"), "error: --spp takes numbers such as 0.5,1,2 and was given 'one'"),
+        (("--spp", "-1"), "error: --spp takes numbers"),
+        (("--cost", "mine"), "error: no cost profile 'mine'; there are: measured, paper-2080ti"),
+        (("--device", "abacus"), "error: --device abacus cannot be used here"),
+        (("--scenes", "cellar"), "error: --scenes cellar: the clips given show: noise"),
+        (("--plugin", "nowhere.py"), "error: no plugin file at"),
+    ],
+)
+def test_what_cannot_be_done_is_one_clear_message(clip_folder, tmp_path, words, told):
+    fine = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    fine = fine[:1] + fine[3:] if "--methods" in words else fine
+    found = rlbench(*fine, *words, code=2)
+    assert told in found
+    assert "Traceback" not in found
+
+
+def test_a_folder_without_a_clip_is_told(tmp_path):
+    assert "error: no clip in" in rlbench("run", "-m", "mean", "--clips", tmp_path, code=2)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--preset", "huge"), "error: no preset 'huge'; there are: tiny, mini"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; there are: city, hall"),
+    ],
+)
+def test_what_cannot_be_rendered_is_told(words, told):
+    assert told in rlbench("render", *words, code=2)
+
+
+def test_a_loose_file_is_listed_and_runs(clip_folder, tmp_path):
+    plugin = write_plugin(tmp_path / "mine.py", "mine")
+    found = json.loads(CliRunner().invoke(app, ["list", "--json", "--plugin", str(plugin)]).output)
+    assert "mine/B1" in [row["name"] for row in found["methods"]]
+    words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r")
+    rlbench("run", "-m", "mine,mean", "-m", "mine/*", *words)
+    assert set(table.read(tmp_path / "r")["method"]) == {"mine", "mine/B1", "mean"}
+
+
+def test_a_broken_plugin_is_listed_as_broken(tmp_path):
+    (tmp_path / "torn.py").write_text("1 / 0")
+    told = rlbench("list", "methods", "--plugin", tmp_path / "torn.py")
+    assert "torn (from --plugin torn.py) is broken: ZeroDivisionError" in told
+
+
+def test_a_reason_is_shown_where_there_is_no_number(clip_folder, tmp_path):
+    plugin = write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no luck')")
+    words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    told = rlbench("run", "-m", "odd", *words)
+    assert "1 not possible" in told
+    assert "odd: no psnr on noise: RuntimeError: no luck" in told
+
+
+def test_what_learns_nothing_is_told():
+    assert "mean has nothing to train" in rlbench("train", "-m", "mean")
+
+
+@pytest.mark.parametrize("kind", ["methods", "metrics", "scenes", "reports", "pools", "presets"])
+def test_list_is_the_same_for_scripts_and_for_people(kind):
+    rows = json.loads(CliRunner().invoke(app, ["list", kind, "--json"]).output)[kind]
+    assert all(row["name"] in rlbench("list", kind) for row in rows)
+
+
+def test_list_says_what_a_method_is_and_needs():
+    (row, *_) = json.loads(CliRunner().invoke(app, ["list", "methods", "--json"]).output)["methods"]
+    assert {"name", "paper", "licence", "needs", "spp", "adapts", "question"} <= set(row)
+
+
+def test_regress_fails_where_quality_fell(clip_folder, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    assert "4 entries" in rlbench("regress", *words, "--update")
+    assert "passed: 4 same" in rlbench("regress", *words)
+
+    content = json.loads((tmp_path / "base.json").read_text())
+    content["entries"][0]["psnr"] += 1
+    (tmp_path / "base.json").write_text(json.dumps(content))
+    assert "FAILED: 1 worse" in rlbench("regress", *words, code=1)
+
+
+def test_reports_are_written_where_asked(clip_folder, tmp_path):
+    words = ("--clips", clip_folder, "--out", tmp_path / "r", "--cost", "paper-2080ti")
+    rlbench("run", "-m", "mean", *words)
+    told = rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+    assert f"{tmp_path}/figures/pareto.png" in told
+    assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_a_report_without_results_is_told(tmp_path):
+    assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
+
+
+def test_doctor_says_which_path_tracer_and_device_there_is():
+    told = rlbench("doctor")
+    assert "path tracer" in told
+    assert "torch" in told
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_ends_as_an_undisturbed_one(tmp_path):
+    for name in ("foyer", "attic", "cellar"):
+        write_noise(tmp_path / "clips" / name, name, frames=4)
+    slow = "import time; time.sleep(0.02); return samples.mean, None"
+    plugin = write_plugin(tmp_path / "slow.py", "slow", body=slow)
+
+    def words(out: str) -> list[str]:
+        fixed = ["run", "-m", "slow", "--clips", str(tmp_path / "clips"), "--plugin", str(plugin)]
+        return ["-c", "from rlbench.cli import app; app()", *fixed, "--out", str(tmp_path / out)]
+
+    child = subprocess.Popen([sys.executable, *words("killed")], cwd=CHECKOUT, env=_env())
+    while child.poll() is None and len(table.cells(tmp_path / "killed")) < 3:
+        time.sleep(0.01)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    assert 0 < len(table.cells(tmp_path / "killed")) < 12
+
+    told = _python(*words("killed"))
+    assert " 0 known before" not in told
+    assert "0 not possible" in told
+    _python(*words("undisturbed"))
+    assert scores(tmp_path / "killed") == scores(tmp_path / "undisturbed")
+
+
+def _env() -> dict[str, str]:
+    return {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+def _python(*words: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *words], cwd=CHECKOUT, env=_env(), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
