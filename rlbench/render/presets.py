@@ -44,7 +44,7 @@ PRESETS = {
         Preset("mini", "the first command: about 3 minutes on two cores", (192, 192), 8, 64),
         Preset("standard", "a workstation", (256, 256), 20, 256),
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
-        Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(32))),
+        Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28))),
     )
 }
 
