@@ -77,10 +77,9 @@ class Batches:
         top = _integer(generator, clip.size.h - self.crop + 1)
         left = _integer(generator, clip.size.w - self.crop + 1)
         window = (slice(top, top + self.crop), slice(left, left + self.crop))
-        turned = Augmentation(
-            *(bool(_integer(generator, 2)) for _ in range(3)),
-            gain=2.0 ** float(torch.rand((), generator=generator) - 0.5),
-        )
+        mirror, flip, transpose = (bool(_integer(generator, 2)) for _ in range(3))
+        gain = 2.0 ** float(torch.rand((), generator=generator) - 0.5)
+        turned = Augmentation(mirror, flip, transpose, gain)
         first = _integer(generator, max(1, len(clip) - self.length + 1))
         chosen = range(first, min(first + self.length, len(clip)))
         return [turned.apply(clip.frame(i, window)) for i in chosen]

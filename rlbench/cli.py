@@ -155,6 +155,7 @@ def train(
     frames: Annotated[int, typer.Option(help="crops to see, for each method")] = 12_000,
     batch: Annotated[int, typer.Option(help="crops advanced together")] = 2,
     crop: Annotated[int, typer.Option(help="side of a crop, pixels")] = 128,
+    half: Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")] = False,
     seed: int = 0,
     device: Device = "auto",
     preset: Preset = "train",
@@ -179,7 +180,7 @@ def train(
         typer.echo(f"{name} has nothing to train")
     folders = asked.rendered(None, preset) if learning else []
     validate = folders[:: max(len(folders) // 2, 2)][:2]
-    plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed)
+    plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
     command = " ".join(["rlbench", *sys.argv[1:]])
     for name in learning:
         place = out / name.replace("/", "-")

@@ -190,4 +190,4 @@ def _ties(pixels: int, key: int, device: torch.device) -> Tensor:
     x = torch.arange(pixels, dtype=torch.int64, device=device) + (key & 0x7FFFFFFF) * 0x9E3779B9
     for factor in (0x2545F4914F6CDD1D, 0x1B873593CC9E2D51):
         x = (x ^ ((x >> 29) & 0x7FFFFFFFF)) * factor
-    return (x >> (63 - TIE_BITS)) & (2**TIE_BITS - 1)
+    return (x >> (63 - TIE_BITS)).bitwise_and(2**TIE_BITS - 1)

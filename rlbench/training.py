@@ -77,6 +77,7 @@ class Progress:
     steps: int = 0
     seconds: float = 0.0
     curve: list[tuple[int, float]] = field(default_factory=list)  # frames, validation PSNR
+    plan: dict[str, Any] = field(default_factory=dict)  # that it follows
 
 
 def make(name: str, device: torch.device, seed: int) -> Trainer:
@@ -107,13 +108,18 @@ def train(
     nothing to train or a loss is not finite.
     """
     trainer = make(name, torch.device(device), plan.seed)
-    trainer.networks.to(memory_format=torch.channels_last)
+    trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
     average = copy.deepcopy(trainer.networks)
     optimizer = torch.optim.Adam(trainer.networks.parameters(), plan.peak)
-    progress, kept = Progress(), out / "checkpoint.safetensors"
+    progress, kept = Progress(plan=asdict(plan)), out / "checkpoint.safetensors"
     if kept.exists():
         progress = Progress(**checkpoint.load(kept, trainer.networks, average, optimizer))
+        if progress.plan != asdict(plan):
+            raise TrainingError(
+                f"{kept} was trained by another plan: {progress.plan}, asked for {asdict(plan)}; "
+                "ask for the same, or train into another folder"
+            )
     began, before = time.monotonic(), progress.seconds
     while progress.seen < plan.frames and time.monotonic() - began < 60 * minutes:
         due = progress.seen // plan.every

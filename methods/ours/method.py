@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from methods.ours import FAMILY
 from methods.ours.network import Networks
@@ -71,14 +72,18 @@ class Ours:
         self, view: View, samples: Samples, state: Memory
     ) -> tuple[Float[Tensor, "n 3 h w"], Memory]:
         """The image in linear radiance, and the encoded state."""
-        values = log_forward(samples.radiance[:, : self.config.slots])
-        values = values.where(samples.filled[:, : self.config.slots], MISSING).flatten(1, 2)
-        seen = torch.cat((values, self._known(view, state)), dim=1)
+        seen = torch.cat((self._values(samples), self._known(view, state)), dim=1)
         h, w = seen.shape[-2:]
         latent = self.networks.encoder(pad(seen, MULTIPLE))
         value = crop(self.networks.denoiser(latent), h, w).float()
         value = value if self.networks.training else value.clamp_min(0)
         return log_inverse(value), Memory(crop(latent, h, w).float(), state.age + 1)
+
+    def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
+        """Each sample by itself in log transfer, MISSING in slots that are empty or not stored."""
+        values = log_forward(samples.radiance).where(samples.filled, MISSING)  # n s 3 h w
+        short = self.config.slots - values.shape[1]
+        return F.pad(values, (0,) * 7 + (short,), value=MISSING).flatten(1, 2)
 
     def _known(self, view: View, state: Memory) -> Float[Tensor, "n c h w"]:
         """What is known before sampling: normal, albedo, depth, and the state moved here."""

@@ -34,6 +34,7 @@ class Sampler(nn.Module):
     def start_uniform(self) -> None:
         """Forget the last layer, so that every action is zero and the density is constant."""
         nn.init.zeros_(self.last.weight)
+        assert self.last.bias is not None
         nn.init.zeros_(self.last.bias)
 
     def forward(self, known: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 1 h w"]:
