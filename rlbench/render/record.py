@@ -28,6 +28,7 @@ from rlbench.render.views import views
 
 POOLS = ("path",)
 MARK = "scene.txt"  # beside the frames: what they were rendered from
+TRIAL = 8  # samples per pixel that are traced to guess how long all of them take
 SEED = 0  # of the light paths; frames, samples and streams are told apart below it
 
 
@@ -122,7 +123,8 @@ def _render_all(jobs: list[Job], bar: Progress) -> None:
     area = jobs[0].preset.size[0] * jobs[0].preset.size[1]
     todo = {job: len(job.missing) * job.preset.frame_samples for job in jobs}
     total = sum(todo.values())
-    seconds = total / area * open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(3) / 1e3
+    trial = open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(repeats=1, spp=TRIAL)
+    seconds = total / area * trial / 1e3
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     bar.console.print(
         f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} with {llvm.activate()}: "

@@ -103,14 +103,17 @@ class Tracer(ABC):
             traced(count)
         return (total / spp).astype(np.float32)
 
-    def sample_ms(self, repeats: int = 5) -> float:
-        """Median milliseconds of one full frame at one sample per pixel, after a warm-up."""
-        self.stack(1, "pilot")
+    def sample_ms(self, repeats: int = 5, spp: int = 1) -> float:
+        """Median milliseconds of one full frame at one sample per pixel, after a warm-up.
+
+        With `spp` samples a launch, as where many are wanted, it is the share of one of them.
+        """
+        self.stack(spp, "pilot")
         times = []
         for number in range(repeats):
             start = clock.perf_counter()
-            self.stack(1, "pilot", first=number)
-            times.append(1e3 * (clock.perf_counter() - start))
+            self.stack(spp, "pilot", first=number)
+            times.append(1e3 * (clock.perf_counter() - start) / spp)
         return statistics.median(times)
 
     def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
