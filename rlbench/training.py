@@ -80,16 +80,6 @@ class Progress:
     plan: dict[str, Any] = field(default_factory=dict)  # that it follows
 
 
-def make(name: str, device: torch.device, seed: int) -> Trainer:
-    """What trains method `name`, with fresh weights."""
-    registry.variant(name)
-    family, _, variant = name.partition("/")
-    if not (target := registry.family(family).train):
-        raise TrainingError(f"'{name}' has nothing to train: it has no weights")
-    made: Trainer = registry.resolve(target)(variant, device, seed)
-    return made
-
-
 def train(
     name: str,
     train_on: Sequence[Path],
@@ -104,10 +94,10 @@ def train(
     """Train method `name`, resuming what lies in `out`; writes weights and card when it is done.
 
     `out` gets checkpoint.safetensors and log.jsonl while it runs, and NAME.safetensors with its
-    card NAME.toml at the end, or when `minutes` are over. Raises TrainingError where there is
-    nothing to train or a loss is not finite.
+    card NAME.toml at the end, or when `minutes` are over. Raises PluginError where there
+    is nothing to train, TrainingError where a loss is not finite or the plan is another one.
     """
-    trainer = make(name, torch.device(device), plan.seed)
+    trainer: Trainer = registry.trainer(name, device, plan.seed)
     trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
     average = copy.deepcopy(trainer.networks)
