@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from rlbench import checkpoint, provenance, registry, weights
 from rlbench.batches import Batches
-from rlbench.clips import open_clip, read_header
+from rlbench.clips import open_clip
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.run import run_clip
@@ -218,7 +218,7 @@ def _ship(
     finished = progress.seen >= plan.frames
     card = weights.Card(
         name=name,
-        data=tuple(read_header(folder).name for folder in train_on),
+        data=tuple(f"{clip.name} {clip.digest[:12]}" for clip in map(open_clip, train_on)),
         frames_seen=progress.seen,
         steps=progress.steps,
         seconds=round(progress.seconds),
