@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.render.pose import Pose
@@ -30,9 +31,39 @@ def load(scene: Scene) -> Any:
     return mi.load_dict({"type": "scene", **parts, **skies}, optimize=False)
 
 
-def assign(parameters: Any, name: str, values: Array) -> None:
-    """Replace a buffer by a copy of `values`, in the running variant's own type."""
-    parameters[name] = upload(type(parameters[name]), values)
+def move(parameters: Any, moved: Mapping[str, Array], meshes: Iterable[Mesh]) -> None:
+    """Give the meshes named in `moved` new vertices. Nothing is loaded or compiled again.
+
+    Smooth normals come from here, since Mitsuba adds them up in whatever order its threads run:
+    the last bits would differ from run to run.
+    """
+    chosen = [mesh for mesh in meshes if mesh.name in moved]
+    for mesh in chosen:
+        _assign(parameters, f"{mesh.name}.vertex_positions", moved[mesh.name])
+    if chosen:
+        parameters.update()
+    if smooth := [mesh for mesh in chosen if mesh.smooth]:
+        for mesh in smooth:
+            normals = smooth_normals(moved[mesh.name], mesh.faces)
+            _assign(parameters, f"{mesh.name}.vertex_normals", normals)
+        parameters.update()  # a second time, as new positions would overwrite new normals
+
+
+def smooth_normals(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v 3"]:
+    """Unit normals of vertices: those of the faces around, weighted by the angle each has there.
+
+    Thuermer and Wuethrich 1998, Computing Vertex Normals from Polygonal Facets. A vertex without
+    faces has the normal z.
+    """
+    corners = vertices.astype(np.float64)[faces]  # f 3 3
+    ahead, back = np.roll(corners, -1, 1) - corners, np.roll(corners, 1, 1) - corners
+    normal = _unit(np.cross(ahead[:, 0], back[:, 0]))
+    angle = np.arccos(np.clip((_unit(ahead) * _unit(back)).sum(-1), -1, 1))  # f 3
+    weighted = (normal[:, None] * angle[..., None]).reshape(-1, 3)
+    total = np.stack(
+        [np.bincount(faces.ravel(), weighted[:, axis], len(vertices)) for axis in range(3)], 1
+    )
+    return np.where(np.any(total, 1, keepdims=True), _unit(total), [0.0, 0.0, 1.0])
 
 
 def upload(kind: Any, values: Array) -> Any:
@@ -103,12 +134,26 @@ def _mesh(mesh: Mesh) -> Any:
     )
     made.set_id(mesh.name)
     parameters = mi.traverse(made)
-    assign(parameters, "vertex_positions", mesh.vertices)
-    assign(parameters, "faces", mesh.faces)
+    _assign(parameters, "vertex_positions", mesh.vertices)
+    _assign(parameters, "faces", mesh.faces)
     if mesh.uv is not None:
-        assign(parameters, "vertex_texcoords", mesh.uv)
+        _assign(parameters, "vertex_texcoords", mesh.uv)
     parameters.update()
+    if mesh.smooth:
+        _assign(parameters, "vertex_normals", smooth_normals(mesh.vertices, mesh.faces))
+        parameters.update()
     return made
+
+
+def _assign(parameters: Any, name: str, values: Array) -> None:
+    """Replace a buffer by a copy of `values`, in the running variant's own type."""
+    parameters[name] = upload(type(parameters[name]), values)
+
+
+def _unit(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Vectors of length one, or zero where they were."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
 def _native(value: Any, name: str = "") -> Any:

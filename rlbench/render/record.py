@@ -7,7 +7,6 @@ import importlib
 import importlib.metadata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,55 +14,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import paths, registry
-from rlbench.clips import ClipError, Header, has_frame, write_frame, write_header
-from rlbench.frames import BUFFERS
-from rlbench.header import FILE
+from rlbench.clips import Header, write_frame, write_header
 from rlbench.provenance import machine
 from rlbench.render import llvm
-from rlbench.render.fingerprint import fingerprint
+from rlbench.render.job import POOLS, Job
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
 from rlbench.render.trace import Tracer, open_tracer
 from rlbench.render.views import views
 
-POOLS = ("path",)
-MARK = "scene.txt"  # beside the frames: what they were rendered from
 TRIAL = 8  # samples per pixel that are traced to guess how long all of them take
 SEED = 0  # of the light paths; frames, samples and streams are told apart below it
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """One clip to be rendered into a folder."""
-
-    name: str
-    scene: Scene
-    preset: Preset
-    folder: Path
-
-    @property
-    def buffers(self) -> tuple[str, ...]:
-        """The view buffers to write: where nothing moves, there is no motion."""
-        return tuple(b for b in BUFFERS if not (self.scene.static and b == "motion"))
-
-    @property
-    def missing(self) -> list[int]:
-        """Frames that are not wholly there."""
-        return [i for i in range(self.preset.frames) if not has_frame(self.folder, i, POOLS)]
-
-    @property
-    def mark(self) -> str:
-        """What the frames are rendered from; frames of another mark do not belong here."""
-        plan = self.preset
-        samples = f"{plan.pool_spp} + 2 x {plan.reference_spp} spp"
-        size = "x".join(map(str, plan.size))
-        return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
-
-    @property
-    def finished(self) -> bool:
-        """Is there a header, and every frame, of this very scene?"""
-        whole = (self.folder / FILE).is_file() and not self.missing
-        return whole and _marked(self.folder) == self.mark
 
 
 def ensure(
@@ -100,7 +61,7 @@ def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> No
     they are done. Killed at any moment and called again, it leaves the same files.
     """
     height, width = job.preset.size
-    _mark(job)
+    job.claim()
     tracer = open_tracer(job.scene, height, width, SEED)
     for index in job.missing:
         tracer.set_time(float(index))
@@ -160,31 +121,6 @@ def _header(job: Job, tracer: Tracer) -> Header:
         sample_ms=tracer.sample_ms(),
         device=machine().cpu,
     )
-
-
-def _mark(job: Job) -> None:
-    """Say what the frames of a folder are, after removing those of another scene or preset.
-
-    Raises ClipError where there are frames that bear no mark, for they are not ours to remove.
-    """
-    files = [job.folder / FILE, *job.folder.glob("*.exr")]
-    kept = [file for file in files if file.is_file()]
-    if _marked(job.folder) == job.mark:
-        return
-    if kept and not _marked(job.folder):
-        raise ClipError(
-            f"{job.folder} holds frames that `rlbench render` did not write; "
-            "move the folder away, or render into another"
-        )
-    for file in kept:
-        file.unlink()
-    with paths.replacing(job.folder / MARK) as path:
-        path.write_text(job.mark)
-
-
-def _marked(folder: Path) -> str:
-    mark = folder / MARK
-    return mark.read_text() if mark.is_file() else ""
 
 
 def _generated(seed: int) -> Scene:

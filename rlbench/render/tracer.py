@@ -39,11 +39,7 @@ class Tracer(ABC):
     def set_time(self, time: float) -> None:
         """Move camera and vertices to `time`, in frames. Nothing is loaded or compiled again."""
         self.time, self.pose = float(time), Pose.of(self.scene, time)
-        moved = self.scene.moving(time)
-        for name, vertices in moved.items():
-            load.assign(self._parameters, f"{name}.vertex_positions", vertices)
-        if moved:
-            self._parameters.update()
+        load.move(self._parameters, self.scene.moving(time), self.scene.meshes)
         self._look()
 
     @abstractmethod

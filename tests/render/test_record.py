@@ -7,8 +7,9 @@ import pytest
 
 from rlbench.clips import ClipError, open_clip, read_header, verify
 from rlbench.render.fingerprint import fingerprint
+from rlbench.render.job import Job
 from rlbench.render.presets import PRESETS, Preset, preset
-from rlbench.render.record import Job, ensure, render
+from rlbench.render.record import ensure, render
 from rlbench.render.trace import open_tracer
 from tests.render.worlds import diffuse, room, square
 

@@ -33,6 +33,23 @@ def box(name, low, high, material):
     return Mesh(name, np.array(vertices, np.float32), np.array(faces, np.uint32), material)
 
 
+def ball(rings=48, around=64):
+    """A sphere of radius one, at whose poles many faces meet."""
+    theta, phi = np.meshgrid(
+        np.linspace(0, np.pi, rings + 1), np.arange(around) * 2 * np.pi / around, indexing="ij"
+    )
+    vertices = np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1
+    ).reshape(-1, 3)
+    row, column = np.indices((rings, around)).reshape(2, -1)
+    corner = [row * around + column, (row + 1) * around + column]
+    after = [row * around + (column + 1) % around, (row + 1) * around + (column + 1) % around]
+    faces = np.concatenate(
+        [np.stack([*corner, after[1]], 1), np.stack([corner[0], after[1], after[0]], 1)]
+    )
+    return Mesh("ball", vertices.astype(np.float32), faces.astype(np.uint32), {}, smooth=True)
+
+
 def room(static=False):
     """Ground, a moving cube, gold, a pane of glass, a lamp and a sky; the camera passes by."""
     cube = box("cube", (-0.5, -0.5, 0.1), (0.5, 0.5, 1.1), diffuse(0.2, 0.4, 0.8))

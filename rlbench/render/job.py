@@ -1,0 +1,75 @@
+"""One clip to be rendered: what of it is there, and whether that is of this very scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rlbench import paths
+from rlbench.clips import ClipError, has_frame
+from rlbench.frames import BUFFERS
+from rlbench.header import FILE
+from rlbench.render.fingerprint import fingerprint
+from rlbench.render.presets import Preset
+from rlbench.render.scene import Scene
+
+POOLS = ("path",)
+MARK = "scene.txt"  # beside the frames: what they were rendered from
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One clip to be rendered into a folder."""
+
+    name: str
+    scene: Scene
+    preset: Preset
+    folder: Path
+
+    @property
+    def buffers(self) -> tuple[str, ...]:
+        """The view buffers to write: where nothing moves, there is no motion."""
+        return tuple(b for b in BUFFERS if not (self.scene.static and b == "motion"))
+
+    @property
+    def missing(self) -> list[int]:
+        """Frames that are not wholly there."""
+        return [i for i in range(self.preset.frames) if not has_frame(self.folder, i, POOLS)]
+
+    @property
+    def mark(self) -> str:
+        """What the frames are rendered from; frames of another mark do not belong here."""
+        plan = self.preset
+        samples = f"{plan.pool_spp} + 2 x {plan.reference_spp} spp"
+        size = "x".join(map(str, plan.size))
+        return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
+
+    @property
+    def finished(self) -> bool:
+        """Is there a header, and every frame, of this very scene?"""
+        whole = (self.folder / FILE).is_file() and not self.missing
+        return whole and _marked(self.folder) == self.mark
+
+    def claim(self) -> None:
+        """Say what the frames of a folder are, after removing those of another scene or preset.
+
+        Raises ClipError where there are frames that bear no mark, for they are not ours to remove.
+        """
+        files = [self.folder / FILE, *self.folder.glob("*.exr")]
+        kept = [file for file in files if file.is_file()]
+        if _marked(self.folder) == self.mark:
+            return
+        if kept and not _marked(self.folder):
+            raise ClipError(
+                f"{self.folder} holds frames that `rlbench render` did not write; "
+                "move the folder away, or render into another"
+            )
+        for file in kept:
+            file.unlink()
+        with paths.replacing(self.folder / MARK) as path:
+            path.write_text(self.mark)
+
+
+def _marked(folder: Path) -> str:
+    mark = folder / MARK
+    return mark.read_text() if mark.is_file() else ""
