@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rlbench.table import WHOLE_CLIP
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -116,19 +118,21 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Ou
         raise BaselineError("the baseline has two entries of one method, scene and budget")
     changes = [_change(entry, baseline, found, subset) for entry in baseline.entries]
     for key in sorted(found.keys() - expected.keys()):
-        changes.append(Change(key, "new", None, found[key], baseline.tolerance_db))
+        if found[key] is not None:
+            changes.append(Change(key, "new", None, found[key], baseline.tolerance_db))
     return Outcome(tuple(changes))
 
 
 def update(table: pd.DataFrame, path: Path, preset: str = "", command: str = "") -> Baseline:
     """Rewrite the baseline at `path` from the results; tolerances, and what is not said, are kept.
 
-    Entries without a result are dropped: run the whole preset first. Raises BaselineError if the
-    table has a result without a value, which cannot be a baseline.
+    Entries without a result are dropped: run the whole preset first. Cells that were refused, as
+    half a sample by a method that needs one, are left out. Raises BaselineError if a frame has no
+    value, which cannot be a baseline.
     """
     old = load(path) if path.exists() else Baseline()
     limits = {entry.key: entry.tolerance_db for entry in old.entries}
-    found = measured(table)
+    found = measured(table[table["frame"] != WHOLE_CLIP])
     holes = [_name(key) for key, psnr in found.items() if psnr is None]
     if holes or not found:
         raise BaselineError(f"cannot be a baseline: no PSNR of {', '.join(holes) or 'anything'}")

@@ -120,6 +120,14 @@ def test_a_rewritten_baseline_keeps_tolerances_and_command(tmp_path):
     assert update(frame_of(rows(31.0)), path) == Baseline("mini", "rlbench run", 0.1, (entry,))
 
 
+def test_a_refused_budget_is_left_out_of_a_rewritten_baseline(tmp_path):
+    refused = replace(rows(0.0, spp=0.5)[0], frame=-1, value=math.nan, note="supports 1 to 8 spp")
+    table = frame_of([*rows(31.0), refused])
+    written = update(table, tmp_path / "b.json")
+    assert [entry.spp for entry in written.entries] == [2.0]
+    assert compare(table, written).passed
+
+
 def test_the_file_has_one_line_an_entry(tmp_path):
     update(frame_of(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
     lines = (tmp_path / "b.json").read_text().splitlines()

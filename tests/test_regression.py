@@ -1,0 +1,45 @@
+"""No committed PSNR may fall: a small subset in `make test`, all of it in `make test-all`."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench import paths, regress, registry, table
+from rlbench.bench import measure
+from rlbench.cells import Request
+from rlbench.render.llvm import activate
+from rlbench.render.record import ensure
+from rlbench.source import Stored
+
+BASELINE = "tests/regression/mini.json"
+
+
+@pytest.fixture
+def kept_cache(request, monkeypatch):
+    """A cache that outlives the test: clips take a while to render."""
+    monkeypatch.setenv("RLBENCH_CACHE", str(request.config.cache.mkdir("rlbench")))
+    if activate().startswith("scalar"):
+        pytest.skip("no libLLVM: the scalar tracer draws other samples than the committed ones")
+    return paths.cache()
+
+
+def outcome(results, scenes, methods, spp, subset) -> regress.Outcome:
+    clips = tuple(Stored(folder) for folder in ensure("mini", scenes))
+    measure(Request(methods, clips, spp, repeats=1), results)
+    return regress.compare(table.read(results), regress.load(BASELINE), subset=subset)
+
+
+def test_psnr_on_one_scene_is_what_was_committed(kept_cache, tmp_path):
+    methods = ("mean", "oidn", "ntas", "ours")
+    found = outcome(tmp_path / "results", ("city",), methods, (1.0, 4.0), subset=True)
+    assert found.passed, found.text()
+    assert found.of("same"), found.text()  # something was compared
+
+
+@pytest.mark.slow
+def test_psnr_is_what_was_committed(kept_cache, tmp_path):
+    committed = regress.load(BASELINE).entries
+    methods = tuple(registry.expand({entry.method for entry in committed}))
+    spp = tuple(sorted({entry.spp for entry in committed}))
+    found = outcome(tmp_path / "results", None, methods, spp, subset=False)
+    assert found.passed, found.text()
