@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rlbench import paths, regress, registry, table
+from rlbench import paths, registry, regress, table
 from rlbench.bench import measure
 from rlbench.cells import Request
 from rlbench.render.llvm import activate

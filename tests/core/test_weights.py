@@ -31,7 +31,7 @@ CARD = Card(
 
 
 def net(seed: int = 1) -> UNet:
-    return UNet(4, widths=SMALL, generator=torch.Generator().manual_seed(seed))
+    return UNet(4, widths=SMALL, seed=seed)
 
 
 @pytest.fixture
