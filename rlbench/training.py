@@ -37,6 +37,7 @@ class Trainer:
     networks: nn.Module  # what is trained and saved
     losses: Callable[[Clip, float], Iterator[Tensor]]  # one optimiser step for each that it yields
     spp: tuple[float, ...]  # budgets, one drawn for each sequence
+    peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,6 @@ class Plan:
     batch: int = 2  # crops advanced together
     crop: int = 128  # side of a crop, pixels
     length: int = 6  # frames of a sequence
-    peak: float = 5e-4  # highest learning rate of Adam
     average: float = 0.998  # decay of the averaged weights, which are the ones shipped
     seed: int = 0
     norm: float = 1.0  # gradients are clipped to this length
@@ -55,7 +55,9 @@ class Plan:
     every: int = 1_000  # frames between validations and checkpoints
 
     def rate(self, seen: int) -> float:
-        """One-cycle learning rate after `seen` frames: cosine up, then cosine down.
+        """One-cycle learning rate after `seen` frames, as a share of the peak.
+
+        It rises by a cosine, then falls by one.
 
         Smith and Topin 2018, as in torch's OneCycleLR with pct_start 0.15, div_factor 25,
         final_div_factor 400 (that is 1e4 / 25 from the start).
@@ -65,7 +67,7 @@ class Plan:
             low, high, along = START, 1.0, share / WARM_UP
         else:
             low, high, along = END, 1.0, 1 - (share - WARM_UP) / (1 - WARM_UP)
-        return self.peak * (low + (high - low) * (1 - math.cos(math.pi * along)) / 2)
+        return low + (high - low) * (1 - math.cos(math.pi * along)) / 2
 
 
 @dataclass
@@ -101,7 +103,7 @@ def train(
     trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
     average = copy.deepcopy(trainer.networks)
-    optimizer = torch.optim.Adam(trainer.networks.parameters(), plan.peak)
+    optimizer = torch.optim.Adam(trainer.networks.parameters(), trainer.peak)
     progress, kept = Progress(plan=asdict(plan)), out / "checkpoint.safetensors"
     if kept.exists():
         progress = Progress(**checkpoint.load(kept, trainer.networks, average, optimizer))
@@ -121,7 +123,7 @@ def train(
             _log(out / "log.jsonl", progress, loss)
             checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
     checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
-    _ship(name, out, average, plan, progress, train_on, device, command)
+    _ship(name, out, average, trainer.peak, plan, progress, train_on, device, command)
     return progress
 
 
@@ -148,7 +150,7 @@ def _sequence(
         if not torch.isfinite(loss):
             raise TrainingError(f"loss is {float(loss)} in draw {progress.draws} at {spp:g} spp")
         for group in optimizer.param_groups:
-            group["lr"] = plan.rate(progress.seen)
+            group["lr"] = trainer.peak * plan.rate(progress.seen)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(trainer.networks.parameters(), plan.norm)
@@ -208,6 +210,7 @@ def _ship(
     name: str,
     out: Path,
     average: nn.Module,
+    peak: float,
     plan: Plan,
     progress: Progress,
     train_on: Sequence[Path],
@@ -226,7 +229,7 @@ def _ship(
         seed=plan.seed,
         command=command,
         commit=provenance.commit(),
-        plan=json.dumps(asdict(plan)),
+        plan=json.dumps({**asdict(plan), "peak": peak}),
         curve=tuple(progress.curve),
         note="" if finished else f"stopped at {progress.seen} of {plan.frames} frames",
     )

@@ -1,0 +1,34 @@
+"""What the README shows works as it is shown."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from rlbench import registry
+from rlbench.frames import Size
+from rlbench.procedural import procedural
+from rlbench.run import run_clip
+
+README = Path(__file__).parent.parent / "README.md"
+
+
+def test_the_method_of_the_readme_runs_and_samples_the_bright(tmp_path):
+    (snippet,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    (tmp_path / "bright.py").write_text(snippet)
+    registry.use_plugin(tmp_path / "bright.py")
+    clip = procedural(seed=1, size=Size(1, 32, 40), frames=3)
+    *_, last = run_clip(registry.method("bright"), clip, 2.0)
+    counts = last.samples.counts
+    assert int(counts.sum()) == 2 * 32 * 40
+    light = list(clip)[1].reference.mean.mean(1, keepdim=True)
+    bright = light > light.median()
+    assert counts[bright].float().mean() > counts[~bright].float().mean()
+
+
+def test_every_file_that_the_readme_names_is_there():
+    named = re.findall(
+        r"`((?:rlbench|baselines|methods|metrics|reports)/[\w/.-]*)`", README.read_text()
+    )
+    assert named
+    assert [name for name in named if not (README.parent / name).exists()] == []
