@@ -18,6 +18,7 @@ from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training import Trainer
 
+PEAK = 1.5e-3  # learning rate; that of the same U-Net in `ours`
 BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
 
 
@@ -36,7 +37,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
         for frame in clip:
             yield _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
 
-    return Trainer(method, network, losses, BUDGETS)
+    return Trainer(method, network, losses, BUDGETS, PEAK)
 
 
 def _loss(method: Oidn, still: MemoryClip, spp: float) -> Tensor:

@@ -11,7 +11,9 @@ from rlbench.batches import Augmentation
 from rlbench.frames import Size
 from rlbench.ops.warp import reproject
 from rlbench.procedural import procedural
-from rlbench.training import Plan
+from rlbench.training import Plan, TrainingError, train
+from rlbench.weights import digest, read_card
+from tests.conftest import write_noise
 
 
 def test_the_learning_rate_is_torchs_one_cycle():
@@ -72,3 +74,37 @@ def test_a_checkpoint_restores_everything(tmp_path):
         opt.step()
     assert torch.equal(net.weight, other[0].weight)
     assert torch.equal(average.weight, other[1].weight)
+
+
+class KilledError(Exception):
+    """What a kill is to a test."""
+
+
+def trained(out, clip, kill_after=None):
+    """OIDN trained on four draws of a tiny clip; its card and its weights."""
+
+    def report(progress, loss):
+        if progress.draws == kill_after:
+            raise KilledError
+
+    plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+    train("oidn", [clip], [clip], out, plan, report=report)
+    return read_card(out / "oidn.safetensors"), digest(out / "oidn.safetensors")
+
+
+def test_a_training_that_was_killed_ends_as_an_undisturbed_one(tmp_path):
+    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
+    with pytest.raises(KilledError):
+        trained(tmp_path / "killed", clip, kill_after=3)  # one draw after the only checkpoint
+    resumed, same = trained(tmp_path / "killed", clip)
+    card, weights = trained(tmp_path / "undisturbed", clip)
+    assert same == weights
+    assert (resumed.frames_seen, resumed.steps) == (card.frames_seen, card.steps) == (24, 12)
+    assert resumed.curve == card.curve
+
+
+def test_a_checkpoint_of_another_plan_is_refused(tmp_path):
+    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
+    trained(tmp_path / "run", clip)
+    with pytest.raises(TrainingError, match="another plan"):
+        train("oidn", [clip], [clip], tmp_path / "run", Plan(frames=48, crop=16))
