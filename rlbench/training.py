@@ -6,7 +6,7 @@ import copy
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ class Trainer:
     losses: Callable[[Clip, float], Iterator[Tensor]]  # one optimiser step for each that it yields
     spp: tuple[float, ...]  # budgets, one drawn for each sequence
     peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
+    shares: Mapping[str, float] = field(default_factory=dict)  # of it, by child of `networks`
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def train(
     trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
     average = copy.deepcopy(trainer.networks)
-    optimizer = torch.optim.Adam(trainer.networks.parameters(), trainer.peak)
+    optimizer = torch.optim.Adam(_groups(trainer), trainer.peak)
     progress, kept = Progress(plan=asdict(plan)), out / "checkpoint.safetensors"
     if kept.exists():
         progress = Progress(**checkpoint.load(kept, trainer.networks, average, optimizer))
@@ -125,6 +126,13 @@ def train(
     checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
     _ship(name, out, average, trainer.peak, plan, progress, train_on, device, command)
     return progress
+
+
+def _groups(trainer: Trainer) -> list[dict[str, Any]]:
+    """The parameters of each child network, and its share of the learning rate."""
+    children = trainer.networks.named_children()
+    pairs = [(list(child.parameters()), trainer.shares.get(name, 1.0)) for name, child in children]
+    return [{"params": parameters, "share": share} for parameters, share in pairs if parameters]
 
 
 def _sequence(
@@ -150,7 +158,7 @@ def _sequence(
         if not torch.isfinite(loss):
             raise TrainingError(f"loss is {float(loss)} in draw {progress.draws} at {spp:g} spp")
         for group in optimizer.param_groups:
-            group["lr"] = trainer.peak * plan.rate(progress.seen)
+            group["lr"] = trainer.peak * group["share"] * plan.rate(progress.seen)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(trainer.networks.parameters(), plan.norm)

@@ -18,7 +18,7 @@ from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training import Trainer
 
-PEAK = 1.5e-3  # learning rate; that of the same U-Net in `ours`
+PEAK = 1e-3  # learning rate; that of the same U-Net in `ours`
 BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
 
 

@@ -16,17 +16,18 @@ from torch.nn import functional as F
 from methods.ours import FAMILY
 from methods.ours.method import Memory, Ours
 from methods.ours.network import Networks
+from methods.ours.start import start
 from methods.ours.variants import VARIANTS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size, View
-from rlbench.ops.initialise import initialise
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.sampling import Samples, buy, nothing
 from rlbench.training import Trainer
 
-PEAK = 1.5e-3  # learning rate: of 5e-4, 1.5e-3 and 4e-3 the best for A2 in 600 frames
+PEAK = 1e-3  # learning rate
+SHARES = {"encoder": 0.2}  # of it; at the full rate the encoder's tanh saturates
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 
 
@@ -43,7 +44,7 @@ class Policy:
 
     spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
     draws: int = 4  # of the same frame and state
-    every: int = 3  # frames between updates of the sampler
+    every: int = 4  # frames between updates of the sampler
     reach: int = 9  # pixels: side of the window over which error is credited to a sample
     weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
 
@@ -111,9 +112,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     """Networks with seeded weights and a uniform sampler, and the losses that train them."""
     config = VARIANTS[variant]
     networks = Networks(config)
-    initialise(networks, seed)
-    if networks.sampler is not None:
-        networks.sampler.start_uniform()
+    start(networks, seed)
     networks.to(device)
     method = Ours(config, FAMILY.variants[variant].traits, networks)
     policy = Policy()
@@ -127,7 +126,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
                 loss = loss + policy.weight * _sampler_loss(explorer, shown.frame, spp)
             yield loss
 
-    return Trainer(method, networks, losses, BUDGETS, PEAK)
+    return Trainer(method, networks, losses, BUDGETS, PEAK, SHARES)
 
 
 def density(action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
