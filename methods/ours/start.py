@@ -36,7 +36,7 @@ def start(networks: Networks, seed: int) -> None:
 
 
 def _wire(weight: Tensor, to: int, source: int, gain: float, box: bool) -> None:
-    """Make output `to` of a 3x3 convolution its input `source`, or its mean over 3x3; faint else."""
+    """Make output `to` of a 3x3 convolution its input `source`, or the 3x3 mean of it."""
     weight[to] *= FAINT
     weight[to, source] = gain / 9 if box else 0.0
     if not box:
