@@ -1,6 +1,8 @@
-"""Hall: a dark sci-fi hall of metal, crates and drones, lit by a thousand small lamps."""
+"""Hall: a dark sci-fi hall of metal and drones, lit by tubes and a thousand small lamps."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +13,14 @@ from rlbench.scenes.lamps import (
     CYAN,
     HEIGHT,
     LENGTH,
+    RADIANCE,
     ROSE,
     WHITE,
     WIDTH,
     Lamps,
     fixed,
     joined,
+    tubes,
 )
 from rlbench.scenes.shapes import (
     Floats,
@@ -36,20 +40,26 @@ from rlbench.scenes.textures import bitmap, glossy, metal, palette, rgb, tiles
 
 Point = tuple[float, float, float]
 
-ATLAS = 32  # lamps along a side of the light atlas: one texel a lamp
+TUBE = (0.40, 0.49, 0.58)  # radiance
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 13.0, 3.4), (0.2, 19.0, 2.2), (-3.4, 15.0, 4.6))
 
 
 def scene() -> Scene:
-    """The hall; a thousand lamps are one mesh whose texture holds one radiance a texel."""
+    """The hall: tubes below the ceiling, and a thousand lamps in four meshes, one a colour."""
     random = np.random.default_rng(23)
     return Scene(
         name="hall",
-        title="Hall: a thousand small lamps",
-        meshes=(*_building(random), _crates(random), *_movers(0.0)),
+        title="Hall: tubes and a thousand small lamps",
+        meshes=(
+            *_building(random),
+            _crates(random),
+            _shining("tubes", tubes(), TUBE, 3.0),
+            *_movers(0.0),
+        ),
         camera=_camera,
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
-        exposure=7.0,
+        exposure=7.5,
+        depth=4,
     )
 
 
@@ -94,7 +104,7 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
         tile=4.0,
     )
     return (
-        floor.mesh("floor", metal(bitmap(plates), 0.2)),
+        floor.mesh("floor", metal(bitmap(plates), 0.3)),
         shell.mesh("shell", glossy(bitmap(panels), 0.25)),
         _ribs().mesh("ribs", metal(rgb(0.42, 0.43, 0.46), 0.3)),
         _pipes().mesh("pipes", metal(rgb(0.60, 0.36, 0.22), 0.22), smooth=True),
@@ -191,28 +201,24 @@ def _movers(time: float) -> tuple[Mesh, ...]:
     )
     places = [_drone(index, time) for index in range(len(DRONES))]
     drones = merge(*(placed(hull, at, turn) for at, turn in places))
-    lamps = _lamps(time)
-    cell = np.arange(len(lamps.corner))
-    rectangles = quads(lamps.corner, lamps.across, lamps.up, tile=0)
-    uv = (
-        rectangles.uv.reshape(-1, 4, 2) + np.stack([cell % ATLAS, cell // ATLAS], -1)[:, None]
-    ) / ATLAS
-    radiance = np.zeros((ATLAS * ATLAS, 3), np.float32)
-    radiance[cell] = lamps.radiance
-    glow = bitmap(radiance.reshape(ATLAS, ATLAS, 3), "nearest") | {"wrap_mode": "clamp"}
-    shine = {"type": "area", "radiance": glow}
-    black = {"type": "diffuse", "reflectance": rgb(0.05, 0.05, 0.05)}
+    shining = (_lamp_mesh(_lamps(time), colour) for colour in range(len(RADIANCE)))
     return (
         drones.mesh("drones", metal(rgb(0.75, 0.76, 0.80), 0.12), smooth=True),
-        Mesh(
-            "lamps",
-            rectangles.vertices,
-            rectangles.faces,
-            black,
-            uv=uv.reshape(-1, 2).astype(np.float32),
-            emission=shine,
-        ),
+        *shining,
     )
+
+
+def _lamp_mesh(lamps: Lamps, colour: int) -> Mesh:
+    """All lamps of one colour; one radiance a mesh, as a texture makes every path dearer."""
+    mine = lamps.colour == colour
+    shape = quads(lamps.corner[mine], lamps.across[mine], lamps.up[mine], tile=0)
+    return _shining(f"lamps{colour}", shape, RADIANCE[colour], 0.5)
+
+
+def _shining(name: str, shape: Shape, colour: Point, weight: float) -> Mesh:
+    shine = {"type": "area", "radiance": rgb(*colour), "sampling_weight": weight}
+    black = {"type": "diffuse", "reflectance": rgb(0.05, 0.05, 0.05)}
+    return replace(shape.mesh(name, black), emission=shine)
 
 
 def _drone(index: int, time: float) -> tuple[NDArray[np.float64], Floats]:
@@ -235,5 +241,5 @@ def _drone_lamps(index: int, time: float) -> Lamps:
     corner = local @ turn.T + at
     one = np.ones((4, 1))
     across, up = turn @ np.array([0, 0.1, 0]), turn @ np.array([0.12, 0, 0])
-    colour = np.array((WHITE, CYAN, AMBER, ROSE)[index])
-    return Lamps(corner, one * across, one * up, one * 10 * colour)
+    colour = (WHITE, CYAN, AMBER, ROSE)[index]
+    return Lamps(corner, one * across, one * up, np.full(4, colour))

@@ -48,10 +48,10 @@ def scene() -> Scene:
         title="Ripples: caustics, glass and a mirror",
         meshes=(*_basin(random), _pebbles(random), *_optics(), *_movers(0.0)),
         camera=_camera,
-        sky=({"type": "constant", "radiance": rgb(0.17, 0.26, 0.40)},),
+        sky=({"type": "constant", "radiance": rgb(0.29, 0.42, 0.60)},),
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
-        exposure=1.0,
-        depth=10,
+        exposure=1.1,
+        depth=8,
     )
 
 
@@ -65,7 +65,7 @@ def _basin(random: np.random.Generator) -> tuple[Mesh, ...]:
     mosaic = tiles(
         random,
         [(0.30, 0.62, 0.64), (0.34, 0.66, 0.66), (0.26, 0.57, 0.61)],
-        (0.30, 0.48, 0.50),
+        (0.16, 0.34, 0.40),
         (6, 6),
         gap=0.05,
     )
@@ -129,7 +129,7 @@ def _optics() -> tuple[Mesh, ...]:
         [(1.8, 0.12, 0.0), (1.8, 0.12, 2.7), (-1.7, 0.12, 2.7), (1.8, 0.12, 2.7)],
     )
     frame = placed(bars, (0.2, 4.4, 0.2), lean)
-    lamp = quads((-2.1, -1.1, 3.4), (0, 2.4, 0), (4.2, 0, 0))
+    lamp = quads((-4.2, -1.7, 3.6), (0, 3.3, 0), (8.4, 0, 0))
     return (
         glass.mesh(
             "mirror",
@@ -145,7 +145,7 @@ def _optics() -> tuple[Mesh, ...]:
             lamp.faces,
             {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)},
             uv=lamp.uv,
-            emission={"type": "area", "radiance": rgb(9, 6.8, 4.2)},
+            emission={"type": "area", "radiance": rgb(2.8, 2.1, 1.3)},
         ),
     )
 
@@ -158,7 +158,7 @@ def _height(x: NDArray[np.float64], y: NDArray[np.float64], time: float) -> NDAr
     for at_x, at_y, first in DROPS:
         distance = np.hypot(x - at_x, y - at_y)
         phase = 10.5 * distance - 2 * np.pi * (time - first) / 17
-        level = level + 0.034 * np.cos(phase) * np.exp(-0.25 * distance) / np.sqrt(1 + 4 * distance)
+        level = level + 0.042 * np.cos(phase) * np.exp(-0.25 * distance) / np.sqrt(1 + 4 * distance)
     return level
 
 

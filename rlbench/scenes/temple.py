@@ -1,6 +1,8 @@
-"""Temple: a hall of columns lit only through slits by the sun outside; most light is indirect."""
+"""Temple: a hall of columns lit by the sun through slits and by panes of glowing alabaster."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from rlbench.scenes.shapes import (
     lathe,
     merge,
     placed,
+    quads,
     rotation,
 )
 from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
@@ -23,6 +26,10 @@ WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK:
 Point = tuple[float, float, float]
 
 BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
+SLITS, HALF_SLIT = (BAYS[:-1] + BAYS[1:]) / 2, 0.85  # in the middle of each bay; metres
+TRANSOM = 4.6  # metres: above it, the slits of the sunny side are glazed
+GLOW = (1.6, 1.32, 0.96)  # radiance of alabaster in the sun
+DAY = (1.0, 1.25, 1.6)  # radiance of the sky through the door
 PIVOT = np.array([0.3, 12.0, HEIGHT])  # where the lamp hangs from
 
 
@@ -31,19 +38,21 @@ def scene() -> Scene:
     random = np.random.default_rng(11)
     return Scene(
         name="temple",
-        title="Temple: columns lit through slits",
-        meshes=(*_building(random), *_furniture(random), *_movers()),
+        title="Temple: columns, sun and alabaster",
+        meshes=(*_building(random), *_furniture(random), *_panes(), *_movers()),
         camera=_camera,
         sky=(
-            {"type": "constant", "radiance": rgb(2.0, 2.6, 3.4), "sampling_weight": 0.4},
+            {"type": "constant", "radiance": rgb(0.75, 0.95, 1.2), "sampling_weight": 0.04},
             {
                 "type": "directional",
                 "direction": [-0.78, 0.22, -0.6],
-                "irradiance": rgb(42, 36, 27),
+                "sampling_weight": 1.1,
+                "irradiance": rgb(11.5, 9.8, 7.1),
             },
         ),
         moving=_moving,
-        exposure=0.8,
+        exposure=0.95,
+        depth=4,
     )
 
 
@@ -84,12 +93,10 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
 
 def _wall(side: float) -> Shape:
     """One long wall with a slit in the middle of each bay."""
-    slits = (BAYS[:-1] + BAYS[1:]) / 2
-    half = 0.65 if side > 0 else 0.4  # metres
     x0, x1 = sorted((side * WIDTH, side * (WIDTH + THICK)))
-    starts = np.concatenate([[-4.0], slits + half])
-    ends = np.concatenate([slits - half, [LENGTH]])
-    low, high = (1.6, 7.6) if side > 0 else (4.6, 7.6)
+    starts = np.concatenate([[-4.0], SLITS + HALF_SLIT])
+    ends = np.concatenate([SLITS - HALF_SLIT, [LENGTH]])
+    low, high = (1.6, 7.8) if side > 0 else (3.4, 7.8)
     column_of = np.ones_like(starts)
     piers = boxes(
         np.stack([x0 * column_of, starts, low * column_of], -1),
@@ -99,6 +106,28 @@ def _wall(side: float) -> Shape:
     below = boxes((x0, -4, 0), (x1, LENGTH, low), tile=3.0)
     above = boxes((x0, -4, high), (x1, LENGTH, HEIGHT + 0.5), tile=3.0)
     return merge(piers, below, above)
+
+
+def _panes() -> tuple[Mesh, ...]:
+    """Alabaster that shines in the slits, and the open door behind the viewer."""
+    y = SLITS.repeat(2)
+    side = np.tile([-1.0, 1.0], len(SLITS))
+    low = np.where(side < 0, 3.4, TRANSOM)
+    corner = np.stack([side * (WIDTH + 0.2), y + side * HALF_SLIT, low], -1)
+    across = np.stack([0 * y, -2 * side * HALF_SLIT, 0 * y], -1)
+    up = np.stack([0 * y, 0 * y, 7.8 - low], -1)
+    door = quads((3, -3.98, 0.5), (-6, 0, 0), (0, 0, 6))
+    return (
+        _shining("panes", quads(corner, across, up), GLOW, 1.0),
+        _shining("door", door, DAY, 0.35),
+    )
+
+
+def _shining(name: str, shape: Shape, colour: Point, weight: float) -> Mesh:
+    shine = {"type": "area", "radiance": rgb(*colour), "sampling_weight": weight}
+    return replace(
+        shape.mesh(name, {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}), emission=shine
+    )
 
 
 def _ends() -> Shape:
