@@ -22,12 +22,17 @@ class Augmentation:
     flip: bool  # top to bottom
     transpose: bool  # rows become columns
     gain: float  # exposure, factor on radiance
+    colours: tuple[int, ...]  # the order of red, green and blue, in radiance and albedo
 
     def turn(self, image: Tensor) -> Tensor:
         """An image [... h w], mirrored, flipped and transposed."""
         axes = [axis for axis, wanted in ((-1, self.mirror), (-2, self.flip)) if wanted]
         image = image.flip(axes) if axes else image
         return image.transpose(-1, -2) if self.transpose else image
+
+    def tint(self, image: Tensor) -> Tensor:
+        """Radiance or albedo [... 3 h w], turned, with its colours in another order."""
+        return self.turn(image)[..., list(self.colours), :, :]
 
     def turn_motion(self, motion: Tensor) -> Tensor:
         """The same for motion [n 2 h w], whose vectors turn with the image."""
@@ -40,15 +45,15 @@ class Augmentation:
         view = frame.view
         motion = view.motion if view.motion is not None else torch.zeros_like(view.normal[:, :2])
         buffers = {k: self.turn(v) for k, v in view.buffers.items() if k != "motion"}
-        buffers["motion"] = self.turn_motion(motion)
+        buffers |= {"motion": self.turn_motion(motion), "albedo": self.tint(view.albedo)}
         pool = frame.pool
         assert isinstance(pool, StoredPool)
         return Frame(
             frame.index,
             View(buffers),
-            StoredPool(self.turn(pool.radiance) * self.gain, pool.keys),
+            StoredPool(self.tint(pool.radiance) * self.gain, pool.keys),
             Reference(
-                self.turn(frame.reference.a) * self.gain, self.turn(frame.reference.b) * self.gain
+                self.tint(frame.reference.a) * self.gain, self.tint(frame.reference.b) * self.gain
             ),
         )
 
@@ -79,7 +84,8 @@ class Batches:
         window = (slice(top, top + self.crop), slice(left, left + self.crop))
         mirror, flip, transpose = (bool(_integer(generator, 2)) for _ in range(3))
         gain = 2.0 ** float(torch.rand((), generator=generator) - 0.5)
-        turned = Augmentation(mirror, flip, transpose, gain)
+        colours = tuple(torch.randperm(3, generator=generator).tolist())
+        turned = Augmentation(mirror, flip, transpose, gain, colours)
         first = _integer(generator, max(1, len(clip) - self.length + 1))
         chosen = range(first, min(first + self.length, len(clip)))
         return [turned.apply(clip.frame(i, window)) for i in chosen]

@@ -153,7 +153,7 @@ def train(
     out: Annotated[Path, typer.Option(help="weights, checkpoints and logs")] = Path("runs"),
     minutes: Annotated[float, typer.Option(help="stop after so many, for each method")] = 1e9,
     frames: Annotated[int, typer.Option(help="crops to see, for each method")] = 12_000,
-    batch: Annotated[int, typer.Option(help="crops advanced together")] = 2,
+    batch: Annotated[int, typer.Option(help="crops advanced together")] = 1,
     crop: Annotated[int, typer.Option(help="side of a crop, pixels")] = 128,
     half: Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")] = False,
     seed: int = 0,

@@ -46,7 +46,7 @@ class Plan:
     """How long and on what; equal for all methods that are to be compared."""
 
     frames: int = 12_000  # crops to see, each frame of each clip in a batch counts
-    batch: int = 2  # crops advanced together
+    batch: int = 1  # crops advanced together; on few frames, more steps are worth more
     crop: int = 128  # side of a crop, pixels
     length: int = 6  # frames of a sequence
     average: float = 0.998  # decay of the averaged weights, which are the ones shipped

@@ -18,7 +18,7 @@ from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training import Trainer
 
-PEAK = 1e-3  # learning rate; that of the same U-Net in `ours`
+PEAK = 1e-3  # learning rate
 BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
 
 
@@ -27,8 +27,8 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
 
     As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
     reference are compared in transfer space, where display white at an exposure of 1 lies at 0.319.
-    Differs from it in what all methods here share: crops, schedule, averaged weights, no permuted
-    channels; and crops below 176 pixels use the scales that fit.
+    Differs from it in what all methods here share: crops, schedule, averaged weights; normals
+    are not permuted; and crops below 176 pixels use the scales that fit.
     """
     network = UNet(INPUTS, widths=VARIANTS[variant].widths, seed=seed).to(device)
     method = Oidn(network)

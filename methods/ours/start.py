@@ -1,4 +1,4 @@
-"""Where training begins: as a blur of the first samples, not as noise."""
+"""Where training begins: with what is seen passed on, and a blur of the first samples shown."""
 
 from __future__ import annotations
 
@@ -9,35 +9,51 @@ from methods.ours.network import Networks
 from rlbench.ops.initialise import initialise
 
 FAINT = 0.1  # share of a random weight that is left beside a wired one
-LINEAR = 0.5  # of a display value: where tanh is nearly a line
+LINEAR = 0.5  # where tanh is nearly a line
+
+SLOTS = ((0,), (1,), (2, 3), (4, 5, 6, 7))  # of samples, by channels 0-2, 3-5, 6-8, 9-11 of state
+VIEW = 12  # the state's first channel for normal, albedo and depth
 
 
 @torch.no_grad()
 def start(networks: Networks, seed: int) -> None:
     """Seeded weights, a uniform sampler, and a path that shows the first samples, blurred.
 
-    The loss is mostly MS-SSIM, which says little about brightness and colour: from random weights
-    these take thousands of steps to be right, and meanwhile the encoder's tanh saturates. So three
-    hidden units of the encoder are wired to the colour of the first sample, three channels of the
-    state to these, averaged over 3x3, and the denoiser's last three layers to those.
+    From random weights the encoder hides its input behind a random projection, and thousands of
+    steps are spent on undoing it, while its tanh saturates. So the encoder starts with one hidden
+    unit for each value of samples and view, and a channel of the state for each group of slots and
+    each value of the view; what is left of both stays random. The denoiser's last three layers are
+    wired to the first slot, averaged over 3x3 twice.
     """
     initialise(networks, seed)
     if networks.sampler is not None:
         networks.sampler.start_uniform()
-    encoder, denoiser = networks.encoder, networks.denoiser
-    encoder.second.weight.mul_(FAINT)
-    skip = denoiser.dec_conv1a.in_channels - encoder.second.out_channels  # the state comes last
+    first, second, denoiser = networks.encoder.first, networks.encoder.second, networks.denoiser
+    slots = [slot for group in SLOTS for slot in group]
+    view = 3 * len(slots)  # of the encoder's input: normal 3, albedo 3, depth 1
+    for channel in range(view + 7):
+        _wire(first.weight, channel, {channel: 1.0})
+    assert first.bias is not None
+    first.bias[view : view + 3] = 1  # normals are signed, hidden units are not
+    for group, members in enumerate(SLOTS):
+        for colour in range(3):
+            mean = {3 * slot + colour: LINEAR / len(members) for slot in members}
+            _wire(second.weight, 3 * group + colour, mean)
+    for channel in range(7):
+        _wire(second.weight, VIEW + channel, {view + channel: LINEAR})
+    assert second.bias is not None
+    second.bias[VIEW : VIEW + 3] = -LINEAR
+    skip = denoiser.dec_conv1a.in_channels - second.out_channels  # the state comes last
     for colour in range(3):
-        _wire(encoder.first.weight, colour, colour, 1.0, box=False)
-        _wire(encoder.second.weight, colour, colour, LINEAR, box=True)
-        _wire(denoiser.dec_conv1a.weight, colour, skip + colour, 1.0, box=True)
-        _wire(denoiser.dec_conv1b.weight, colour, colour, 1.0, box=True)
-        _wire(denoiser.dec_conv0.weight, colour, colour, 1 / LINEAR, box=False)
+        _wire(denoiser.dec_conv1a.weight, colour, {skip + colour: 1.0}, box=True)
+        _wire(denoiser.dec_conv1b.weight, colour, {colour: 1.0}, box=True)
+        _wire(denoiser.dec_conv0.weight, colour, {colour: 1 / LINEAR})
 
 
-def _wire(weight: Tensor, to: int, source: int, gain: float, box: bool) -> None:
-    """Make output `to` of a 3x3 convolution its input `source`, or the 3x3 mean of it."""
+def _wire(weight: Tensor, to: int, sources: dict[int, float], box: bool = False) -> None:
+    """Make output `to` of a 3x3 convolution a weighted sum of inputs, or of their 3x3 means."""
     weight[to] *= FAINT
-    weight[to, source] = gain / 9 if box else 0.0
-    if not box:
-        weight[to, source, 1, 1] = gain
+    for source, gain in sources.items():
+        weight[to, source] = gain / 9 if box else 0.0
+        if not box:
+            weight[to, source, 1, 1] = gain

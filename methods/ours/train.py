@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from methods.ours import FAMILY
 from methods.ours.method import Memory, Ours
 from methods.ours.network import Networks
+from methods.ours.policy import Draws, Policy
 from methods.ours.start import start
 from methods.ours.variants import VARIANTS
 from rlbench.family import Traits
@@ -26,52 +26,9 @@ from rlbench.run import unroll
 from rlbench.sampling import Samples, buy, nothing
 from rlbench.training import Trainer
 
-PEAK = 1e-3  # learning rate
-SHARES = {"encoder": 0.2}  # of it; at the full rate the encoder's tanh saturates
+PEAK = 3e-4  # learning rate
+SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
-
-
-@dataclass(frozen=True)
-class Policy:
-    """The simplest policy gradient that gives each pixel credit for its own neighbourhood.
-
-    REINFORCE with several draws of the same frame and state, whose mean is the baseline, and a
-    price on samples: one more here is one fewer elsewhere, so that the advantage of a pixel is
-    -(change of error around it + price * change of its count), the price being the least-squares
-    slope of error against count. The paper gives one reward a frame to an APPO learner, whose joint
-    ratio over all pixels leaves the clip range after one step.
-    """
-
-    spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
-    draws: int = 4  # of the same frame and state
-    every: int = 4  # frames between updates of the sampler
-    reach: int = 9  # pixels: side of the window over which error is credited to a sample
-    weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
-
-    def explore(
-        self, mean: Float[Tensor, "n 1 h w"], generator: torch.Generator
-    ) -> Float[Tensor, "n 1 h w"]:
-        """An action drawn around the mean."""
-        noise = torch.randn(mean.shape, generator=generator).to(mean.device)
-        return mean.detach() + self.spread * noise
-
-    def loss(
-        self,
-        mean: Float[Tensor, "n 1 h w"],
-        actions: Float[Tensor, "k n 1 h w"],
-        errors: Float[Tensor, "k n 1 h w"],
-        counts: Float[Tensor, "k n 1 h w"],
-    ) -> Float[Tensor, ""]:
-        """Minus the mean over pixels of advantage times log-probability of the drawn actions."""
-        worse = errors - errors.mean(0)
-        more = counts - counts.mean(0)
-        near = F.avg_pool2d(worse.flatten(0, 1), self.reach, 1, self.reach // 2)
-        near = near.view_as(worse) * self.reach**2
-        price = -(near * more).sum() / more.square().sum().clamp_min(1e-8)
-        advantage = -(near + price * more)
-        advantage = advantage / advantage.square().mean().sqrt().clamp_min(1e-8)
-        likelihood = -0.5 * ((actions - mean) / self.spread).square()
-        return -(advantage * likelihood).mean()
 
 
 @dataclass
@@ -99,7 +56,8 @@ class Explorer:
         self.asked = [(view, state)]
         with torch.no_grad():
             mean = self.method.act(view, state)
-        return density(self.policy.explore(mean, self.generator))
+        corner = self.policy.corner(self.generator)
+        return density(self.policy.explore(mean, corner, self.generator))
 
     def denoise(
         self, view: View, samples: Samples, state: Memory
@@ -140,14 +98,15 @@ def _sampler_loss(explorer: Explorer, frame: Frame, spp: float) -> Tensor:
     view, state = explorer.asked[-1]
     truth = log_forward(frame.reference.mean).clamp(0, 1)
     actions, errors, counts = [], [], []
-    mean = method.act(view, state)
+    mean, corner = method.act(view, state), policy.corner(explorer.generator)
     with torch.no_grad():
         for _ in range(policy.draws):
-            action = policy.explore(mean, explorer.generator)
+            action = policy.explore(mean, corner, explorer.generator)
             samples = buy(frame.pool, nothing(frame.pool), density(action), spp)
             image, _ = method.denoise(view, samples, state)
             error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
             actions.append(action)
             errors.append(error)
             counts.append(samples.counts.float())
-    return policy.loss(mean, torch.stack(actions), torch.stack(errors), torch.stack(counts))
+    drawn = Draws(torch.stack(actions), torch.stack(errors), torch.stack(counts), corner)
+    return policy.loss(mean, drawn)

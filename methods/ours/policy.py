@@ -1,0 +1,80 @@
+"""The policy gradient of the sampler: blocks of pixels, local credit, a price on samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+
+class Draws(NamedTuple):
+    """What was tried `k` times from the state of one frame, on one grid of blocks."""
+
+    actions: Float[Tensor, "k n 1 h w"]  # drawn around the mean
+    errors: Float[Tensor, "k n 1 h w"]  # of each pixel of the image that came of it
+    counts: Float[Tensor, "k n 1 h w"]  # samples bought
+    corner: tuple[int, int]  # row and column of the first whole block
+
+
+@dataclass(frozen=True)
+class Policy:
+    """REINFORCE, block by block.
+
+    A denoiser spreads every sample over its neighbours, so that one pixel's noise tells nothing of
+    one pixel's worth: actions are drawn for whole blocks, on a grid that is shifted each frame. The
+    baseline is the mean of several draws of the same frame and state. Budget couples the blocks: a
+    sample more here is one fewer elsewhere, hence a price on samples, and the advantage of a block
+    is -(change of error in and around it + price * change of its count), the price being the
+    least-squares slope of error against count. The paper gives one reward a frame to an APPO
+    learner, whose joint ratio over all pixels leaves the clip range after one step.
+    """
+
+    spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
+    draws: int = 4  # of the same frame and state
+    every: int = 4  # frames between updates of the sampler
+    block: int = 8  # pixels: side of a block
+    margin: int = 4  # pixels around a block whose error is credited to it
+    weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
+
+    def corner(self, generator: torch.Generator) -> tuple[int, int]:
+        """A grid of blocks: row and column of its first whole block."""
+        row, column = torch.randint(self.block, (2,), generator=generator).tolist()
+        return row, column
+
+    def explore(
+        self,
+        mean: Float[Tensor, "n 1 h w"],
+        corner: tuple[int, int],
+        generator: torch.Generator,
+    ) -> Float[Tensor, "n 1 h w"]:
+        """An action drawn around the mean, with the same noise all over a block."""
+        n, _, h, w = mean.shape
+        rows, columns = (1 + (side + self.block - 1) // self.block for side in (h, w))
+        noise = torch.randn((n, 1, rows, columns), generator=generator).to(mean.device)
+        noise = noise.repeat_interleave(self.block, 2).repeat_interleave(self.block, 3)
+        top, left = (-at % self.block for at in corner)
+        return mean.detach() + self.spread * noise[..., top : top + h, left : left + w]
+
+    def loss(self, mean: Float[Tensor, "n 1 h w"], drawn: Draws) -> Float[Tensor, ""]:
+        """Minus the mean over whole blocks of advantage times log-probability of their actions."""
+        worse = self._blocks(drawn.errors - drawn.errors.mean(0), drawn.corner, self.margin)
+        more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
+        price = -(worse * more).sum() / more.square().sum().clamp_min(1e-8)
+        advantage = -(worse + price * more)
+        advantage = advantage / advantage.square().mean().sqrt().clamp_min(1e-8)
+        away = self._blocks(drawn.actions - mean, drawn.corner) / self.block**2 / self.spread
+        return (advantage * away.square()).mean() / 2
+
+    def _blocks(
+        self, values: Float[Tensor, "k n 1 h w"], corner: tuple[int, int], margin: int = 0
+    ) -> Float[Tensor, "k n 1 _ _"]:
+        """Sums over the whole blocks of a grid, each with `margin` pixels around it."""
+        row, column = corner
+        inside = values[..., row:, column:]
+        side = self.block + 2 * margin
+        sums = F.avg_pool2d(inside.flatten(0, 1), side, self.block, margin) * side**2
+        return sums.view(*inside.shape[:3], *sums.shape[-2:])
