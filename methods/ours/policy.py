@@ -26,7 +26,7 @@ class Policy:
 
     A denoiser spreads every sample over its neighbours, so that one pixel's noise tells nothing of
     one pixel's worth: actions are drawn for whole blocks, on a grid that is shifted each frame. The
-    baseline is the mean of several draws of the same frame and state. Budget couples the blocks: a
+    baseline is the mean of mirrored draws of the same frame and state. Budget couples the blocks: a
     sample more here is one fewer elsewhere, hence a price on samples, and the advantage of a block
     is -(change of error in and around it + price * change of its count), the price being the
     least-squares slope of error against count. The paper gives one reward a frame to an APPO
@@ -34,8 +34,8 @@ class Policy:
     """
 
     spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
-    draws: int = 4  # of the same frame and state
-    every: int = 4  # frames between updates of the sampler
+    draws: int = 4  # of the same frame and state, an even number
+    every: int = 8  # frames between updates of the sampler
     block: int = 8  # pixels: side of a block
     margin: int = 4  # pixels around a block whose error is credited to it
     weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
@@ -59,15 +59,30 @@ class Policy:
         top, left = (-at % self.block for at in corner)
         return mean.detach() + self.spread * noise[..., top : top + h, left : left + w]
 
+    def tries(
+        self,
+        mean: Float[Tensor, "n 1 h w"],
+        corner: tuple[int, int],
+        generator: torch.Generator,
+    ) -> Float[Tensor, "k n 1 h w"]:
+        """Actions around the mean, in mirrored pairs: what one adds the other takes away."""
+        halves = [self.explore(mean, corner, generator) for _ in range(self.draws // 2)]
+        return torch.stack([*halves, *(2 * mean.detach() - half for half in halves)])
+
     def loss(self, mean: Float[Tensor, "n 1 h w"], drawn: Draws) -> Float[Tensor, ""]:
-        """Minus the mean over whole blocks of advantage times log-probability of their actions."""
+        """Minus the mean over whole blocks of advantage times log-probability of their actions.
+
+        The budget cancels the mean of an image's actions, which would drift to where tanh is flat:
+        its square is added.
+        """
         worse = self._blocks(drawn.errors - drawn.errors.mean(0), drawn.corner, self.margin)
         more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
         price = -(worse * more).sum() / more.square().sum().clamp_min(1e-8)
         advantage = -(worse + price * more)
         advantage = advantage / advantage.square().mean().sqrt().clamp_min(1e-8)
         away = self._blocks(drawn.actions - mean, drawn.corner) / self.block**2 / self.spread
-        return (advantage * away.square()).mean() / 2
+        drift = mean.mean((1, 2, 3)).square().mean()
+        return (advantage * away.square()).mean() / 2 + drift
 
     def _blocks(
         self, values: Float[Tensor, "k n 1 h w"], corner: tuple[int, int], margin: int = 0

@@ -97,16 +97,15 @@ def _sampler_loss(explorer: Explorer, frame: Frame, spp: float) -> Tensor:
     method, policy = explorer.method, explorer.policy
     view, state = explorer.asked[-1]
     truth = log_forward(frame.reference.mean).clamp(0, 1)
-    actions, errors, counts = [], [], []
+    errors, counts = [], []
     mean, corner = method.act(view, state), policy.corner(explorer.generator)
+    actions = policy.tries(mean, corner, explorer.generator)
     with torch.no_grad():
-        for _ in range(policy.draws):
-            action = policy.explore(mean, corner, explorer.generator)
+        for action in actions:
             samples = buy(frame.pool, nothing(frame.pool), density(action), spp)
             image, _ = method.denoise(view, samples, state)
             error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
-            actions.append(action)
             errors.append(error)
             counts.append(samples.counts.float())
-    drawn = Draws(torch.stack(actions), torch.stack(errors), torch.stack(counts), corner)
+    drawn = Draws(actions, torch.stack(errors), torch.stack(counts), corner)
     return policy.loss(mean, drawn)

@@ -94,8 +94,7 @@ def test_the_policy_gradient_finds_a_known_optimum(seed):
     nothing, cost = torch.zeros(1, 1, 24, 24, dtype=torch.int64), 4 * 24 * 24
     for step in range(300):
         mean = torch.tanh(free)
-        tried = [policy.explore(mean, (0, 0), generator) for _ in range(policy.draws)]
-        actions = torch.stack(tried)
+        actions = policy.tries(mean, (0, 0), generator)
         counts = torch.stack([spend(density(a), cost, nothing, cap, (step,)) for a in actions])
         loss = policy.loss(mean, Draws(actions, task.error(counts), counts.float(), (0, 0)))
         optimizer.zero_grad()
@@ -127,8 +126,7 @@ def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing(
     nothing, cost = torch.zeros(1, 1, 48, 48, dtype=torch.int64), 2 * 48 * 48
     for step in range(150):
         mean, corner = torch.tanh(free), policy.corner(generator)
-        tried = [policy.explore(mean, corner, generator) for _ in range(policy.draws)]
-        actions = torch.stack(tried)
+        actions = policy.tries(mean, corner, generator)
         counts = torch.stack([spend(density(a), cost, nothing, 8, (step,)) for a in actions])
         errors = spread((sigma.square() / (counts + 0.5)).flatten(0, 1)).unflatten(0, (-1, 1))
         optimizer.zero_grad()
