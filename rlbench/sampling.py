@@ -154,7 +154,11 @@ def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> 
         rest = ((share - counts).clamp(0, 1) * 2**20).round().long()
         score = ((rest << TIE_BITS) + rank).where(counts < high, -1)
         least_score = score.kthvalue(pixels - left + 1).values if left <= pixels else -1
-        counts += (score >= least_score) & (counts < high)
+        above = score > least_score
+        # one pixel is left to choose, or several where hashes collide, of which the first are taken
+        same = ((score == least_score) & (counts < high)).nonzero()[: left - int(above.sum()), 0]
+        counts += above
+        counts[same] += 1
     return counts
 
 
