@@ -3,7 +3,7 @@
 What is in the results already is not run again, so a run that was killed goes on where it was. A
 cell whose content has changed (code, weights, clip, cost profile) replaces its older self, so that
 a results folder holds one answer for each method, clip, budget, seed and device. A cell that
-cannot run is one row that says why.
+cannot run is one row that says why; where that was an error, it is tried again by the next run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rlbench import cost, latency, provenance, registry, table
-from rlbench.cells import Cell, Names, Request, cells
+from rlbench.cells import Cell, Names, Request, cells, distinct
 from rlbench.cost import Cost
 from rlbench.frames import Clip
 from rlbench.latency import Timing
@@ -40,9 +40,10 @@ def measure(
 ) -> Done:
     """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
 
-    Raises PluginError for an unknown method and CostError for an unknown profile before anything
-    is measured.
+    Raises PluginError for an unknown method, CostError for an unknown profile and CellsError for
+    clips that share a name, before anything is measured.
     """
+    distinct(request)
     bench = _Bench(request)
     stored = table.cells(results)
     done = Done()
@@ -51,7 +52,11 @@ def measure(
         if name in stored:
             done = replace(done, known=done.known + 1)
         else:
-            rows = bench.rows(cell)
+            try:
+                rows = bench.rows(cell)
+            except Exception as error:  # whatever a stranger's method may raise is what is reported
+                name = bench.names.failed(cell)
+                rows = [bench.refusal(cell, f"{type(error).__name__}: {error}")]
             table.write_cell(results, name, rows)
             refused = len(rows) == 1
             done = replace(
@@ -76,11 +81,12 @@ class _Bench:
     def rows(self, cell: Cell) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
         if why := unusable(cell.clip, registry.variant(cell.method).traits, cell.spp):
-            return [self._refusal(cell, why)]
-        try:
-            return self._measured(cell, self._method(cell.method))
-        except Exception as error:  # whatever a stranger's method may raise is what is reported
-            return [self._refusal(cell, f"{type(error).__name__}: {error}")]
+            return [self.refusal(cell, why)]
+        return self._measured(cell, self._method(cell.method))
+
+    def refusal(self, cell: Cell, why: str) -> Row:
+        """The one row of a cell without numbers."""
+        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
 
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
         clip = cell.clip.open(method.traits, cell.spp, cell.seed, self.request.device)
@@ -142,9 +148,6 @@ class _Bench:
         if isinstance(found, Exception):
             raise found
         return found
-
-    def _refusal(self, cell: Cell, why: str) -> Row:
-        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
 
     def _blank(self, cell: Cell) -> Row:
         """A row of this cell, without a number."""

@@ -17,6 +17,10 @@ from rlbench.source import Source
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
 
 
+class CellsError(ValueError):
+    """Cells that results could not tell apart."""
+
+
 @dataclass(frozen=True)
 class Request:
     """What is to be measured."""
@@ -48,6 +52,16 @@ def cells(request: Request) -> list[Cell]:
     return [Cell(method, clip, spp, seed) for clip, method, spp, seed in grid]
 
 
+def distinct(request: Request) -> None:
+    """Raise CellsError where two clips have one name: one of them would replace the other."""
+    names = [clip.header.name for clip in request.clips]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise CellsError(
+            f"{names.count(twice[0])} of the clips given are called '{twice[0]}', and results are "
+            "kept by name; give them other names in clip.toml, or measure them into two folders"
+        )
+
+
 @dataclass(frozen=True)
 class Names:
     """Names under which the cells of a request are stored, and the hashes that they are made of."""
@@ -67,6 +81,10 @@ class Names:
         """What the cell is, without spaces at its end: at most one such cell is kept."""
         device = "-".join(self.device.split())
         return f"{cell.method} {cell.clip.header.name} {cell.spp:g}spp seed{cell.seed} {device}"
+
+    def failed(self, cell: Cell) -> str:
+        """The name of a cell that an error kept from being measured: never that of a finished one."""
+        return f"{self.title(cell)} failed"
 
     @cached_property
     def run(self) -> str:

@@ -12,7 +12,7 @@ import torch
 
 from rlbench import registry, table
 from rlbench.bench import Done, measure
-from rlbench.cells import Request, cells
+from rlbench.cells import CellsError, Request, cells
 from rlbench.clips import open_clip
 from rlbench.source import Stored, affordable
 from tests.conftest import write_noise, write_plugin
@@ -159,6 +159,29 @@ def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
     assert done == Done(measured=1, refused=1)
+
+
+def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
+    body = f"open({str(tmp_path / 'there')!r}); return samples.mean, None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    for _ in range(2):
+        assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(refused=1)
+    (tmp_path / "there").touch()
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1)
+    assert len(table.cells(tmp_path / "r")) == 1
+
+
+def test_a_budget_that_a_method_does_not_support_is_not_tried_again(clip_folder, tmp_path):
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", traits="spp=(2.0, 4.0)"))
+    measure(request(clip_folder, "odd"), tmp_path / "r")
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(known=1)
+
+
+def test_two_clips_of_one_name_are_refused(tmp_path):
+    folders = [write_noise(tmp_path / place / "same") for place in ("a", "b")]
+    twins = Request(("mean",), tuple(map(Stored, folders)), spp=(1.0,))
+    with pytest.raises(CellsError, match="2 of the clips given are called 'same'"):
+        measure(twins, tmp_path / "r")
 
 
 def test_an_unknown_method_stops_the_run_before_it_begins(clip_folder, tmp_path):
