@@ -15,6 +15,7 @@ from rlbench import cost, latency, provenance, registry
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
+MEASURE = ("rlbench.bench", "rlbench.latency", "rlbench.cost")  # what makes numbers of images
 
 
 class CellsError(ValueError):
@@ -73,7 +74,7 @@ class Names:
         content = (
             *(cell.method, cell.clip.digest, cell.spp, cell.seed, self.device),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
-            *(self.cost, self.request.frames, self.request.repeats),
+            *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
         )
         return f"{self.title(cell)} {sha256(repr(content).encode()).hexdigest()[:16]}"
 
@@ -83,7 +84,7 @@ class Names:
         return f"{cell.method} {cell.clip.header.name} {cell.spp:g}spp seed{cell.seed} {device}"
 
     def failed(self, cell: Cell) -> str:
-        """The name of a cell that an error kept from being measured: never that of a finished one."""
+        """The name of a cell that an error stopped: never that of a finished one."""
         return f"{self.title(cell)} failed"
 
     @cached_property
@@ -105,10 +106,10 @@ class Names:
 
     @cached_property
     def scores(self) -> str:
-        """Hash of the metrics: their names and their code."""
+        """Hash of the metrics, their names and their code, and of the code that asks for them."""
         known = registry.entries("metrics")
-        modules = {entry.target.partition(":")[0] for entry in known.values()}
-        return f"{list(known)} {provenance.code_hash(map(package, modules), core=())}"
+        modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
+        return f"{list(known)} {provenance.code_hash(set().union(*modules), core=MEASURE)}"
 
     @cached_property
     def code(self) -> dict[str, str]:
@@ -132,19 +133,11 @@ class Names:
         return _hash([file]) if file.is_file() else ""
 
 
-def package(module: str) -> str:
-    """The package that a module is part of, or the module itself where that is a whole plugin.
-
-    `methods.ours.method` belongs to `methods.ours`; `baselines.mean` is one of many in its package.
-    """
-    return module.rpartition(".")[0] if module.count(".") > 1 else module
-
-
 def _code(target: str) -> str:
-    """Hash of what builds a method; of a loose file, that file."""
+    """Hash of what builds a method and what that imports of its package; of a loose file, that."""
     module = target.partition(":")[0]
     loose = registry.loose_file(module)
-    told = provenance.code_hash([] if loose else [package(module)])
+    told = provenance.code_hash([] if loose else provenance.closure(module))
     return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
 
 

@@ -122,6 +122,23 @@ def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
     assert len(table.cells(tmp_path / "r")) == 1
 
 
+def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monkeypatch):
+    package = tmp_path / "faraway"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "net.py").write_text("WIDTH = 8\n")
+    method = write_plugin(package / "method.py", "far", build="return Scaled()")
+    text = method.read_text().replace('"method:build"', '"faraway.method:build"')
+    method.write_text(f"from faraway.net import WIDTH\n{text}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv(registry.VARIABLE, "far=faraway.method:FAMILY")
+
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(known=1)
+    (package / "net.py").write_text("WIDTH = 9\n")
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(measured=1)
+
+
 @pytest.mark.parametrize(
     ("plugin", "header", "spp", "reason"),
     [
