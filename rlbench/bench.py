@@ -123,11 +123,12 @@ class _Bench:
             ]
         sampling = blank.spp_realised * price.sample_ms
         total, how = times.inference.p50 + sampling, price.convention
+        why = price.note if math.isnan(price.sample_ms) else ""
         return [
             *rows,
             _row(blank, "sample_ms", price.sample_ms, "ms", "low", how, price.note),
-            _row(blank, "sampling_ms", sampling, "ms", "low", how, price.note),
-            _row(blank, "total_ms", total, "ms", "low", f"plan + denoise + {how}", price.note),
+            _row(blank, "sampling_ms", sampling, "ms", "low", how, why),
+            _row(blank, "total_ms", total, "ms", "low", f"plan + denoise + sampling; {how}", why),
         ]
 
     def _cost(self, clip: Source) -> Cost:

@@ -75,7 +75,7 @@ def table(request: Request, out: Path) -> None:
         shown.add_row(str(method), f"{spp:g}", *(_figure(value) for value in figures))
     console = Console()
     console.print(shown)
-    whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & (rows["note"] != "")]
+    whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & rows["value"].isna()]
     for (method, metric, note), group in whole.groupby(["method", "metric", "note"]):
         if metric in ("psnr", "sample_ms"):
             where = ", ".join(sorted(set(group["clip"])))

@@ -168,6 +168,15 @@ def test_reports_are_written_where_asked(clip_folder, tmp_path):
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 
+@pytest.mark.parametrize("report", ["summary", "pareto"])
+def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
+    for scene in ("city", "temple", "foyer"):
+        write_noise(tmp_path / "clips" / scene, scene)
+    words = ("--clips", tmp_path / "clips", "--out", tmp_path / "r", "--cost", "paper-2080ti")
+    rlbench("run", "-m", "mean", "--spp", "1,2", *words)
+    rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
+
+
 def test_a_report_without_results_is_told(tmp_path):
     assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
 

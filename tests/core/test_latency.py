@@ -88,7 +88,18 @@ def test_published_times_are_those_of_the_paper(scene, published):
 def test_published_times_are_scaled_by_pixels_and_say_so():
     found = cost.profile("paper-2080ti").cost("temple", 360, 180)
     assert found.sample_ms == pytest.approx(16.6 / 8)
-    assert found.convention.endswith("scaled by pixels from 720x720 to 180x360")
+    assert found.convention.endswith("scaled by pixels from 720x720")
+
+
+def test_a_scene_that_a_profile_does_not_name_is_told():
+    found = cost.profile("paper-2080ti").cost("foyer", 720, 720)
+    assert found.note == "the profile's default, as it has no 'foyer'"
+
+
+@pytest.mark.parametrize("scene", ["city", "hall", "foyer"])
+def test_costs_of_one_profile_share_a_convention(scene):
+    published = cost.profile("paper-2080ti")
+    assert published.cost(scene, 96, 96).convention == published.cost("temple", 9, 9).convention
 
 
 def test_a_profile_may_be_a_file(tmp_path):
@@ -97,7 +108,9 @@ def test_a_profile_may_be_a_file(tmp_path):
         'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\ndefault_ms = 3\n'
         "[scene_ms]\nfoyer = 5\n"
     )
-    assert cost.profile(str(file)).cost("foyer", 10, 10) == Cost(5, "foyer on d, s")
+    assert cost.profile(str(file)).cost("foyer", 10, 10) == Cost(
+        5, "d, s, scaled by pixels from 10x10"
+    )
 
 
 @pytest.mark.parametrize("text", ["title = ", 'title = "t"', "colour = 3"])
