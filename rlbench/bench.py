@@ -15,8 +15,10 @@ from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from rlbench import cost, latency, provenance, registry, table
-from rlbench.cells import Cell, Names, Request, cells, distinct
+from rlbench.cells import Cell, Names, Request, cells, distinct, older
 from rlbench.cost import Cost
 from rlbench.frames import Clip
 from rlbench.latency import Timing
@@ -62,7 +64,8 @@ def measure(
             done = replace(
                 done, measured=done.measured + (not refused), refused=done.refused + refused
             )
-        _drop_older(results, name, stored)
+        for replaced in older(name, stored):
+            table.drop_cell(results, replaced)
         tell(cell)
     return done
 
@@ -76,7 +79,7 @@ class _Bench:
         self.names = Names(request)
         self.profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
         self._built: dict[str, Method | Exception] = {}
-        self._times: dict[tuple[str, int, int, float], Timing] = {}
+        self._times: dict[tuple[object, ...], Timing] = {}
 
     def rows(self, cell: Cell) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
@@ -100,6 +103,7 @@ class _Bench:
 
     def _scores(self, blank: Row, shown: Shown) -> Iterator[Row]:
         reference = shown.frame.reference
+        _check(blank.method, shown.image, reference.a)
         bought = float(shown.samples.counts.double().mean())
         h, w = shown.image.shape[-2:]
         for metric in (each.at(h, w) for each in self.metrics.values()):
@@ -108,7 +112,8 @@ class _Bench:
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 
     def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
-        key = (cell.method, clip.size.h, clip.size.w, cell.spp)
+        header = cell.clip.header  # where nothing moves nothing is warped, which takes less time
+        key = (cell.method, clip.size, cell.spp, header.static, header.pool_spp)
         if key not in self._times:
             self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
         times, price = self._times[key], self._cost(cell.clip)
@@ -182,17 +187,18 @@ def _row(
     )
 
 
+def _check(method: str, image: Tensor, like: Tensor) -> None:
+    """Raise PluginError for an image that metrics would broadcast or round without a word."""
+    if image.shape != like.shape or image.dtype != like.dtype:
+        raise registry.PluginError(
+            f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "
+            f"wanted {like.dtype} {list(like.shape)}"
+        )
+
+
 def _config(method: Method) -> str:
     """A method's settings as JSON: those of its `config`, if it has one."""
     config: Any = getattr(method, "config", None)
     if not is_dataclass(config) or isinstance(config, type):
         return "{}"
     return json.dumps(asdict(config), default=repr, sort_keys=True)
-
-
-def _drop_older(results: Path, name: str, stored: set[str]) -> None:
-    """Remove the stored cells of the same title and other content."""
-    title = name.rpartition(" ")[0]
-    for other in stored:
-        if other != name and other.rpartition(" ")[0] == title:
-            table.drop_cell(results, other)

@@ -63,6 +63,12 @@ def distinct(request: Request) -> None:
         )
 
 
+def older(name: str, stored: Iterable[str]) -> list[str]:
+    """The stored cells that a cell replaces: those of the same title and other content."""
+    title = name.rpartition(" ")[0]
+    return [each for each in stored if each != name and each.rpartition(" ")[0] == title]
+
+
 @dataclass(frozen=True)
 class Names:
     """Names under which the cells of a request are stored, and the hashes that they are made of."""

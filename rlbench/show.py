@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from rlbench import table as results_table
-from rlbench.cells import Cell, Request, cells
+from rlbench.cells import Cell, Names, Request, cells
 
 if TYPE_CHECKING:
     from rlbench.bench import Done
@@ -66,6 +66,7 @@ def table(request: Request, out: Path) -> None:
     names = [clip.header.name for clip in request.clips]
     rows = rows[rows["method"].isin(request.methods) & rows["clip"].isin(names)]
     rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
+    rows = rows[rows["device"] == Names(request).device]
     shown = Table(title=f"mean over {len(names)} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
         shown.add_column(column, justify="left" if column == "method" else "right")

@@ -152,6 +152,20 @@ def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monk
         ),
         ({}, {"pool_spp": 4}, 8.0, "8 spp asked for, the clip holds 4 samples of each pixel"),
         ({"body": "raise RuntimeError('no luck')"}, {}, 1.0, "RuntimeError: no luck"),
+        (
+            {"body": "return samples.mean[:, :1], None"},
+            {},
+            1.0,
+            "PluginError: 'odd' returned an image of torch.float32 [1, 1, 20, 24], "
+            "wanted torch.float32 [1, 3, 20, 24]",
+        ),
+        (
+            {"body": "return samples.mean.half(), None"},
+            {},
+            1.0,
+            "PluginError: 'odd' returned an image of torch.float16 [1, 3, 20, 24], "
+            "wanted torch.float32 [1, 3, 20, 24]",
+        ),
         ({"build": "raise OSError('no weights')"}, {}, 1.0, "OSError: no weights"),
         (
             {"body": "return samples.mean * float('nan'), None"},
@@ -171,6 +185,19 @@ def test_a_cell_that_cannot_run_is_one_row_that_says_why(tmp_path, plugin, heade
     if reason:
         (row,) = table.read(tmp_path / "r").itertuples()
         assert (row.frame, row.metric, math.isnan(row.value)) == (-1, "psnr", True)
+
+
+def test_a_clip_that_stands_still_is_timed_by_itself(tmp_path):
+    seen = tmp_path / "seen"
+    body = f"print(1, file=open({str(seen)!r}, 'a')); return samples.mean, None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    frames = []
+    for name, second in (("one", {}), ("two", {"static": True})):
+        seen.unlink(missing_ok=True)
+        clips = [write_noise(tmp_path / name / "a"), write_noise(tmp_path / name / "b", **second)]
+        measure(Request(("odd",), tuple(map(Stored, clips)), (1.0,), repeats=5), tmp_path / name)
+        frames.append(len(seen.read_text().splitlines()))
+    assert frames == [2 * 3 + 7, 2 * (3 + 7)]  # scored, and timed after 2 frames of warm-up
 
 
 def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from rlbench import table
 from rlbench.cli import app
+from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
 
 CHECKOUT = Path(__file__).parents[2]
@@ -52,6 +54,17 @@ def test_run_measures_and_says_where_results_are(clip_folder, tmp_path):
     told = rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
     assert f"4 cells measured, 0 known before, 0 not possible; results are in {tmp_path}/r" in told
     assert "PSNR" in told
+
+
+def test_numbers_of_another_device_are_not_averaged_in(clip_folder, tmp_path):
+    words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    rlbench(*words)
+    own = table.read(tmp_path / "r")
+    others = [Row(**row) for row in own.assign(device="abacus").to_dict("records")]
+    others = [replace(row, value=0.0 if row.value == row.value else row.value) for row in others]
+    table.write_cell(tmp_path / "r", "mean noise 1spp seed0 abacus 0", others)
+    psnr = own[own["metric"] == "psnr"]["value"].mean()
+    assert f"│ mean │ 1 │ {psnr:.2f} │" in rlbench(*words)
 
 
 def test_the_same_run_again_does_nothing_and_says_so(clip_folder, tmp_path):

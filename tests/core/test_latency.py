@@ -15,7 +15,7 @@ from rlbench.clips import read_header
 from rlbench.cost import Cost, CostError
 from rlbench.family import Traits
 from rlbench.frames import Size
-from rlbench.latency import WARM_UP, time_method
+from rlbench.latency import WARM_UP, device_name, time_method
 from rlbench.procedural import procedural
 
 SIZE = Size(1, 8, 8)
@@ -56,6 +56,12 @@ def test_plan_and_denoise_are_timed_apart():
 def test_all_passes_of_a_frame_are_counted():
     method = Sleepy(0.004, traits=Traits(passes=(0.5, 1.0)))
     assert time_method(method, procedural(size=SIZE), 1.0, repeats=3).plan.p50 >= 8
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_processor_is_named_with_its_threads(threads):
+    torch.set_num_threads(threads)
+    assert device_name(torch.device("cpu")) == f"{provenance.machine().cpu}, {threads} threads"
 
 
 def test_warm_up_does_not_count():
