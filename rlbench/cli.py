@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -178,10 +179,10 @@ def train(
     learning = [name for name in names if registry.learns(name)]
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    folders = asked.rendered(None, preset) if learning else []
+    folders = asked.generated(preset) if learning else []
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
-    command = " ".join(["rlbench", *sys.argv[1:]])
+    command = shlex.join(["rlbench", *sys.argv[1:]])
     for name in learning:
         place = out / name.replace("/", "-")
         train_on = [folder for folder in folders if folder not in validate]
@@ -245,6 +246,8 @@ def regress(
     from rlbench import table
 
     wanted = asked.split(only or [])
+    if update and wanted:
+        raise asked.AskedError("--update writes the whole baseline anew; run it without --only")
     rows = table.read(results)
     rows = rows[rows["method"].isin(wanted)] if wanted else rows
     if update:

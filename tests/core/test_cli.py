@@ -94,6 +94,8 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
         (("--methods", "mean/A9"), "error: 'mean' has no variant 'A9'; it has: mean"),
         (("--spp", "one"), "error: --spp takes numbers such as 0.5,1,2 and was given 'one'"),
         (("--spp", "-1"), "error: --spp takes numbers"),
+        (("--spp", "nan"), "error: --spp takes numbers"),
+        (("--spp", "1,inf"), "error: --spp takes numbers"),
         (("--cost", "mine"), "error: no cost profile 'mine'; there are: measured, paper-2080ti"),
         (("--device", "abacus"), "error: --device abacus cannot be used here"),
         (("--scenes", "cellar"), "error: --scenes cellar: the clips given show: noise"),
@@ -146,6 +148,18 @@ def test_a_reason_is_shown_where_there_is_no_number(clip_folder, tmp_path):
     assert "odd: no psnr on noise: RuntimeError: no luck" in told
 
 
+@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper"])
+def test_nothing_is_trained_on_what_is_scored(preset):
+    told = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
+    assert f"error: preset '{preset}' has scenes that methods are scored on" in told
+    assert told.endswith("there is: train")
+
+
+def test_a_budget_asked_for_twice_is_measured_once(clip_folder, tmp_path):
+    words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    assert "1 cells measured" in rlbench(*words, "--spp", "1,1.0")
+
+
 def test_what_learns_nothing_is_told():
     assert "mean has nothing to train" in rlbench("train", "-m", "mean")
 
@@ -171,6 +185,23 @@ def test_regress_fails_where_quality_fell(clip_folder, tmp_path):
     content["entries"][0]["psnr"] += 1
     (tmp_path / "base.json").write_text(json.dumps(content))
     assert "FAILED: 1 worse" in rlbench("regress", *words, code=1)
+
+
+def test_a_method_that_nobody_measured_does_not_pass(clip_folder, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    rlbench("regress", *words, "--update")
+    assert "FAILED: nothing was compared, 1 skipped" in rlbench(
+        "regress", *words, "--only", "maen", code=1
+    )
+
+
+def test_a_baseline_is_not_rewritten_by_a_part(clip_folder, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    told = rlbench("regress", *words, "--only", "mean", "--update", code=2)
+    assert "error: --update writes the whole baseline anew" in told
+    assert not (tmp_path / "base.json").exists()
 
 
 def test_reports_are_written_where_asked(clip_folder, tmp_path):
