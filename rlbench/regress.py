@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rlbench import paths
 from rlbench.table import WHOLE_CLIP
 
 if TYPE_CHECKING:
@@ -206,7 +206,5 @@ def _write(baseline: Baseline, path: Path) -> None:
     kept = [{k: v for k, v in entry.items() if v is not None} for entry in entries]
     lines = ",\n".join(f"    {json.dumps(entry, allow_nan=False)}" for entry in kept)
     opening = json.dumps(head, indent=2).removesuffix("\n}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    unfinished.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")
-    os.replace(unfinished, path)
+    with paths.replacing(path) as temporary:
+        temporary.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")
