@@ -127,13 +127,21 @@ class _Bench:
                 _row(blank, f"{part}_p95_ms", spread.p95, "ms", "low", f"p95 of {told}{charged}"),
             ]
         sampling = blank.spp_realised * price.sample_ms
-        total, how = times.inference.p50 + sampling, price.convention
+        total, how = times.plan.p50 + times.denoise.p50 + sampling, price.convention
         why = price.note if math.isnan(price.sample_ms) else ""
         return [
             *rows,
             _row(blank, "sample_ms", price.sample_ms, "ms", "low", how, price.note),
             _row(blank, "sampling_ms", sampling, "ms", "low", how, why),
-            _row(blank, "total_ms", total, "ms", "low", f"plan + denoise + sampling; {how}", why),
+            _row(
+                blank,
+                "total_ms",
+                total,
+                "ms",
+                "low",
+                f"plan p50 + denoise p50 + sampling; {how}",
+                why,
+            ),
         ]
 
     def _cost(self, clip: Source) -> Cost:

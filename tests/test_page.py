@@ -9,6 +9,7 @@ import torch
 
 from rlbench.family import Traits
 from rlbench.frames import Size
+from rlbench.plugins import PluginError
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
 
@@ -84,6 +85,23 @@ def test_a_second_pass_keeps_the_samples_of_the_first():
     (shown,) = run_clip(Two(Traits(passes=(0.5, 1.0))), procedural(size=SIZE, frames=1), 2.0)
     before = seen[1]
     assert torch.equal(before.radiance, shown.samples.radiance.where(before.filled, 0.0))
+
+
+def test_a_method_that_adapts_must_say_so():
+    @dataclass(frozen=True)
+    class Secretive(Diary):
+        def plan(self, view, samples, state):
+            return torch.arange(99.0).view(1, 1, 9, 11)
+
+    with pytest.raises(PluginError, match="declare Traits"):
+        list(run_clip(Secretive(), procedural(size=SIZE), 1.0))
+    list(run_clip(Secretive(Traits(adapts=True)), procedural(size=SIZE), 1.0))
+
+
+@pytest.mark.parametrize("passes", [(), (0.5,), (0.5, 0.5, 1.0), (1.0, 0.5), (0.0, 1.0), (2.0,)])
+def test_passes_that_do_not_rise_to_the_whole_budget_are_refused(passes):
+    with pytest.raises(ValueError, match="must rise from above 0 to 1.0"):
+        Traits(passes=passes)
 
 
 def test_a_method_never_sees_a_buffer_that_it_did_not_declare():
