@@ -19,6 +19,7 @@ class Traits:
     temporal: bool = False  # does `state` carry anything between frames?
     passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
     floor: int = 0  # samples that every pixel gets, whatever the density
+    cap: int | None = None  # most samples of one pixel that it can take in; None is as many as sold
     spp: tuple[float, float] = (0.0, 8.0)  # budgets that make sense, samples per pixel, inclusive
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         samples = nothing(frame.pool)
         for share in traits.passes:
             density = planned(method, view, samples, state)
-            samples = buy(frame.pool, samples, density, upto=spp * share, floor=traits.floor)
+            samples = buy(frame.pool, samples, density, spp * share, traits.floor, traits.cap)
         image, state = method.denoise(view, samples, state)
         yield Shown(frame, samples, image)
 

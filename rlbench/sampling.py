@@ -96,17 +96,24 @@ def nothing(pool: Pool) -> Samples:
 
 
 def buy(
-    pool: Pool, samples: Samples, density: Float[Tensor, "n 1 h w"], upto: float, floor: int = 0
+    pool: Pool,
+    samples: Samples,
+    density: Float[Tensor, "n 1 h w"],
+    upto: float,
+    floor: int = 0,
+    cap: int | None = None,
 ) -> Samples:
     """Samples that follow `density`, `upto` samples per pixel on average, those at hand included.
 
+    No pixel gets fewer than `floor`, or more than `cap` or than the pool has of it.
     Raises BudgetError if the density is not finite and >= 0, or if floor, cap and budget disagree.
     """
     n, h, w = pool.size
     if density.shape != (n, 1, h, w):
         raise BudgetError(f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}")
     low = samples.counts.clamp_min(floor)
-    counts = spend(density.detach(), round(upto * h * w), low, pool.cap, pool.keys)
+    high = pool.cap if cap is None else min(cap, pool.cap)
+    counts = spend(density.detach(), round(upto * h * w), low, high, pool.keys)
     return Samples(pool.take(samples, counts), counts)
 
 
@@ -139,7 +146,7 @@ def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> 
     if not least <= cost <= high * pixels:
         raise BudgetError(
             f"a budget of {cost} samples for {pixels} pixels does not fit: "
-            f"floor and earlier passes ask for {least}, the pool holds {high * pixels}"
+            f"floor and earlier passes ask for {least}, cap and pool allow {high * pixels}"
         )
     wanted = density > 0
     if not wanted.any():

@@ -73,6 +73,18 @@ def test_the_floor_is_kept():
     assert int(shown.samples.counts.min()) == 1
 
 
+def test_the_cap_is_kept_and_what_it_cuts_goes_to_others():
+    @dataclass(frozen=True)
+    class Peaked(Diary):
+        def plan(self, view, samples, state):
+            return torch.arange(99.0).view(1, 1, 9, 11) ** 6
+
+    clip = procedural(size=SIZE, frames=1, pool_spp=16)
+    (shown,) = run_clip(Peaked(Traits(adapts=True, cap=5)), clip, 2.0)
+    assert int(shown.samples.counts.max()) == 5
+    assert int(shown.samples.counts.sum()) == 2 * 99
+
+
 def test_a_second_pass_keeps_the_samples_of_the_first():
     seen = []
 

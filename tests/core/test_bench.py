@@ -250,10 +250,19 @@ def test_cells_are_the_whole_grid(clip_folder):
 
 
 @pytest.mark.parametrize(
-    ("adapts", "spp", "slots"), [(True, 0.5, 8), (False, 0.5, 1), (False, 3.2, 4), (False, 0.0, 1)]
+    ("adapts", "cap", "spp", "slots"),
+    [
+        (True, None, 0.5, 8),
+        (True, 5, 0.5, 5),
+        (True, 9, 0.5, 8),
+        (False, None, 0.5, 1),
+        (False, None, 3.2, 4),
+        (False, 3, 3.2, 3),
+        (False, None, 0.0, 1),
+    ],
 )
-def test_only_samples_that_can_be_bought_are_read(adapts, spp, slots):
-    traits = replace(registry.variant("mean").traits, adapts=adapts)
+def test_only_samples_that_can_be_bought_are_read(adapts, cap, spp, slots):
+    traits = replace(registry.variant("mean").traits, adapts=adapts, cap=cap)
     assert affordable(traits, spp, 8) == slots
 
 
