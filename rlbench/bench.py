@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ class Done:
     measured: int = 0  # with numbers
     refused: int = 0  # with a reason instead
     known: int = 0  # in the results already
+    replaced: int = field(default=0, compare=False)  # older ones, removed
 
 
 def measure(
@@ -64,8 +65,10 @@ def measure(
             done = replace(
                 done, measured=done.measured + (not refused), refused=done.refused + refused
             )
-        for replaced in older(name, stored):
-            table.drop_cell(results, replaced)
+        for each in older(name, stored):
+            table.drop_cell(results, each)
+            stored.remove(each)
+            done = replace(done, replaced=done.replaced + 1)
         tell(cell)
     return done
 

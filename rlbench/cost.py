@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from rlbench import paths, registry
+from rlbench import paths, provenance, registry
 from rlbench.clips import Header
 
 MEASURED = "measured"
@@ -84,14 +84,14 @@ def profile(name: str) -> Profile:
 def measured(header: Header, here: str) -> Cost:
     """What the clip's renderer wrote if it was `here`, else what this machine's path tracer takes.
 
-    The tracer is asked once for each scene and size, and its answer kept in the cache.
+    The tracer is asked once for each scene, size and code, and its answer kept in the cache.
     """
     convention = f"path tracer, measured on {here}"
     if header.device == here and math.isfinite(header.sample_ms):
         return Cost(header.sample_ms, convention)
     file = paths.cache() / "sample_ms.json"
     known = json.loads(file.read_text()) if file.is_file() else {}
-    key = f"{header.scene} {header.width}x{header.height} {here}"
+    key = f"{header.scene} {header.width}x{header.height} {here} {_code(header.scene)}"
     if key not in known:
         try:
             known[key] = _trace(header)
@@ -102,6 +102,15 @@ def measured(header: Header, here: str) -> Cost:
         with paths.replacing(file) as temporary:
             temporary.write_text(json.dumps(known, indent=1))
     return Cost(known[key], convention)
+
+
+def _code(scene: str) -> str:
+    """Hash of the code of a scene and of the tracer; empty where there is no such scene."""
+    found = registry.entries("scenes").get(scene)
+    if found is None:
+        return ""
+    modules = provenance.closure(found.target.partition(":")[0])
+    return provenance.code_hash(modules, core=["rlbench.render"])
 
 
 def _trace(header: Header) -> float:

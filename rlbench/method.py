@@ -42,6 +42,6 @@ def planned(method: Method, view: View, samples: Samples, state: State) -> Float
     stored clip it was then given no more samples than uniform sampling needs.
     """
     density = method.plan(view, samples, state)
-    if not method.traits.adapts and bool((density != density.flatten()[:1]).any()):
+    if not method.traits.adapts and bool(density.max() > density.min()):
         raise PluginError("the density varies from pixel to pixel; declare Traits(adapts=True)")
     return density

@@ -57,6 +57,7 @@ def done(what: Done, out: Path) -> None:
         console.print(f"nothing to do: all {what.known} cells are in {out} already")
         return
     told = f"{what.measured} cells measured, {what.known} known before, {what.refused} not possible"
+    told += f", {what.replaced} older ones replaced" if what.replaced else ""
     console.print(f"{told}; results are in {out}")
 
 

@@ -12,6 +12,7 @@ from rlbench.frames import Size
 from rlbench.plugins import PluginError
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
+from rlbench.sampling import BudgetError
 
 SIZE = Size(1, 9, 11)
 
@@ -108,6 +109,16 @@ def test_a_method_that_adapts_must_say_so():
     with pytest.raises(PluginError, match="declare Traits"):
         list(run_clip(Secretive(), procedural(size=SIZE), 1.0))
     list(run_clip(Secretive(Traits(adapts=True)), procedural(size=SIZE), 1.0))
+
+
+def test_a_density_that_is_no_number_is_told_as_such():
+    @dataclass(frozen=True)
+    class Broken(Diary):
+        def plan(self, view, samples, state):
+            return torch.full((1, 1, 9, 11), torch.nan)
+
+    with pytest.raises(BudgetError, match="not finite"):
+        list(run_clip(Broken(), procedural(size=SIZE), 1.0))
 
 
 @pytest.mark.parametrize("passes", [(), (0.5,), (0.5, 0.5, 1.0), (1.0, 0.5), (0.0, 1.0), (2.0,)])

@@ -85,6 +85,8 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
     words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
     rlbench(*words, "--limit-frames", 2)
     assert set(table.read(tmp_path / "r")["frame"]) == {-1, 0, 1}
+    told = rlbench(*words, "--limit-frames", 1)
+    assert "1 cells measured, 0 known before, 0 not possible, 1 older ones replaced" in told
 
 
 @pytest.mark.parametrize(
