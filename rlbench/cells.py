@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -119,8 +119,11 @@ class Names:
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """Hash of each method's code, and of the core's that hands it its samples."""
-        return {name: _code(registry.family(name).build) for name in self.request.methods}
+        """Hash of each method's code, and of the core's that hands it its samples.
+
+        Empty where the code cannot be found, as the attempt to build the method will tell.
+        """
+        return {name: _found(_code, registry.family(name).build) for name in self.request.methods}
 
     @cached_property
     def weights(self) -> dict[str, str]:
@@ -133,10 +136,10 @@ class Names:
         if self.request.weights == "random":
             return "random"
         family, _, variant = name.partition("/")
-        beside = registry.place(registry.family(name).build).parent / "cards"
-        shipped = beside / f"{variant or family}.safetensors"
-        file = Path(self.request.weights) if self.request.weights else shipped
-        return _hash([file]) if file.is_file() else ""
+        if self.request.weights:
+            return _hash(Path(self.request.weights))
+        beside = _found(registry.place, registry.family(name).build)
+        return _hash(Path(beside).parent / "cards" / f"{variant or family}.safetensors")
 
 
 def _code(target: str) -> str:
@@ -147,8 +150,16 @@ def _code(target: str) -> str:
     return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
 
 
-def _hash(files: Iterable[Path]) -> str:
-    digest = sha256()
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()[:16]
+def _hash(file: Path) -> str:
+    """Hash of a file's name and content; empty where there is none."""
+    if not file.is_file():
+        return ""
+    return sha256(file.name.encode() + b"\0" + file.read_bytes()).hexdigest()[:16]
+
+
+def _found(look: Callable[[str], Path | str], target: str) -> str:
+    """What `look` finds of a module, or an empty text where there is no such module."""
+    try:
+        return str(look(target))
+    except LookupError:
+        return ""

@@ -209,6 +209,17 @@ def test_a_clip_that_stands_still_is_timed_by_itself(tmp_path):
     assert frames == [2 * 3 + 7, 2 * (3 + 7)]  # scored, and timed after 2 frames of warm-up
 
 
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_method_whose_code_is_not_there_does_not_stop_the_others(clip_folder, tmp_path, learned):
+    plugin = write_plugin(tmp_path / "odd.py", "odd")
+    text = plugin.read_text().replace('"odd:build"', '"nowhere.at.all:build"')
+    plugin.write_text(text.replace("learned=False", f"learned={learned}"))
+    registry.use_plugin(plugin)
+    done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
+    assert done == Done(measured=1, refused=1)
+    assert "ModuleNotFoundError: No module named 'nowhere'" in reasons(tmp_path / "r")
+
+
 def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
