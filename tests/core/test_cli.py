@@ -223,6 +223,14 @@ def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
     rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
 
 
+def test_reports_that_can_be_written_are_though_another_cannot(clip_folder, tmp_path):
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+    told = rlbench("report", "all", *words, code=2)
+    assert "error: pareto was not written: no cell has psnr, plan_ms" in told
+    assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
 def test_a_report_without_results_is_told(tmp_path):
     assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
 
