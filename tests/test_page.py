@@ -68,18 +68,22 @@ def test_the_budget_is_bought_to_the_sample(spp):
     assert bought == round(spp * 99)
 
 
-def test_the_floor_is_kept():
-    method = Diary(Traits(floor=1))
-    (shown,) = run_clip(method, procedural(size=SIZE, frames=1), 1.2)
-    assert int(shown.samples.counts.min()) == 1
+@dataclass(frozen=True)
+class Peaked(Diary):
+    """A method that wants nearly all of its samples in one corner."""
+
+    def plan(self, view, samples, state):
+        return torch.arange(99.0).view(1, 1, 9, 11) ** 6
+
+
+@pytest.mark.parametrize("floor", [0, 1])
+def test_the_floor_is_kept_whatever_is_wished_for(floor):
+    clip = procedural(size=SIZE, frames=1)
+    (shown,) = run_clip(Peaked(Traits(adapts=True, floor=floor)), clip, 1.2)
+    assert int(shown.samples.counts.min()) == floor
 
 
 def test_the_cap_is_kept_and_what_it_cuts_goes_to_others():
-    @dataclass(frozen=True)
-    class Peaked(Diary):
-        def plan(self, view, samples, state):
-            return torch.arange(99.0).view(1, 1, 9, 11) ** 6
-
     clip = procedural(size=SIZE, frames=1, pool_spp=16)
     (shown,) = run_clip(Peaked(Traits(adapts=True, cap=5)), clip, 2.0)
     assert int(shown.samples.counts.max()) == 5
@@ -101,14 +105,9 @@ def test_a_second_pass_keeps_the_samples_of_the_first():
 
 
 def test_a_method_that_adapts_must_say_so():
-    @dataclass(frozen=True)
-    class Secretive(Diary):
-        def plan(self, view, samples, state):
-            return torch.arange(99.0).view(1, 1, 9, 11)
-
     with pytest.raises(PluginError, match="declare Traits"):
-        list(run_clip(Secretive(), procedural(size=SIZE), 1.0))
-    list(run_clip(Secretive(Traits(adapts=True)), procedural(size=SIZE), 1.0))
+        list(run_clip(Peaked(), procedural(size=SIZE), 1.0))
+    list(run_clip(Peaked(Traits(adapts=True)), procedural(size=SIZE), 1.0))
 
 
 def test_a_density_that_is_no_number_is_told_as_such():
