@@ -41,9 +41,10 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     per_scene = scores.points(table, metric)
     per_scene = per_scene[per_scene["total_ms"].notna()]
     if per_scene.empty:
+        found = sorted(set(table.loc[table["value"].notna(), "metric"])) or ["nothing"]
         raise scores.ReportError(
             f"no cell has {metric}, plan_ms, denoise_ms and sample_ms, so no time can be plotted; "
-            f"the table has: {', '.join(sorted(set(table['metric'])))}"
+            f"measured were: {', '.join(found)}; rlbench run --cost takes a published sample_ms"
         )
     mean = scores.overall(per_scene).assign(scene=OVERALL)
     every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +22,12 @@ def split(values: list[str]) -> list[str]:
 
 
 def numbers(option: str, text: str, kind: type[Any]) -> tuple[Any, ...]:
-    """Numbers >= 0 given as `1,2`. Raises AskedError."""
+    """Finite numbers >= 0 given as `1,2`, each once. Raises AskedError."""
     try:
-        found = tuple(kind(part) for part in split([text]))
+        found = tuple(dict.fromkeys(kind(part) for part in split([text])))
     except ValueError:
         found = ()
-    if not found or min(found) < 0:
+    if not found or not all(math.isfinite(number) and number >= 0 for number in found):
         raise AskedError(f"{option} takes numbers such as 0.5,1,2 and was given '{text}'")
     return found
 
@@ -58,6 +59,19 @@ def clips(own: list[Path] | None, scenes: list[str] | None, preset: str) -> tupl
         have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
         raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
     return kept
+
+
+def generated(preset: str) -> list[Path]:
+    """The clip folders of a preset to train on. Raises AskedError where it holds scored scenes."""
+    from rlbench.render.presets import PRESETS
+
+    if preset in PRESETS and (scored := PRESETS[preset].scenes):
+        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scenes)
+        raise AskedError(
+            f"preset '{preset}' has scenes that methods are scored on ({', '.join(scored)}), so "
+            f"nothing may be trained on it; there is: {fit}"
+        )
+    return rendered(None, preset)
 
 
 def rendered(scenes: list[str] | None, preset: str) -> list[Path]:

@@ -3,7 +3,7 @@
 What is in the results already is not run again, so a run that was killed goes on where it was. A
 cell whose content has changed (code, weights, clip, cost profile) replaces its older self, so that
 a results folder holds one answer for each method, clip, budget, seed and device. A cell that
-cannot run is one row that says why.
+cannot run is one row that says why; where that was an error, it is tried again by the next run.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from rlbench import cost, latency, provenance, registry, table
-from rlbench.cells import Cell, Names, Request, cells
+from rlbench.cells import Cell, Names, Request, cells, distinct, older
 from rlbench.cost import Cost
 from rlbench.frames import Clip
 from rlbench.latency import Timing
@@ -33,6 +35,7 @@ class Done:
     measured: int = 0  # with numbers
     refused: int = 0  # with a reason instead
     known: int = 0  # in the results already
+    replaced: int = field(default=0, compare=False)  # older ones, removed
 
 
 def measure(
@@ -40,9 +43,10 @@ def measure(
 ) -> Done:
     """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
 
-    Raises PluginError for an unknown method and CostError for an unknown profile before anything
-    is measured.
+    Raises PluginError for an unknown method, CostError for an unknown profile and CellsError for
+    clips that share a name, before anything is measured.
     """
+    distinct(request)
     bench = _Bench(request)
     stored = table.cells(results)
     done = Done()
@@ -51,13 +55,20 @@ def measure(
         if name in stored:
             done = replace(done, known=done.known + 1)
         else:
-            rows = bench.rows(cell)
+            try:
+                rows = bench.rows(cell)
+            except Exception as error:  # whatever a stranger's method may raise is what is reported
+                name = bench.names.failed(cell)
+                rows = [bench.refusal(cell, f"{type(error).__name__}: {error}")]
             table.write_cell(results, name, rows)
             refused = len(rows) == 1
             done = replace(
                 done, measured=done.measured + (not refused), refused=done.refused + refused
             )
-        _drop_older(results, name, stored)
+        for each in older(name, stored):
+            table.drop_cell(results, each)
+            stored.remove(each)
+            done = replace(done, replaced=done.replaced + 1)
         tell(cell)
     return done
 
@@ -71,16 +82,17 @@ class _Bench:
         self.names = Names(request)
         self.profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
         self._built: dict[str, Method | Exception] = {}
-        self._times: dict[tuple[str, int, int, float], Timing] = {}
+        self._times: dict[tuple[object, ...], Timing] = {}
 
     def rows(self, cell: Cell) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
         if why := unusable(cell.clip, registry.variant(cell.method).traits, cell.spp):
-            return [self._refusal(cell, why)]
-        try:
-            return self._measured(cell, self._method(cell.method))
-        except Exception as error:  # whatever a stranger's method may raise is what is reported
-            return [self._refusal(cell, f"{type(error).__name__}: {error}")]
+            return [self.refusal(cell, why)]
+        return self._measured(cell, self._method(cell.method))
+
+    def refusal(self, cell: Cell, why: str) -> Row:
+        """The one row of a cell without numbers."""
+        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
 
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
         clip = cell.clip.open(method.traits, cell.spp, cell.seed, self.request.device)
@@ -94,6 +106,7 @@ class _Bench:
 
     def _scores(self, blank: Row, shown: Shown) -> Iterator[Row]:
         reference = shown.frame.reference
+        _check(blank.method, shown.image, reference.a)
         bought = float(shown.samples.counts.double().mean())
         h, w = shown.image.shape[-2:]
         for metric in (each.at(h, w) for each in self.metrics.values()):
@@ -102,7 +115,8 @@ class _Bench:
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 
     def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
-        key = (cell.method, clip.size.h, clip.size.w, cell.spp)
+        header = cell.clip.header  # where nothing moves nothing is warped, which takes less time
+        key = (cell.method, clip.size, cell.spp, header.static, header.pool_spp)
         if key not in self._times:
             self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
         times, price = self._times[key], self._cost(cell.clip)
@@ -116,12 +130,21 @@ class _Bench:
                 _row(blank, f"{part}_p95_ms", spread.p95, "ms", "low", f"p95 of {told}{charged}"),
             ]
         sampling = blank.spp_realised * price.sample_ms
-        total, how = times.inference.p50 + sampling, price.convention
+        total, how = times.plan.p50 + times.denoise.p50 + sampling, price.convention
+        why = price.note if math.isnan(price.sample_ms) else ""
         return [
             *rows,
             _row(blank, "sample_ms", price.sample_ms, "ms", "low", how, price.note),
-            _row(blank, "sampling_ms", sampling, "ms", "low", how, price.note),
-            _row(blank, "total_ms", total, "ms", "low", f"plan + denoise + {how}", price.note),
+            _row(blank, "sampling_ms", sampling, "ms", "low", how, why),
+            _row(
+                blank,
+                "total_ms",
+                total,
+                "ms",
+                "low",
+                f"plan p50 + denoise p50 + sampling; {how}",
+                why,
+            ),
         ]
 
     def _cost(self, clip: Source) -> Cost:
@@ -142,9 +165,6 @@ class _Bench:
         if isinstance(found, Exception):
             raise found
         return found
-
-    def _refusal(self, cell: Cell, why: str) -> Row:
-        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
 
     def _blank(self, cell: Cell) -> Row:
         """A row of this cell, without a number."""
@@ -178,17 +198,18 @@ def _row(
     )
 
 
+def _check(method: str, image: Tensor, like: Tensor) -> None:
+    """Raise PluginError for an image that metrics would broadcast or round without a word."""
+    if image.shape != like.shape or image.dtype != like.dtype:
+        raise registry.PluginError(
+            f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "
+            f"wanted {like.dtype} {list(like.shape)}"
+        )
+
+
 def _config(method: Method) -> str:
     """A method's settings as JSON: those of its `config`, if it has one."""
     config: Any = getattr(method, "config", None)
     if not is_dataclass(config) or isinstance(config, type):
         return "{}"
     return json.dumps(asdict(config), default=repr, sort_keys=True)
-
-
-def _drop_older(results: Path, name: str, stored: set[str]) -> None:
-    """Remove the stored cells of the same title and other content."""
-    title = name.rpartition(" ")[0]
-    for other in stored:
-        if other != name and other.rpartition(" ")[0] == title:
-            table.drop_cell(results, other)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -15,6 +15,11 @@ from rlbench import cost, latency, provenance, registry
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
+MEASURE = ("rlbench.bench", "rlbench.latency", "rlbench.cost")  # what makes numbers of images
+
+
+class CellsError(ValueError):
+    """Cells that results could not tell apart."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,22 @@ def cells(request: Request) -> list[Cell]:
     return [Cell(method, clip, spp, seed) for clip, method, spp, seed in grid]
 
 
+def distinct(request: Request) -> None:
+    """Raise CellsError where two clips have one name: one of them would replace the other."""
+    names = [clip.header.name for clip in request.clips]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise CellsError(
+            f"{names.count(twice[0])} of the clips given are called '{twice[0]}', and results are "
+            "kept by name; give them other names in clip.toml, or measure them into two folders"
+        )
+
+
+def older(name: str, stored: Iterable[str]) -> list[str]:
+    """The stored cells that a cell replaces: those of the same title and other content."""
+    title = name.rpartition(" ")[0]
+    return [each for each in stored if each != name and each.rpartition(" ")[0] == title]
+
+
 @dataclass(frozen=True)
 class Names:
     """Names under which the cells of a request are stored, and the hashes that they are made of."""
@@ -59,7 +80,7 @@ class Names:
         content = (
             *(cell.method, cell.clip.digest, cell.spp, cell.seed, self.device),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
-            *(self.cost, self.request.frames, self.request.repeats),
+            *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
         )
         return f"{self.title(cell)} {sha256(repr(content).encode()).hexdigest()[:16]}"
 
@@ -67,6 +88,10 @@ class Names:
         """What the cell is, without spaces at its end: at most one such cell is kept."""
         device = "-".join(self.device.split())
         return f"{cell.method} {cell.clip.header.name} {cell.spp:g}spp seed{cell.seed} {device}"
+
+    def failed(self, cell: Cell) -> str:
+        """The name of a cell that an error stopped: never that of a finished one."""
+        return f"{self.title(cell)} failed"
 
     @cached_property
     def run(self) -> str:
@@ -87,15 +112,18 @@ class Names:
 
     @cached_property
     def scores(self) -> str:
-        """Hash of the metrics: their names and their code."""
+        """Hash of the metrics, their names and their code, and of the code that asks for them."""
         known = registry.entries("metrics")
-        modules = {entry.target.partition(":")[0] for entry in known.values()}
-        return f"{list(known)} {provenance.code_hash(map(package, modules), core=())}"
+        modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
+        return f"{list(known)} {provenance.code_hash(set().union(*modules), core=MEASURE)}"
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """Hash of each method's code, and of the core's that hands it its samples."""
-        return {name: _code(registry.family(name).build) for name in self.request.methods}
+        """Hash of each method's code, and of the core's that hands it its samples.
+
+        Empty where the code cannot be found, as the attempt to build the method will tell.
+        """
+        return {name: _found(_code, registry.family(name).build) for name in self.request.methods}
 
     @cached_property
     def weights(self) -> dict[str, str]:
@@ -108,30 +136,30 @@ class Names:
         if self.request.weights == "random":
             return "random"
         family, _, variant = name.partition("/")
-        beside = registry.place(registry.family(name).build).parent / "cards"
-        shipped = beside / f"{variant or family}.safetensors"
-        file = Path(self.request.weights) if self.request.weights else shipped
-        return _hash([file]) if file.is_file() else ""
-
-
-def package(module: str) -> str:
-    """The package that a module is part of, or the module itself where that is a whole plugin.
-
-    `methods.ours.method` belongs to `methods.ours`; `baselines.mean` is one of many in its package.
-    """
-    return module.rpartition(".")[0] if module.count(".") > 1 else module
+        if self.request.weights:
+            return _hash(Path(self.request.weights))
+        beside = _found(registry.place, registry.family(name).build)
+        return _hash(Path(beside).parent / "cards" / f"{variant or family}.safetensors")
 
 
 def _code(target: str) -> str:
-    """Hash of what builds a method; of a loose file, that file."""
+    """Hash of what builds a method and what that imports of its package; of a loose file, that."""
     module = target.partition(":")[0]
     loose = registry.loose_file(module)
-    told = provenance.code_hash([] if loose else [package(module)])
+    told = provenance.code_hash([] if loose else provenance.closure(module))
     return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
 
 
-def _hash(files: Iterable[Path]) -> str:
-    digest = sha256()
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()[:16]
+def _hash(file: Path) -> str:
+    """Hash of a file's name and content; empty where there is none."""
+    if not file.is_file():
+        return ""
+    return sha256(file.name.encode() + b"\0" + file.read_bytes()).hexdigest()[:16]
+
+
+def _found(look: Callable[[str], Path | str], target: str) -> str:
+    """What `look` finds of a module, or an empty text where there is no such module."""
+    try:
+        return str(look(target))
+    except LookupError:
+        return ""

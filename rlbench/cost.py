@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from rlbench import paths, registry
+from rlbench import paths, provenance, registry
 from rlbench.clips import Header
 
 MEASURED = "measured"
@@ -27,11 +27,15 @@ class CostError(ValueError):
 
 @dataclass(frozen=True)
 class Cost:
-    """Time of one sample per pixel, and how it came about."""
+    """Time of one sample per pixel, and how it came about.
+
+    `convention` is the same for all scenes that are measured alike, for reports refuse to compare
+    times that are not.
+    """
 
     sample_ms: float  # nan where it is not known
     convention: str
-    note: str = ""  # why it is not known
+    note: str = ""  # why it is not known, or what to know of it
 
 
 @dataclass(frozen=True)
@@ -49,10 +53,9 @@ class Profile:
     def cost(self, scene: str, height: int, width: int) -> Cost:
         """The scene's published time, scaled linearly in pixels from the profile's size."""
         share = height * width / (self.height * self.width)
-        entry = scene if scene in self.scene_ms else "default"
-        scaled = f", scaled by pixels from {self.width}x{self.height} to {width}x{height}"
-        told = f"{entry} on {self.device}, {self.source}{scaled if share != 1 else ''}"
-        return Cost(self.scene_ms.get(scene, self.default_ms) * share, told)
+        told = f"{self.device}, {self.source}, scaled by pixels from {self.width}x{self.height}"
+        note = "" if scene in self.scene_ms else f"the profile's default, as it has no '{scene}'"
+        return Cost(self.scene_ms.get(scene, self.default_ms) * share, told, note)
 
 
 def profiles() -> list[str]:
@@ -81,23 +84,33 @@ def profile(name: str) -> Profile:
 def measured(header: Header, here: str) -> Cost:
     """What the clip's renderer wrote if it was `here`, else what this machine's path tracer takes.
 
-    The tracer is asked once for each scene and size, and its answer kept in the cache.
+    The tracer is asked once for each scene, size and code, and its answer kept in the cache.
     """
+    convention = f"path tracer, measured on {here}"
     if header.device == here and math.isfinite(header.sample_ms):
-        return Cost(header.sample_ms, f"measured on {here} when the clip was rendered")
+        return Cost(header.sample_ms, convention)
     file = paths.cache() / "sample_ms.json"
     known = json.loads(file.read_text()) if file.is_file() else {}
-    key = f"{header.scene} {header.width}x{header.height} {here}"
+    key = f"{header.scene} {header.width}x{header.height} {here} {_code(header.scene)}"
     if key not in known:
         try:
             known[key] = _trace(header)
         except Exception as error:  # a scene or a tracer that is not there is a reason, not an end
             why = f"{type(error).__name__}: {error}"
             note = f"rendered on '{header.device}', not here, and not traceable here: {why}"
-            return Cost(math.nan, f"measured on {here}", note)
+            return Cost(math.nan, convention, note)
         with paths.replacing(file) as temporary:
             temporary.write_text(json.dumps(known, indent=1))
-    return Cost(known[key], f"measured on {here} with this machine's path tracer")
+    return Cost(known[key], convention)
+
+
+def _code(scene: str) -> str:
+    """Hash of the code of a scene and of the tracer; empty where there is no such scene."""
+    found = registry.entries("scenes").get(scene)
+    if found is None:
+        return ""
+    modules = provenance.closure(found.target.partition(":")[0])
+    return provenance.code_hash(modules, core=["rlbench.render"])
 
 
 def _trace(header: Header) -> float:

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Traits:
-    """What a method asks of the bench; the bench reads, traces and buys no more than this."""
+    """What a method asks of the bench; the bench reads, traces and buys no more than this.
+
+    Raises ValueError for passes that do not rise to the whole budget.
+    """
 
     needs: frozenset[str] = frozenset()  # view buffers it reads: albedo, normal, depth, motion
     pool: str = "path"  # the kind of sample pool it buys from
@@ -16,7 +19,16 @@ class Traits:
     temporal: bool = False  # does `state` carry anything between frames?
     passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
     floor: int = 0  # samples that every pixel gets, whatever the density
+    cap: int | None = None  # most samples of one pixel that it can take in; None is as many as sold
     spp: tuple[float, float] = (0.0, 8.0)  # budgets that make sense, samples per pixel, inclusive
+
+    def __post_init__(self) -> None:
+        """Refuse passes by which less than the budget would be bought, or less than before."""
+        rising = all(a < b for a, b in zip((0.0, *self.passes), self.passes, strict=False))
+        if not rising or self.passes[-1:] != (1.0,):
+            raise ValueError(
+                f"passes are {self.passes}; they must rise from above 0 to 1.0 at last"
+            )
 
     def refuses(self, spp: float) -> str | None:
         """Why a budget of `spp` cannot be run, or None if it can."""
@@ -40,9 +52,11 @@ class Family:
     """A published method and its variants. The variant `""` is the method itself.
 
     `build` names a function, as `module:name`, that takes (variant, device, weights) and returns a
-    `Method`; it is imported when the method is first asked for. `weights` is a card's path, or
-    `"random"` for seeded untrained weights, or None for the shipped ones. `train` names a function
-    in the same way (see `rlbench.training`), or is empty where nothing is learned.
+    `Method`; it is imported when the method is first asked for. `weights` is the path of a file, or
+    `"random"` for seeded untrained weights, or None for the shipped ones: NAME.safetensors in the
+    folder `cards` beside that module, NAME being the variant's name or else the family's; results
+    are measured anew when this file changes. `train` names a function in the same way (see
+    `rlbench.training`), or is empty where nothing is learned.
     """
 
     name: str

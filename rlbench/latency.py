@@ -63,10 +63,12 @@ def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) 
 
 
 def device_name(device: torch.device) -> str:
-    """The model name of what runs a method: a time without it means nothing."""
+    """The model name of what runs a method, of a processor with its threads: a time needs both."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
-    return provenance.machine().cpu if device.type == "cpu" else device.type
+    if device.type == "cpu":
+        return f"{provenance.machine().cpu}, {torch.get_num_threads()} threads"
+    return device.type
 
 
 @dataclass

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from rlbench.family import Traits
 from rlbench.frames import Size, View
+from rlbench.plugins import PluginError
 from rlbench.sampling import Samples
 
 State = Any  # opaque to the bench: returned by the method, carried to its next frame
@@ -32,3 +33,15 @@ class Method(Protocol):
         self, view: View, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The image in linear radiance, and the state for the next frame."""
+
+
+def planned(method: Method, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    """The density that a method plans.
+
+    Raises PluginError where it varies though the traits say that the method does not adapt: of a
+    stored clip it was then given no more samples than uniform sampling needs.
+    """
+    density = method.plan(view, samples, state)
+    if not method.traits.adapts and bool(density.max() > density.min()):
+        raise PluginError("the density varies from pixel to pixel; declare Traits(adapts=True)")
+    return density

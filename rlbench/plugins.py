@@ -94,11 +94,17 @@ def loose_file(module: str) -> Path | None:
 
 
 def place(target: str) -> Path:
-    """The file of the module that `module:attribute` names; the module is not imported."""
+    """The file of the module that `module:attribute` names; the module is not imported.
+
+    Raises PluginError where it cannot be found.
+    """
     module = target.partition(":")[0]
     if module in _files:
         return _files[module]
-    spec = importlib.util.find_spec(module)
+    try:
+        spec = importlib.util.find_spec(module)
+    except ModuleNotFoundError:  # of the package that would hold it
+        spec = None
     if spec is None or not spec.origin:
         raise PluginError(f"'{target}' names no module that can be found")
     return Path(spec.origin)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -11,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 CORE = (
@@ -20,6 +22,9 @@ CORE = (
     "rlbench.ops",
     "rlbench.clips",
     "rlbench.decoded",
+    "rlbench.exr",
+    "rlbench.source",
+    "rlbench.weights",
 )  # the core's modules that decide what image a method makes of a clip
 PACKAGES = ("torch", "mitsuba", "rlbench")
 
@@ -61,8 +66,8 @@ def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
     """Hash of the sources of `modules` and of the core modules that decide results, 16 hex digits.
 
     A package counts with all of its Python files, a module with its own. Nothing is imported but
-    the packages that hold them. What they import in turn counts only if named. Raises LookupError
-    for a module that cannot be found.
+    the packages that hold them. What they import in turn counts only if named (see `closure`).
+    Raises LookupError for a module that cannot be found.
     """
     told = hashlib.sha256()
     for name in sorted({*modules, *core}):
@@ -72,13 +77,63 @@ def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
     return told.hexdigest()[:16]
 
 
+def closure(module: str) -> set[str]:
+    """A module and all modules of its top-level package that it imports in turn, by name.
+
+    Imports are read from the sources, those inside functions too; nothing is imported but the
+    packages that hold the modules.
+    """
+    found: set[str] = set()
+    todo = [module]
+    while todo:
+        name = todo.pop()
+        if name not in found:
+            found.add(name)
+            todo += _imports(name)
+    return found
+
+
+def _imports(name: str) -> list[str]:
+    """The modules of the same top-level package that a module imports, as its source says."""
+    spec = _spec(name)
+    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
+        return []
+    package = name if spec.submodule_search_locations else name.rpartition(".")[0]
+    try:
+        tree = ast.parse(Path(spec.origin).read_bytes())
+    except SyntaxError:  # whoever imports it will hear of it
+        return []
+    asked: list[str] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            asked += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = importlib.util.resolve_name("." * node.level + base, package)
+            asked += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+    top = name.partition(".")[0]
+    return [each for each in asked if each.partition(".")[0] == top and _is_module(each)]
+
+
+def _is_module(name: str) -> bool:
+    """Is it a module, and not what one holds? A parent that is no package is not imported."""
+    parent = name.rpartition(".")[0]
+    above = _spec(parent) if parent else None
+    return not (above and not above.submodule_search_locations) and _spec(name) is not None
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    try:
+        return importlib.util.find_spec(name)
+    except (ModuleNotFoundError, ValueError):  # ValueError: loaded from a loose file, no spec
+        return None
+
+
 def _sources(name: str) -> list[tuple[str, Path]]:
     """The Python files of a module or package, each with its place in it."""
-    try:
-        spec = importlib.util.find_spec(name)
-        origin = spec.origin if spec else None
-    except (ModuleNotFoundError, ValueError):  # ValueError: loaded from a loose file, no spec
-        origin = getattr(sys.modules.get(name), "__file__", None)
+    spec = _spec(name)
+    origin = spec.origin if spec else getattr(sys.modules.get(name), "__file__", None)
     if origin is None:
         raise LookupError(f"no source found for module '{name}'; is it installed?")
     file = Path(origin)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rlbench.family import Family, Variant
@@ -38,13 +38,10 @@ __all__ = [
     "load",
     "loose_file",
     "method",
-    "metric",
     "metrics",
     "names",
     "place",
-    "reports",
     "resolve",
-    "scenes",
     "trainer",
     "use_plugin",
     "variant",
@@ -133,24 +130,9 @@ def learns(name: str) -> bool:
     return variant(name).learned and bool(family(name).train)
 
 
-def metric(name: str) -> Any:
-    """One metric."""
-    return load("metrics", name)
-
-
 def metrics() -> dict[str, Any]:
     """All metrics by name."""
     return {name: entry.load() for name, entry in entries("metrics").items()}
-
-
-def scenes() -> dict[str, Any]:
-    """All scenes by name, built."""
-    return {name: entry.load()() for name, entry in entries("scenes").items()}
-
-
-def reports() -> dict[str, Callable[..., Any]]:
-    """All reports by name: functions of the results table and a folder, to files written."""
-    return {name: entry.load() for name, entry in entries("reports").items()}
 
 
 def expand(patterns: Iterable[str]) -> list[str]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rlbench import paths
 from rlbench.table import WHOLE_CLIP
 
 if TYPE_CHECKING:
@@ -71,8 +71,14 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Did nothing fall, and is nothing missing?"""
-        return not any(change.verdict in FAILING for change in self.changes)
+        """Was anything compared, did nothing fall, and is nothing missing?"""
+        failed = any(change.verdict in FAILING for change in self.changes)
+        return not failed and not self.empty
+
+    @property
+    def empty(self) -> bool:
+        """Is there not one result to speak of, as where a name was mistyped?"""
+        return all(change.verdict == "skipped" for change in self.changes)
 
     def of(self, verdict: str) -> list[Change]:
         """The lines of one verdict."""
@@ -83,8 +89,9 @@ class Outcome:
         order = ("worse", "missing", "better", "new")
         lines = [_line(change) for verdict in order for change in self.of(verdict)]
         counts = {verdict: len(self.of(verdict)) for verdict in (*order, "same", "skipped")}
-        total = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
-        result = f"{'passed' if self.passed else 'FAILED'}: {total or 'nothing to compare'}"
+        total = [f"{count} {verdict}" for verdict, count in counts.items() if count]
+        total = ["nothing was compared"] * self.empty + total
+        result = f"{'passed' if self.passed else 'FAILED'}: {', '.join(total)}"
         return "\n".join([*_aligned([_HEAD, *lines])] * bool(lines) + [result])
 
 
@@ -199,7 +206,5 @@ def _write(baseline: Baseline, path: Path) -> None:
     kept = [{k: v for k, v in entry.items() if v is not None} for entry in entries]
     lines = ",\n".join(f"    {json.dumps(entry, allow_nan=False)}" for entry in kept)
     opening = json.dumps(head, indent=2).removesuffix("\n}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    unfinished.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")
-    os.replace(unfinished, path)
+    with paths.replacing(path) as temporary:
+        temporary.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")

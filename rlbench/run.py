@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.frames import Clip, Frame
-from rlbench.method import Method
+from rlbench.method import Method, planned
 from rlbench.sampling import Samples, buy, nothing
 
 
@@ -31,8 +31,8 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         view = frame.view.only(traits.needs)
         samples = nothing(frame.pool)
         for share in traits.passes:
-            density = method.plan(view, samples, state)
-            samples = buy(frame.pool, samples, density, upto=spp * share, floor=traits.floor)
+            density = planned(method, view, samples, state)
+            samples = buy(frame.pool, samples, density, spp * share, traits.floor, traits.cap)
         image, state = method.denoise(view, samples, state)
         yield Shown(frame, samples, image)
 

@@ -96,17 +96,24 @@ def nothing(pool: Pool) -> Samples:
 
 
 def buy(
-    pool: Pool, samples: Samples, density: Float[Tensor, "n 1 h w"], upto: float, floor: int = 0
+    pool: Pool,
+    samples: Samples,
+    density: Float[Tensor, "n 1 h w"],
+    upto: float,
+    floor: int = 0,
+    cap: int | None = None,
 ) -> Samples:
     """Samples that follow `density`, `upto` samples per pixel on average, those at hand included.
 
+    No pixel gets fewer than `floor`, or more than `cap` or than the pool has of it.
     Raises BudgetError if the density is not finite and >= 0, or if floor, cap and budget disagree.
     """
     n, h, w = pool.size
     if density.shape != (n, 1, h, w):
         raise BudgetError(f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}")
     low = samples.counts.clamp_min(floor)
-    counts = spend(density.detach(), round(upto * h * w), low, pool.cap, pool.keys)
+    high = pool.cap if cap is None else min(cap, pool.cap)
+    counts = spend(density.detach(), round(upto * h * w), low, high, pool.keys)
     return Samples(pool.take(samples, counts), counts)
 
 
@@ -139,7 +146,7 @@ def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> 
     if not least <= cost <= high * pixels:
         raise BudgetError(
             f"a budget of {cost} samples for {pixels} pixels does not fit: "
-            f"floor and earlier passes ask for {least}, the pool holds {high * pixels}"
+            f"floor and earlier passes ask for {least}, cap and pool allow {high * pixels}"
         )
     wanted = density > 0
     if not wanted.any():
@@ -154,7 +161,11 @@ def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> 
         rest = ((share - counts).clamp(0, 1) * 2**20).round().long()
         score = ((rest << TIE_BITS) + rank).where(counts < high, -1)
         least_score = score.kthvalue(pixels - left + 1).values if left <= pixels else -1
-        counts += (score >= least_score) & (counts < high)
+        above = score > least_score
+        # one pixel is left to choose, or several where hashes collide, of which the first are taken
+        same = ((score == least_score) & (counts < high)).nonzero()[: left - int(above.sum()), 0]
+        counts += above
+        counts[same] += 1
     return counts
 
 

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from rlbench import table as results_table
-from rlbench.cells import Cell, Request, cells
+from rlbench.cells import Cell, Names, Request, cells
 
 if TYPE_CHECKING:
     from rlbench.bench import Done
@@ -57,6 +57,7 @@ def done(what: Done, out: Path) -> None:
         console.print(f"nothing to do: all {what.known} cells are in {out} already")
         return
     told = f"{what.measured} cells measured, {what.known} known before, {what.refused} not possible"
+    told += f", {what.replaced} older ones replaced" if what.replaced else ""
     console.print(f"{told}; results are in {out}")
 
 
@@ -66,6 +67,7 @@ def table(request: Request, out: Path) -> None:
     names = [clip.header.name for clip in request.clips]
     rows = rows[rows["method"].isin(request.methods) & rows["clip"].isin(names)]
     rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
+    rows = rows[rows["device"] == Names(request).device]
     shown = Table(title=f"mean over {len(names)} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
         shown.add_column(column, justify="left" if column == "method" else "right")
@@ -75,7 +77,7 @@ def table(request: Request, out: Path) -> None:
         shown.add_row(str(method), f"{spp:g}", *(_figure(value) for value in figures))
     console = Console()
     console.print(shown)
-    whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & (rows["note"] != "")]
+    whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & rows["value"].isna()]
     for (method, metric, note), group in whole.groupby(["method", "metric", "note"]):
         if metric in ("psnr", "sample_ms"):
             where = ", ".join(sorted(set(group["clip"])))

@@ -100,8 +100,9 @@ def below(place: Path) -> list[Path]:
 
 
 def affordable(traits: Traits, spp: float, stored: int) -> int:
-    """Most samples that one pixel can have: all for a method that adapts, else ceil(spp)."""
-    return stored if traits.adapts else min(stored, max(1, traits.floor, math.ceil(spp)))
+    """Most samples of one pixel: up to the cap for a method that adapts, else ceil(spp)."""
+    most = stored if traits.cap is None else min(stored, traits.cap)
+    return most if traits.adapts else min(most, max(1, traits.floor, math.ceil(spp)))
 
 
 def unusable(source: Source, traits: Traits, spp: float) -> str | None:

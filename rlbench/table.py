@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
+
+from rlbench import paths
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,18 +62,10 @@ def write_cell(folder: Path, cell: str, rows: Sequence[Row]) -> Path:
     import pyarrow.parquet as pq
 
     _check(cell, rows)
-    folder.mkdir(parents=True, exist_ok=True)
     target = _file(folder, cell)
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=_schema())
-    try:
-        with unfinished.open("wb") as stream:
-            pq.write_table(table, stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(unfinished, target)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with paths.replacing(target) as unfinished:
+        pq.write_table(table, unfinished)
     return target
 
 

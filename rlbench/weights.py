@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -15,6 +14,8 @@ import torch
 from safetensors import SafetensorError
 from safetensors import torch as safetensors
 from torch import Tensor, nn
+
+from rlbench import paths
 
 DTYPE = torch.float16  # of floating weights in the file
 
@@ -74,9 +75,9 @@ def save(module: nn.Module, path: Path, card: Card) -> Card:
         dtype=str(DTYPE).removeprefix("torch."),
         parameters=sum(tensor.numel() for tensor in stored.values()),
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _replace(path, content)
-    _replace(card_path(path), _toml(asdict(card)).encode())
+    for place, told in ((path, content), (card_path(path), _toml(asdict(card)).encode())):
+        with paths.replacing(place) as temporary:
+            temporary.write_bytes(told)
     return card
 
 
@@ -152,12 +153,6 @@ def _half(name: str, tensor: Tensor) -> Tensor:
         if not torch.isfinite(tensor).all():
             raise WeightsError(f"'{name}' has values that half floats cannot hold, or not finite")
     return tensor.contiguous().clone()
-
-
-def _replace(path: Path, content: bytes) -> None:
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    partial.write_bytes(content)
-    os.replace(partial, path)
 
 
 def _toml(values: Mapping[str, Any]) -> str:

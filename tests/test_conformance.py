@@ -214,7 +214,7 @@ class Replayed:
 
     @property
     def traits(self):
-        return self.method.traits
+        return replace(self.method.traits, adapts=True)  # to the counts
 
     def start(self, size: Size):
         return self.method.start(size)

@@ -9,8 +9,10 @@ import torch
 
 from rlbench.family import Traits
 from rlbench.frames import Size
+from rlbench.plugins import PluginError
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
+from rlbench.sampling import BudgetError
 
 SIZE = Size(1, 9, 11)
 
@@ -66,10 +68,26 @@ def test_the_budget_is_bought_to_the_sample(spp):
     assert bought == round(spp * 99)
 
 
-def test_the_floor_is_kept():
-    method = Diary(Traits(floor=1))
-    (shown,) = run_clip(method, procedural(size=SIZE, frames=1), 1.2)
-    assert int(shown.samples.counts.min()) == 1
+@dataclass(frozen=True)
+class Peaked(Diary):
+    """A method that wants nearly all of its samples in one corner."""
+
+    def plan(self, view, samples, state):
+        return torch.arange(99.0).view(1, 1, 9, 11) ** 6
+
+
+@pytest.mark.parametrize("floor", [0, 1])
+def test_the_floor_is_kept_whatever_is_wished_for(floor):
+    clip = procedural(size=SIZE, frames=1)
+    (shown,) = run_clip(Peaked(Traits(adapts=True, floor=floor)), clip, 1.2)
+    assert int(shown.samples.counts.min()) == floor
+
+
+def test_the_cap_is_kept_and_what_it_cuts_goes_to_others():
+    clip = procedural(size=SIZE, frames=1, pool_spp=16)
+    (shown,) = run_clip(Peaked(Traits(adapts=True, cap=5)), clip, 2.0)
+    assert int(shown.samples.counts.max()) == 5
+    assert int(shown.samples.counts.sum()) == 2 * 99
 
 
 def test_a_second_pass_keeps_the_samples_of_the_first():
@@ -84,6 +102,28 @@ def test_a_second_pass_keeps_the_samples_of_the_first():
     (shown,) = run_clip(Two(Traits(passes=(0.5, 1.0))), procedural(size=SIZE, frames=1), 2.0)
     before = seen[1]
     assert torch.equal(before.radiance, shown.samples.radiance.where(before.filled, 0.0))
+
+
+def test_a_method_that_adapts_must_say_so():
+    with pytest.raises(PluginError, match="declare Traits"):
+        list(run_clip(Peaked(), procedural(size=SIZE), 1.0))
+    list(run_clip(Peaked(Traits(adapts=True)), procedural(size=SIZE), 1.0))
+
+
+def test_a_density_that_is_no_number_is_told_as_such():
+    @dataclass(frozen=True)
+    class Broken(Diary):
+        def plan(self, view, samples, state):
+            return torch.full((1, 1, 9, 11), torch.nan)
+
+    with pytest.raises(BudgetError, match="not finite"):
+        list(run_clip(Broken(), procedural(size=SIZE), 1.0))
+
+
+@pytest.mark.parametrize("passes", [(), (0.5,), (0.5, 0.5, 1.0), (1.0, 0.5), (0.0, 1.0), (2.0,)])
+def test_passes_that_do_not_rise_to_the_whole_budget_are_refused(passes):
+    with pytest.raises(ValueError, match="must rise from above 0 to 1.0"):
+        Traits(passes=passes)
 
 
 def test_a_method_never_sees_a_buffer_that_it_did_not_declare():

@@ -1,10 +1,13 @@
 """The proposed method: a reinforcement-learned sampler, a latent state and a denoiser on it."""
 
+from dataclasses import replace
+
 from rlbench.family import Family, Traits, Variant
 
 TRAITS = Traits(
     needs=frozenset({"albedo", "normal", "depth", "motion"}),
     adapts=True,
+    cap=8,  # the encoder has inputs for so many
     temporal=True,
 )
 
@@ -17,7 +20,7 @@ FAMILY = Family(
     variants={
         "": Variant("Do learned sampling and a latent state pay?", TRAITS),
         "A2": Variant(
-            "Is planning worth its time? (uniform sampling)", Traits(TRAITS.needs, temporal=True)
+            "Is planning worth its time? (uniform sampling)", replace(TRAITS, adapts=False)
         ),
     },
     build="methods.ours.method:build",

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 LOG_SCALE = 64.0  # linear below about 1/64 of display white, logarithmic above: near the sRGB curve
-FAR = 1e4  # depth of background once compressed stays finite, scene units
 
 # the PU curve of OIDN: linear, then a power, then a logarithm, of exposed linear radiance
 PU_LINEAR = 1.41283765e03

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from reports.scores import points
 from rlbench import registry, table
 from rlbench.bench import Done, measure
-from rlbench.cells import Request, cells
+from rlbench.cells import CellsError, Request, cells
 from rlbench.clips import open_clip
 from rlbench.source import Stored, affordable
 from tests.conftest import write_noise, write_plugin
@@ -66,7 +67,15 @@ def test_total_time_is_plan_denoise_and_samples(clip_folder, tmp_path):
     times = table.read(tmp_path / "r").set_index("metric")["value"]
     published = 26.3 * (20 * 24) / (720 * 720)
     assert times["sample_ms"] == pytest.approx(published)
-    assert times["total_ms"] == pytest.approx(times["inference_ms"] + 2 * published)
+    inference = times["plan_ms"] + times["denoise_ms"]
+    assert times["total_ms"] == pytest.approx(inference + 2 * published)
+
+
+def test_the_report_has_the_total_of_the_table(clip_folder, tmp_path):
+    measure(request(clip_folder, spp=(2.0,), cost="paper-2080ti"), tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    (total,) = rows[rows["metric"] == "total_ms"]["value"]
+    assert points(rows)["total_ms"].item() == pytest.approx(total)
 
 
 def test_a_second_run_measures_nothing(clip_folder, tmp_path):
@@ -122,6 +131,23 @@ def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
     assert len(table.cells(tmp_path / "r")) == 1
 
 
+def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monkeypatch):
+    package = tmp_path / "faraway"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "net.py").write_text("WIDTH = 8\n")
+    method = write_plugin(package / "method.py", "far", build="return Scaled()")
+    text = method.read_text().replace('"method:build"', '"faraway.method:build"')
+    method.write_text(f"from faraway.net import WIDTH\n{text}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv(registry.VARIABLE, "far=faraway.method:FAMILY")
+
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(known=1)
+    (package / "net.py").write_text("WIDTH = 9\n")
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(measured=1)
+
+
 @pytest.mark.parametrize(
     ("plugin", "header", "spp", "reason"),
     [
@@ -135,6 +161,20 @@ def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
         ),
         ({}, {"pool_spp": 4}, 8.0, "8 spp asked for, the clip holds 4 samples of each pixel"),
         ({"body": "raise RuntimeError('no luck')"}, {}, 1.0, "RuntimeError: no luck"),
+        (
+            {"body": "return samples.mean[:, :1], None"},
+            {},
+            1.0,
+            "PluginError: 'odd' returned an image of torch.float32 [1, 1, 20, 24], "
+            "wanted torch.float32 [1, 3, 20, 24]",
+        ),
+        (
+            {"body": "return samples.mean.half(), None"},
+            {},
+            1.0,
+            "PluginError: 'odd' returned an image of torch.float16 [1, 3, 20, 24], "
+            "wanted torch.float32 [1, 3, 20, 24]",
+        ),
         ({"build": "raise OSError('no weights')"}, {}, 1.0, "OSError: no weights"),
         (
             {"body": "return samples.mean * float('nan'), None"},
@@ -149,16 +189,64 @@ def test_a_cell_that_cannot_run_is_one_row_that_says_why(tmp_path, plugin, heade
     folder = write_noise(tmp_path / "clip", **header)
     done = measure(request(folder, "odd", spp=(spp,), cost="paper-2080ti"), tmp_path / "r")
     assert done == (Done(refused=1) if reason else Done(measured=1))
-    assert reasons(tmp_path / "r") == ([reason] if reason else [])
+    default = "the profile's default, as it has no 'noise'"
+    assert reasons(tmp_path / "r") == [reason or default]
     if reason:
         (row,) = table.read(tmp_path / "r").itertuples()
         assert (row.frame, row.metric, math.isnan(row.value)) == (-1, "psnr", True)
+
+
+def test_a_clip_that_stands_still_is_timed_by_itself(tmp_path):
+    seen = tmp_path / "seen"
+    body = f"print(1, file=open({str(seen)!r}, 'a')); return samples.mean, None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    frames = []
+    for name, second in (("one", {}), ("two", {"static": True})):
+        seen.unlink(missing_ok=True)
+        clips = [write_noise(tmp_path / name / "a"), write_noise(tmp_path / name / "b", **second)]
+        measure(Request(("odd",), tuple(map(Stored, clips)), (1.0,), repeats=5), tmp_path / name)
+        frames.append(len(seen.read_text().splitlines()))
+    assert frames == [2 * 3 + 7, 2 * (3 + 7)]  # scored, and timed after 2 frames of warm-up
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_method_whose_code_is_not_there_does_not_stop_the_others(clip_folder, tmp_path, learned):
+    plugin = write_plugin(tmp_path / "odd.py", "odd")
+    text = plugin.read_text().replace('"odd:build"', '"nowhere.at.all:build"')
+    plugin.write_text(text.replace("learned=False", f"learned={learned}"))
+    registry.use_plugin(plugin)
+    done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
+    assert done == Done(measured=1, refused=1)
+    assert "ModuleNotFoundError: No module named 'nowhere'" in reasons(tmp_path / "r")
 
 
 def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
     assert done == Done(measured=1, refused=1)
+
+
+def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
+    body = f"open({str(tmp_path / 'there')!r}); return samples.mean, None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    for _ in range(2):
+        assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(refused=1)
+    (tmp_path / "there").touch()
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1)
+    assert len(table.cells(tmp_path / "r")) == 1
+
+
+def test_a_budget_that_a_method_does_not_support_is_not_tried_again(clip_folder, tmp_path):
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", traits="spp=(2.0, 4.0)"))
+    measure(request(clip_folder, "odd"), tmp_path / "r")
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(known=1)
+
+
+def test_two_clips_of_one_name_are_refused(tmp_path):
+    folders = [write_noise(tmp_path / place / "same") for place in ("a", "b")]
+    twins = Request(("mean",), tuple(map(Stored, folders)), spp=(1.0,))
+    with pytest.raises(CellsError, match="2 of the clips given are called 'same'"):
+        measure(twins, tmp_path / "r")
 
 
 def test_an_unknown_method_stops_the_run_before_it_begins(clip_folder, tmp_path):
@@ -173,10 +261,19 @@ def test_cells_are_the_whole_grid(clip_folder):
 
 
 @pytest.mark.parametrize(
-    ("adapts", "spp", "slots"), [(True, 0.5, 8), (False, 0.5, 1), (False, 3.2, 4), (False, 0.0, 1)]
+    ("adapts", "cap", "spp", "slots"),
+    [
+        (True, None, 0.5, 8),
+        (True, 5, 0.5, 5),
+        (True, 9, 0.5, 8),
+        (False, None, 0.5, 1),
+        (False, None, 3.2, 4),
+        (False, 3, 3.2, 3),
+        (False, None, 0.0, 1),
+    ],
 )
-def test_only_samples_that_can_be_bought_are_read(adapts, spp, slots):
-    traits = replace(registry.variant("mean").traits, adapts=adapts)
+def test_only_samples_that_can_be_bought_are_read(adapts, cap, spp, slots):
+    traits = replace(registry.variant("mean").traits, adapts=adapts, cap=cap)
     assert affordable(traits, spp, 8) == slots
 
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from rlbench import table
 from rlbench.cli import app
+from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
 
 CHECKOUT = Path(__file__).parents[2]
@@ -54,6 +56,17 @@ def test_run_measures_and_says_where_results_are(clip_folder, tmp_path):
     assert "PSNR" in told
 
 
+def test_numbers_of_another_device_are_not_averaged_in(clip_folder, tmp_path):
+    words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    rlbench(*words)
+    own = table.read(tmp_path / "r")
+    others = [Row(**row) for row in own.assign(device="abacus").to_dict("records")]
+    others = [replace(row, value=0.0 if row.value == row.value else row.value) for row in others]
+    table.write_cell(tmp_path / "r", "mean noise 1spp seed0 abacus 0", others)
+    psnr = own[own["metric"] == "psnr"]["value"].mean()
+    assert f"│ mean │ 1 │ {psnr:.2f} │" in rlbench(*words)
+
+
 def test_the_same_run_again_does_nothing_and_says_so(clip_folder, tmp_path):
     words = ("run", "--methods", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
     rlbench(*words)
@@ -72,6 +85,8 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
     words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
     rlbench(*words, "--limit-frames", 2)
     assert set(table.read(tmp_path / "r")["frame"]) == {-1, 0, 1}
+    told = rlbench(*words, "--limit-frames", 1)
+    assert "1 cells measured, 0 known before, 0 not possible, 1 older ones replaced" in told
 
 
 @pytest.mark.parametrize(
@@ -81,6 +96,8 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
         (("--methods", "mean/A9"), "error: 'mean' has no variant 'A9'; it has: mean"),
         (("--spp", "one"), "error: --spp takes numbers such as 0.5,1,2 and was given 'one'"),
         (("--spp", "-1"), "error: --spp takes numbers"),
+        (("--spp", "nan"), "error: --spp takes numbers"),
+        (("--spp", "1,inf"), "error: --spp takes numbers"),
         (("--cost", "mine"), "error: no cost profile 'mine'; there are: measured, paper-2080ti"),
         (("--device", "abacus"), "error: --device abacus cannot be used here"),
         (("--scenes", "cellar"), "error: --scenes cellar: the clips given show: noise"),
@@ -133,6 +150,18 @@ def test_a_reason_is_shown_where_there_is_no_number(clip_folder, tmp_path):
     assert "odd: no psnr on noise: RuntimeError: no luck" in told
 
 
+@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper"])
+def test_nothing_is_trained_on_what_is_scored(preset):
+    told = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
+    assert f"error: preset '{preset}' has scenes that methods are scored on" in told
+    assert told.endswith("there is: train")
+
+
+def test_a_budget_asked_for_twice_is_measured_once(clip_folder, tmp_path):
+    words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    assert "1 cells measured" in rlbench(*words, "--spp", "1,1.0")
+
+
 def test_what_learns_nothing_is_told():
     assert "mean has nothing to train" in rlbench("train", "-m", "mean")
 
@@ -160,11 +189,45 @@ def test_regress_fails_where_quality_fell(clip_folder, tmp_path):
     assert "FAILED: 1 worse" in rlbench("regress", *words, code=1)
 
 
+def test_a_method_that_nobody_measured_does_not_pass(clip_folder, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    rlbench("regress", *words, "--update")
+    assert "FAILED: nothing was compared, 1 skipped" in rlbench(
+        "regress", *words, "--only", "maen", code=1
+    )
+
+
+def test_a_baseline_is_not_rewritten_by_a_part(clip_folder, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    told = rlbench("regress", *words, "--only", "mean", "--update", code=2)
+    assert "error: --update writes the whole baseline anew" in told
+    assert not (tmp_path / "base.json").exists()
+
+
 def test_reports_are_written_where_asked(clip_folder, tmp_path):
     words = ("--clips", clip_folder, "--out", tmp_path / "r", "--cost", "paper-2080ti")
     rlbench("run", "-m", "mean", *words)
     told = rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
     assert f"{tmp_path}/figures/pareto.png" in told
+    assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+@pytest.mark.parametrize("report", ["summary", "pareto"])
+def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
+    for scene in ("city", "temple", "foyer"):
+        write_noise(tmp_path / "clips" / scene, scene)
+    words = ("--clips", tmp_path / "clips", "--out", tmp_path / "r", "--cost", "paper-2080ti")
+    rlbench("run", "-m", "mean", "--spp", "1,2", *words)
+    rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
+
+
+def test_reports_that_can_be_written_are_though_another_cannot(clip_folder, tmp_path):
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+    told = rlbench("report", "all", *words, code=2)
+    assert "error: pareto was not written: no cell has psnr, plan_ms" in told
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import platform
 import subprocess
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.provenance import Machine, code_hash, commit, machine, versions
+from rlbench.provenance import Machine, closure, code_hash, commit, machine, versions
 
 
 @pytest.fixture
@@ -73,6 +74,42 @@ def test_a_module_from_a_loose_file_is_found(tmp_path, monkeypatch):
     loose.__file__ = str(tmp_path / "loose.py")
     monkeypatch.setitem(sys.modules, "loose", loose)
     assert code_hash(["loose"]) != code_hash([])
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from stranger.net import WIDTH",
+        "from stranger import net",
+        "import stranger.net",
+        "from .net import WIDTH",
+        "from . import net",
+        "def late():\n    from stranger.net import WIDTH",
+    ],
+)
+def test_what_a_module_imports_of_its_package_is_found(plugin, line):
+    (plugin / "method.py").write_text(f"import os\nimport torch\n{line}\n")
+    (plugin / "unused.py").write_text("")
+    importlib.invalidate_caches()
+    found = closure("stranger.method")
+    assert found - {"stranger"} == {"stranger.method", "stranger.net"}
+
+
+def test_what_is_imported_in_turn_is_found_though_it_goes_round(plugin):
+    (plugin / "method.py").write_text("from stranger.net import WIDTH\n")
+    (plugin / "net.py").write_text("import stranger.loss\nWIDTH = 8\n")
+    (plugin / "loss.py").write_text("import stranger.method\n")
+    importlib.invalidate_caches()  # a folder whose time has not changed is not listed again
+    assert closure("stranger.method") >= {"stranger.net", "stranger.loss"}
+
+
+def test_the_formulas_of_metrics_are_found_and_torch_is_not_imported():
+    code = (
+        "import sys; from rlbench.provenance import closure;"
+        "print(sorted(closure('metrics.catalog')), 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "['metrics.catalog', 'metrics.display', 'metrics.image'] False\n"
 
 
 def test_an_unknown_module_is_an_error():

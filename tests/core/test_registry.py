@@ -139,7 +139,7 @@ def test_families_are_read_without_torch():
         for name in registry.names("methods"):
             registry.family(name)
         for name in registry.names("metrics"):
-            registry.metric(name)
+            registry.load("metrics", name)
         print("torch" in sys.modules)
     """
     assert _python(code).stdout == "False\n"

@@ -65,6 +65,13 @@ def test_a_missing_entry_of_a_subset_is_skipped():
     assert outcome.passed
 
 
+@pytest.mark.parametrize("entries", [baseline(), Baseline()])
+def test_nothing_compared_is_not_passed(entries):
+    outcome = compare(frame_of(rows(30.0)).iloc[:0], entries, subset=True)
+    assert not outcome.passed
+    assert "nothing was compared" in outcome.text()
+
+
 def test_a_result_without_value_is_missing_even_in_a_subset():
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
     outcome = compare(frame_of([*rows(30.0), hole]), baseline(), subset=True)

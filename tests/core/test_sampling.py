@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from rlbench import sampling
 from rlbench.sampling import BudgetError, StoredPool, buy, nothing, spend
 
 KEY = (1,)
@@ -234,6 +235,13 @@ def test_another_key_breaks_ties_differently_and_the_same_key_does_not():
     first, again, other = (spend(wish, 100, zero, 8, (k,)) for k in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
+
+
+@pytest.mark.parametrize("cost", range(1, 100, 7))
+def test_the_sum_is_exact_where_the_hashes_of_pixels_collide(monkeypatch, cost):
+    monkeypatch.setattr(sampling, "TIE_BITS", 2)  # 100 pixels, at most 4 hashes
+    zero, wish = torch.zeros(1, 1, 10, 10, dtype=torch.int64), torch.ones(1, 1, 10, 10)
+    assert int(spend(wish, cost, zero, 8, KEY).sum()) == cost
 
 
 def test_a_batch_of_two_is_two_images():

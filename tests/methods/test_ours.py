@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import nn
 
+from methods.ours import FAMILY
 from methods.ours.method import Ours, build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.policy import Draws, Policy
@@ -43,6 +44,11 @@ def test_parameter_counts_are_those_of_the_fact_sheet(network, count):
 def test_a_variant_changes_only_what_its_row_claims(variant, fields):
     base, other = asdict(BASE), asdict(VARIANTS[variant])
     assert {name for name in base if base[name] != other[name]} == fields
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_no_more_samples_are_bought_than_the_encoder_sees(variant):
+    assert FAMILY.variants[variant].traits.cap == VARIANTS[variant].slots
 
 
 def test_an_untrained_sampler_is_uniform():
