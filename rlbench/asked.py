@@ -45,13 +45,17 @@ def device(name: str) -> torch.device:
     return found
 
 
-def clips(own: list[Path] | None, scenes: list[str] | None, preset: str) -> tuple[Stored, ...]:
+def clips(
+    own: list[Path] | None, scenes: list[str] | None, preset: str, pool: str = "stored"
+) -> tuple[Stored, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be."""
-    from rlbench.source import Stored, below
+    from rlbench.source import POOLS, below, pooled
 
+    if pool not in POOLS:
+        raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        return tuple(Stored(folder) for folder in rendered(scenes, preset))
-    found = [Stored(folder) for place in own for folder in below(place)]
+        return tuple(pooled(folder, pool) for folder in rendered(scenes, preset))
+    found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
     kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
     if not kept:

@@ -60,6 +60,9 @@ def run(
     clips: Annotated[
         list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
     ] = None,
+    pool: Annotated[
+        str, typer.Option(help="stored samples, or live: traced when they are bought")
+    ] = "stored",
     seed: Annotated[str, typer.Option(help="one or more, of the order of sale and of ties")] = "0",
     device: Device = "auto",
     out: Annotated[Path, typer.Option(help="results folder; it is added to")] = Path("results"),
@@ -83,6 +86,8 @@ def run(
       rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti
 
       rlbench run -m mine --plugin mine.py --clips my_renders/
+
+      rlbench run -m ours --scenes temple --pool live
     """
     _use(plugin)
     from rlbench import registry, show
@@ -91,7 +96,7 @@ def run(
 
     request = Request(
         methods=tuple(registry.expand(asked.split(methods))),
-        clips=asked.clips(clips, scenes, preset),
+        clips=asked.clips(clips, scenes, preset, pool),
         spp=asked.numbers("--spp", spp, float),
         seeds=asked.numbers("--seed", seed, int),
         device=asked.device(device),

@@ -48,7 +48,7 @@ class Job:
     def finished(self) -> bool:
         """Is there a header, and every frame, of this very scene?"""
         whole = (self.folder / FILE).is_file() and not self.missing
-        return whole and _marked(self.folder) == self.mark
+        return whole and marked(self.folder) == self.mark
 
     def claim(self) -> None:
         """Say what the frames of a folder are, after removing those of another scene or preset.
@@ -57,9 +57,9 @@ class Job:
         """
         files = [self.folder / FILE, *self.folder.glob("*.exr")]
         kept = [file for file in files if file.is_file()]
-        if _marked(self.folder) == self.mark:
+        if marked(self.folder) == self.mark:
             return
-        if kept and not _marked(self.folder):
+        if kept and not marked(self.folder):
             raise ClipError(
                 f"{self.folder} holds frames that `rlbench render` did not write; "
                 "move the folder away, or render into another"
@@ -70,6 +70,7 @@ class Job:
             path.write_text(self.mark)
 
 
-def _marked(folder: Path) -> str:
+def marked(folder: Path) -> str:
+    """What a folder's frames were rendered from, or empty where `rlbench render` wrote none."""
     mark = folder / MARK
     return mark.read_text() if mark.is_file() else ""

@@ -45,13 +45,26 @@ def ensure(
     folder = folder or paths.clips() / chosen.name
     if scenes is None and seeds is None:
         scenes, seeds = chosen.scenes, chosen.seeds
-    made = {name: registry.load("scenes", name)() for name in scenes or ()}
-    made |= {f"{GENERATED}-{seed:03d}": _generated(seed) for seed in seeds or ()}
+    names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
+    made = {name: named(name) for name in names}
     jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
     if unfinished := [job for job in jobs if not job.finished]:
         with _shown(progress) as bar:
             _render_all(unfinished, bar)
     return [job.folder for job in jobs]
+
+
+def named(clip: str) -> Scene:
+    """The scene of a clip by the clip's name: `generated-<seed>`, or an installed scene.
+
+    Raises LookupError for an unknown scene.
+    """
+    kind, _, seed = clip.rpartition("-")
+    if kind == GENERATED and seed.isdigit():
+        scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(seed))
+    else:
+        scene = registry.load("scenes", clip)()
+    return scene
 
 
 def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> None:
@@ -121,11 +134,6 @@ def _header(job: Job, tracer: Tracer) -> Header:
         sample_ms=tracer.sample_ms(),
         device=machine().cpu,
     )
-
-
-def _generated(seed: int) -> Scene:
-    scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(seed)
-    return scene
 
 
 def _duration(seconds: float) -> str:
