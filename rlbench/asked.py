@@ -64,8 +64,8 @@ def clips(
     return kept
 
 
-def rendered(scenes: list[str] | None, preset: str) -> list[Path]:
-    """The clip folders of a preset; those that are missing are rendered now."""
+def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:
+    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now."""
     from rlbench import registry
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
@@ -75,4 +75,5 @@ def rendered(scenes: list[str] | None, preset: str) -> list[Path]:
     known, wanted = registry.names("scenes"), split(scenes or [])
     if unknown := [name for name in wanted if name not in known]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
-    return ensure(preset, wanted or None)
+    plan = PRESETS[preset]
+    return ensure(plan if cap is None else plan.capped(cap), wanted or None)

@@ -137,6 +137,9 @@ def list_(
 def render(
     scenes: Scenes = None,
     preset: Preset = "mini",
+    cap: Annotated[
+        float | None, typer.Option(help="dim every sample to so many times display white")
+    ] = None,
 ) -> None:
     """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
 
@@ -147,8 +150,10 @@ def render(
       rlbench render --preset train
 
       rlbench render --scenes city,hall --preset standard
+
+      rlbench render --cap 64
     """
-    for folder in asked.rendered(scenes, preset):
+    for folder in asked.rendered(scenes, preset, cap):
         typer.echo(folder)
 
 

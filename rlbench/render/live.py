@@ -174,7 +174,8 @@ def _tracer(folder: Path, digest: str) -> Tracer:
     """The clip's tracer: one for all methods that run on the clip, and one clip at a time."""
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     header = read_header(folder)
-    return open_tracer(scene_of(folder), header.height, header.width, header.seed)
+    cap = header.radiance_cap / header.exposure
+    return open_tracer(scene_of(folder), header.height, header.width, header.seed, cap)
 
 
 def _lacking(
