@@ -16,7 +16,7 @@ from rlbench.sampling import Samples, buy, nothing
 
 @dataclass(frozen=True)
 class Shown:
-    """What came of one frame: the image, and the samples that it was made from."""
+    """What came of one frame: the image, and all samples that were bought for it."""
 
     frame: Frame
     samples: Samples
@@ -31,9 +31,10 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         view = frame.view.only(traits.needs)
         samples = nothing(frame.pool)
         for share in traits.passes:
-            density = method.plan(view, samples, state)
-            samples = buy(frame.pool, samples, density, upto=spp * share, floor=traits.floor)
-        image, state = method.denoise(view, samples, state)
+            density, pilot = method.plan(view, samples, state), samples
+            samples = buy(frame.pool, pilot, density, spp * share, traits.floor, traits.fresh)
+        kept = samples.after(pilot) if traits.fresh else samples
+        image, state = method.denoise(view, kept, state)
         yield Shown(frame, samples, image)
 
 
