@@ -71,7 +71,7 @@ class _Bench:
         self.names = Names(request)
         self.profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
         self._built: dict[str, Method | Exception] = {}
-        self._times: dict[tuple[str, int, int, float], Timing] = {}
+        self._times: dict[tuple[str, int, int, float, str], Timing] = {}
 
     def rows(self, cell: Cell) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
@@ -102,7 +102,7 @@ class _Bench:
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 
     def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
-        key = (cell.method, clip.size.h, clip.size.w, cell.spp)
+        key = (cell.method, clip.size.h, clip.size.w, cell.spp, cell.clip.priced)
         if key not in self._times:
             self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
         times, price = self._times[key], self._cost(cell.clip)

@@ -35,6 +35,10 @@ class Source(Protocol):
     def digest(self) -> str:
         """Hash of its content."""
 
+    @property
+    def priced(self) -> str:
+        """What the time of buying a sample depends on, empty if on nothing of the clip."""
+
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip, of which nothing is read that the method cannot use at this budget."""
 
@@ -55,6 +59,11 @@ class Stored:
         """Hash of the folder's content."""
         return open_clip(self.folder, needs=frozenset(), slots=1, pool=self.header.pools[0]).digest
 
+    @property
+    def priced(self) -> str:
+        """Nothing: stored samples are handed out alike."""
+        return ""
+
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers and the samples that `traits` can touch at `spp`."""
         slots = affordable(traits, spp, self.header.pool_spp)
@@ -70,6 +79,11 @@ class Live(Stored):
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
         told = f"{Stored(self.folder).digest} live {activate()} {provenance.machine().cpu}"
         return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
+
+    @property
+    def priced(self) -> str:
+        """The clip's name: each scene takes its own time to trace."""
+        return self.header.name
 
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers that `traits` reads; no stored sample is read."""

@@ -56,6 +56,12 @@ def test_two_streams_share_no_number(llvm, pair):
     assert (a == b).sum() <= 2
 
 
+@pytest.mark.parametrize("other", [(2**20, 0), (0, 4096), (1, 0), (2**31, 0), (0, 2**31)])
+def test_pixels_and_samples_of_any_size_have_numbers_of_their_own(llvm, other):
+    first, second = numbers([0, other[0]], [0, other[1]], sampler.key("input", 0.0, 0), 4)
+    assert (first != second).all()
+
+
 def test_no_two_paths_of_any_stream_draw_the_same_numbers(llvm):
     pixel, sample = np.indices((40, 40)).reshape(2, -1)
     drawn = [numbers(pixel, sample, sampler.key(s, 0.0, 0), 4) for s in sampler.STREAMS]
