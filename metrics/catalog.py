@@ -23,7 +23,7 @@ class Metric:
 
     name: str
     unit: str  # "dB", or empty for a plain number
-    better: str  # "high" or "low"
+    better: str  # "high", "low", or empty where it is a signed error, best at zero
     convention: str  # what must be known to reproduce the number
     score: Score
     fit: Callable[[int, int], Metric] | None = None
@@ -49,6 +49,12 @@ def _mse_debiased(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
     from metrics.image import mse_debiased
 
     return mse_debiased(image, a, b)
+
+
+def _bias(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    from metrics.image import bias
+
+    return bias(image, (a + b) / 2)
 
 
 def _nonfinite(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
@@ -94,6 +100,13 @@ MS_SSIM = Metric(
 RELMSE = Metric("relmse", "", "low", "linear radiance, per channel, reference^2 + 0.01", _relmse)
 MSE_DEBIASED = Metric(
     "mse_debiased", "", "low", "linear radiance, mean((x-a)(x-b)) of half references", _mse_debiased
+)
+BIAS = Metric(
+    "bias",
+    "%",
+    "",
+    "linear radiance, (mean of image - mean of reference) / mean of reference; best at 0",
+    _bias,
 )
 NONFINITE = Metric(
     "nonfinite", "pixels", "low", "pixels with a NaN or infinite channel", _nonfinite

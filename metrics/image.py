@@ -16,6 +16,7 @@ LARGEST = 65504.0  # largest half float, the brightest that a clip's EXR files c
 RELMSE_EPS = 1e-2  # keeps black pixels of the reference from dividing by zero
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # Wang et al. 2003, from fine to coarse
 WINDOW = 11  # taps of the Gaussian, sigma 1.5
+DARKEST = 1e-4  # least mean of a reference to which bias is related, times display white
 NO_LUMINANCE = 1e6  # as K1 of SSIM it makes the luminance term 1: what is left is contrast
 
 
@@ -86,6 +87,21 @@ def mse_debiased(
     """
     held = _held(image)
     return ((held - a.double()) * (held - b.double())).flatten(1).mean(1).float()
+
+
+def bias(
+    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, " n"]:
+    """How much too bright the whole image is, in percent of the reference; negative: too dark.
+
+    100 (mean(x) - mean(r)) / mean(r) of linear radiance over pixels and channels. What noise adds
+    is zero on average; what remains is light that a method makes up or loses, as when it averages
+    the samples that also decided where to sample. Values beyond half floats and broken pixels are
+    treated as in `relmse`; the mean of a reference counts as at least 1e-4.
+    """
+    truth = reference.double().flatten(1).mean(1)
+    error = _held(image).flatten(1).mean(1) - truth
+    return (100 * error / truth.clamp_min(DARKEST)).float()
 
 
 def nonfinite(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " n"]:

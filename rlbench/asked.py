@@ -46,13 +46,17 @@ def device(name: str) -> torch.device:
     return found
 
 
-def clips(own: list[Path] | None, scenes: list[str] | None, preset: str) -> tuple[Stored, ...]:
+def clips(
+    own: list[Path] | None, scenes: list[str] | None, preset: str, pool: str = "stored"
+) -> tuple[Stored, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be."""
-    from rlbench.source import Stored, below
+    from rlbench.source import POOLS, below, pooled
 
+    if pool not in POOLS:
+        raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        return tuple(Stored(folder) for folder in rendered(scenes, preset))
-    found = [Stored(folder) for place in own for folder in below(place)]
+        return tuple(pooled(folder, pool) for folder in rendered(scenes, preset))
+    found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
     kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
     if not kept:
@@ -74,8 +78,8 @@ def generated(preset: str) -> list[Path]:
     return rendered(None, preset)
 
 
-def rendered(scenes: list[str] | None, preset: str) -> list[Path]:
-    """The clip folders of a preset; those that are missing are rendered now."""
+def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:
+    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now."""
     from rlbench import registry
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
@@ -85,4 +89,5 @@ def rendered(scenes: list[str] | None, preset: str) -> list[Path]:
     known, wanted = registry.names("scenes"), split(scenes or [])
     if unknown := [name for name in wanted if name not in known]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
-    return ensure(preset, wanted or None)
+    plan = PRESETS[preset]
+    return ensure(plan if cap is None else plan.capped(cap), wanted or None)

@@ -116,7 +116,7 @@ class _Bench:
 
     def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
         header = cell.clip.header  # where nothing moves nothing is warped, which takes less time
-        key = (cell.method, clip.size, cell.spp, header.static, header.pool_spp)
+        key = (cell.method, clip.size, cell.spp, header.static, header.pool_spp, cell.clip.priced)
         if key not in self._times:
             self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
         times, price = self._times[key], self._cost(cell.clip)

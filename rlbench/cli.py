@@ -61,6 +61,9 @@ def run(
     clips: Annotated[
         list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
     ] = None,
+    pool: Annotated[
+        str, typer.Option(help="stored samples, or live: traced when they are bought")
+    ] = "stored",
     seed: Annotated[str, typer.Option(help="one or more, of the order of sale and of ties")] = "0",
     device: Device = "auto",
     out: Annotated[Path, typer.Option(help="results folder; it is added to")] = Path("results"),
@@ -84,6 +87,8 @@ def run(
       rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti
 
       rlbench run -m mine --plugin mine.py --clips my_renders/
+
+      rlbench run -m ours --scenes temple --pool live
     """
     _use(plugin)
     from rlbench import registry, show
@@ -92,7 +97,7 @@ def run(
 
     request = Request(
         methods=tuple(registry.expand(asked.split(methods))),
-        clips=asked.clips(clips, scenes, preset),
+        clips=asked.clips(clips, scenes, preset, pool),
         spp=asked.numbers("--spp", spp, float),
         seeds=asked.numbers("--seed", seed, int),
         device=asked.device(device),
@@ -133,6 +138,9 @@ def list_(
 def render(
     scenes: Scenes = None,
     preset: Preset = "mini",
+    cap: Annotated[
+        float | None, typer.Option(help="dim every sample to so many times display white")
+    ] = None,
 ) -> None:
     """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
 
@@ -143,8 +151,10 @@ def render(
       rlbench render --preset train
 
       rlbench render --scenes city,hall --preset standard
+
+      rlbench render --cap 64
     """
-    for folder in asked.rendered(scenes, preset):
+    for folder in asked.rendered(scenes, preset, cap):
         typer.echo(folder)
 
 

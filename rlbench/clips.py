@@ -18,7 +18,7 @@ from rlbench.folder import exr_path, has_frame, images, kinds, write_frame
 from rlbench.frames import BUFFERS, Frame, Reference, Size, View
 from rlbench.header import ClipError, Header, read_header, write_header
 from rlbench.memory import MemoryClip
-from rlbench.sampling import StoredPool
+from rlbench.sampling import Pool, StoredPool
 
 __all__ = [
     "ClipError",
@@ -86,13 +86,17 @@ class StoredClip:
         order, key = sale(self.seed, self.name, index, self.header.pool_spp)
         stored = self.arrays.pool(self.pool, index, order[: self.slots])
         radiance = torch.stack([self._tensor(sample, window) for sample in stored], dim=1)
+        return self.around(index, StoredPool(radiance * self.header.exposure, (key,)), window)
+
+    def around(self, index: int, pool: Pool, window: tuple[slice, slice] = WHOLE) -> Frame:
+        """Frame `index` with a pool from elsewhere: no stored sample is read."""
         view = self.arrays.view(index, sorted(self.needs))
         halves = [self._tensor(self.arrays.reference(half, index), window) for half in "AB"]
         exposure = self.header.exposure
         return Frame(
             index,
             View({k: self._tensor(v, window) for k, v in view.items()}, self.header.static),
-            StoredPool(radiance * exposure, (key,)),
+            pool,
             Reference(halves[0] * exposure, halves[1] * exposure),
         )
 

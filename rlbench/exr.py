@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rlbench.header import ClipError
 from rlbench.paths import replacing
 
-TYPES = {"HALF": np.float16, "FLOAT": np.float32}
+TYPES: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
@@ -47,6 +47,19 @@ def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArr
         np.frombuffer(b, k).reshape(height, width) for b, k in zip(packed, kinds, strict=True)
     ]
     return np.stack(planes)
+
+
+def precision(path: Path, name: str) -> type[np.floating]:
+    """float16 or float32, as channel `name` of a file is stored; no pixel is unpacked.
+
+    Raises ClipError where the file is missing, broken, or has no such channel.
+    """
+    if not path.is_file():
+        raise ClipError(f"{path} is missing; `rlbench render` restores missing frames")
+    try:
+        return TYPES[str(OpenEXR.InputFile(str(path)).header()["channels"][name].type)]
+    except (OSError, RuntimeError, KeyError) as error:
+        raise ClipError(f"{path} has no channel {name} of half or float: {error}") from error
 
 
 def _check(path: Path, header: dict[str, object], names: Sequence[str], h: int, w: int) -> None:

@@ -38,7 +38,9 @@ class Header:
     seed: int = 0  # of the renderer
     exposure: float = 1.0  # radiance times this is 1.0 at display white
     pool_spp: int = 8  # stored 1-spp images per frame, in each pool
+    radiance_cap: float = math.inf  # of every sample, times display white; inf where there is none
     reference_spp: tuple[int, ...]  # per frame, samples per pixel of both halves together
+    noise_ceiling_db: tuple[float, ...] = ()  # per frame, PSNR of the truth against the reference
     buffers: tuple[str, ...] = tuple(VIEWS)  # of the view
     pools: tuple[str, ...] = ("path",)
     static: bool = False  # neither camera nor objects move; then there is no motion buffer
@@ -53,11 +55,13 @@ class Header:
             raise ClipError(f"clip '{self.name}': {', '.join(low)} must be at least 1")
         if not (math.isfinite(self.exposure) and self.exposure > 0):
             raise ClipError(f"clip '{self.name}': exposure is {self.exposure}, must be above 0")
-        if len(self.reference_spp) != self.frames:
-            raise ClipError(
-                f"clip '{self.name}': reference_spp lists {len(self.reference_spp)} frames, "
-                f"the clip has {self.frames}"
-            )
+        for key in ("reference_spp", "noise_ceiling_db"):
+            told = getattr(self, key)
+            if len(told) != self.frames and (told or key == "reference_spp"):
+                raise ClipError(
+                    f"clip '{self.name}': {key} lists {len(told)} frames, "
+                    f"the clip has {self.frames}"
+                )
         if not (self.buffers and self.pools):
             raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
         if unknown := sorted(set(self.buffers) - set(VIEWS)):

@@ -95,7 +95,7 @@ def _presets() -> list[dict[str, Any]]:
             "height": preset.size[0],
             "width": preset.size[1],
             "frames": preset.frames,
-            "reference_spp": 2 * preset.reference_spp,
+            "reference_spp": 2 * preset.reference_spp * preset.rounds,  # at most
             "scenes": list(preset.scenes),
             "generated": len(preset.seeds),
         }

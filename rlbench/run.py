@@ -16,7 +16,7 @@ from rlbench.sampling import Samples, buy, nothing
 
 @dataclass(frozen=True)
 class Shown:
-    """What came of one frame: the image, and the samples that it was made from."""
+    """What came of one frame: the image, and all samples that were bought for it."""
 
     frame: Frame
     samples: Samples
@@ -31,9 +31,11 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         view = frame.view.only(traits.needs)
         samples = nothing(frame.pool)
         for share in traits.passes:
-            density = planned(method, view, samples, state)
-            samples = buy(frame.pool, samples, density, spp * share, traits.floor, traits.cap)
-        image, state = method.denoise(view, samples, state)
+            density, pilot = planned(method, view, samples, state), samples
+            limits = (traits.floor, traits.cap, traits.fresh)
+            samples = buy(frame.pool, pilot, density, spp * share, *limits)
+        kept = samples.after(pilot) if traits.fresh else samples
+        image, state = method.denoise(view, kept, state)
         yield Shown(frame, samples, image)
 
 

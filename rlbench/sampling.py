@@ -38,6 +38,15 @@ class Samples:
         """The Monte-Carlo average; zero where nothing was bought."""
         return self.radiance.sum(1) / self.counts.clamp_min(1)
 
+    def after(self, pilot: Samples) -> Samples:
+        """Those bought since `pilot`, in slots from 0 on: independent of what decided on them."""
+        stored = self.radiance.shape[1]
+        slots = torch.arange(stored, device=self.counts.device).view(1, -1, 1, 1, 1)
+        moved = (slots + pilot.counts.unsqueeze(1)).clamp_max(stored - 1)
+        radiance = self.radiance.gather(1, moved.expand_as(self.radiance))
+        rest = Samples(radiance, self.counts - pilot.counts)
+        return Samples(radiance.where(rest.filled, 0.0), rest.counts)
+
 
 class Pool(Protocol):
     """Where the samples of a frame come from: stored images, or a live path tracer."""
@@ -102,18 +111,27 @@ def buy(
     upto: float,
     floor: int = 0,
     cap: int | None = None,
+    fresh: bool = False,
 ) -> Samples:
     """Samples that follow `density`, `upto` samples per pixel on average, those at hand included.
 
-    No pixel gets fewer than `floor`, or more than `cap` or than the pool has of it.
-    Raises BudgetError if the density is not finite and >= 0, or if floor, cap and budget disagree.
+    No pixel gets fewer than `floor`, or more than `cap` or than the pool has of it. If what is
+    bought now has to be `fresh`, those at hand are paid for all the same, but density, floor and
+    cap speak of the new ones alone. Raises BudgetError if the density is not finite and >= 0, or if
+    floor, cap and budget disagree.
     """
     n, h, w = pool.size
     if density.shape != (n, 1, h, w):
         raise BudgetError(f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}")
-    low = samples.counts.clamp_min(floor)
-    high = pool.cap if cap is None else min(cap, pool.cap)
-    counts = spend(density.detach(), round(upto * h * w), low, high, pool.keys)
+    cost, wish = round(upto * h * w), density.detach()
+    cap = pool.cap if cap is None else min(cap, pool.cap)
+    if fresh:
+        held, low = samples.counts, torch.full_like(samples.counts, floor)
+        paid = int(held[0].sum())  # as much in every image
+        keys = tuple(key + 1 for key in pool.keys)  # or ties would fall where the pilot's fell
+        counts = held + spend(wish, cost - paid, low, (pool.cap - held).clamp_max(cap), keys)
+    else:
+        counts = spend(wish, cost, samples.counts.clamp_min(floor), cap, pool.keys)
     return Samples(pool.take(samples, counts), counts)
 
 
@@ -121,7 +139,7 @@ def spend(
     density: Float[Tensor, "n 1 h w"],
     cost: int,
     low: Int[Tensor, "n 1 h w"],
-    high: int,
+    high: int | Int[Tensor, "n 1 h w"],
     keys: tuple[int, ...],
 ) -> Int[Tensor, "n 1 h w"]:
     """Whole counts in [low, high] that follow `density` and sum to exactly `cost` in each image.
@@ -136,17 +154,18 @@ def spend(
         raise BudgetError("density has values that are not finite; a density is finite and >= 0")
     if (density < 0).any():
         raise BudgetError(f"density has negative values, down to {float(density.min()):g}")
-    images = zip(density.flatten(1).double(), low.flatten(1), keys, strict=True)
-    counts = [_spend_one(image, cost, least, high, key) for image, least, key in images]
+    most = torch.as_tensor(high, device=low.device).expand_as(low)
+    images = zip(density.flatten(1).double(), low.flatten(1), most.flatten(1), keys, strict=True)
+    counts = [_spend_one(image, cost, least, room, key) for image, least, room, key in images]
     return torch.stack(counts).view(density.shape)
 
 
-def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> Tensor:
-    pixels, least = density.numel(), int(low.sum())
-    if not least <= cost <= high * pixels:
+def _spend_one(density: Tensor, cost: int, low: Tensor, high: Tensor, key: int) -> Tensor:
+    pixels, least, most = density.numel(), int(low.sum()), int(high.sum())
+    if not least <= cost <= most or bool((low > high).any()):
         raise BudgetError(
             f"a budget of {cost} samples for {pixels} pixels does not fit: "
-            f"floor and earlier passes ask for {least}, cap and pool allow {high * pixels}"
+            f"floor and earlier passes ask for {least}, cap and pool allow {most}"
         )
     wanted = density > 0
     if not wanted.any():
@@ -169,14 +188,14 @@ def _spend_one(density: Tensor, cost: int, low: Tensor, high: int, key: int) -> 
     return counts
 
 
-def _fill(density: Tensor, cost: int, low: Tensor, high: int) -> Tensor:
+def _fill(density: Tensor, cost: int, low: Tensor, high: Tensor) -> Tensor:
     """clip(k * density, low, high) with the k at which it sums to `cost`, by guarded Newton steps.
 
     The sum rises with k and is piecewise linear. The result sums to `cost` within 1e-3, or, where
     the steps run out, to less.
     """
     floor = low.double()
-    full = floor.new_tensor(float(high))
+    full = high.double()
     best, below, above = floor, 0.0, float("inf")
     k = cost / float(density.sum())
     for _ in range(STEPS):

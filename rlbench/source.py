@@ -6,16 +6,22 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import sha256
 from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
 import torch
 
+from rlbench import provenance
 from rlbench.clips import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
 from rlbench.header import FILE
+from rlbench.render.live import open_live, scene_of
+from rlbench.render.llvm import activate
+
+POOLS = ("stored", "live")  # samples read from the clip's files, or traced when they are bought
 
 
 class Source(Protocol):
@@ -28,6 +34,10 @@ class Source(Protocol):
     @property
     def digest(self) -> str:
         """Hash of its content."""
+
+    @property
+    def priced(self) -> str:
+        """What the time of buying a sample depends on, empty if on nothing of the clip."""
 
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip, of which nothing is read that the method cannot use at this budget."""
@@ -49,10 +59,36 @@ class Stored:
         """Hash of the folder's content."""
         return open_clip(self.folder, needs=frozenset(), slots=1, pool=self.header.pools[0]).digest
 
+    @property
+    def priced(self) -> str:
+        """Nothing: stored samples are handed out alike."""
+        return ""
+
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers and the samples that `traits` can touch at `spp`."""
         slots = affordable(traits, spp, self.header.pool_spp)
         return open_clip(self.folder, traits.needs, slots, traits.pool, seed, device)
+
+
+@dataclass(frozen=True)
+class Live(Stored):
+    """A clip folder whose samples are traced when they are bought."""
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the folder's content and of what traces: two machines' samples may differ."""
+        told = f"{Stored(self.folder).digest} live {activate()} {provenance.machine().cpu}"
+        return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
+
+    @property
+    def priced(self) -> str:
+        """The clip's name: each scene takes its own time to trace."""
+        return self.header.name
+
+    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip with the buffers that `traits` reads; no stored sample is read."""
+        slots = affordable(traits, spp, self.header.pool_spp)
+        return open_live(open_clip(self.folder, traits.needs, slots, traits.pool, seed, device))
 
 
 @dataclass(frozen=True)
@@ -97,6 +133,17 @@ def below(place: Path) -> list[Path]:
     if not found:
         raise ClipError(f"no clip in {place}: a clip is a folder with {FILE} in it")
     return found
+
+
+def pooled(folder: Path, pool: str) -> Stored:
+    """A clip folder with the pool of that name, one of POOLS.
+
+    Raises ClipError where a live pool is asked for and the clip's scene cannot be traced.
+    """
+    if pool != "live":
+        return Stored(folder)
+    scene_of(folder)
+    return Live(folder)
 
 
 def affordable(traits: Traits, spp: float, stored: int) -> int:

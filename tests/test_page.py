@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import pytest
 import torch
 
+from metrics.image import bias
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.plugins import PluginError
@@ -134,3 +135,38 @@ def test_a_method_never_sees_a_buffer_that_it_did_not_declare():
 
     with pytest.raises(LookupError, match="'depth' was read but not declared"):
         list(run_clip(Greedy(Traits(needs=frozenset({"albedo"}))), procedural(size=SIZE), 1.0))
+
+
+def test_what_chose_the_samples_is_paid_for_but_not_shown_where_they_are_to_be_fresh():
+    told = diary(Traits(passes=(0.25, 1.0), fresh=True), 4.0, frames=1)
+    assert told[-2:] == [("plan", 99, 0), ("denoise", 297, 0)]
+    (shown,) = run_clip(
+        Diary(Traits(passes=(0.25, 1.0), fresh=True)), procedural(size=SIZE, frames=1), 4.0
+    )
+    assert int(shown.samples.counts.sum()) == 396
+
+
+@dataclass(frozen=True)
+class TowardsLight(Diary):
+    """Looks where light is with a first sample, and averages."""
+
+    def plan(self, view, samples, state):
+        return samples.mean.mean(1, keepdim=True)
+
+
+def biases(fresh: bool) -> torch.Tensor:
+    """Percent of light too much in many noisy frames, after a pilot of one sample a pixel."""
+    traits = Traits(adapts=True, passes=(0.25, 1.0), floor=1, fresh=fresh)
+    clip = procedural(seed=3, size=Size(8, 40, 48), frames=3)
+    shown = run_clip(TowardsLight(traits), clip, 4.0)
+    return torch.cat([bias(each.image, each.frame.reference.mean) for each in shown])
+
+
+def test_averaging_what_chose_the_samples_loses_light():
+    found = biases(fresh=False)
+    assert float(found.mean()) < -4 * float(found.std()) / len(found) ** 0.5
+
+
+def test_fresh_samples_lose_none():
+    found = biases(fresh=True)
+    assert abs(float(found.mean())) < 4 * float(found.std()) / len(found) ** 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from rlbench.frames import BUFFERS
 from rlbench.header import FILE
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.presets import Preset
+from rlbench.render.rounds import NOTES, noted
 from rlbench.render.scene import Scene
 
 POOLS = ("path",)
@@ -34,7 +36,17 @@ class Job:
     @property
     def missing(self) -> list[int]:
         """Frames that are not wholly there."""
-        return [i for i in range(self.preset.frames) if not has_frame(self.folder, i, POOLS)]
+        return [
+            i
+            for i in range(self.preset.frames)
+            if not has_frame(self.folder, i, POOLS) or self.spent(i) == 0
+        ]
+
+    def spent(self, index: int) -> int:
+        """Samples per pixel of a frame's reference, both halves; 0 where that is not known."""
+        if self.preset.rounds == 1:
+            return 2 * self.preset.reference_spp
+        return noted(self.folder, index) or 0
 
     @property
     def mark(self) -> str:
@@ -42,24 +54,26 @@ class Job:
         plan = self.preset
         samples = f"{plan.pool_spp} + 2 x {plan.reference_spp} spp"
         size = "x".join(map(str, plan.size))
+        samples += f", up to {plan.rounds} rounds to {plan.ceiling_db:g} dB" * (plan.rounds > 1)
+        samples += f", cap {plan.cap:g}" * (plan.cap < math.inf)
         return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
 
     @property
     def finished(self) -> bool:
         """Is there a header, and every frame, of this very scene?"""
         whole = (self.folder / FILE).is_file() and not self.missing
-        return whole and _marked(self.folder) == self.mark
+        return whole and marked(self.folder) == self.mark
 
     def claim(self) -> None:
         """Say what the frames of a folder are, after removing those of another scene or preset.
 
         Raises ClipError where there are frames that bear no mark, for they are not ours to remove.
         """
-        files = [self.folder / FILE, *self.folder.glob("*.exr")]
+        files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(NOTES)]
         kept = [file for file in files if file.is_file()]
-        if _marked(self.folder) == self.mark:
+        if marked(self.folder) == self.mark:
             return
-        if kept and not _marked(self.folder):
+        if kept and not marked(self.folder):
             raise ClipError(
                 f"{self.folder} holds frames that `rlbench render` did not write; "
                 "move the folder away, or render into another"
@@ -70,6 +84,7 @@ class Job:
             path.write_text(self.mark)
 
 
-def _marked(folder: Path) -> str:
+def marked(folder: Path) -> str:
+    """What a folder's frames were rendered from, or empty where `rlbench render` wrote none."""
     mark = folder / MARK
     return mark.read_text() if mark.is_file() else ""

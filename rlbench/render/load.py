@@ -15,6 +15,10 @@ from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 ALIGNED = 64  # bytes; Dr.Jit compiles another kernel for input that is not aligned
 
 
+class LightError(ValueError):
+    """A light that Mitsuba would leave dark without a word."""
+
+
 def plugin(plan: Plugin) -> Any:
     """The Mitsuba object that `plan` describes; arrays may stand for bitmaps and 4x4 transforms."""
     import mitsuba as mi
@@ -123,6 +127,7 @@ def _mesh(mesh: Mesh) -> Any:
     properties = mi.Properties()
     properties["mesh_bsdf"] = plugin(mesh.material)
     if mesh.emission is not None:
+        _check_light(mesh.name, mesh.emission)
         properties["mesh_emitter"] = plugin(mesh.emission)
     made = mi.Mesh(
         mesh.name,
@@ -143,6 +148,16 @@ def _mesh(mesh: Mesh) -> Any:
         _assign(parameters, "vertex_normals", smooth_normals(mesh.vertices, mesh.faces))
         parameters.update()
     return made
+
+
+def _check_light(name: str, emission: Plugin) -> None:
+    """Raise LightError for radiance by mesh attribute, which next-event estimation takes for 0."""
+    radiance = emission.get("radiance")
+    if isinstance(radiance, Mapping) and radiance.get("type") == "mesh_attribute":
+        raise LightError(
+            f"mesh '{name}' shines by a mesh attribute, of which Mitsuba's path tracer loses a "
+            "good part; give one radiance a mesh, or a bitmap with a texel for each light"
+        )
 
 
 def _assign(parameters: Any, name: str, values: Array) -> None:

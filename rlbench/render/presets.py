@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 FOUR = ("city", "temple", "hall", "ripples")
 GENERATED = "generated"  # clips of rlbench.scenes.generator are named generated-<seed>
 
 
+class PresetError(ValueError):
+    """A preset that cannot be rendered."""
+
+
 @dataclass(frozen=True)
 class Preset:
-    """One set of clips. A reference is two halves, so it has twice `reference_spp` samples."""
+    """One set of clips. A reference is two halves, so a round has twice `reference_spp` samples."""
 
     name: str
     purpose: str
@@ -20,21 +25,31 @@ class Preset:
     scenes: tuple[str, ...] = FOUR  # by entry point of the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated training scenes
     pool_spp: int = 8  # stored 1-spp images per frame
+    cap: float = math.inf  # brightest that a sample may be, times display white
+    ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
+    rounds: int = 1  # of `reference_spp` each, at most, until it does not
 
     @property
     def clip_samples(self) -> int:
-        """Light paths that one clip costs."""
+        """Light paths that one clip costs at most."""
         return self.frames * self.frame_samples
 
     @property
     def frame_samples(self) -> int:
-        """Light paths that one frame costs: those of the pool and of both reference halves."""
-        return self.size[0] * self.size[1] * (self.pool_spp + 2 * self.reference_spp)
+        """Light paths that one frame costs at most: the pool and all rounds of both halves."""
+        most = self.pool_spp + 2 * self.reference_spp * self.rounds
+        return self.size[0] * self.size[1] * most
 
     @property
     def samples(self) -> int:
-        """Light paths that the whole preset costs; two cores trace about a million a second."""
+        """Light paths that the whole preset costs at most; two cores trace a million a second."""
         return self.clip_samples * (len(self.scenes) + len(self.seeds))
+
+    def capped(self, cap: float) -> Preset:
+        """The same with a cap, under a name of its own. Raises PresetError unless it is above 0."""
+        if not cap > 0:
+            raise PresetError(f"a radiance cap of {cap:g} was asked for; it must be above 0")
+        return replace(self, name=f"{self.name}-cap{cap:g}", cap=cap)
 
 
 PRESETS = {
@@ -42,7 +57,7 @@ PRESETS = {
     for preset in (
         Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city")),
         Preset("mini", "the first command: about 3 minutes on two cores", (192, 192), 8, 64),
-        Preset("standard", "a workstation", (256, 256), 20, 256),
+        Preset("standard", "a workstation", (256, 256), 20, 64, ceiling_db=40.0, rounds=16),
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
         Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28))),
     )

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rlbench import paths, registry
 from rlbench.clips import Header, write_frame, write_header
 from rlbench.provenance import machine
-from rlbench.render import llvm
+from rlbench.render import llvm, rounds
 from rlbench.render.job import POOLS, Job
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
@@ -45,13 +45,26 @@ def ensure(
     folder = folder or paths.clips() / chosen.name
     if scenes is None and seeds is None:
         scenes, seeds = chosen.scenes, chosen.seeds
-    made = {name: registry.load("scenes", name)() for name in scenes or ()}
-    made |= {f"{GENERATED}-{seed:03d}": _generated(seed) for seed in seeds or ()}
+    names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
+    made = {name: named(name) for name in names}
     jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
     if unfinished := [job for job in jobs if not job.finished]:
         with _shown(progress) as bar:
             _render_all(unfinished, bar)
     return [job.folder for job in jobs]
+
+
+def named(clip: str) -> Scene:
+    """The scene of a clip by the clip's name: `generated-<seed>`, or an installed scene.
+
+    Raises LookupError for an unknown scene.
+    """
+    kind, _, seed = clip.rpartition("-")
+    if kind == GENERATED and seed.isdigit():
+        scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(seed))
+    else:
+        scene = registry.load("scenes", clip)()
+    return scene
 
 
 def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> None:
@@ -62,7 +75,7 @@ def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> No
     """
     height, width = job.preset.size
     job.claim()
-    tracer = open_tracer(job.scene, height, width, SEED)
+    tracer = open_tracer(job.scene, height, width, SEED, job.preset.cap / job.scene.exposure)
     for index in job.missing:
         tracer.set_time(float(index))
         _render_frame(job, tracer, index, lambda spp: traced(spp * height * width))
@@ -73,11 +86,10 @@ def _render_frame(job: Job, tracer: Tracer, index: int, traced: Callable[[int], 
     view = views(tracer, job.buffers)
     pool = tracer.stack(job.preset.pool_spp)
     traced(job.preset.pool_spp)
-    halves = [
-        tracer.mean(job.preset.reference_spp, stream, traced=traced)
-        for stream in ("referenceA", "referenceB")
-    ]
-    write_frame(job.folder, index, view, {"path": pool}, *halves)
+    a, b, spp = rounds.trace(tracer, job.preset, job.scene.exposure, traced)
+    if job.preset.rounds > 1:
+        rounds.note(job.folder, index, spp)
+    write_frame(job.folder, index, view, {"path": pool}, a, b)
 
 
 def _render_all(jobs: list[Job], bar: Progress) -> None:
@@ -86,10 +98,11 @@ def _render_all(jobs: list[Job], bar: Progress) -> None:
     total = sum(todo.values())
     trial = open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(repeats=1, spp=TRIAL)
     seconds = total / area * trial / 1e3
+    most = "at most " if jobs[0].preset.rounds > 1 else ""
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     bar.console.print(
         f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} with {llvm.activate()}: "
-        f"{total / 1e6:.0f} million light paths, about {_duration(seconds)}; "
+        f"{most}{total / 1e6:.0f} million light paths, about {_duration(seconds)}; "
         f"into {jobs[0].folder.parent}"
     )
     task = bar.add_task("", total=total)
@@ -113,7 +126,12 @@ def _header(job: Job, tracer: Tracer) -> Header:
         seed=SEED,
         exposure=scene.exposure,
         pool_spp=plan.pool_spp,
-        reference_spp=(2 * plan.reference_spp,) * plan.frames,
+        radiance_cap=plan.cap,
+        reference_spp=tuple(map(job.spent, range(plan.frames))),
+        noise_ceiling_db=tuple(
+            rounds.stored_ceiling_db(job.folder, index, *plan.size, scene.exposure)
+            for index in range(plan.frames)
+        ),
         buffers=job.buffers,
         pools=POOLS,
         static=scene.static,
@@ -121,11 +139,6 @@ def _header(job: Job, tracer: Tracer) -> Header:
         sample_ms=tracer.sample_ms(),
         device=machine().cpu,
     )
-
-
-def _generated(seed: int) -> Scene:
-    scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(seed)
-    return scene
 
 
 def _duration(seconds: float) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rlbench.render import llvm
 from rlbench.render.scene import Scene
 from rlbench.render.tracer import Tracer
@@ -11,10 +13,12 @@ from rlbench.render.whole import Whole
 __all__ = ["Tracer", "Wavefront", "Whole", "open_tracer", "sample_ms"]
 
 
-def open_tracer(scene: Scene, height: int, width: int, seed: int = 0) -> Tracer:
+def open_tracer(
+    scene: Scene, height: int, width: int, seed: int = 0, cap: float = math.inf
+) -> Tracer:
     """A tracer of `scene` for this machine: wavefronts with LLVM or CUDA, else whole images."""
     kind = Whole if llvm.activate().startswith("scalar") else Wavefront
-    return kind(scene, height, width, seed)
+    return kind(scene, height, width, seed, cap)
 
 
 def sample_ms(scene: Scene, height: int, width: int, repeats: int = 5) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time as clock
 from abc import ABC, abstractmethod
@@ -26,9 +27,17 @@ class Tracer(ABC):
     the times and the samples of one stream. Radiance is linear, as the scene gives it.
     """
 
-    def __init__(self, scene: Scene, height: int, width: int, seed: int = 0) -> None:
-        """Load `scene`; Mitsuba must be running. `seed` makes all of its streams other ones."""
+    def __init__(
+        self, scene: Scene, height: int, width: int, seed: int = 0, cap: float = math.inf
+    ) -> None:
+        """Load `scene`; Mitsuba must be running. `seed` makes all of its streams other ones.
+
+        A sample of any stream that is brighter than `cap` in a channel is dimmed to it, in its own
+        colour: no fireflies, and a bias that inputs and references share. `cap` is in the scene's
+        radiance, above 0.
+        """
         self.scene, self.height, self.width, self.seed = scene, height, width, seed
+        self.cap = cap
         import mitsuba as mi
 
         self.mitsuba = load.load(scene)
@@ -87,17 +96,28 @@ class Tracer(ABC):
         chunk: int | None = None,
         traced: Callable[[int], None] = lambda spp: None,
     ) -> Float[Array, "h w 3"]:
-        """The mean of samples 0 .. spp - 1 of every pixel, summed in float64, `chunk` a launch.
+        """The mean of samples 0 .. spp - 1 of every pixel, in float32; see `total`."""
+        return (self.total(spp, stream, 0, chunk, traced) / spp).astype(np.float32)
 
-        `traced` is told after each launch how many samples per pixel it had.
+    def total(
+        self,
+        spp: int,
+        stream: str,
+        first: int = 0,
+        chunk: int | None = None,
+        traced: Callable[[int], None] = lambda spp: None,
+    ) -> Float[Array, "h w 3"]:
+        """The sum of samples `first` .. `first + spp - 1` of every pixel in float64, by launches.
+
+        `traced` is told after each launch of at most `chunk` how many samples per pixel it had.
         """
         chunk = chunk or self._chunk()
         total = np.zeros((self.height, self.width, 3))
-        for start in range(0, spp, chunk):
-            count = min(chunk, spp - start)
+        for start in range(first, first + spp, chunk):
+            count = min(chunk, first + spp - start)
             total += self._sum(start, count, stream)
             traced(count)
-        return (total / spp).astype(np.float32)
+        return total
 
     def sample_ms(self, repeats: int = 5, spp: int = 1) -> float:
         """Median milliseconds of one full frame at one sample per pixel, after a warm-up.
@@ -111,6 +131,13 @@ class Tracer(ABC):
             self.stack(spp, "pilot", first=number)
             times.append(1e3 * (clock.perf_counter() - start) / spp)
         return statistics.median(times)
+
+    def _capped(self, radiance: Float[Array, "*shape 3"]) -> Float[Array, "*shape 3"]:
+        """Samples dimmed to the cap; without a cap, untouched."""
+        if self.cap == math.inf:
+            return radiance
+        brightest = radiance.max(-1, keepdims=True)
+        return np.asarray(radiance * (self.cap / np.maximum(brightest, self.cap)), np.float32)
 
     def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
         return np.asarray(self._launch(first, count, stream).sum(0, dtype=np.float64))

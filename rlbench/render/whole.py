@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
@@ -28,7 +29,7 @@ class Whole(Tracer):
         wanted, which = np.unique(samples, return_inverse=True)
         radiance = np.zeros((len(pixels), 3), np.float32)
         for i, number in enumerate(wanted):
-            image = self._image(int(number), 1, stream).reshape(-1, 3)
+            image = self._launch(int(number), 1, stream).reshape(-1, 3)
             radiance[which == i] = image[pixels[which == i]]
         return radiance
 
@@ -55,9 +56,12 @@ class Whole(Tracer):
         self._sensor = load.sensor(self.pose.camera, self.height, self.width)
 
     def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
-        return np.stack([self._image(first + s, 1, stream) for s in range(count)])
+        images = [self._image(first + s, 1, stream) for s in range(count)]
+        return self._capped(np.stack(images))
 
     def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
+        if self.cap < math.inf:  # each sample has to be seen
+            return super()._sum(first, count, stream)
         return self._image(first, count, stream).astype(np.float64) * count
 
     def _image(self, first: int, spp: int, stream: str) -> Float[Array, "h w 3"]:

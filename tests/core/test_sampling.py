@@ -325,3 +325,57 @@ def test_no_gradient_flows_through_buying():
     here = pool()
     wish = torch.ones(1, 1, 6, 7, requires_grad=True)
     assert not buy(here, nothing(here), wish, upto=1).radiance.requires_grad
+
+
+def stored(slots: int = 8, h: int = 6, w: int = 7, n: int = 1) -> StoredPool:
+    """A pool whose sample in slot k has radiance k + 1."""
+    radiance = torch.arange(1.0, slots + 1).view(1, -1, 1, 1, 1).expand(n, -1, 3, h, w)
+    return StoredPool(radiance, tuple(range(n)))
+
+
+def noise(seed: int, n: int = 1, h: int = 6, w: int = 7) -> Tensor:
+    return torch.rand(n, 1, h, w, generator=torch.Generator().manual_seed(seed))
+
+
+def test_fresh_samples_are_those_that_follow_the_pilots():
+    pool = stored()
+    pilot = buy(pool, nothing(pool), noise(0), 1.0)
+    bought = buy(pool, pilot, noise(1), 3.0, fresh=True)
+    fresh = bought.after(pilot)
+    assert torch.equal(fresh.counts, bought.counts - pilot.counts)
+    first = (pilot.counts + 1).where(fresh.counts > 0, 0)[:, None].expand(-1, -1, 3, -1, -1)
+    assert torch.equal(fresh.radiance[:, :1], first.float())
+    assert torch.equal(fresh.radiance.sum(1), bought.radiance.sum(1) - pilot.radiance.sum(1))
+
+
+def test_a_pilot_is_paid_for_when_fresh_samples_are_bought():
+    pool = stored(n=2)
+    pilot = buy(pool, nothing(pool), noise(0, n=2), 1.5)
+    bought = buy(pool, pilot, noise(1, n=2), 4.0, fresh=True)
+    assert bought.counts.flatten(1).sum(1).tolist() == [4 * 42, 4 * 42]
+
+
+def test_fresh_samples_follow_the_density_whatever_the_pilot_had():
+    pool = stored(slots=16)
+    pilot = buy(pool, nothing(pool), noise(0), 2.0)
+    wish = torch.ones(1, 1, 6, 7)
+    wish[..., :3] = 3
+    share = 42 * 4 / int(wish.sum())
+    bought = buy(pool, pilot, wish, 6.0, fresh=True).after(pilot)
+    assert ((bought.counts - share * wish).abs() < 1).all()
+
+
+def test_a_floor_holds_for_fresh_samples():
+    pool = stored()
+    pilot = buy(pool, nothing(pool), noise(0), 1.0)
+    bought = buy(pool, pilot, noise(1) ** 8, 4.0, floor=1, fresh=True).after(pilot)
+    assert int(bought.counts.min()) == 1
+
+
+@pytest.mark.parametrize("upto", [7.0, 8.0])
+def test_pilot_and_fresh_samples_share_the_cap(upto):
+    pool = stored()
+    pilot = buy(pool, nothing(pool), noise(0), 1.0)
+    bought = buy(pool, pilot, noise(1) ** 4, upto, fresh=True)
+    assert int(bought.counts.max()) == 8
+    assert int(bought.counts.sum()) == upto * 42

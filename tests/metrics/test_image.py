@@ -13,6 +13,7 @@ from metrics.display import display
 from metrics.image import (
     CAP_DB,
     SCALE_WEIGHTS,
+    bias,
     most_scales,
     ms_ssim,
     mse_debiased,
@@ -200,6 +201,26 @@ def test_the_debiased_error_of_equal_halves_is_the_plain_one():
     image, reference = pair(9, 7)
     plain = (image - reference).square().flatten(1).mean(1)
     torch.testing.assert_close(mse_debiased(image, reference, reference), plain)
+
+
+@pytest.mark.parametrize("gain", [0.75, 1.0, 1.5])
+def test_bias_is_the_percentage_of_light_that_is_too_much(gain):
+    _, reference = pair(9, 7)
+    expected = torch.full((2,), 100 * (gain - 1))
+    torch.testing.assert_close(bias(reference * gain, reference), expected, atol=1e-4, rtol=0)
+
+
+def test_bias_of_noise_alone_is_within_its_standard_error():
+    image, reference = pair(70, 70, noise=0.3)
+    error = 30 * reference.square().sum((1, 2, 3)).sqrt() / reference.sum((1, 2, 3))
+    assert (bias(image, reference).abs() < 4 * error).all()
+
+
+@pytest.mark.parametrize("value", BROKEN)
+def test_a_broken_pixel_is_a_bias(value):
+    image, reference = pair(16, 16, n=1)
+    image[0, 0, 3, 3] = value
+    assert float(bias(image, reference)) < -1000
 
 
 def test_nonfinite_counts_pixels_not_channels():

@@ -10,6 +10,23 @@ from rlbench.render.trace import open_tracer
 from tests.render.worlds import ball, diffuse, room
 
 
+def test_a_light_that_mitsuba_would_leave_dark_is_told(variant):
+    by_face = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "face_light"}}
+    *others, lamp = room().meshes
+    scene = replace(room(), meshes=(*others, replace(lamp, emission=by_face)))
+    with pytest.raises(load.LightError, match="'lamp' shines by a mesh attribute"):
+        open_tracer(scene, 4, 4)
+
+
+def test_what_is_uploaded_is_a_copy(llvm):
+    import mitsuba as mi
+
+    values = np.arange(64, dtype=np.float32)
+    there = load.upload(mi.Float, values)
+    values[:] = -1
+    assert there.numpy().tolist() == list(range(64))
+
+
 def test_smooth_normals_of_a_sphere_point_outwards():
     mesh = ball()
     normals = load.smooth_normals(mesh.vertices, mesh.faces)

@@ -138,3 +138,32 @@ def test_the_papers_protocol():
     assert (paper.size, paper.frames, paper.pool_spp) == ((720, 720), 20, 8)
     assert 2 * paper.reference_spp == 1000
     assert paper.clip_samples == 20 * 720 * 720 * 1008
+
+
+def test_a_capped_preset_is_another_set_of_clips():
+    capped = PRESETS["mini"].capped(64.0)
+    assert capped.name == "mini-cap64"
+    assert job("a", plan=capped).mark != job("a", plan=PRESETS["mini"]).mark
+
+
+@pytest.mark.parametrize("cap", [0.0, -1.0, float("nan")])
+def test_a_cap_that_leaves_no_light_is_told(cap):
+    with pytest.raises(ValueError, match="must be above 0"):
+        PRESETS["mini"].capped(cap)
+
+
+def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
+    render(job(tmp_path / "capped", plan=PLAN.capped(0.25)))
+    assert read_header(tmp_path / "capped").radiance_cap == 0.25
+    free, capped = (open_clip(folder).frame(1) for folder in (clip, tmp_path / "capped"))
+    assert free.pool.radiance.max() > 1
+    assert free.reference.a.max() > 1
+    # half precision has 11 bits; the header's exposure is a power of two
+    assert capped.pool.radiance.max() <= 0.25 * (1 + 2**-10)
+    assert capped.reference.a.max() <= 0.25 * (1 + 1e-6)
+
+
+def test_presets_of_clips_in_use_keep_their_mark():
+    # what stands in scene.txt of clips that were rendered before there were rounds and caps
+    assert job("a", plan=PRESETS["mini"]).mark.endswith(" 192x192 8 frames 8 + 2 x 64 spp\n")
+    assert job("a", plan=PRESETS["train"]).mark.endswith(" 160x160 5 frames 8 + 2 x 64 spp\n")

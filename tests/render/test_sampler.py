@@ -48,8 +48,22 @@ def test_neighbours_are_uncorrelated(llvm, moved):
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 4 / np.sqrt(first.size)
 
 
-def test_two_streams_share_no_number(llvm):
+@pytest.mark.parametrize("pair", itertools.combinations(sampler.STREAMS, 2), ids="-".join)
+def test_two_streams_share_no_number(llvm, pair):
     pixel, sample = np.indices((50, 50)).reshape(2, -1)
-    a, b = (numbers(pixel, sample, sampler.key(s, 0.0, 0), 2) for s in ("input", "referenceA"))
+    a, b = (numbers(pixel, sample, sampler.key(s, 0.0, 0), 2) for s in pair)
     # 24-bit numbers agree by chance in one of 16 million
     assert (a == b).sum() <= 2
+
+
+@pytest.mark.parametrize("other", [(2**20, 0), (0, 4096), (1, 0), (2**31, 0), (0, 2**31)])
+def test_pixels_and_samples_of_any_size_have_numbers_of_their_own(llvm, other):
+    first, second = numbers([0, other[0]], [0, other[1]], sampler.key("input", 0.0, 0), 4)
+    assert (first != second).all()
+
+
+def test_no_two_paths_of_any_stream_draw_the_same_numbers(llvm):
+    pixel, sample = np.indices((40, 40)).reshape(2, -1)
+    drawn = [numbers(pixel, sample, sampler.key(s, 0.0, 0), 4) for s in sampler.STREAMS]
+    # four numbers of 24 bits: 8000 paths agree in all by chance once in 10^21
+    assert len(np.unique(np.concatenate(drawn), axis=0)) == 5 * 40 * 40

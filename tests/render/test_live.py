@@ -1,0 +1,177 @@
+"""The live pool: what is bought is what is traced, and equals what is stored."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+
+from rlbench import registry
+from rlbench.clips import ClipError, open_clip, read_header
+from rlbench.exr import precision
+from rlbench.family import Traits
+from rlbench.render.job import Job
+from rlbench.render.live import LiveClip, open_live
+from rlbench.render.presets import Preset
+from rlbench.render.record import render
+from rlbench.render.trace import open_tracer
+from rlbench.run import run_clip
+from rlbench.sampling import buy, nothing
+from rlbench.source import Stored, pooled
+from tests.conftest import write_noise
+from tests.render.worlds import grey, room
+
+H, W = 16, 24
+PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
+
+
+@dataclass(frozen=True)
+class Follows:
+    """Samples where it was bright, in two passes, and remembers what it saw."""
+
+    traits: Traits = Traits(adapts=True, temporal=True, passes=(0.3, 1.0))
+
+    def start(self, size):
+        return torch.zeros(1, 1, size.h, size.w)
+
+    def plan(self, view, samples, state):
+        return samples.mean.mean(1, keepdim=True) + state + 0.01
+
+    def denoise(self, view, samples, state):
+        return samples.mean, samples.mean.mean(1, keepdim=True)
+
+
+def glaring():
+    """The room with a lamp so bright that half precision cannot hold its reflections."""
+    *others, lamp = room().meshes
+    emission = {"type": "area", "radiance": grey(1e7)}
+    return replace(room(), meshes=(*others, replace(lamp, emission=emission)))
+
+
+def rendered(folder, scene, name="room"):
+    render(Job(name, scene, PLAN, folder))
+    return folder
+
+
+def both(folder, scene, seed=0):
+    """The clip with its stored pool, and with a live one."""
+    stored = open_clip(folder, seed=seed)
+    return stored, LiveClip(stored, open_tracer(scene, H, W))
+
+
+def agree(image, other):
+    """Equal, but for what Embree decides by the rays around: see Wavefront. A few in 10^4."""
+    return float((image != other).any(1).double().mean()) < 0.01
+
+
+def images(clip, spp):
+    return torch.cat([shown.image for shown in run_clip(Follows(), clip, spp)])
+
+
+@pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 2.3, 4.0])
+def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, tmp_path, spp):
+    stored, live = both(rendered(tmp_path, room()), room(), seed=5)
+    assert torch.equal(images(live, spp), images(stored, spp))
+
+
+def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
+    from rlbench.render.llvm import activate
+
+    activate("scalar_rgb")
+    stored, live = both(rendered(tmp_path, room()), room())
+    assert torch.equal(images(live, 0.7), images(stored, 0.7))
+
+
+def test_capped_samples_are_the_same_live(llvm, tmp_path):
+    render(Job("room", room(), PLAN.capped(0.25), tmp_path))
+    stored = open_clip(tmp_path)
+    live = LiveClip(stored, open_tracer(room(), H, W, cap=0.25 / room().exposure))
+    assert torch.equal(images(live, 2.0), images(stored, 2.0))
+
+
+def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
+    stored, live = both(rendered(tmp_path, glaring()), glaring())
+    assert precision(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
+    assert torch.equal(images(live, 2.0), images(stored, 2.0))
+
+
+def test_a_frame_that_was_kept_still_sells_its_own_samples(llvm, tmp_path):
+    stored, live = both(rendered(tmp_path, room()), room())
+    kept = list(live)[1].pool
+    density = torch.ones(1, 1, H, W)
+    first = buy(kept, nothing(kept), density, 1.5)
+    again = stored.frame(1).pool
+    assert torch.equal(first.radiance, buy(again, nothing(again), density, 1.5).radiance)
+
+
+def launches(work):
+    """The kernels that `work` launches, and what it returns."""
+    import drjit as dr
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        returned = work()
+        return dr.kernel_history([dr.KernelType.JIT]), returned
+
+
+def test_each_sample_bought_is_one_path_and_nothing_else_is_traced(llvm, tmp_path):
+    _, live = both(rendered(tmp_path, room()), room())
+    pool = live.frame(1).pool
+    density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
+    held, sizes = nothing(pool), []
+    for upto in (0.1, 0.9, 4.0):
+        kernels, held = launches(lambda upto=upto, held=held: buy(pool, held, density, upto))
+        sizes += [kernel["size"] for kernel in kernels]
+    assert sizes == [38, 346 - 38, 1536 - 346]  # 0.1, 0.9 and 4 times 16 x 24, less what is held
+
+
+def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):
+    _, live = both(rendered(tmp_path, room()), room())
+    images(live, 1.0)
+    kernels, _ = launches(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+@pytest.fixture
+def temple(llvm, tmp_path):
+    return rendered(tmp_path / "temple", registry.load("scenes", "temple")(), "temple")
+
+
+def test_a_clip_knows_its_scene(temple):
+    stored = open_clip(temple)
+    assert agree(images(open_live(stored), 0.5), images(stored, 0.5))
+
+
+def test_the_bench_may_take_either_and_tells_them_apart(temple):
+    live, stored = pooled(temple, "live"), pooled(temple, "stored")
+    device = torch.device("cpu")
+    clips = [source.open(Follows().traits, 1.0, 3, device) for source in (live, stored)]
+    assert isinstance(clips[0], LiveClip)
+    assert agree(images(clips[0], 1.0), images(clips[1], 1.0))
+    assert live.digest != stored.digest == Stored(temple).digest
+
+
+def test_a_scene_that_has_changed_is_told(temple):
+    mark = temple / "scene.txt"
+    mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
+    with pytest.raises(ClipError, match="the clip shows 0123456789abcdef.*--pool stored"):
+        pooled(temple, "live")
+
+
+def test_a_clip_of_another_renderer_is_told(tmp_path):
+    with pytest.raises(ClipError, match="did not write it; use --pool stored"):
+        pooled(write_noise(tmp_path / "noise"), "live")
+
+
+def test_a_pool_that_is_not_of_paths_is_told(tmp_path):
+    clip = open_clip(write_noise(tmp_path / "noise", pools=("path",)))
+    with pytest.raises(ClipError, match="no live pool 'restir'"):
+        open_live(replace(clip, pool="restir"))
+
+
+def test_a_scene_that_is_not_installed_is_told(llvm, tmp_path):
+    rendered(tmp_path / "room", room())
+    assert read_header(tmp_path / "room").name == "room"
+    with pytest.raises(LookupError, match="'room' is not a scene"):
+        pooled(tmp_path / "room", "live")
