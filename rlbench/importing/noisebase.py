@@ -170,7 +170,8 @@ def _far(camera: Camera, before: Camera, size: tuple[int, int]) -> Pixels:
     flat = _centres(size) / (size[1], size[0]) * (2, -2) + (-1, 1)
     clip = np.concatenate((flat, np.ones((*size, 2))), axis=-1)
     points = clip @ np.linalg.inv(camera.matrix)
-    rays = points[..., :3] / points[..., 3:] - camera.position
+    # a far plane at infinity has weight 0, so nothing is divided by it
+    rays = points[..., :3] - points[..., 3:] * camera.position
     return _project(before, rays, size, weight=0) - _project(camera, rays, size, weight=0)
 
 
