@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
+from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
 
@@ -147,41 +148,7 @@ def render(
         typer.echo(folder)
 
 
-@app.command("import")
-def import_(
-    source: Annotated[Path, typer.Argument(help="folder of frames that others rendered")],
-    format_: Annotated[str, typer.Option("--format", help="oidn, noisebase, or paper")],
-    out: Annotated[Path, typer.Option(help="folder to which each clip's folder goes")],
-    frames: Annotated[
-        str | None, typer.Option(help="FIRST:END, END excluded; default every frame")
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option(min=1, max=64, help="of each pixel; default all")
-    ] = None,
-    exposure: Annotated[float, typer.Option(help="makes radiance 1.0 at display white")] = 1.0,
-) -> None:
-    """Turn frames that others rendered into clips; an import that was killed goes on.
-
-    What a source lacks (halves of the reference, motion, ...) is said here and in clip.toml.
-
-    Examples:
-
-      rlbench import sampleset_v1/test8/bistro1 --format noisebase --frames 0:20 --out clips/
-
-      rlbench import my_renders/ --format oidn --out clips/ && rlbench run -m mean --clips clips/
-    """
-    from rlbench import show
-    from rlbench.importing import formats, store
-    from rlbench.importing.sequence import span
-
-    found = formats.sequences(source, format_, span(frames) if frames else None)
-    plans = [(each, store.plan(each, samples, exposure), out / each.name) for each in found]
-    todo = [plan for plan in plans if not store.finished(*plan)]
-    with show.importing(sum(header.frames for _, header, _ in todo)) as tell:
-        for plan in todo:
-            store.store(*plan, tell)
-    for plan in plans:
-        show.imported(plan[1], plan[2], "imported" if plan in todo else "known before")
+app.command("import")(import_)
 
 
 @app.command()

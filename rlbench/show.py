@@ -13,8 +13,6 @@ from rich.table import Table
 
 from rlbench import table as results_table
 from rlbench.cells import Cell, Request, cells
-from rlbench.header import LACKS, Header
-from rlbench.importing.possible import possible
 
 if TYPE_CHECKING:
     from rlbench.bench import Done
@@ -50,24 +48,6 @@ def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
             bar.update(task, completed=stands.seen, description=f"{name}, loss {loss:.4f}")
 
         yield tell
-
-
-@contextmanager
-def importing(frames: int) -> Iterator[Callable[[], None]]:
-    """A bar over frames that are imported, on the error stream."""
-    with _bar() as bar:
-        task = bar.add_task("importing", total=frames)
-        yield lambda: bar.advance(task)
-
-
-def imported(header: Header, folder: Path, news: str) -> None:
-    """What became of one clip, what it lacks of the format, and what can be measured on it."""
-    told = f"{header.frames} frames of {header.width} x {header.height}"
-    print_ = Console(soft_wrap=True).print
-    print_(f"{folder}: {news}, {told}, {header.pool_spp} samples a pixel", highlight=False)
-    for word in header.lacks:
-        print_(f"  lacks {word}: {LACKS[word]}", highlight=False)
-    print_(f"  {possible(header)}", highlight=False, markup=False)
 
 
 def done(what: Done, out: Path) -> None:

@@ -139,7 +139,7 @@ def _read(paths: Mapping[int, Path], size: tuple[int, int], number: int, samples
 
 def _radiance(rgbe: Pixels, exposure: Pixels) -> Pixels:
     """Radiance [s h w 3] of colours [4 h w s] whose last is an exponent in 256 steps of log e."""
-    low, high = exposure.astype(np.float64)
+    low, high = exposure.tolist()
     scale = np.exp((rgbe[3].astype(np.float32) + 1) / 256 * (high - low) + low)
     return np.moveaxis(rgbe[:3] / np.float32(255) * scale, (0, 3), (3, 0))
 

@@ -31,7 +31,7 @@ def source(tmp_path):
 def test_a_method_runs_on_an_imported_clip(source, tmp_path):
     out = tmp_path / "clips"
     told = rlbench("import", source, "--format", "oidn", "--out", out)
-    assert "imported, 3 frames of 16 x 12, 2 samples a pixel" in told
+    assert "imported, 3 frames of 16 x 12, of each pixel 2 samples" in told
     rlbench("run", "-m", "mean", "--clips", out, "--spp", "2", "--out", tmp_path / "results")
     rows = table.read(tmp_path / "results")
     found = rows[rows["metric"] == "relmse"].sort_values("frame")["value"].to_numpy()
