@@ -27,6 +27,7 @@ class Metric:
     convention: str  # what must be known to reproduce the number
     score: Score
     fit: Callable[[int, int], Metric] | None = None
+    halves: bool = False  # is it only defined where `a` and `b` are independent?
 
     def at(self, height: int, width: int) -> Metric:
         """This metric, or the one that stands in for it at a size at which it is not defined."""
@@ -99,7 +100,12 @@ MS_SSIM = Metric(
 )
 RELMSE = Metric("relmse", "", "low", "linear radiance, per channel, reference^2 + 0.01", _relmse)
 MSE_DEBIASED = Metric(
-    "mse_debiased", "", "low", "linear radiance, mean((x-a)(x-b)) of half references", _mse_debiased
+    "mse_debiased",
+    "",
+    "low",
+    "linear radiance, mean((x-a)(x-b)) of half references",
+    _mse_debiased,
+    halves=True,
 )
 BIAS = Metric(
     "bias",

@@ -21,6 +21,7 @@ from rlbench import cost, latency, provenance, registry, table
 from rlbench.cells import Cell, Names, Request, cells, distinct, older
 from rlbench.cost import Cost
 from rlbench.frames import Clip
+from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
 from rlbench.method import Method
 from rlbench.run import Shown, run_clip
@@ -86,7 +87,7 @@ class _Bench:
 
     def rows(self, cell: Cell) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
-        if why := unusable(cell.clip, registry.variant(cell.method).traits, cell.spp):
+        if why := unusable(cell.clip.header, registry.variant(cell.method).traits, cell.spp):
             return [self.refusal(cell, why)]
         return self._measured(cell, self._method(cell.method))
 
@@ -99,19 +100,27 @@ class _Bench:
         clip = Short(clip, self.request.frames) if self.request.frames else clip
         blank = replace(self._blank(cell), config=_config(method))
         rows = [
-            row for shown in run_clip(method, clip, cell.spp) for row in self._scores(blank, shown)
+            row
+            for shown in run_clip(method, clip, cell.spp)
+            for row in self._scores(blank, shown, cell.clip.header)
         ]
         bought = sum(row.spp_realised for row in rows) / len(rows)
         return rows + self._timing(replace(blank, spp_realised=bought), cell, method, clip)
 
-    def _scores(self, blank: Row, shown: Shown) -> Iterator[Row]:
+    def _scores(self, blank: Row, shown: Shown, header: Header) -> Iterator[Row]:
         reference = shown.frame.reference
         _check(blank.method, shown.image, reference.a)
         bought = float(shown.samples.counts.double().mean())
         h, w = shown.image.shape[-2:]
         for metric in (each.at(h, w) for each in self.metrics.values()):
-            score = float(metric.score(shown.image, reference.a, reference.b)[0])
-            told = (metric.name, score, metric.unit, metric.better, metric.convention)
+            undefined = metric.halves and "halves" in header.lacks
+            score = (
+                math.nan
+                if undefined
+                else float(metric.score(shown.image, reference.a, reference.b)[0])
+            )
+            note = LACKS["halves"] if undefined else ""
+            told = (metric.name, score, metric.unit, metric.better, metric.convention, note)
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 
     def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:

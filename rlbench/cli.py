@@ -1,4 +1,4 @@
-"""The command line: run, list, render, train, report, regress, doctor."""
+"""The command line: run, list, render, import, train, report, regress, doctor."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
+from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
 
@@ -156,6 +157,9 @@ def render(
     """
     for folder in asked.rendered(scenes, preset, cap):
         typer.echo(folder)
+
+
+app.command("import")(import_)
 
 
 @app.command()

@@ -15,6 +15,13 @@ from rlbench.paths import replacing
 VERSION = 1
 FILE = "clip.toml"
 VIEWS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each view buffer
+LACKS = {  # what a clip that others rendered may not have, though the format asks for it
+    "halves": "referenceA and referenceB are one image, so its noise cannot be told from error",
+    "independence": "seeds of samples are those of other frames or of the reference",
+    "linear": "radiance is light of a display, clipped to [0, 1], and so are the samples' means",
+    "first motion": "motion of the first frame is zero, as no frame is known before it",
+    **{name: f"{name} is of another space, scale or range, or not known to be" for name in VIEWS},
+}
 
 
 class ClipError(ValueError):
@@ -39,10 +46,11 @@ class Header:
     exposure: float = 1.0  # radiance times this is 1.0 at display white
     pool_spp: int = 8  # stored 1-spp images per frame, in each pool
     radiance_cap: float = math.inf  # of every sample, times display white; inf where there is none
-    reference_spp: tuple[int, ...]  # per frame, samples per pixel of both halves together
+    reference_spp: tuple[int, ...]  # per frame, of both halves together; 0: unknown
     noise_ceiling_db: tuple[float, ...] = ()  # per frame, PSNR of the truth against the reference
     buffers: tuple[str, ...] = tuple(VIEWS)  # of the view
     pools: tuple[str, ...] = ("path",)
+    lacks: tuple[str, ...] = ()  # of what the format asks for; words of LACKS
     static: bool = False  # neither camera nor objects move; then there is no motion buffer
     licence: str = ""  # of the pixels
     sample_ms: float = math.nan  # time of one full-frame 1-spp trace, or nan
@@ -70,11 +78,17 @@ class Header:
                 f"format v{VERSION} knows {', '.join(VIEWS)}"
             )
 
+        if unknown := sorted(set(self.lacks) - set(LACKS)):
+            raise ClipError(
+                f"clip '{self.name}': lacks {', '.join(unknown)}; known are {', '.join(LACKS)}"
+            )
+
     @property
     def pixels(self) -> dict[str, Any]:
         """The fields on which a frame's tensors depend: what a content hash must cover."""
         kept = ("version", "name", "scene", "height", "width", "frames", "exposure", "pool_spp")
-        return {k: getattr(self, k) for k in (*kept, "buffers", "pools", "static")}
+        lacks = ("lacks",) if self.lacks else ()  # as it was, where nothing is lacking
+        return {k: getattr(self, k) for k in (*kept, "buffers", "pools", "static", *lacks)}
 
 
 def write_header(folder: Path, header: Header) -> None:
@@ -94,7 +108,8 @@ def read_header(folder: Path) -> Header:
     path = folder / FILE
     if not path.is_file():
         raise ClipError(
-            f"clip {folder} is unfinished, it has no {FILE}: `rlbench render` resumes it"
+            f"clip {folder} is unfinished, it has no {FILE}: "
+            "`rlbench render`, or `rlbench import`, resumes it"
         )
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))

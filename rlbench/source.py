@@ -152,9 +152,8 @@ def affordable(traits: Traits, spp: float, stored: int) -> int:
     return most if traits.adapts else min(most, max(1, traits.floor, math.ceil(spp)))
 
 
-def unusable(source: Source, traits: Traits, spp: float) -> str | None:
+def unusable(header: Header, traits: Traits, spp: float) -> str | None:
     """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
-    header = source.header
     if refused := traits.refuses(spp):
         return refused
     if traits.pool not in header.pools:

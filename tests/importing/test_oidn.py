@@ -1,0 +1,151 @@
+"""OIDN's naming: what is read, and what cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rlbench.importing.sequence import SourceError
+from tests.importing.sources import H, W, exr, imported, oidn, pool, radiance, stored
+
+
+@pytest.fixture
+def clip(tmp_path):
+    return imported(oidn(tmp_path / "source"), "oidn", tmp_path / "out")
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_samples_are_the_1_spp_images(clip, index):
+    expected = np.stack([radiance(index, seed) for seed in range(2)])
+    np.testing.assert_array_equal(pool(clip, index), expected)
+
+
+@pytest.mark.parametrize("half", ["a", "b"])
+def test_the_one_reference_stands_for_both_halves(clip, half):
+    found = getattr(clip.frame(1).reference, half)[0].permute(1, 2, 0).numpy()
+    np.testing.assert_array_equal(found, radiance(1, 8) + np.float32(1 / 3))
+
+
+def test_albedo_is_that_of_the_first_sample_clipped(clip):
+    expected = np.broadcast_to(np.float32([0.25, 0.5, 1]), (H, W, 3))
+    np.testing.assert_array_equal(stored(clip, 0, "albedo"), expected)
+
+
+def test_normals_are_unit_vectors_and_zero_stays_zero(clip):
+    expected = np.broadcast_to(np.float32([0, -0.6, 0.8]), (H, W, 3)).copy()
+    expected[0] = 0
+    # half precision
+    np.testing.assert_allclose(stored(clip, 0, "normal"), expected, atol=5e-4, rtol=0)
+
+
+def test_the_header_says_what_there_is_and_what_is_lacking(clip):
+    told = clip.header
+    assert (told.height, told.width, told.frames, told.pool_spp) == (H, W, 3, 2)
+    assert told.buffers == ("albedo", "normal")
+    assert told.reference_spp == (1024,) * 3
+    assert told.lacks == ("halves", "normal")
+
+
+def test_two_references_of_one_spp_are_two_halves(tmp_path):
+    clip = imported(oidn(tmp_path / "source", halves=True), "oidn", tmp_path / "out")
+    b = clip.frame(2).reference.b[0].permute(1, 2, 0).numpy()
+    np.testing.assert_array_equal(b, radiance(2, 9) + np.float32(1 / 3))
+    assert (clip.header.lacks, clip.header.reference_spp) == (("normal",), (2048,) * 3)
+
+
+def test_a_reference_may_be_named_so_and_then_its_spp_is_unknown(tmp_path):
+    source = oidn(tmp_path / "source", frames=1)
+    exr(source / "walk_0000_ref.hdr.exr", radiance(0, 5))
+    clip = imported(source, "oidn", tmp_path / "out")
+    found = clip.frame(0).reference.a[0].permute(1, 2, 0).numpy()
+    np.testing.assert_array_equal(found, radiance(0, 5))
+    assert clip.header.reference_spp == (0,)
+
+
+def test_frames_are_taken_as_they_are_numbered(tmp_path):
+    clip = imported(oidn(tmp_path / "source"), "oidn", tmp_path / "out", frames=(1, 3))
+    assert len(clip) == 2
+    np.testing.assert_array_equal(pool(clip, 0)[0], radiance(1, 0))
+
+
+def _drop(folder: Path, pattern: str) -> None:
+    for path in list(folder.glob(pattern)):
+        path.unlink()
+
+
+def _swell(path: Path) -> None:
+    """Claim 100000 x 100000 pixels in an EXR's header."""
+    content = path.read_bytes()
+    for window in (b"dataWindow", b"displayWindow"):
+        at = content.index(window + b"\0box2i\0") + len(window) + 1 + 6 + 4
+        content = content[: at + 8] + (99_999).to_bytes(4, "little") * 2 + content[at + 16 :]
+    path.write_bytes(content)
+
+
+ONE = "walk_0001_seed1_0001spp.hdr.exr"
+BROKEN = {
+    "a frame is missing": (
+        lambda f: _drop(f, "walk_0001*"),
+        r"clip 'walk': frames 0 to 2 are wanted and 1 of them are missing: 1;.*--frames",
+    ),
+    "no reference": (
+        lambda f: _drop(f, "walk_0001*1024spp*"),
+        r"clip 'walk', frame 1 has no reference.*_ref\.hdr\.exr.*it has: walk_0001_seed0",
+    ),
+    "no 1-spp image": (
+        lambda f: [p.rename(str(p).replace("_0001spp", "_4spp")) for p in f.glob("*_0001spp*")],
+        r"frame 0 has no image of 1 spp, and a mean of more cannot be taken apart",
+    ),
+    "only ldr": (
+        lambda f: [p.rename(str(p).replace(".hdr", ".ldr")) for p in f.glob("*.hdr.exr")],
+        r"frame 0 has no \.hdr\.exr, and radiance must be linear",
+    ),
+    "no albedo nor normal": (
+        lambda f: (_drop(f, "*.alb.exr"), _drop(f, "*.nrm.exr")),
+        r"not every frame has an albedo or a normal",
+    ),
+    "another size": (
+        lambda f: exr(f / ONE, np.zeros((H, W + 1, 3), np.float32)),
+        r"walk_0001_seed1_0001spp\.hdr\.exr is 17 x 12 pixels, the first .* 16 x 12; all frames",
+    ),
+    "fewer samples": (
+        lambda f: _drop(f, "walk_0001_seed1*"),
+        r"frame 1 has 1 image of 1 spp, others up to 2; .*--samples 1",
+    ),
+    "no colours": (
+        lambda f: exr(f / ONE, np.zeros((H, W, 3), np.float32), "YAB"),
+        r"expected channels R, G, B or X, Y, Z .* it has: A, B, Y",
+    ),
+    "truncated": (
+        lambda f: (f / ONE).write_bytes((f / ONE).read_bytes()[:300]),
+        r"0001spp\.hdr\.exr cannot be decoded, truncated or corrupt",
+    ),
+    "a bomb": (
+        lambda f: _swell(f / ONE),
+        r"claims to be 100000 x 100000 pixels; from 1 to 67108864 are read",
+    ),
+    "the same image twice": (
+        lambda f: exr(f / ONE.replace("0001spp", "1"), radiance(1, 1)),
+        r"are the same image of one frame",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_source_that_will_not_do_says_why(tmp_path, kind):
+    break_it, message = BROKEN[kind]
+    source = oidn(tmp_path / "source")
+    break_it(source)
+    with pytest.raises(SourceError, match=message):
+        imported(source, "oidn", tmp_path / "out")
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_source_that_will_not_do_leaves_no_finished_clip(tmp_path, kind):
+    source = oidn(tmp_path / "source")
+    BROKEN[kind][0](source)
+    with pytest.raises(SourceError):
+        imported(source, "oidn", tmp_path / "out")
+    assert list(tmp_path.glob("out/*/clip.toml")) == []
