@@ -129,7 +129,6 @@ def _children(state: Any, node: Any) -> list[tuple[str, Any]]:
 
 def _files(state: Any) -> list[Path]:
     """The files that the nodes name. Raises SceneError that lists all of those that are missing."""
-    import mitsuba as mi
     from mitsuba import parser
 
     found, missing = [], []

@@ -34,7 +34,7 @@ class Wish:
     camera: str = ""  # still, orbit, dolly, or a JSON file; else the Scene's own, or an orbit
     frames: int | None = None  # else as many as there are matrices, or as the preset has
     size: tuple[int, int] | None = None  # height, width; else the film's shape, as many pixels
-    exposure: float | None = None  # else from what is seen, by rlbench.render.sight.exposure
+    exposure: float | None = None  # else a Scene's own, or of an XML by sight.exposure
     parameters: tuple[tuple[str, str], ...] = ()  # of an XML file's <default> names
     out: Path | None = None  # the clip's folder; else one in the cache
 
@@ -83,23 +83,23 @@ def ensure_own(
         tell(note)
     seen = _looked(scene, route, plan)
     seen = replace(seen, exposure=wish.exposure or seen.exposure)
-    given = "as given" if wish.exposure else "from what is seen"
     tell(
         f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, "
-        f"exposure {seen.exposure:g} {given}"
+        f"exposure {seen.exposure:g}"
     )
     return finish([replace(job, scene=seen)])[0]
 
 
 def _looked(scene: Scene, route: _Route, plan: Preset) -> Scene:
-    """`scene` on its route and exposed, after a look at every frame."""
+    """`scene` on its route, after a look at every frame; a document also gets its exposure."""
     tracer = open_tracer(scene, *plan.size)
     if route.kind in ("orbit", "dolly"):
         away, start = sight.distance(tracer), route.matrices[0]
         orbit = route.kind == "orbit"
         path = flight.orbit(start, away, plan.frames) if orbit else flight.dolly(start, away)
         tracer.scene = replace(scene, camera=route.camera(path))
-    seen = replace(tracer.scene, exposure=sight.exposure(tracer, plan.frames))
+    exposure = sight.exposure(tracer, plan.frames)
+    seen = replace(tracer.scene, exposure=exposure) if scene.document else tracer.scene
     del tracer
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     return seen
