@@ -62,7 +62,8 @@ def build(document: Document, merge: bool) -> Any:
     from mitsuba import parser
 
     with _parsed(document, merge) as (config, state):
-        for node in state.nodes:
+        # of no other nodes, as properties count as used once they have been looked at
+        for node in (n for n in state.nodes if n.props.plugin_name() in ("scene", "merge")):
             for name, child in _children(state, node):
                 if child.type in (mi.ObjectType.Sensor, mi.ObjectType.Integrator):
                     del node.props[name]

@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 from rlbench.render.scene import Camera, SceneError
 
 TURN = np.radians(1.0)  # an orbit's step from frame to frame
-ADVANCE = 0.01  # a dolly's step, of what is left of the way to what it looks at
+ADVANCE = 0.02  # a dolly's step, of what is left of the way to what it looks at
 RIGID = 1e-3  # how far the axes' lengths and angles may be from those of a rotation
 
 Route = Callable[[float], Float[Array, "4 4"]]  # camera-to-world at a time, in frames
@@ -124,7 +124,7 @@ def orbit(start: Float[Array, "4 4"], distance: float, frames: int) -> Route:
 
 
 def dolly(start: Float[Array, "4 4"], distance: float) -> Route:
-    """From `start` towards the point `distance` ahead, one percent of what is left a frame."""
+    """From `start` towards the point `distance` ahead, two percent of what is left a frame."""
 
     def at(time: float) -> Float[Array, "4 4"]:
         made = start.copy()

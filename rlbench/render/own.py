@@ -84,8 +84,7 @@ def ensure_own(
     seen = _looked(scene, route, plan)
     seen = replace(seen, exposure=wish.exposure or seen.exposure)
     tell(
-        f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, "
-        f"exposure {seen.exposure:g}"
+        f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, exposure {seen.exposure:g}"
     )
     return finish([replace(job, scene=seen)])[0]
 
