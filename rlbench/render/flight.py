@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 
 from rlbench.render.scene import Camera, SceneError
 
-TURN = np.radians(1.0)  # an orbit's step from frame to frame
+TURN = np.radians(0.5)  # an orbit's step from frame to frame
 ADVANCE = 0.02  # a dolly's step, of what is left of the way to what it looks at
 RIGID = 1e-3  # how far the axes' lengths and angles may be from those of a rotation
 
@@ -102,7 +102,7 @@ def listed(matrices: Sequence[Float[Array, "4 4"]]) -> Route:
 
 
 def orbit(start: Float[Array, "4 4"], distance: float, frames: int) -> Route:
-    """One degree a frame around the point `distance` ahead; the middle frame is `start`.
+    """Half a degree a frame around the point `distance` ahead; the middle frame is `start`.
 
     The axis is the world's x, y or z, whichever is nearest to the camera's up.
     """

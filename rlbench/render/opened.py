@@ -27,7 +27,7 @@ from numpy import ndarray as Array
 
 from rlbench.render import document, flight
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.scene import Camera, Document, Mesh, Scene, SceneError
+from rlbench.render.scene import Camera, Document, Scene, SceneError
 
 Vertices = Mapping[str, Float[Array, "v 3"]]
 UNSAID = re.compile(r"scene(_v\d+)?", re.IGNORECASE)  # file names that say nothing
@@ -57,8 +57,6 @@ class Opened:
 
     def digest(self, frames: int) -> str:
         """Hash of all that the scene is made of."""
-        if self.scene.document:
-            return self.made_of
         return f"{self.made_of} {fingerprint(self.scene, frames)}"
 
 
@@ -82,7 +80,7 @@ def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> Opened:
         if not isinstance(scene, Scene):
             raise SceneError(f"scene() of {file} returned {type(scene).__name__}, expected Scene")
         found = _from_scene(scene, made_of)
-        return _moved(found, file, hook, {m.name: m for m in scene.meshes}) if hook else found
+        return _moved(found, file, hook) if hook else found
     if not (hook and isinstance(getattr(module, "SCENE", None), str)):
         raise SceneError(
             f"{file} defines neither scene(), nor SCENE (the name of an XML file) and "
@@ -90,15 +88,14 @@ def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> Opened:
         )
     found = _from_xml(Document(file.parent / module.SCENE, parameters))
     found = replace(found, made_of=f"{made_of} {found.made_of}")
-    assert found.scene.document
-    return _moved(found, file, hook, document.meshes(found.scene.document))
+    return _moved(found, file, hook)
 
 
 def _from_xml(asked: Document) -> Opened:
     facts = document.read(asked)
     stem = asked.file.stem
     name = asked.file.resolve().parent.name if UNSAID.fullmatch(stem) else stem
-    scene = Scene(name, name, (), lambda time: Camera((0, 0, 0), (0, 0, 1)), document=asked)
+    scene = Scene(name, name, (), lambda time: Camera((0, 0, 0), (0, 1, 0)), document=asked)
     scene = replace(scene, depth=facts.depth)
     return Opened(
         scene,
@@ -112,17 +109,16 @@ def _from_xml(asked: Document) -> Opened:
 
 
 def _from_scene(scene: Scene, made_of: str) -> Opened:
-    first = scene.camera(0.0)
-    still = scene.static
-    return Opened(
-        scene, scene.name, made_of, flight.matrix(first), first.fov, flies=True, moves=not still
-    )
+    first, moves = scene.camera(0.0), not scene.static
+    if scene.document:
+        made_of = f"{made_of} {document.read(scene.document).digest}"
+    return Opened(scene, scene.name, made_of, flight.matrix(first), first.fov, True, moves)
 
 
-def _moved(
-    found: Opened, file: Path, hook: Callable[..., Any], meshes: Mapping[str, Mesh]
-) -> Opened:
+def _moved(found: Opened, file: Path, hook: Callable[..., Any]) -> Opened:
     """`found` with the meshes that `hook` moves; at and before time 0 they are as at time 0."""
+    plan = found.scene.document
+    meshes = document.meshes(plan) if plan else {mesh.name: mesh for mesh in found.scene.meshes}
     rest = {name: mesh.vertices for name, mesh in meshes.items()}
 
     def moving(time: float) -> Vertices:
@@ -204,6 +200,7 @@ def _told(file: Path) -> Iterator[None]:
         raise
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
-        line = next((f.lineno for f in reversed(frames) if Path(f.filename) == file), None)
+        here = file.resolve()
+        line = next((f.lineno for f in reversed(frames) if Path(f.filename) == here), None)
         place = f"{file}, line {line}" if line else str(file)
         raise SceneError(f"{place}: {type(error).__name__}: {error}") from error

@@ -22,7 +22,7 @@ from rlbench.render.record import finish
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.trace import open_tracer
 
-FOLDER = "own"  # of these clips, in the cache
+FOLDER = "own-"  # of these clips in the cache, with the preset's name
 STEP = 16  # pixels: widths and heights that are chosen here are multiples of it
 
 
@@ -34,7 +34,7 @@ class Wish:
     camera: str = ""  # still, orbit, dolly, or a JSON file; else the Scene's own, or an orbit
     frames: int | None = None  # else as many as there are matrices, or as the preset has
     size: tuple[int, int] | None = None  # height, width; else the film's shape, as many pixels
-    exposure: float | None = None  # else a Scene's own, or of an XML by sight.exposure
+    exposure: float | None = None  # else a Scene's own, or of an XML that of sight.survey
     parameters: tuple[tuple[str, str], ...] = ()  # of an XML file's <default> names
     out: Path | None = None  # the clip's folder; else one in the cache
 
@@ -75,33 +75,36 @@ def ensure_own(
     route = _route(wish, found)
     plan = replace(preset, frames=_frames(wish, route, preset), size=_size(wish, found, preset))
     name = re.sub(r"[^\w.-]+", "-", f"{found.name}-{route.kind}")
+    folder = wish.out or paths.clips() / f"{FOLDER}{preset.name}" / name
+    if folder.exists() and not folder.is_dir():
+        raise SceneError(f"--out {folder} is a file; it takes a folder, which need not exist")
     scene = _scene(wish, found, route, plan)
-    job = Job(name, scene, plan, wish.out or paths.clips() / FOLDER / name)
+    job = Job(name, scene, plan, folder)
     if job.finished:
         return job.folder
     for note in found.notes:
         tell(note)
-    seen = _looked(scene, route, plan)
-    seen = replace(seen, exposure=wish.exposure or seen.exposure)
+    seen, usual = _looked(scene, route, plan)
+    own = seen.exposure if found.flies else usual
+    seen = replace(seen, exposure=wish.exposure or own)
     tell(
         f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, exposure {seen.exposure:g}"
     )
     return finish([replace(job, scene=seen)])[0]
 
 
-def _looked(scene: Scene, route: _Route, plan: Preset) -> Scene:
-    """`scene` on its route, after a look at every frame; a document also gets its exposure."""
+def _looked(scene: Scene, route: _Route, plan: Preset) -> tuple[Scene, float]:
+    """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
     tracer = open_tracer(scene, *plan.size)
     if route.kind in ("orbit", "dolly"):
         away, start = sight.distance(tracer), route.matrices[0]
         orbit = route.kind == "orbit"
         path = flight.orbit(start, away, plan.frames) if orbit else flight.dolly(start, away)
         tracer.scene = replace(scene, camera=route.camera(path))
-    exposure = sight.exposure(tracer, plan.frames)
-    seen = replace(tracer.scene, exposure=exposure) if scene.document else tracer.scene
+    exposure, seen = sight.survey(tracer, plan.frames), tracer.scene
     del tracer
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    return seen
+    return seen, exposure
 
 
 def _route(wish: Wish, found: Opened) -> _Route:
@@ -138,9 +141,9 @@ def _size(wish: Wish, found: Opened, preset: Preset) -> tuple[int, int]:
 
 def _scene(wish: Wish, found: Opened, route: _Route, plan: Preset) -> Scene:
     """The scene as far as it is known before it is looked at, with the hash of its origin."""
-    path = Path(wish.camera)
-    camera = path.read_text() if path.suffix == ".json" and path.is_file() else route.kind
-    words = f"{found.digest(plan.frames)} {camera} {route.fov} exposure {wish.exposure}"
+    matrices = [matrix.tolist() for matrix in route.matrices]
+    path = f"{route.kind} {matrices} {route.fov}"
+    words = f"{found.digest(plan.frames)} {path} exposure {wish.exposure}"
     own = route.kind == "own"
     return replace(
         found.scene,

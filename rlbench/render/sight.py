@@ -35,8 +35,8 @@ def distance(tracer: Tracer) -> float:
     return float(f"{np.median(seen):.3g}")
 
 
-def exposure(tracer: Tracer, frames: int) -> float:
-    """What radiance is to be multiplied by for a picture of usual brightness, to two digits.
+def survey(tracer: Tracer, frames: int) -> float:
+    """Look at every frame, and say what exposure shows them at a usual brightness, to two digits.
 
     The log-average luminance over 8 x 8 areas of all frames becomes 0.18 (Reinhard et al. 2002,
     Photographic Tone Reproduction), or less if more than 5 % of the areas would exceed white.
