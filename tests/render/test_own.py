@@ -10,11 +10,13 @@ from typer.testing import CliRunner
 from rlbench import table
 from rlbench.cli import app
 from rlbench.clips import open_clip, read_header, verify
-from rlbench.render import sight
+from rlbench.render import flight, sight
+from rlbench.render.opened import opened
 from rlbench.render.own import Wish, ensure_own
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from rlbench.render.trace import open_tracer
+from rlbench.render.views import views
 from tests.render.worlds import looking_down
 
 H, W, FOV = 32, 48, 60.0
@@ -240,6 +242,30 @@ def test_an_instance_is_seen_and_stands_still_beside_what_moves(room):
     middle = slice(H // 2 - 3, H // 2 + 3), slice(W // 2 - 3, W // 2 + 3)
     assert (buffer(clip, "depth", 2)[middle] < 4 - RADIUS / 2).all()
     assert not buffer(clip, "motion", 2)[middle].any()
+
+
+def test_no_kernel_is_compiled_after_the_first_frame_of_a_document(room):
+    import drjit as dr
+
+    hook = room.with_name("waves.py")
+    hook.write_text(HOOK)
+    path = flight.listed(PASSING)
+    scene = replace(opened(hook).scene, camera=lambda time: flight.camera(path(time), FOV))
+    tracer = open_tracer(scene, H, W)
+
+    def work(time):
+        tracer.set_time(time)
+        views(tracer)
+        tracer.stack(2)
+
+    work(0.0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        work(1.0)
+        work(2.0)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
 
 
 def test_what_is_rendered_otherwise_than_asked_is_said(room):
