@@ -6,7 +6,7 @@ RESULTS := results
 REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn,mean
 
-.PHONY: demo test test-all format clean
+.PHONY: demo docs test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench render --preset mini
@@ -14,6 +14,11 @@ demo: .venv/run.stamp
 	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
 	@echo
 	@echo "Pareto plot and tables: $(REPORT)/"
+
+# what the README shows
+docs: demo
+	mkdir -p docs
+	cp $(REPORT)/pareto.png $(REPORT)/summary.md docs/
 
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .

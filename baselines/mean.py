@@ -22,7 +22,7 @@ FAMILY = Family(
     title="Monte-Carlo average",
     paper="Kajiya 1986, The Rendering Equation",
     licence="Apache-2.0",
-    variants={"": Variant("what does one get for the samples alone?", TRAITS, learned=False)},
+    variants={"": Variant("What does one get for the samples alone?", TRAITS, learned=False)},
     build="baselines.mean:build",
 )
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rlbench.doctor import Finding
 
 COLUMNS = {  # of `rlbench list`, in their order
-    "methods": ("name", "paper", "licence", "needs", "spp", "adapts"),
+    "methods": ("name", "question", "needs", "spp", "adapts"),
     "metrics": ("name", "unit", "better", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "purpose"),
 }

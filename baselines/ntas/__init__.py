@@ -21,7 +21,7 @@ FAMILY = Family(
     ),
     licence="Apache-2.0",
     variants={
-        "": Variant("adaptive samples and hierarchical kernels, both with warped feedback", TRAITS),
+        "": Variant("How far do predicted kernels and a map from the last frame get?", TRAITS),
     },
     build="baselines.ntas.method:build",
     train="baselines.ntas.train:trainer",

@@ -15,7 +15,7 @@ FAMILY = Family(
     "Denoising for Real-Time Path Tracing",
     licence="Apache-2.0",
     variants={
-        "": Variant("Does learned sampling with a latent state pay?", TRAITS),
+        "": Variant("Do learned sampling and a latent state pay?", TRAITS),
         "A2": Variant(
             "Is planning worth its time? (uniform sampling)", Traits(TRAITS.needs, temporal=True)
         ),

@@ -1,0 +1,46 @@
+"""Shipped weights: what they were trained on is fair, and equal for all that are compared."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from rlbench import registry
+from rlbench.weights import digest, read_card
+
+ROOT = Path(__file__).parent.parent
+SHIPPED = sorted(ROOT.glob("*/*/cards/*.safetensors"))
+NAMES = [path.stem for path in SHIPPED]
+RENDERED = ("city", "temple", "hall", "ripples")  # what is scored
+
+shipped = pytest.mark.parametrize("path", SHIPPED, ids=NAMES)
+
+
+def test_every_learned_method_ships_weights():
+    names = [n for family in registry.names("methods") for n in registry.family(family).names()]
+    learned = [name for name in names if registry.variant(name).learned]
+    assert {name.rpartition("/")[2] for name in learned} == set(NAMES)
+
+
+@shipped
+def test_weights_are_those_that_their_card_describes(path):
+    card = read_card(path)
+    assert card.sha256 == digest(path)
+    assert card.name.rpartition("/")[2] == path.stem
+    assert math.isfinite(card.seconds)
+    assert card.command.startswith("rlbench train")
+
+
+@shipped
+def test_no_scene_that_is_scored_was_trained_on(path):
+    trained = {clip.split()[0] for clip in read_card(path).data}
+    assert trained
+    assert not [name for name in trained for scored in RENDERED if scored in name]
+
+
+@shipped
+def test_every_learned_method_saw_the_same_frames(path):
+    card, first = read_card(path), read_card(SHIPPED[0])
+    assert (card.data, card.frames_seen, card.seed) == (first.data, first.frames_seen, first.seed)
