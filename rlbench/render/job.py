@@ -33,8 +33,10 @@ class Job:
 
     @property
     def missing(self) -> list[int]:
-        """Frames that are not wholly there."""
-        return [i for i in range(self.preset.frames) if not has_frame(self.folder, i, POOLS)]
+        """Frames that are not wholly there, or are of another scene or preset."""
+        ours = _marked(self.folder) == self.mark
+        there = [ours and has_frame(self.folder, i, POOLS) for i in range(self.preset.frames)]
+        return [i for i, whole in enumerate(there) if not whole]
 
     @property
     def mark(self) -> str:
@@ -47,8 +49,7 @@ class Job:
     @property
     def finished(self) -> bool:
         """Is there a header, and every frame, of this very scene?"""
-        whole = (self.folder / FILE).is_file() and not self.missing
-        return whole and _marked(self.folder) == self.mark
+        return (self.folder / FILE).is_file() and not self.missing
 
     def claim(self) -> None:
         """Say what the frames of a folder are, after removing those of another scene or preset.
