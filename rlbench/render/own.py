@@ -95,7 +95,8 @@ def ensure_own(
 
 def _looked(scene: Scene, route: _Route, plan: Preset) -> tuple[Scene, float]:
     """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
-    tracer = open_tracer(scene, *plan.size)
+    with sight.told():
+        tracer = open_tracer(scene, *plan.size)
     if route.kind in ("orbit", "dolly"):
         away, start = sight.distance(tracer), route.matrices[0]
         orbit = route.kind == "orbit"

@@ -45,7 +45,7 @@ def survey(tracer: Tracer, frames: int) -> float:
     if not tracer.mitsuba.emitters():
         raise SceneError("the scene has no light: every picture would be black; add an emitter")
     bright, seen = [], False
-    with _told(tracer):
+    with told():
         for index in range(frames):
             tracer.set_time(float(index))
             found = np.isfinite(_hits(tracer)[0])
@@ -124,8 +124,8 @@ def _told_point(point: Any) -> str:
 
 
 @contextmanager
-def _told(tracer: Tracer) -> Iterator[None]:
-    """What Mitsuba refuses to trace, such as spectra that RGB rendering lacks, as SceneError."""
+def told() -> Iterator[None]:
+    """What Mitsuba refuses, such as spectra that RGB rendering lacks, as SceneError."""
     try:
         yield
     except RuntimeError as error:

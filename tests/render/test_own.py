@@ -428,6 +428,12 @@ def test_more_frames_than_matrices_are_refused(room):
         ("def scene():\n    return 3", "returned int, expected Scene"),
         ("def scene():\n    return 1 / 0", "line 2: ZeroDivisionError"),
         ("def scene(:", "SyntaxError"),
+        (
+            PYTHON.replace("room()", "looking_down({'type': 'unobtainium'})").replace(
+                "import room", "import looking_down"
+            ),
+            "cannot trace.*unobtainium",
+        ),
         (HOOK.replace('{"Flag"', '{"Pole"'), "moves 'Pole'; .*: Flag"),
         (HOOK.replace('{"Flag"', '{"Ball"'), "moves 'Ball'"),
         (HOOK.replace('rest["Flag"] +', ""), r"shape \[3\], expected finite.*\[3, 3\]"),
