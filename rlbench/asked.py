@@ -6,6 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 if TYPE_CHECKING:
     import torch
 
@@ -76,6 +78,51 @@ def generated(preset: str) -> list[Path]:
             f"nothing may be trained on it; there is: {fit}"
         )
     return rendered(None, preset)
+
+
+def own_scene(
+    scene: Path | None,
+    scenes: list[str] | None,
+    preset: str,
+    camera: str | None,
+    frames: int | None,
+    size: str | None,
+    exposure: float | None,
+    define: list[str] | None,
+    out: Path | None,
+) -> Path:
+    """The clip folder of one's own scene; what is missing of it is rendered now."""
+    if scene is None or scenes:
+        raise AskedError(
+            "--camera, --frames, --size, --exposure, --define and --out belong to --scene FILE, "
+            "which is given without --scenes"
+        )
+    from rlbench.render.own import Wish, ensure_own
+    from rlbench.render.presets import preset as preset_of
+
+    if exposure is not None and not 0 < exposure < float("inf"):
+        raise AskedError(f"--exposure takes a number above 0 and was given {exposure}")
+    if wrong := [item for item in define or () if not item.partition("=")[0] or "=" not in item]:
+        raise AskedError(f"--define takes name=value and was given '{wrong[0]}'")
+    pairs = [item.partition("=") for item in define or ()]
+    wish = Wish(
+        file=scene,
+        camera=camera or "",
+        frames=frames,
+        size=_size(size) if size else None,
+        exposure=exposure,
+        parameters=tuple((name, value) for name, _, value in pairs),
+        out=out,
+    )
+    return ensure_own(wish, preset_of(preset), lambda words: typer.echo(words, err=True))
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Height and width of `WxH`. Raises AskedError."""
+    wide, _, high = text.partition("x")
+    if not (wide.isdecimal() and high.isdecimal() and int(wide) and int(high)):
+        raise AskedError(f"--size takes width x height, such as 320x192, and was given '{text}'")
+    return int(high), int(wide)
 
 
 def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:

@@ -142,8 +142,18 @@ def render(
     cap: Annotated[
         float | None, typer.Option(help="dim every sample to so many times display white")
     ] = None,
+    scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
+    camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
+    frames: Annotated[int | None, typer.Option(min=1)] = None,
+    size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
+    exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,
+    define: Annotated[list[str] | None, typer.Option("--define", "-D", help="name=value")] = None,
+    out: Annotated[Path | None, typer.Option(help="the clip's folder")] = None,
 ) -> None:
     """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
+
+    With --scene it is one clip of a scene of yours, and only then are the options below it of use:
+    see docs/scenes.md. What they do not say is as in the preset.
 
     Examples:
 
@@ -154,8 +164,17 @@ def render(
       rlbench render --scenes city,hall --preset standard
 
       rlbench render --cap 64
+
+      rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
+
+      rlbench render --scene mine.py --camera path.json --out clips/mine
     """
-    for folder in asked.rendered(scenes, preset, cap):
+    own = (camera, frames, size, exposure, define, out)
+    if scene or any(own):
+        folders = [asked.own_scene(scene, scenes, preset, *own)]
+    else:
+        folders = asked.rendered(scenes, preset, cap)
+    for folder in folders:
         typer.echo(folder)
 
 

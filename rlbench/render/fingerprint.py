@@ -19,7 +19,10 @@ def fingerprint(scene: Scene, frames: int) -> str:
 
     Numbers enter rounded, and arrays as sums, so that the last bit of a sine, which differs from
     one machine to another, does not matter; a change too small to be seen may be missed.
+    A user's scene has an `origin` in place of all this.
     """
+    if scene.origin:
+        return _hash(f"{RECIPE} {scene.origin}")
     words = [f"{RECIPE} {scene.exposure} {scene.depth} {scene.static}", _words(scene.sky)]
     for mesh in scene.meshes:
         words += [mesh.name, str(mesh.smooth), f"{len(mesh.faces)} faces"]
@@ -27,7 +30,11 @@ def fingerprint(scene: Scene, frames: int) -> str:
     for time in (0.0, frames - 1.0):
         pose = Pose.of(scene, time)
         words += [_words([pose.axes(), pose.camera.origin, pose.camera.fov, *pose.vertices])]
-    return hashlib.blake2b("\n".join(words).encode(), digest_size=8).hexdigest()
+    return _hash("\n".join(words))
+
+
+def _hash(words: str) -> str:
+    return hashlib.blake2b(words.encode(), digest_size=8).hexdigest()
 
 
 def _words(value: Any) -> str:

@@ -35,12 +35,12 @@ class Job:
 
     @property
     def missing(self) -> list[int]:
-        """Frames that are not wholly there."""
-        return [
-            i
-            for i in range(self.preset.frames)
-            if not has_frame(self.folder, i, POOLS) or self.spent(i) == 0
-        ]
+        """Frames that are not wholly there, or are of another scene or preset."""
+        ours = marked(self.folder) == self.mark
+        return [i for i in range(self.preset.frames) if not (ours and self._there(i))]
+
+    def _there(self, index: int) -> bool:
+        return has_frame(self.folder, index, POOLS) and self.spent(index) > 0
 
     def spent(self, index: int) -> int:
         """Samples per pixel of a frame's reference, both halves; 0 where that is not known."""
@@ -61,8 +61,7 @@ class Job:
     @property
     def finished(self) -> bool:
         """Is there a header, and every frame, of this very scene?"""
-        whole = (self.folder / FILE).is_file() and not self.missing
-        return whole and marked(self.folder) == self.mark
+        return (self.folder / FILE).is_file() and not self.missing
 
     def claim(self) -> None:
         """Say what the frames of a folder are, after removing those of another scene or preset.

@@ -48,6 +48,11 @@ def ensure(
     names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
     made = {name: named(name) for name in names}
     jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
+    return finish(jobs, progress)
+
+
+def finish(jobs: list[Job], progress: Progress | None = None) -> list[Path]:
+    """The folders of clips of one preset, after rendering what is missing of them."""
     if unfinished := [job for job in jobs if not job.finished]:
         with _shown(progress) as bar:
             _render_all(unfinished, bar)
@@ -135,7 +140,7 @@ def _header(job: Job, tracer: Tracer) -> Header:
         buffers=job.buffers,
         pools=POOLS,
         static=scene.static,
-        licence="Apache-2.0",
+        licence=scene.licence,
         sample_ms=tracer.sample_ms(),
         device=machine().cpu,
     )

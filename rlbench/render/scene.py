@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,18 @@ class Camera:
 
 
 @dataclass(frozen=True)
+class Document:
+    """A Mitsuba XML file, whose shapes, materials and lights only Mitsuba knows."""
+
+    file: Path
+    parameters: tuple[tuple[str, str], ...] = ()  # values for names that it has a <default> of
+
+
+class SceneError(ValueError):
+    """A user's scene that cannot be rendered as asked."""
+
+
+@dataclass(frozen=True)
 class Scene:
     """One animated scene. Time is in frames from 0; the same time always gives the same pose."""
 
@@ -50,3 +63,6 @@ class Scene:
     exposure: float = 1.0  # radiance is multiplied by this so that 1.0 is display white
     depth: int = 8  # longest light path, in edges
     static: bool = False  # neither camera nor meshes move
+    document: Document | None = None  # replaces sky and all meshes; `meshes` are those that move
+    origin: str = ""  # hash of what a user's scene is made of; replaces its fingerprint
+    licence: str = "Apache-2.0"  # of the pixels

@@ -42,8 +42,9 @@ def views(
     hit, mesh, face, u, v, *shaded = tracer.each(
         lambda ray: _look(tracer, ray, "albedo" in needs), film
     )
-    found = {"albedo": np.stack(shaded[:3], 1), "normal": np.stack(shaded[3:], 1)}
-    now, before = _points(tracer, hit > 0, mesh, face, u, v, film)
+    found = {"albedo": np.stack(shaded[:3], 1), "normal": np.stack(shaded[3:6], 1)}
+    fixed = np.stack(shaded[6:], 1) if tracer.scene.document else None
+    now, before = _points(tracer, hit > 0, mesh, face, u, v, film, fixed)
     here, depth = tracer.pose.project(now, height, width)
     found["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
     there, _ = Pose.of(tracer.scene, tracer.time - 1).project(before, height, width)
@@ -92,21 +93,22 @@ def albedo(tracer: Tracer, ray: Any) -> Any:
 
 
 def _look(tracer: Tracer, ray: Any, coloured: bool) -> tuple[Any, ...]:
-    """Is there a hit? Mesh, face and place in it; albedo and normal."""
+    """Is there a hit? Mesh, face and place in it; albedo, normal; of a document, where it is."""
     import drjit as dr
     import mitsuba as mi
 
     hit = tracer.mitsuba.ray_intersect_preliminary(ray)
     valid = hit.is_valid()
     if valid is False:
-        return (0.0,) * 11
+        return (0.0,) * (14 if tracer.scene.document else 11)
     surface = hit.compute_surface_interaction(ray, active=valid)
     normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1, 1)
     normal = dr.select(valid, normal, mi.Normal3f(0))
     colour = albedo(tracer, ray) if coloured else mi.Color3f(0)
     place = dr.select(valid, mi.Point2f(hit.prim_uv), mi.Point2f(0))
     where = (tracer.mesh(hit), dr.select(valid, hit.prim_index, mi.UInt32(0)), place.x, place.y)
-    return (dr.select(valid, mi.Float(1), mi.Float(0)), *where, *colour, *normal)
+    point = dr.select(valid, surface.p, mi.Point3f(0)) if tracer.scene.document else ()
+    return (dr.select(valid, mi.Float(1), mi.Float(0)), *where, *colour, *normal, *point)
 
 
 def _reflectance(context: Any, bsdf: Any, surface: Any, active: Any) -> Any:
@@ -132,15 +134,30 @@ def _fraction(number: Any) -> Any:
 
 
 def _points(
-    tracer: Tracer, hit: Array, mesh: Array, face: Array, u: Array, v: Array, film: Array
+    tracer: Tracer,
+    hit: Array,
+    mesh: Array,
+    face: Array,
+    u: Array,
+    v: Array,
+    film: Array,
+    fixed: Array | None,
 ) -> tuple[Float[Array, "p 4"], Float[Array, "p 4"]]:
-    """What is seen at each pixel, now and one frame earlier; directions where nothing is hit."""
+    """What is seen at each pixel, now and one frame earlier; directions where nothing is hit.
+
+    `fixed` are the points hit, which stay where they are unless they are of `scene.meshes`.
+    """
     meshes, earlier = tracer.scene.meshes, Pose.of(tracer.scene, tracer.time - 1)
     sky = np.column_stack(
         [tracer.pose.directions(film, tracer.height, tracer.width), np.zeros(len(film))]
     )
+    rest = sky
+    if fixed is not None:
+        rest = np.where(hit[:, None], np.column_stack([fixed, np.ones(len(film))]), sky)
     if not meshes:
-        return sky, sky
+        return rest, rest
+    moves = hit & (mesh < len(meshes))
+    mesh, face = np.where(moves, mesh, 0), np.where(moves, face, 0)
     first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces.astype(np.int64) + f for m, f in zip(meshes, first[:-1], strict=True)]
     corners = np.concatenate(faces)
@@ -151,6 +168,6 @@ def _points(
     def place(pose: Pose) -> Array:
         vertices = np.concatenate(pose.vertices).astype(np.float64)
         points = np.column_stack([(vertices[corners] * shares).sum(1), np.ones(len(film))])
-        return np.where(hit[:, None], points, sky)
+        return np.where(moves[:, None], points, rest)
 
     return place(tracer.pose), place(earlier)

@@ -57,7 +57,10 @@ class Wavefront(Tracer):
         return [np.broadcast_to(quantity.numpy(), len(film)) for quantity in found]
 
     def mesh(self, hit: Any) -> Any:
-        """The place in `scene.meshes` of what each preliminary intersection has hit."""
+        """The place in `scene.meshes` of what each preliminary intersection has hit.
+
+        What is none of them, as most of a document is not, has the place after the last.
+        """
         import drjit as dr
         import mitsuba as mi
 
@@ -81,8 +84,9 @@ class Wavefront(Tracer):
         shapes = self.mitsuba.shapes()
         pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in shapes]
         numbers = [int(pointer[0]) for pointer in pointers]
-        places = np.zeros(max(2, *numbers) + 1, np.uint32)
-        places[numbers] = [names.index(s.id()) for s in shapes]
+        known = {name: place for place, name in enumerate(names)}
+        places = np.full(max([2, *numbers]) + 1, len(names), np.uint32)
+        places[numbers] = [known.get(s.id(), len(names)) for s in shapes]
         return load.upload(mi.UInt32, places)
 
     def _look(self) -> None:

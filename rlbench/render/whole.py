@@ -45,8 +45,11 @@ class Whole(Tracer):
         return list(np.array([look(ray) for ray in rays]).T)
 
     def mesh(self, hit: Any) -> Any:
-        """The place in `scene.meshes` of what a preliminary intersection has hit."""
-        return self._places[hit.shape.id()] if hit.is_valid() else 0
+        """The place in `scene.meshes` of what a preliminary intersection has hit, or the next."""
+        if not hit.is_valid():
+            return 0
+        name = hit.shape.id() if hit.shape is not None else ""
+        return self._places.get(name, len(self._places))
 
     @cached_property
     def _places(self) -> dict[str, int]:

@@ -105,6 +105,11 @@ def test_a_changed_scene_replaces_its_frames(clip):
     assert not set(contents(clip).values()) & {before["view.0000.exr"], before["view.0002.exr"]}
 
 
+def test_frames_of_a_changed_scene_count_as_missing(clip):
+    assert job(clip).missing == []
+    assert job(clip, replace(room(), depth=3)).missing == [0, 1, 2]
+
+
 def test_frames_of_another_origin_are_not_removed(llvm, tmp_path):
     (tmp_path / "view.0000.exr").write_bytes(b"somebody's work")
     with pytest.raises(ClipError, match="did not write"):

@@ -1,0 +1,156 @@
+"""A user's own scene as a clip: opened, given a camera path, looked at, exposed, rendered."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from rlbench import paths
+from rlbench.render import flight, llvm, sight
+from rlbench.render.job import Job
+from rlbench.render.opened import Opened, opened
+from rlbench.render.presets import Preset
+from rlbench.render.record import finish
+from rlbench.render.scene import Camera, Scene, SceneError
+from rlbench.render.trace import open_tracer
+
+FOLDER = "own-"  # of these clips in the cache, with the preset's name
+STEP = 16  # pixels: widths and heights that are chosen here are multiples of it
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of a user's scene file."""
+
+    file: Path
+    camera: str = ""  # still, orbit, dolly, or a JSON file; else the Scene's own, or an orbit
+    frames: int | None = None  # else as many as there are matrices, or as the preset has
+    size: tuple[int, int] | None = None  # height, width; else the film's shape, as many pixels
+    exposure: float | None = None  # else a Scene's own, or of an XML that of sight.survey
+    parameters: tuple[tuple[str, str], ...] = ()  # of an XML file's <default> names
+    out: Path | None = None  # the clip's folder; else one in the cache
+
+
+@dataclass(frozen=True)
+class _Route:
+    """How the camera goes: by itself ("own"), through matrices, or from the first of them."""
+
+    kind: str  # own, still, orbit, dolly, or the name of a JSON file
+    matrices: tuple[Float[Array, "4 4"], ...] = ()
+    fov: float = 60.0
+
+    @property
+    def fixed(self) -> bool:
+        """Is it the same matrix throughout?"""
+        first = self.matrices[:1]
+        return self.kind not in ("own", "orbit", "dolly") and all(
+            (m == first[0]).all() for m in self.matrices
+        )
+
+    def camera(self, path: flight.Route | None = None) -> Callable[[float], Camera]:
+        """The pinhole on `path`, or else through the matrices."""
+        route = path or flight.listed(self.matrices)
+        return lambda time: flight.camera(route(time), self.fov)
+
+
+def ensure_own(
+    wish: Wish, preset: Preset, tell: Callable[[str], None] = lambda words: None
+) -> Path:
+    """The clip folder of a user's scene, after rendering what is missing of it.
+
+    Nothing is written before the whole camera path was looked at. `tell` hears what was decided,
+    and what is rendered otherwise than the file says. Raises SceneError where the scene cannot be
+    rendered as asked, and ClipError where `out` holds frames of another origin.
+    """
+    llvm.activate()
+    found = opened(wish.file, wish.parameters)
+    route = _route(wish, found)
+    plan = replace(preset, frames=_frames(wish, route, preset), size=_size(wish, found, preset))
+    name = re.sub(r"[^\w.-]+", "-", f"{found.name}-{route.kind}")
+    folder = wish.out or paths.clips() / f"{FOLDER}{preset.name}" / name
+    if folder.exists() and not folder.is_dir():
+        raise SceneError(f"--out {folder} is a file; it takes a folder, which need not exist")
+    scene = _scene(wish, found, route, plan)
+    job = Job(name, scene, plan, folder)
+    if job.finished:
+        return job.folder
+    for note in found.notes:
+        tell(note)
+    seen, usual = _looked(scene, route, plan)
+    own = seen.exposure if found.flies else usual
+    seen = replace(seen, exposure=wish.exposure or own)
+    tell(
+        f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, exposure {seen.exposure:g}"
+    )
+    return finish([replace(job, scene=seen)])[0]
+
+
+def _looked(scene: Scene, route: _Route, plan: Preset) -> tuple[Scene, float]:
+    """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
+    with sight.told():
+        tracer = open_tracer(scene, *plan.size)
+    if route.kind in ("orbit", "dolly"):
+        away, start = sight.distance(tracer), route.matrices[0]
+        orbit = route.kind == "orbit"
+        path = flight.orbit(start, away, plan.frames) if orbit else flight.dolly(start, away)
+        tracer.scene = replace(scene, camera=route.camera(path))
+    exposure, seen = sight.survey(tracer, plan.frames), tracer.scene
+    del tracer
+    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
+    return seen, exposure
+
+
+def _route(wish: Wish, found: Opened) -> _Route:
+    kind = wish.camera or ("own" if found.flies else "orbit")
+    fov = found.fov
+    if kind == "own":
+        return _Route(kind)
+    if kind in ("still", "orbit", "dolly"):
+        return _Route(kind, (found.start(),), fov)
+    matrices, given = flight.read(Path(kind))
+    return _Route(Path(kind).stem, tuple(matrices), given or fov)
+
+
+def _frames(wish: Wish, route: _Route, preset: Preset) -> int:
+    there = len(route.matrices)
+    if route.kind in ("own", "still", "orbit", "dolly"):
+        return wish.frames or preset.frames
+    if wish.frames and wish.frames > there:
+        raise SceneError(
+            f"--frames {wish.frames}: {wish.camera} has {there} matrices, one a frame; "
+            f"ask for {there} at most"
+        )
+    return wish.frames or there
+
+
+def _size(wish: Wish, found: Opened, preset: Preset) -> tuple[int, int]:
+    """Height and width: as asked, or about as many pixels as the preset's in the film's shape."""
+    if wish.size or not found.aspect:
+        return wish.size or preset.size
+    height = math.sqrt(preset.size[0] * preset.size[1] / found.aspect)
+    high, wide = (max(1, round(side / STEP)) * STEP for side in (height, height * found.aspect))
+    return high, wide
+
+
+def _scene(wish: Wish, found: Opened, route: _Route, plan: Preset) -> Scene:
+    """The scene as far as it is known before it is looked at, with the hash of its origin."""
+    matrices = [matrix.tolist() for matrix in route.matrices]
+    path = f"{route.kind} {matrices} {route.fov}"
+    words = f"{found.digest(plan.frames)} {path} exposure {wish.exposure}"
+    own = route.kind == "own"
+    return replace(
+        found.scene,
+        name=found.name,
+        camera=found.scene.camera if own else route.camera(),
+        static=found.scene.static if own else route.fixed and not found.moves,
+        origin=hashlib.blake2b(words.encode(), digest_size=16).hexdigest(),
+        licence="",  # of the scene's author
+    )
