@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 BLOCK = 8  # pixels: noise of neighbours inside it may belong together
+AROUND = 9  # pixels: surroundings of one
 EPS = 1e-2  # of the mean radiance: keeps black pixels from weighing most
 
 
@@ -37,6 +38,16 @@ def ratio(upper: Float[Tensor, "n 3 h w"], lower: Float[Tensor, "n 3 h w"]) -> t
     total = bottom.sum().clamp_min(1e-20)
     quotient = top.sum() / total
     return float(quotient), float((top - quotient * bottom).square().sum().sqrt() / total)
+
+
+def weight(reference: Float[Tensor, "t 3 h w"]) -> Float[Tensor, "t 3 h w"]:
+    """1 / radiance ^ 2 of the surroundings, so that errors count relative to what is there.
+
+    Of the surroundings, not of the pixel, whose own noise would go into its weight.
+    """
+    padded = F.pad(reference.clamp_min(0), [AROUND // 2] * 4, mode="replicate")
+    around = F.avg_pool2d(padded, AROUND, 1) + EPS * reference.mean().clamp_min(1e-12)
+    return around.square().reciprocal()
 
 
 def _blocks(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " blocks"]:

@@ -1,6 +1,8 @@
-"""Do all buffers lie the same way up? Edges of each are laid over edges of the reference."""
+"""Do all buffers lie the same way up? Edges of each are laid over those of the others."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
@@ -11,52 +13,82 @@ from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.lint.footage import Footage
 
 CHECK = "orientation"
-BETTER = 0.08  # of correlation, by which another way must be better
-WEAK = 0.05  # correlation below which edges say nothing
-WAYS = {
-    "as it is": lambda e: e,
-    "upside down": lambda e: e.flip(-2),
-    "left to right": lambda e: e.flip(-1),
-    "turned by 180 degrees": lambda e: e.flip(-1, -2),
+AROUND = 9  # pixels: ranks of edges are compared with their surroundings
+BETTER = 0.05  # of correlation, by which another way must be better; chance is below 0.02 on ours
+WAYS: dict[str, Callable[[Tensor], Tensor]] = {
+    "as it is": lambda image: image,
+    "upside down": lambda image: image.flip(-2),
+    "left to right": lambda image: image.flip(-1),
+    "turned by 180 degrees": lambda image: image.flip(-1, -2),
 }
 
 
 def orientation(footage: Footage) -> Finding:
-    """Do view and samples lie as the reference does, rows from the top, columns from the left?"""
-    anchor = _edges(footage.reference.clamp_min(0).add(1e-3).log())
-    images = dict(footage.view)
-    if "depth" in images:
-        images["depth"] = 1 / images["depth"].abs().clamp_min(1e-6)
-    images |= {f"pool {k}": p.mean(1).clamp_min(0).add(1e-3).log() for k, p in footage.pools.items()}
-    wrongly, told = [], []
-    for name, image in images.items():
-        own = _edges(image)
-        fit = {way: correlation(turn(own), anchor) for way, turn in WAYS.items()}
-        way = max(fit, key=lambda each: fit[each])
-        if fit[way] - fit["as it is"] > BETTER:
-            wrongly.append(f"{name} is {way} ({fit[way]:.2f} against {fit['as it is']:.2f})")
-        told.append(f"{name} {fit['as it is']:.2f}")
-    if wrongly:
-        remedy = "write rows from the top and columns from the left; negate motion's axis too"
-        return wrong(CHECK, f"against the reference, {'; '.join(wrongly)}", remedy)
-    if len(images) and all(float(t.rsplit(" ", 1)[1]) < WEAK for t in told):
-        return odd(CHECK, "edges are too few to tell", "look at the picture")
-    return fine(CHECK, f"edges lie on those of the reference: {', '.join(told)}")
+    """Do view and samples lie as the reference does, rows from the top, columns from the left?
+
+    Edges of albedo, normal, depth and samples are correlated with those of the reference, edges of
+    motion with those of depth and normal. A clip of which all is upside down has no such fault.
+    """
+    edges = {name: _edges(_plain(name, image)) for name, image in footage.view.items()}
+    light = _detail(_log(footage.reference))
+    compared = {
+        name: (edge, _edges(_log(footage.reference)))
+        for name, edge in edges.items()
+        if name != "motion"
+    }
+    if "motion" in edges and {"normal", "depth"} <= set(edges):
+        compared["motion"] = (edges["motion"], edges["normal"] + edges["depth"])
+    compared |= {f"pool {k}": (_detail(_log(p.mean(1))), light) for k, p in footage.pools.items()}
+    found = {
+        name: {way: _correlation(turn(own), anchor) for way, turn in WAYS.items()}
+        for name, (own, anchor) in compared.items()
+    }
+    return _judge(found)
 
 
-def correlation(one: Tensor, other: Tensor) -> float:
-    """Pearson's, over all values; 0 where one is constant."""
-    one, other = one - one.mean(), other - other.mean()
-    size = one.norm() * other.norm()
-    return float((one * other).sum() / size) if float(size) > 1e-12 else 0.0
+def _judge(found: dict[str, dict[str, float]]) -> Finding:
+    best = {name: max(fit, key=lambda way: fit[way]) for name, fit in found.items()}
+    amiss = [
+        f"{name} is {best[name]} ({fit[best[name]]:.2f} against {fit['as it is']:.2f})"
+        for name, fit in found.items()
+        if fit[best[name]] - fit["as it is"] > BETTER
+    ]
+    if amiss:
+        remedy = "write rows from the top and columns from the left; motion's axis turns with them"
+        return wrong(CHECK, f"by its edges, {'; '.join(amiss)}", remedy)
+    told = ", ".join(f"{name} {fit['as it is']:.2f}" for name, fit in found.items())
+    if all(fit["as it is"] < BETTER for fit in found.values()):
+        return odd(CHECK, f"edges are too few to tell: {told}", "look at the picture")
+    return fine(CHECK, f"edges lie on those of the reference: {told}")
+
+
+def _plain(name: str, image: Tensor) -> Tensor:
+    return 1 / image.abs().clamp_min(1e-6) if name == "depth" else image
+
+
+def _log(radiance: Tensor) -> Tensor:
+    return (radiance.clamp_min(0) + 1e-2 * radiance.mean().clamp_min(1e-6)).log()
 
 
 def _edges(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
-    """Ranks of how much a slightly blurred image changes from pixel to pixel, in 0..1."""
-    blurred = F.avg_pool2d(F.pad(image, (1, 1, 1, 1), mode="replicate"), 3, 1)
-    across = (blurred[..., :-1, 1:] - blurred[..., :-1, :-1]).abs()
-    down = (blurred[..., 1:, :-1] - blurred[..., :-1, :-1]).abs()
-    change = (across + down).sum(1, keepdim=True)
-    flat = change.flatten(1)
-    ranks = flat.argsort(1).argsort(1).float() / max(flat.shape[1] - 1, 1)
-    return ranks.view_as(change)
+    """How much a pixel differs from the one before it, as a detail of ranks."""
+    change = torch.zeros_like(image[:, :1])
+    change[..., 1:] += (image[..., 1:] - image[..., :-1]).abs().sum(1, keepdim=True)
+    change[..., 1:, :] += (image[..., 1:, :] - image[..., :-1, :]).abs().sum(1, keepdim=True)
+    return _detail(change)
+
+
+def _detail(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
+    """Ranks in 0..1 of the mean channel, less the mean of their surroundings.
+
+    Gradients over the whole image, which are the same in two mirrored ones, fall out.
+    """
+    flat = image.mean(1).flatten(1)
+    ranks = (flat.argsort(1).argsort(1).float() / flat.shape[1]).view_as(image[:, :1])
+    margin = [AROUND // 2] * 4
+    return ranks - F.avg_pool2d(F.pad(ranks, margin, mode="replicate"), AROUND, 1)
+
+
+def _correlation(one: Tensor, other: Tensor) -> float:
+    one, other = one - one.mean(), other - other.mean()
+    return float((one * other).sum() / (one.norm() * other.norm()).clamp_min(1e-9))
