@@ -56,7 +56,9 @@ def colour_slopes(footage: Footage) -> Float[Tensor, " pairs"]:
     found = []
     for axis in (-1, -2):
         usable = _one_surface(footage, axis)
-        usable = usable & (_at(stored, axis, 0) > DARK).all(1) & (_at(stored, axis, GAP) > DARK).all(1)
+        usable = (
+            usable & (_at(stored, axis, 0) > DARK).all(1) & (_at(stored, axis, GAP) > DARK).all(1)
+        )
         for inner, outer in ((0, -1), (GAP, GAP + 1)):
             usable = usable & _level(log, axis, inner, outer)
         change = _at(log, axis, GAP) - _at(log, axis, 0)

@@ -11,37 +11,39 @@ from rlbench.lint.footage import Footage
 from rlbench.lint.geometry import Fit, fits
 from rlbench.lint.motion import motion
 from rlbench.lint.normals import normals, unit
-from rlbench.lint.orientation import orientation
+from rlbench.lint.orientation import amiss, orientation, righted, ways
 from rlbench.lint.reference import ceiling, exposure, halves
 from rlbench.lint.samples import brightness, neighbours, samples, seeds
 from rlbench.lint.values import finite, positive
 
 SHOTS = 3  # frames whose normals are compared with their depth
-TOO_SMALL = 16  # pixels: a side below which statistics over pixels say nothing
 
 
 def examine(footage: Footage) -> list[Finding]:
     """What every check says; nothing is changed.
 
-    Values that are not finite are told by one check, and are 0 for all others.
+    Values that are not finite are told by one check, and are 0 for all others; pools that lie
+    another way up are told by one, and turned for the others.
     """
     sound = footage.sound
-    found = geometry(sound)
+    found, lying = geometry(sound), ways(sound)
+    upright = not {"albedo", "normal", "depth"} & set(amiss(lying))
+    light = righted(sound, lying)
     return [
         finite(footage),
         positive(sound),
         motion(sound),
         depth(sound, found),
-        normals(sound, found),
+        normals(sound, found, upright),
         albedo(sound),
-        orientation(sound),
-        samples(sound),
-        neighbours(sound),
-        seeds(sound),
-        brightness(sound),
-        halves(sound),
-        ceiling(sound),
-        exposure(sound),
+        orientation(lying),
+        samples(light),
+        neighbours(light),
+        seeds(light),
+        brightness(light),
+        halves(light),
+        ceiling(light),
+        exposure(light),
     ]
 
 

@@ -26,7 +26,9 @@ def depth(footage: Footage, fits: dict[str, Fit]) -> Finding:
     stored = footage.view["depth"]
     seen = stored[stored.isfinite()]
     if not len(seen) or float(seen.max()) <= 0:
-        return wrong(CHECK, "no pixel has a depth above 0", "write distance along the view axis, > 0")
+        return wrong(
+            CHECK, "no pixel has a depth above 0", "write distance along the view axis, > 0"
+        )
     if float((seen < 0).float().mean()) > 0:
         told = f"{(seen < 0).float().mean():.1%} of pixels are negative"
         return wrong(CHECK, told, "negate it if the camera looks along -z; nothing is behind it")

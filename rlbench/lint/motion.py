@@ -68,9 +68,7 @@ def readings() -> list[Reading]:
     return [Reading(*part) for part in parts]
 
 
-def explained(
-    footage: Footage, reading: Reading, frames: Sequence[int]
-) -> Float[Tensor, " pairs"]:
+def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Float[Tensor, " pairs"]:
     """Share of the change between two frames that a reading explains, at each of `frames`.
 
     The change is the sum over pixels of the logarithm of the difference in albedo, normal and
@@ -78,48 +76,55 @@ def explained(
     than without motion, below 0 where it is worse. Logarithms, so that a pixel that was hidden
     weighs no more than one that fits. Motion that leads outside the image explains nothing.
     """
-    shares = []
+    shares, step = [], DIRECTIONS[reading.direction]
+    pictures = _pictures(footage)
     for index in frames:
         motion = reading.pixels(footage.view["motion"][index, None])
-        step = DIRECTIONS[reading.direction]
-        still, _ = _doubt(footage, index, step, torch.zeros_like(motion))
-        moved, valid = _doubt(footage, index, step, motion)
+        now, other = pictures[index, None], pictures[index + step, None]
+        still, _ = _doubt(now, other, torch.zeros_like(motion))
+        moved, valid = _doubt(now, other, motion)
         shares.append(((still - moved) * valid).sum() / still.sum().clamp_min(1e-9))
     return torch.stack(shares)
 
 
+def _pictures(footage: Footage) -> Float[Tensor, "t 7 h w"]:
+    """Albedo and normal, each with standard deviation 1, and disparity; 0 for what is not there."""
+    like, view = footage.a, footage.view
+    found = [view.get(name, torch.zeros_like(like)) for name in ("albedo", "normal")]
+    found = [image / image.std().clamp_min(1e-6) for image in found]
+    depth = view.get("depth", torch.full_like(like[:, :1], torch.inf))
+    return torch.cat([*found, 1 / depth.abs().clamp_min(1e-6)], 1)
+
+
 def _doubt(
-    footage: Footage, index: int, step: int, motion: Float[Tensor, "1 2 h w"]
+    now: Float[Tensor, "1 7 h w"], other: Float[Tensor, "1 7 h w"], motion: Float[Tensor, "1 2 h w"]
 ) -> tuple[Float[Tensor, "1 1 h w"], Bool[Tensor, "1 1 h w"]]:
-    """Mean over the buffers of log(1 + difference / floor), and where motion stays inside."""
-    other = {name: image[index + step, None] for name, image in footage.view.items()}
-    _, inside = reproject(motion, motion)
-    found = []
-    for name in ("albedo", "normal"):
-        if name in other:
-            image = footage.view[name]
-            spread = image.std().clamp_min(1e-6)
-            found.append(_least(image[index, None], other[name], motion) / spread)
-    if "depth" in other:
-        now, before = (1 / d.abs().clamp_min(1e-6) for d in (footage.view["depth"][index, None], other["depth"]))
-        found.append(_least(now * _approach(now, before, motion), before, motion) / now.clamp_min(1e-9))
-    return torch.stack([(f / FLOOR).log1p() for f in found]).mean(0), inside
+    """Mean over the buffers of log(1 + difference / floor), and where motion stays inside.
 
-
-def _least(now: Tensor, other: Tensor, motion: Tensor) -> Tensor:
-    """[1 1 h w] The difference to the moved picture, or to the most alike of its four taps.
-
-    Between the taps of an edge lies a mixture that neither picture shows.
+    The difference is that to the moved picture, or to the most alike of its four taps: between the
+    taps of an edge lies a mixture that neither picture shows.
     """
-    least = (reproject(other, motion)[0] - now).abs().mean(1, keepdim=True)
+    moved, inside = reproject(other, motion)
+    near = now[:, 6:]
+    now = torch.cat((now[:, :6], near * _approach(near, moved[:, 6:], inside)), 1)
+    least = _differences(now, moved)
     for x, y in product((torch.floor, torch.ceil), (torch.floor, torch.ceil)):
         tap, valid = reproject(other, torch.stack((x(motion[:, 0]), y(motion[:, 1])), 1))
-        difference = (tap - now).abs().mean(1, keepdim=True)
-        least = torch.where(valid, least.minimum(difference), least)
-    return least
+        least = torch.where(valid, least.minimum(_differences(now, tap)), least)
+    least = least / torch.cat(
+        (torch.ones_like(near), torch.ones_like(near), near.clamp_min(1e-9)), 1
+    )
+    return (least / FLOOR).log1p().mean(1, keepdim=True), inside
 
 
-def _approach(now: Tensor, before: Tensor, motion: Tensor) -> Tensor:
+def _differences(now: Tensor, other: Tensor) -> Float[Tensor, "1 3 h w"]:
+    """Of albedo, normal and disparity."""
+    apart = (now - other).abs()
+    parts = (apart[:, :3].mean(1), apart[:, 3:6].mean(1), apart[:, 6])
+    return torch.stack(parts, 1)
+
+
+def _approach(now: Tensor, moved: Tensor, inside: Tensor) -> Tensor:
     """[1 1 h w] By what disparity must be multiplied to become that of the other pose's camera.
 
     A static point at (x z, y z, z) has depth a x z + b y z + c z + d in another pose, whatever the
@@ -127,7 +132,6 @@ def _approach(now: Tensor, before: Tensor, motion: Tensor) -> Tensor:
     interpolated, for on planes it is linear in the image.
     """
     h, w = now.shape[-2:]
-    moved, inside = reproject(before, motion)
     some = ((now > 0) & (moved > 0) & inside)[0, 0]
     x = torch.linspace(-1, 1, w).expand(h, w)
     y = torch.linspace(-1, 1, h)[:, None].expand(h, w)
@@ -193,7 +197,9 @@ def motion(footage: Footage) -> Finding:
     each = explained(footage, STORED, range(1, len(footage)))
     if float(each.min()) < CUT * float(each.median()):
         frame = int(each.argmin()) + 1
-        return odd(CHECK, f"{told}; but {each.min():.0%} in frame {frame}", "fine if there is a cut")
+        return odd(
+            CHECK, f"{told}; but {each.min():.0%} in frame {frame}", "fine if there is a cut"
+        )
     return fine(CHECK, told)
 
 

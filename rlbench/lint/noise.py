@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 BLOCK = 8  # pixels: noise of neighbours inside it may belong together
-AROUND = 9  # pixels: surroundings of one
+AROUND = 17  # pixels: surroundings of one
 EPS = 1e-2  # of the mean radiance: keeps black pixels from weighing most
 
 
@@ -40,14 +40,20 @@ def ratio(upper: Float[Tensor, "n 3 h w"], lower: Float[Tensor, "n 3 h w"]) -> t
     return float(quotient), float((top - quotient * bottom).square().sum().sqrt() / total)
 
 
-def weight(reference: Float[Tensor, "t 3 h w"]) -> Float[Tensor, "t 3 h w"]:
-    """1 / radiance ^ 2 of the surroundings, so that errors count relative to what is there.
+def level(image: Float[Tensor, "t 3 h w"]) -> Float[Tensor, "t 3 h w"]:
+    """Mean of the surroundings of each pixel, >= 0, and above 0 where the image is not black.
 
-    Of the surroundings, not of the pixel, whose own noise would go into its weight.
+    Noise is told relative to it, and not to the pixel, whose own noise would go into its weight.
     """
-    padded = F.pad(reference.clamp_min(0), [AROUND // 2] * 4, mode="replicate")
-    around = F.avg_pool2d(padded, AROUND, 1) + EPS * reference.mean().clamp_min(1e-12)
-    return around.square().reciprocal()
+    padded = F.pad(image.clamp_min(0), [AROUND // 2] * 4, mode="reflect")
+    return F.avg_pool2d(padded, AROUND, 1) + EPS * image.mean().clamp_min(1e-12)
+
+
+def alike(
+    pool: Float[Tensor, "t s 3 h w"], reference: Float[Tensor, "t 3 h w"]
+) -> Float[Tensor, "t s 3 h w"]:
+    """The samples, scaled to the reference's brightness, so that other checks do not depend on it."""
+    return pool * (reference.sum() / pool.mean(1).sum().clamp_min(1e-12))
 
 
 def _blocks(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " blocks"]:

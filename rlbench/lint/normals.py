@@ -33,10 +33,11 @@ def encoded(normal: Float[Tensor, "t 3 h w"]) -> bool:
     return float(normal.min()) >= 0 and _share_of_unit(2 * normal - 1) > 0.9
 
 
-def normals(footage: Footage, fits: dict[str, Fit]) -> Finding:
+def normals(footage: Footage, fits: dict[str, Fit], upright: bool = True) -> Finding:
     """Are normals in world space, of unit length, 0 for background?
 
-    `fits` are those of `rlbench.lint.geometry.fits`, for this footage.
+    `fits` are those of `rlbench.lint.geometry.fits`, for this footage; `upright` says that the view
+    is not itself mirrored, for then world-space normals must seem to be.
     """
     if "normal" not in footage.view:
         return odd(CHECK, "the clip has no normal buffer", "write one if a method is to use it")
@@ -52,7 +53,7 @@ def normals(footage: Footage, fits: dict[str, Fit]) -> Finding:
     if fit.left > POOR:
         told = f"unit length, but {math.degrees(fit.left):.1f} degrees from those that depth gives"
         return odd(CHECK, told, "check by hand that normal and depth are of the same surface")
-    if float(torch.linalg.det(fit.turns).min()) < 0:
+    if upright and float(torch.linalg.det(fit.turns).min()) < 0:
         told = "mirrored: only with one axis flipped do they follow from depth"
         return wrong(CHECK, told, "negate the flipped axis; world space is right-handed")
     return _space(footage, fit)
@@ -67,7 +68,9 @@ def _space(footage: Footage, fit: Fit) -> Finding:
         told = "along the camera's axes, which may be the world's, for it does not turn"
         return odd(CHECK, told, "nothing if the camera looks straight along a world axis")
     told = f"in camera space: they stay along its axes while it turns by {math.degrees(turned):.2f}"
-    return wrong(CHECK, f"{told} degrees a frame", "rotate them by the camera's matrix to world space")
+    return wrong(
+        CHECK, f"{told} degrees a frame", "rotate them by the camera's matrix to world space"
+    )
 
 
 def _to_axes(turn: Tensor) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -23,43 +24,57 @@ WAYS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
-def orientation(footage: Footage) -> Finding:
-    """Do view and samples lie as the reference does, rows from the top, columns from the left?
+def ways(footage: Footage) -> dict[str, dict[str, float]]:
+    """For each buffer, the correlation of its edges in each way to lie, by the name of the way.
 
-    Edges of albedo, normal, depth and samples are correlated with those of the reference, edges of
-    motion with those of depth and normal. A clip of which all is upside down has no such fault.
+    Edges of albedo, normal, depth and samples are laid over those of the reference, edges of motion
+    over those of depth and normal.
     """
     edges = {name: _edges(_plain(name, image)) for name, image in footage.view.items()}
-    light = _detail(_log(footage.reference))
-    compared = {
-        name: (edge, _edges(_log(footage.reference)))
-        for name, edge in edges.items()
-        if name != "motion"
-    }
-    if "motion" in edges and {"normal", "depth"} <= set(edges):
+    lines, light = _edges(_log(footage.reference)), _detail(_log(footage.reference))
+    compared = {name: (edge, lines) for name, edge in edges.items() if name != "motion"}
+    if {"motion", "normal", "depth"} <= set(edges):
         compared["motion"] = (edges["motion"], edges["normal"] + edges["depth"])
-    compared |= {f"pool {k}": (_detail(_log(p.mean(1))), light) for k, p in footage.pools.items()}
-    found = {
+    compared |= {_pool(k): (_detail(_log(p.mean(1))), light) for k, p in footage.pools.items()}
+    return {
         name: {way: _correlation(turn(own), anchor) for way, turn in WAYS.items()}
         for name, (own, anchor) in compared.items()
     }
-    return _judge(found)
 
 
-def _judge(found: dict[str, dict[str, float]]) -> Finding:
+def amiss(found: dict[str, dict[str, float]]) -> dict[str, str]:
+    """The way in which a buffer lies, by name, of those that do not lie as the others do."""
     best = {name: max(fit, key=lambda way: fit[way]) for name, fit in found.items()}
-    amiss = [
-        f"{name} is {best[name]} ({fit[best[name]]:.2f} against {fit['as it is']:.2f})"
-        for name, fit in found.items()
-        if fit[best[name]] - fit["as it is"] > BETTER
-    ]
-    if amiss:
-        remedy = "write rows from the top and columns from the left; motion's axis turns with them"
-        return wrong(CHECK, f"by its edges, {'; '.join(amiss)}", remedy)
+    return {k: w for k, w in best.items() if found[k][w] - found[k]["as it is"] > BETTER}
+
+
+def righted(footage: Footage, found: dict[str, dict[str, float]]) -> Footage:
+    """The footage with its pools as the reference lies, for checks that compare the two."""
+    lying = amiss(found)
+    pools = {k: WAYS[lying.get(_pool(k), "as it is")](p) for k, p in footage.pools.items()}
+    return replace(footage, pools=pools)
+
+
+def orientation(found: dict[str, dict[str, float]]) -> Finding:
+    """Do view and samples lie as the reference does, rows from the top, columns from the left?
+
+    `found` is that of `ways`. A clip of which all is upside down has no such fault.
+    """
     told = ", ".join(f"{name} {fit['as it is']:.2f}" for name, fit in found.items())
+    if lying := amiss(found):
+        parts = (
+            f"{name} is {way} ({found[name][way]:.2f} against {found[name]['as it is']:.2f})"
+            for name, way in lying.items()
+        )
+        remedy = "write rows from the top and columns from the left; motion's axis turns with them"
+        return wrong(CHECK, f"by its edges, {'; '.join(parts)}", remedy)
     if all(fit["as it is"] < BETTER for fit in found.values()):
         return odd(CHECK, f"edges are too few to tell: {told}", "look at the picture")
     return fine(CHECK, f"edges lie on those of the reference: {told}")
+
+
+def _pool(kind: str) -> str:
+    return f"pool {kind}"
 
 
 def _plain(name: str, image: Tensor) -> Tensor:

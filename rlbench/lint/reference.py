@@ -12,10 +12,13 @@ from rlbench.lint import noise
 from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.lint.footage import Footage
 
-LESS, MORE = 0.6, 1.8  # times the noise that the samples predict, that halves may have; ours 0.94-1.2
+LESS, MORE = (
+    0.6,
+    1.8,
+)  # times the noise that the samples predict, that halves may have; ours 0.94-1.2
 SIGMAS = 5.0  # standard errors that it must be away
 FILTERED = 0.1  # correlation of the noise of neighbours, from which on it is filtered
-LOW, TOO_LOW = 28.0, 20.0  # dB
+LOW, TOO_LOW = 28.0, 22.0  # dB
 CLIPPED, ALL = 0.5, 0.95  # share of pixels above display white
 BLACK, DIM = 5e-4, 5e-3  # mean of what is shown, linear
 CAP_DB = 100.0
@@ -27,7 +30,7 @@ def halves(footage: Footage) -> Finding:
     if bool((footage.a == footage.b).all()):
         remedy = "trace two halves with seeds of their own; equal ones hide the reference's noise"
         return wrong(check, "both halves are the same image", remedy)
-    apart = (footage.a - footage.b) / noise.weight(footage.reference).rsqrt()
+    apart = (footage.a - footage.b) / noise.level(footage.reference)
     for one, other in ((apart[..., 1:], apart[..., :-1]), (apart[..., 1:, :], apart[..., :-1, :])):
         alike, error = noise.correlation(one.clamp(-1, 1), other.clamp(-1, 1))
         if alike > max(FILTERED, SIGMAS * error):
@@ -48,13 +51,13 @@ def halves(footage: Footage) -> Finding:
 def half_noise(footage: Footage) -> tuple[float, float]:
     """Variance of the halves' difference over what the samples' variance and spp predict; its error.
 
-    Independent halves have 1. Correlated ones have 1 minus their correlation.
+    Independent halves have 1, correlated ones 1 minus their correlation.
     """
     count = torch.tensor(footage.header.reference_spp[: len(footage)]) / 2
-    pool = next(iter(footage.pools.values()))
+    pool = noise.alike(next(iter(footage.pools.values())), footage.reference)
     if pool.shape[1] < 2 or float(pool.var(1).sum()) == 0:
         return math.nan, 0.0
-    weight = noise.weight(footage.reference)
+    weight = noise.level(footage.reference).square().reciprocal()
     expected = pool.var(1) / count.view(-1, 1, 1, 1)
     return noise.ratio((footage.a - footage.b).square() / 2 * weight, expected * weight)
 

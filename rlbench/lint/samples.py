@@ -40,9 +40,13 @@ def samples(footage: Footage) -> Finding:
             return (wrong if excess > MUCH else odd)(check, what, RESEED)
         common, error = _common(footage, kind)
         if common > max(COMMON, SIGMAS * error):
-            what = f"pool {kind}: their mean errs {1 + common:.1f} times as much as their scatter says"
+            what = (
+                f"pool {kind}: their mean errs {1 + common:.1f} times as much as their scatter says"
+            )
             return wrong(check, f"{what}, so all share some noise", RESEED)
-        told.append(f"pool {kind}: pairs correlate by at most {excess:.3f} +- {pairs[worst][1]:.3f}")
+        told.append(
+            f"pool {kind}: pairs correlate by at most {excess:.3f} +- {pairs[worst][1]:.3f}"
+        )
     return fine(check, "; ".join(told))
 
 
@@ -81,14 +85,15 @@ PATTERN = {
 def seeds(footage: Footage) -> Finding:
     """Are the samples independent of the reference?
 
-    The difference of the halves is all noise. By symmetry nothing that is independent of both can
-    correlate with it, whatever its distribution; a sample that is in one half does.
+    The difference of the halves is all noise, of mean zero: nothing that is independent of both
+    can correlate with it, whatever its distribution; a sample that is in one half does. Samples
+    that are in both are told by `rlbench.lint.reference.halves`.
     """
-    check, level = "seeds", footage.reference + noise.EPS * footage.reference.mean()
-    apart = (footage.a - footage.b) / (footage.a + footage.b + level).clamp_min(1e-12)
-    told = []
+    check, told = "seeds", []
+    apart = footage.a - footage.b
+    apart = (apart / noise.level(apart.abs())).clamp(-2, 2)  # fireflies would hide all others
     for kind, pool in footage.pools.items():
-        share = pool / (pool + level[:, None]).clamp_min(1e-12)
+        share = pool / (pool + noise.level(pool.mean(1))[:, None])
         share = share - share.mean()
         looks = {f"sample {slot}": share[:, slot] for slot in range(pool.shape[1])}
         found = {k: noise.correlation(v, apart) for k, v in looks.items()}
@@ -97,8 +102,12 @@ def seeds(footage: Footage) -> Finding:
         value, error = found[worst]
         if abs(value) > max(SHARED, SIGMAS * error):
             half = "A" if value > 0 else "B"
-            what = f"pool {kind}: {worst} correlates by {abs(value):.3f} with the noise of half {half}"
-            remedy = "trace pool and reference with seeds that never meet, or methods see the answer"
+            what = (
+                f"pool {kind}: {worst} correlates by {abs(value):.3f} with the noise of half {half}"
+            )
+            remedy = (
+                "trace pool and reference with seeds that never meet, or methods see the answer"
+            )
             return wrong(check, what, remedy)
         told.append(f"pool {kind}: {value:+.3f} +- {error:.3f} with the reference's noise at most")
     return fine(check, "; ".join(told))
@@ -122,9 +131,8 @@ def _common(footage: Footage, kind: str) -> tuple[float, float]:
     (m - A)(m - B) is an unbiased estimate of the error of the mean m, for the halves are
     independent. m is brought to the reference's brightness first, which is another check's.
     """
-    pool = footage.pools[kind]
-    pool = pool / max(noise.ratio(pool.mean(1), footage.reference)[0], 1e-9)
-    weight = noise.weight(footage.reference)
+    pool = noise.alike(footage.pools[kind], footage.reference)
+    weight = noise.level(footage.reference).square().reciprocal()
     error = (pool.mean(1) - footage.a) * (pool.mean(1) - footage.b)
     value, scatter = noise.ratio(error * weight, pool.var(1) / pool.shape[1] * weight)
     return value - 1, scatter

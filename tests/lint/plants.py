@@ -16,11 +16,13 @@ from rlbench.frames import Size
 from rlbench.lint.footage import Footage
 from rlbench.procedural import procedural
 
-POOL, HALF = 8, 96  # samples of the pool, and of each half of the reference
+POOL, HALF = 8, 256  # samples of the pool, and of each half of the reference
 Fault = Callable[[Footage], Footage]
 
 
-def clean(seed: int = 0, height: int = 72, width: int = 96, frames: int = 4, half: int = HALF) -> Footage:
+def clean(
+    seed: int = 0, height: int = 72, width: int = 96, frames: int = 4, half: int = HALF
+) -> Footage:
     """A procedural clip whose reference halves are means of other samples than the pool's."""
     clip = procedural(seed, Size(1, height, width), frames, POOL + 2 * half, speed=1.5)
     shots = list(clip)
@@ -102,9 +104,9 @@ def distance(footage: Footage) -> Footage:
 
 
 def normalised(footage: Footage) -> Footage:
-    return view("depth", lambda d: d / d[d.isfinite()].max())(footage) if False else view(
-        "depth", lambda d: d / d.where(d.isfinite(), 0.0).amax((1, 2, 3), keepdim=True)
-    )(footage)
+    """By the largest of each frame."""
+    most = footage.view["depth"].where(footage.solid, 0.0).amax((1, 2, 3), keepdim=True)
+    return view("depth", lambda d: d / most)(footage)
 
 
 def camera_space(footage: Footage) -> Footage:
@@ -192,12 +194,6 @@ def few_samples(footage: Footage) -> Footage:
     """A reference of 2 samples, as clip.toml says."""
     drawn = clean(int(footage.header.name.rsplit("-", 1)[1]), half=1)
     return replace(drawn, header=drawn.header)
-
-
-def clipped(footage: Footage) -> Footage:
-    """Everything after a display transform that clips, as from PNG files."""
-    cut = [image.clamp_max(1.0) for image in (footage.a, footage.b)]
-    return replace(footage, a=cut[0], b=cut[1], pools={"path": footage.pools["path"]})
 
 
 FAULTS: dict[str, tuple[str, Fault]] = {  # what is wrong: the check that must say so, the fault
