@@ -1,4 +1,4 @@
-"""The command line: run, list, render, train, report, regress, doctor."""
+"""The command line: run, list, render, train, report, regress, doctor, lint."""
 
 from __future__ import annotations
 
@@ -269,6 +269,29 @@ def doctor(plugin: Plugins = None) -> None:
     from rlbench.doctor import examine
 
     show.findings(examine())
+
+
+@app.command()
+def lint(
+    clips: Annotated[list[Path], typer.Argument(help="a clip folder, or one of such")],
+    picture: Annotated[Path | None, typer.Option(help="a PNG to write; one for each clip")] = None,
+    frames: Annotated[int, typer.Option(min=0, help="first frames to look at; 0 is all")] = 8,
+) -> None:
+    """Prove a clip's conventions: motion, depth, normals, albedo, samples, reference.
+
+    Exit code 1 if a check fails.
+
+    Examples:
+
+      rlbench lint my_renders/atrium
+
+      rlbench lint my_renders/ --picture lint.png --frames 0
+    """
+    from rlbench.lint.clip import lint as examine
+    from rlbench.source import below
+
+    folders = [folder for place in clips for folder in below(place)]
+    raise typer.Exit(0 if examine(folders, picture, frames) else 1)
 
 
 def _use(plugins: list[Path] | None) -> None:

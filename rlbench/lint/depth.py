@@ -1,4 +1,4 @@
-"""Which kind of depth it is: along the axis, to the eye, inverse, normalised; and its background."""
+"""Which kind of depth it is: along the axis, to the eye, inverse, normalised; its background."""
 
 from __future__ import annotations
 

@@ -43,6 +43,7 @@ class Reading:
         return ordered * factor.view(1, 2, 1, 1)
 
     def __str__(self) -> str:
+        """Both channels in their order, and what they mean."""
         x, y = ("-" * (sign < 0) for sign in self.signs)
         axes = f"({y}y, {x}x)" if self.swapped else f"({x}x, {y}y)"
         return f"{axes} in {self.scale}, {self.direction}"
@@ -188,7 +189,7 @@ def motion(footage: Footage) -> Finding:
     margin = TWIN if rival == OPPOSITE else TIE
     other = next(f"{s:.0%} by {r}" for r, s in found if r not in (STORED, OPPOSITE))
     if share - stored > margin:
-        told = f"as {rival} it explains {share:.0%} of the change, as format v1's {STORED} {stored:.0%}"
+        told = f"{share:.0%} of the change is explained as {rival}; {stored:.0%} as {STORED}"
         return wrong(CHECK, told, f"convert it from {rival}")
     if stored < NOTHING:
         told = f"it explains {stored:.0%} of the change between frames; nothing does better"

@@ -1,4 +1,4 @@
-"""Correlations and ratios of noise, each with the standard error that its scatter over blocks gives."""
+"""Correlations and ratios of noise, with the standard error that their scatter over blocks gives."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def level(image: Float[Tensor, "t 3 h w"]) -> Float[Tensor, "t 3 h w"]:
 def alike(
     pool: Float[Tensor, "t s 3 h w"], reference: Float[Tensor, "t 3 h w"]
 ) -> Float[Tensor, "t s 3 h w"]:
-    """The samples, scaled to the reference's brightness, so that other checks do not depend on it."""
+    """The samples in the reference's brightness, so that other checks do not depend on it."""
     return pool * (reference.sum() / pool.mean(1).sum().clamp_min(1e-12))
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.lint.footage import Footage
-from rlbench.lint.geometry import KINDS, VIEW, Fit, positions
+from rlbench.lint.geometry import KINDS, Fit, positions
 from rlbench.ops.warp import reproject
 
 CHECK = "normal"

@@ -49,7 +49,7 @@ def halves(footage: Footage) -> Finding:
 
 
 def half_noise(footage: Footage) -> tuple[float, float]:
-    """Variance of the halves' difference over what the samples' variance and spp predict; its error.
+    """Variance of the halves over what the samples' variance and spp predict; its error.
 
     Independent halves have 1, correlated ones 1 minus their correlation.
     """
@@ -57,7 +57,7 @@ def half_noise(footage: Footage) -> tuple[float, float]:
     pool = noise.alike(next(iter(footage.pools.values())), footage.reference)
     if pool.shape[1] < 2 or float(pool.var(1).sum()) == 0:
         return math.nan, 0.0
-    weight = noise.level(footage.reference).square().reciprocal()
+    weight = noise.level((footage.reference + pool.mean(1)) / 2).square().reciprocal()
     expected = pool.var(1) / count.view(-1, 1, 1, 1)
     return noise.ratio((footage.a - footage.b).square() / 2 * weight, expected * weight)
 
@@ -79,8 +79,8 @@ def ceiling_db(footage: Footage) -> float:
 
     The mean of independent halves has half the variance of one, a quarter of their difference's.
     """
-    shown = [_shown(half * footage.header.exposure) for half in (footage.a, footage.b)]
-    mse = float((shown[0] - shown[1]).double().square().mean()) / 4
+    a, b = (shown(half * footage.header.exposure) for half in (footage.a, footage.b))
+    mse = float((a - b).double().square().mean()) / 4
     return min(CAP_DB, -10 * math.log10(max(mse, 1e-30)))
 
 
@@ -96,15 +96,15 @@ def exposure(footage: Footage) -> Finding:
         told = f"{at_top:.1%} of the reference's values are exactly {top:g}"
         return wrong(check, told, "write linear radiance before any display transform")
     luminance = light.mean(1) * footage.header.exposure
-    clipped, shown = float((luminance > 1).float().mean()), float(luminance.clamp(0, 1).mean())
-    told = f"mean {shown:.3f} of display white, {clipped:.1%} of pixels above it"
+    clipped, mean = float((luminance > 1).float().mean()), float(luminance.clamp(0, 1).mean())
+    told = f"mean {mean:.3f} of display white, {clipped:.1%} of pixels above it"
     remedy = f"exposure is {footage.header.exposure:g}: choose another"
-    if clipped > ALL or shown < BLACK:
+    if clipped > ALL or mean < BLACK:
         return wrong(check, told, remedy)
-    return odd(check, told, remedy) if clipped > CLIPPED or shown < DIM else fine(check, told)
+    return odd(check, told, remedy) if clipped > CLIPPED or mean < DIM else fine(check, told)
 
 
-def _shown(radiance: Float[Tensor, "t 3 h w"]) -> Float[Tensor, "t 3 h w"]:
+def shown(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
     """Clipped sRGB (IEC 61966-2-1)."""
     linear = radiance.clamp(0, 1)
     return torch.where(

@@ -1,4 +1,4 @@
-"""Are the stored samples independent: of each other, of their neighbours, of frame and reference?"""
+"""Are the stored samples independent: of each other, of other pixels and frames, of references?"""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def samples(footage: Footage) -> Finding:
             what = f"pool {kind}: samples {worst[0]} and {worst[1]} correlate by {excess:.2f}"
             return (wrong if excess > MUCH else odd)(check, what, RESEED)
         common, error = _common(footage, kind)
-        if common > max(COMMON, SIGMAS * error):
+        if common > max(COMMON, 3 * error):
             what = (
                 f"pool {kind}: their mean errs {1 + common:.1f} times as much as their scatter says"
             )
@@ -94,13 +94,13 @@ def seeds(footage: Footage) -> Finding:
     apart = (apart / noise.level(apart.abs())).clamp(-2, 2)  # fireflies would hide all others
     for kind, pool in footage.pools.items():
         share = pool / (pool + noise.level(pool.mean(1))[:, None])
-        share = share - share.mean()
+        share = share - noise.level(share.mean(1))[:, None]
         looks = {f"sample {slot}": share[:, slot] for slot in range(pool.shape[1])}
         found = {k: noise.correlation(v, apart) for k, v in looks.items()}
         found["their mean"] = noise.correlation(share.mean(1), apart)
         worst = max(found, key=lambda name: abs(found[name][0]) / max(found[name][1], 1e-9))
         value, error = found[worst]
-        if abs(value) > max(SHARED, SIGMAS * error):
+        if abs(value) > max(SHARED, 4 * error):
             half = "A" if value > 0 else "B"
             what = (
                 f"pool {kind}: {worst} correlates by {abs(value):.3f} with the noise of half {half}"

@@ -18,7 +18,7 @@ from rlbench.cli import app
 from tests.conftest import write_noise, write_plugin
 
 CHECKOUT = Path(__file__).parents[2]
-COMMANDS = ("run", "list", "render", "train", "report", "regress", "doctor")
+COMMANDS = ("run", "list", "render", "train", "report", "regress", "doctor", "lint")
 
 
 def rlbench(*words: object, code: int = 0) -> str:
