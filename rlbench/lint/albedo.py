@@ -73,9 +73,10 @@ def colour_slopes(footage: Footage) -> Float[Tensor, " pairs"]:
 def _one_surface(footage: Footage, axis: int) -> Tensor:
     """[t h w] Have both pixels of a pair the same normal and nearly the same depth?"""
     normal, depth = footage.view["normal"], footage.view["depth"]
-    turned = (_at(normal, axis, 0) - _at(normal, axis, GAP)).norm(dim=1)
+    turned: Tensor = (_at(normal, axis, 0) - _at(normal, axis, GAP)).norm(dim=1)
     near, far = _at(depth, axis, 0)[:, 0], _at(depth, axis, GAP)[:, 0]
-    return (turned < 0.03) & near.isfinite() & ((near - far).abs() < 0.05 * near.abs())
+    close: Tensor = near.isfinite() & ((near - far).abs() < 0.05 * near.abs())
+    return close & (turned < 0.03)
 
 
 def _level(log: Tensor, axis: int, inner: int, outer: int) -> Tensor:

@@ -51,6 +51,6 @@ def geometry(footage: Footage) -> dict[str, Fit]:
     """Which kinds of depth fit the normals, over some frames from first to last; maybe none."""
     if not {"depth", "normal"} <= set(footage.view):
         return {}
-    some = torch.linspace(0, len(footage) - 1, min(SHOTS, len(footage))).long().unique()
+    some = torch.linspace(0, len(footage) - 1, min(SHOTS, len(footage))).long()
     stored = footage.view["depth"][some].abs()
     return fits(stored.where(stored > 0, torch.inf), unit(footage.view["normal"][some]))

@@ -18,8 +18,8 @@ def lint(folders: Sequence[Path], picture: Path | None = None, frames: int = 8) 
     """Tell what every check says of each clip folder; has none failed?
 
     Of each clip the first `frames` frames are read (0: all). `picture` is a PNG to write; of
-    several clips each has its own, with the folder's name in it. Raises ClipError where a folder is not a
-    finished clip.
+    several clips each has its own, with the folder's name in it. Raises ClipError where a folder is
+    not a finished clip.
     """
     console, sound = Console(), True
     for folder in folders:

@@ -71,10 +71,10 @@ def read_footage(folder: Path, frames: int = 8) -> Footage:
         return torch.from_numpy(np.stack([p.astype(np.float32) for p in planes]))
 
     view = {name: read("view", [name]) for name in header.buffers}
-    pools = {
-        kind: read(f"pool.{kind}", images(header, f"pool.{kind}")).unflatten(1, (-1, 3))
-        for kind in header.pools
-    }
+    pools = {}
+    for kind in header.pools:
+        planes = read(f"pool.{kind}", images(header, f"pool.{kind}"))
+        pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
     return Footage(header, view, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"]))
 
 

@@ -88,7 +88,7 @@ def geometric(depth: Tensor, place: Point, focal: float) -> Float[Tensor, "t 3 h
     down[..., 1:-1, :] = points[..., 2:, :] - points[..., :-2, :]
     normal = torch.linalg.cross(across, down, dim=1)
     normal = normal * -(normal * points).sum(1, keepdim=True).sign()
-    return normal / normal.norm(dim=1, keepdim=True).clamp_min(1e-30)
+    return torch.nn.functional.normalize(normal, dim=1, eps=1e-30)
 
 
 def positions(depth: Tensor, place: Point, focal: float) -> Float[Tensor, "t 3 h w"]:

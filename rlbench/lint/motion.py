@@ -1,9 +1,8 @@
-"""Which reading of the motion buffer makes one frame the next: signs, axes, scale and direction."""
+"""Which reading of the motion buffer moves one frame onto the next."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import torch
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.lint.footage import Footage
+from rlbench.lint.reading import DIRECTIONS, OPPOSITE, STORED, Reading, readings
 from rlbench.ops.warp import reproject
 
 CHECK = "motion"
@@ -23,50 +23,6 @@ NOTHING = 0.05  # of the change: what explains less does not fit at all
 TIE = 0.04  # of the change: readings that differ less fit alike; measured: at most 0.034 on ours
 CUT = 0.3  # times the median: a frame that is explained less is as after a cut
 TWIN = 0.12  # the same for the opposite way, which differs by acceleration and what is hidden only
-DIRECTIONS = {"to the previous frame": -1, "to the next frame": 1}
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One way to understand the two motion channels; without arguments it is format v1's."""
-
-    swapped: bool = False  # y comes first
-    signs: tuple[int, int] = (1, 1)  # of x and y
-    scale: str = "pixels"
-    direction: str = "to the previous frame"
-
-    def pixels(self, motion: Float[Tensor, "n 2 h w"]) -> Float[Tensor, "n 2 h w"]:
-        """The motion in pixels, x right and y down."""
-        h, w = motion.shape[-2:]
-        ordered = motion.flip(1) if self.swapped else motion
-        factor = torch.tensor(self.signs) * torch.tensor(_scales(h, w)[self.scale])
-        return ordered * factor.view(1, 2, 1, 1)
-
-    def __str__(self) -> str:
-        """Both channels in their order, and what they mean."""
-        x, y = ("-" * (sign < 0) for sign in self.signs)
-        axes = f"({y}y, {x}x)" if self.swapped else f"({x}x, {y}y)"
-        return f"{axes} in {self.scale}, {self.direction}"
-
-
-STORED = Reading()
-OPPOSITE = Reading(False, (-1, -1), "pixels", "to the next frame")
-
-
-def _scales(h: int, w: int) -> dict[str, tuple[float, float]]:
-    return {
-        "pixels": (1.0, 1.0),
-        "half pixels": (0.5, 0.5),
-        "twice pixels": (2.0, 2.0),
-        "NDC (-1..1)": (w / 2, h / 2),
-        "shares of the image (0..1)": (float(w), float(h)),
-    }
-
-
-def readings() -> list[Reading]:
-    """Every combination."""
-    parts = product((False, True), product((1, -1), (1, -1)), _scales(1, 1), DIRECTIONS)
-    return [Reading(*part) for part in parts]
 
 
 def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Float[Tensor, " pairs"]:
@@ -149,7 +105,7 @@ def _approach(now: Tensor, moved: Tensor, inside: Tensor) -> Tensor:
         found = torch.linalg.solve(gram + ridge, few.T @ (weight * wanted))
         left = (few @ found - wanted).abs()
     ratio = (terms @ found.float())[None, None]
-    return 1 / ratio.clamp(0.1, 10)
+    return ratio.clamp(0.1, 10).reciprocal()
 
 
 def best(footage: Footage) -> list[tuple[Reading, float]]:

@@ -1,4 +1,4 @@
-"""Correlations and ratios of noise, with the standard error that their scatter over blocks gives."""
+"""Correlations and ratios of noise, with the standard errors that blocks of pixels give."""
 
 from __future__ import annotations
 

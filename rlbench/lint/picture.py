@@ -71,13 +71,11 @@ def _moved(row: Sequence[Axes], footage: Footage, light: Tensor, last: int) -> N
 
 
 def _buffers(row: Sequence[Axes], footage: Footage, last: int) -> None:
-    looks = {
-        "albedo": lambda image: image.clamp(0, 1) ** (1 / 2.2),
-        "normal": lambda image: (image / 2 + 0.5).clamp(0, 1),
-    }
-    for axes, (name, look) in zip(row[1:], looks.items(), strict=False):
+    for axes, (name, scale, shift) in zip(
+        row[1:], (("albedo", 1.0, 0.0), ("normal", 0.5, 0.5)), strict=False
+    ):
         if name in footage.view:
-            _image(axes, look(footage.view[name][last]), name)
+            _image(axes, (footage.view[name][last] * scale + shift).clamp(0, 1), name)
         else:
             axes.set_axis_off()
     if "depth" in footage.view:
@@ -108,9 +106,12 @@ def _ticks(axes: Axes, findings: Sequence[Finding]) -> None:
         lines = textwrap.wrap(f"{each.check}: {told}", 105)
         axes.text(
             0, y, f"{each.verdict.value}  ", color=COLOURS[each.verdict], fontsize=9,
-            fontweight="bold", va="top", transform=axes.transAxes,
+            fontweight="bold", va="top", transform=axes.transAxes, in_layout=False,
         )  # fmt: skip
-        axes.text(0.13, y, "\n".join(lines), fontsize=8.5, va="top", transform=axes.transAxes)
+        axes.text(
+            0.13, y, "\n".join(lines), fontsize=8.5, va="top", transform=axes.transAxes,
+            in_layout=False,
+        )  # fmt: skip
         y -= 0.042 * len(lines) + 0.012
 
 
