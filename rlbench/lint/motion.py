@@ -105,7 +105,8 @@ def _approach(now: Tensor, moved: Tensor, inside: Tensor) -> Tensor:
         found = torch.linalg.solve(gram + ridge, few.T @ (weight * wanted))
         left = (few @ found - wanted).abs()
     ratio = (terms @ found.float())[None, None]
-    return ratio.clamp(0.1, 10).reciprocal()
+    inverse: Tensor = ratio.clamp(0.1, 10).reciprocal()
+    return inverse
 
 
 def best(footage: Footage) -> list[tuple[Reading, float]]:
