@@ -1,4 +1,4 @@
-"""The command line: run, list, render, import, train, report, regress, doctor."""
+"""The command line: run, list, render, import, lint, train, report, regress, doctor."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
+from rlbench.cli_clips import Preset, Scenes, lint, render
 from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
@@ -44,11 +45,9 @@ app = typer.Typer(
 Methods = Annotated[
     list[str], typer.Option("--methods", "-m", help="names a,b; all; family/*; may be repeated")
 ]
-Scenes = Annotated[list[str] | None, typer.Option("--scenes", help="names a,b; default every one")]
 Plugins = Annotated[
     list[Path] | None, typer.Option("--plugin", help="a Python file with FAMILY or METHODS")
 ]
-Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
 Results = Annotated[Path, typer.Option(help="folder of the results table")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda, or a torch device")]
 
@@ -135,50 +134,9 @@ def list_(
     typer.echo(json.dumps(found, indent=1)) if as_json else show.listed(found)
 
 
-@app.command()
-def render(
-    scenes: Scenes = None,
-    preset: Preset = "mini",
-    cap: Annotated[
-        float | None, typer.Option(help="dim every sample to so many times display white")
-    ] = None,
-    scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
-    camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
-    frames: Annotated[int | None, typer.Option(min=1)] = None,
-    size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
-    exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,
-    define: Annotated[list[str] | None, typer.Option("--define", "-D", help="name=value")] = None,
-    out: Annotated[Path | None, typer.Option(help="the clip's folder")] = None,
-) -> None:
-    """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
-
-    With --scene it is one clip of a scene of yours, and only then are the options below it of use:
-    see docs/scenes.md. What they do not say is as in the preset.
-
-    Examples:
-
-      rlbench render
-
-      rlbench render --preset train
-
-      rlbench render --scenes city,hall --preset standard
-
-      rlbench render --cap 64
-
-      rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
-
-      rlbench render --scene mine.py --camera path.json --out clips/mine
-    """
-    own = (camera, frames, size, exposure, define, out)
-    if scene or any(own):
-        folders = [asked.own_scene(scene, scenes, preset, *own)]
-    else:
-        folders = asked.rendered(scenes, preset, cap)
-    for folder in folders:
-        typer.echo(folder)
-
-
+app.command()(render)
 app.command("import")(import_)
+app.command()(lint)
 
 
 @app.command()

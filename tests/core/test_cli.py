@@ -20,7 +20,17 @@ from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
 
 CHECKOUT = Path(__file__).parents[2]
-COMMANDS = ("run", "list", "render", "import", "train", "report", "regress", "doctor")
+COMMANDS = (
+    "run",
+    "list",
+    "render",
+    "import",
+    "lint",
+    "train",
+    "report",
+    "regress",
+    "doctor",
+)
 
 
 def rlbench(*words: object, code: int = 0) -> str:

@@ -1,0 +1,77 @@
+"""The commands that make clips of scenes, and that prove them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench import asked
+
+Scenes = Annotated[list[str] | None, typer.Option("--scenes", help="names a,b; default every one")]
+Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
+
+
+def render(
+    scenes: Scenes = None,
+    preset: Preset = "mini",
+    cap: Annotated[
+        float | None, typer.Option(help="dim every sample to so many times display white")
+    ] = None,
+    scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
+    camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
+    frames: Annotated[int | None, typer.Option(min=1)] = None,
+    size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
+    exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,
+    define: Annotated[list[str] | None, typer.Option("--define", "-D", help="name=value")] = None,
+    out: Annotated[Path | None, typer.Option(help="the clip's folder")] = None,
+) -> None:
+    """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
+
+    With --scene it is one clip of a scene of yours, and only then are the options below it of use:
+    see docs/scenes.md. What they do not say is as in the preset.
+
+    Examples:
+
+      rlbench render
+
+      rlbench render --preset train
+
+      rlbench render --scenes city,hall --preset standard
+
+      rlbench render --cap 64
+
+      rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
+
+      rlbench render --scene mine.py --camera path.json --out clips/mine
+    """
+    own = (camera, frames, size, exposure, define, out)
+    if scene or any(own):
+        folders = [asked.own_scene(scene, scenes, preset, *own)]
+    else:
+        folders = asked.rendered(scenes, preset, cap)
+    for folder in folders:
+        typer.echo(folder)
+
+
+def lint(
+    clips: Annotated[list[Path], typer.Argument(help="a clip folder, or one of such")],
+    picture: Annotated[Path | None, typer.Option(help="a PNG to write; one for each clip")] = None,
+    frames: Annotated[int, typer.Option(min=0, help="first frames to look at; 0 is all")] = 8,
+) -> None:
+    """Prove a clip's conventions: motion, depth, normals, albedo, samples, reference.
+
+    Exit code 1 if a check fails.
+
+    Examples:
+
+      rlbench lint my_renders/atrium
+
+      rlbench lint my_renders/ --picture lint.png --frames 0
+    """
+    from rlbench.lint.clip import lint as examine
+    from rlbench.source import below
+
+    folders = [folder for place in clips for folder in below(place)]
+    raise typer.Exit(0 if examine(folders, picture, frames) else 1)

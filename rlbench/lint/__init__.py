@@ -1,0 +1,1 @@
+"""Proving what a clip's buffers mean: conventions, independence, noise."""

@@ -1,0 +1,82 @@
+"""All that a clip folder holds, as it lies there: nothing is refused, exposed or repaired."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rlbench.exr import read_exr
+from rlbench.folder import channels, exr_path, images
+from rlbench.header import Header, read_header
+
+
+@dataclass(frozen=True)
+class Footage:
+    """The first t frames of a clip, float32, radiance as traced. Values may be NaN or infinite."""
+
+    header: Header
+    view: Mapping[str, Float[Tensor, "t c h w"]]  # by buffer name
+    pools: Mapping[str, Float[Tensor, "t s 3 h w"]]  # by kind
+    a: Float[Tensor, "t 3 h w"]
+    b: Float[Tensor, "t 3 h w"]
+
+    def __len__(self) -> int:
+        """Number of frames that are here; the clip may have more."""
+        return len(self.a)
+
+    @cached_property
+    def sound(self) -> Footage:
+        """The same with 0 for what is not finite, so that one bad pixel does not spoil all checks.
+
+        Depth keeps +inf, which is background.
+        """
+        view = {
+            name: _sound(v, torch.inf if name == "depth" else 0.0) for name, v in self.view.items()
+        }
+        pools = {kind: _sound(p) for kind, p in self.pools.items()}
+        return Footage(self.header, view, pools, _sound(self.a), _sound(self.b))
+
+    @property
+    def reference(self) -> Float[Tensor, "t 3 h w"]:
+        """The mean of both halves."""
+        return (self.a + self.b) / 2
+
+    @property
+    def solid(self) -> Float[Tensor, "t 1 h w"]:
+        """Where depth says that there is a surface, bool."""
+        depth = self.view["depth"]
+        return depth.isfinite() & (depth != 0)
+
+
+def read_footage(folder: Path, frames: int = 8) -> Footage:
+    """The first `frames` frames of a finished clip (0: all), read past the checks of `open_clip`.
+
+    Raises ClipError where the folder is not a finished clip, or lacks a file or a channel.
+    """
+    header = read_header(folder)
+    kept = range(min(frames or header.frames, header.frames))
+
+    def read(kind: str, names: list[str]) -> Tensor:
+        planes = [
+            read_exr(exr_path(folder, kind, i), channels(names), header.height, header.width)
+            for i in kept
+        ]
+        return torch.from_numpy(np.stack([p.astype(np.float32) for p in planes]))
+
+    view = {name: read("view", [name]) for name in header.buffers}
+    pools = {}
+    for kind in header.pools:
+        planes = read(f"pool.{kind}", images(header, f"pool.{kind}"))
+        pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
+    return Footage(header, view, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"]))
+
+
+def _sound(image: Tensor, positive: float = 0.0) -> Tensor:
+    return image.nan_to_num(nan=0.0, posinf=positive, neginf=0.0)
