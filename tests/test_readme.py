@@ -32,3 +32,16 @@ def test_every_file_that_the_readme_names_is_there():
     )
     assert named
     assert [name for name in named if not (README.parent / name).exists()] == []
+
+
+def test_the_scores_of_the_readme_are_those_of_the_summary():
+    shown = _scores(README.read_text())
+    assert shown
+    assert shown == _scores((README.parent / "docs" / "summary.md").read_text())
+
+
+def _scores(page: str) -> list[list[str]]:
+    """The first table of methods by budgets, without intervals and emphasis."""
+    lines = page[page.index("| method | 0.5 spp |") :].split("\n\n")[0].splitlines()[2:]
+    cells = [[cell.split("[")[0].strip(" *") for cell in line.split("|")[1:-1]] for line in lines]
+    return [[cell.removesuffix(" tie") for cell in line] for line in cells]
