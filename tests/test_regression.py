@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from rlbench import paths, registry, regress, table
@@ -11,7 +13,7 @@ from rlbench.render.llvm import activate
 from rlbench.render.record import ensure
 from rlbench.source import Stored
 
-BASELINE = "tests/regression/mini.json"
+BASELINE = Path(__file__).parent / "regression" / "mini.json"
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from rlbench.render.llvm import activate, libraries
@@ -21,3 +23,12 @@ def variant(request):
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("llvm")
     return activate(request.param)
+
+
+@pytest.fixture(autouse=True)
+def _fast_again():
+    """What a test leaves running is what the next ones get: not the slow variant."""
+    yield
+    running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
+    if running == "scalar_rgb" and not all(library.refused for library in libraries()):
+        activate("llvm_ad_rgb")
