@@ -97,22 +97,27 @@ def train(
     """Train method `name`, resuming what lies in `out`; writes weights and card when it is done.
 
     `out` gets checkpoint.safetensors and log.jsonl while it runs, and NAME.safetensors with its
-    card NAME.toml at the end, or when `minutes` are over. Raises PluginError where there
-    is nothing to train, TrainingError where a loss is not finite or the plan is another one.
+    card NAME.toml at the end, or when `minutes` are over. A training that is done is left as it is.
+    Raises PluginError where there is nothing to train, TrainingError where a loss is not finite or
+    where the plan or the clips are others than those of the checkpoint.
     """
     trainer: Trainer = registry.trainer(name, device, plan.seed)
     trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
     average = copy.deepcopy(trainer.networks)
     optimizer = torch.optim.Adam(_groups(trainer), trainer.peak)
-    progress, kept = Progress(plan=asdict(plan)), out / "checkpoint.safetensors"
+    data = [f"{clip.name} {clip.digest[:12]}" for clip in map(open_clip, train_on)]
+    asked = {**asdict(plan), "data": data}
+    progress, kept = Progress(plan=asked), out / "checkpoint.safetensors"
     if kept.exists():
         progress = Progress(**checkpoint.load(kept, trainer.networks, average, optimizer))
-        if progress.plan != asdict(plan):
+        if progress.plan != asked:
             raise TrainingError(
-                f"{kept} was trained by another plan: {progress.plan}, asked for {asdict(plan)}; "
+                f"{kept} was trained by another plan: {progress.plan}, asked for {asked}; "
                 "ask for the same, or train into another folder"
             )
+        if progress.seen >= plan.frames and _weights(name, out).exists():
+            return progress
     began, before = time.monotonic(), progress.seconds
     while progress.seen < plan.frames and time.monotonic() - began < 60 * minutes:
         due = progress.seen // plan.every
@@ -124,7 +129,7 @@ def train(
             _log(out / "log.jsonl", progress, loss)
             checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
     checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
-    _ship(name, out, average, trainer.peak, plan, progress, train_on, device, command)
+    _ship(name, out, average, trainer.peak, plan, progress, device, command)
     return progress
 
 
@@ -221,15 +226,13 @@ def _ship(
     peak: float,
     plan: Plan,
     progress: Progress,
-    train_on: Sequence[Path],
     device: str,
     command: str,
 ) -> None:
-    family, _, variant = name.partition("/")
     finished = progress.seen >= plan.frames
     card = weights.Card(
         name=name,
-        data=tuple(f"{clip.name} {clip.digest[:12]}" for clip in map(open_clip, train_on)),
+        data=tuple(progress.plan["data"]),
         frames_seen=progress.seen,
         steps=progress.steps,
         seconds=round(progress.seconds),
@@ -241,4 +244,9 @@ def _ship(
         curve=tuple(progress.curve),
         note="" if finished else f"stopped at {progress.seen} of {plan.frames} frames",
     )
-    weights.save(average, out / f"{variant or family}.safetensors", card)
+    weights.save(average, _weights(name, out), card)
+
+
+def _weights(name: str, out: Path) -> Path:
+    family, _, variant = name.partition("/")
+    return out / f"{variant or family}.safetensors"

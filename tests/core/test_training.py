@@ -108,3 +108,19 @@ def test_a_checkpoint_of_another_plan_is_refused(tmp_path):
     trained(tmp_path / "run", clip)
     with pytest.raises(TrainingError, match="another plan"):
         train("oidn", [clip], [clip], tmp_path / "run", Plan(frames=48, crop=16))
+
+
+def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
+    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
+    other = write_noise(tmp_path / "clips" / "other", h=32, w=40)
+    trained(tmp_path / "run", clip)
+    with pytest.raises(TrainingError, match="other"):
+        trained(tmp_path / "run", other)
+
+
+def test_a_training_that_is_done_keeps_its_card(tmp_path):
+    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
+    plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+    train("oidn", [clip], [clip], tmp_path, plan, command="first")
+    train("oidn", [clip], [clip], tmp_path, plan, command="second")
+    assert read_card(tmp_path / "oidn.safetensors").command == "first"
