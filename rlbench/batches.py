@@ -14,6 +14,10 @@ from rlbench.frames import Frame, Reference, View
 from rlbench.sampling import StoredPool
 
 
+class BatchError(ValueError):
+    """Clips of which no batch can be cut."""
+
+
 @dataclass(frozen=True)
 class Augmentation:
     """How a crop is turned. Drawn once a sequence and kept over its frames."""
@@ -60,7 +64,10 @@ class Augmentation:
 
 @dataclass(frozen=True)
 class Batches:
-    """Draws of clips for training; draw `index` is the same in every run with the same seed."""
+    """Draws of clips for training; draw `index` is the same in every run with the same seed.
+
+    Raises BatchError where there is no clip, and at a draw of one that is smaller than a crop.
+    """
 
     folders: Sequence[Path]
     batch: int  # clips advanced together
@@ -68,6 +75,11 @@ class Batches:
     length: int  # frames of a sequence
     seed: int
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuse to draw from nothing."""
+        if not self.folders:
+            raise BatchError("no clips to train on; 'rlbench render --preset train' makes some")
 
     def draw(self, index: int) -> MemoryClip:
         """A clip of `batch` crops side by side, `length` frames long or as long as the shortest."""
@@ -79,6 +91,11 @@ class Batches:
     def _part(self, generator: torch.Generator) -> list[Frame]:
         folder = self.folders[_integer(generator, len(self.folders))]
         clip = open_clip(folder, seed=_integer(generator, 2**31), device=self.device)
+        if self.crop > min(clip.size.h, clip.size.w):
+            raise BatchError(
+                f"crops of {self.crop} x {self.crop} asked for, clip '{clip.name}' has "
+                f"{clip.size.h} x {clip.size.w} pixels; ask for smaller crops"
+            )
         top = _integer(generator, clip.size.h - self.crop + 1)
         left = _integer(generator, clip.size.w - self.crop + 1)
         window = (slice(top, top + self.crop), slice(left, left + self.crop))

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from rlbench import checkpoint
-from rlbench.batches import Augmentation
+from rlbench.batches import Augmentation, BatchError, Batches
 from rlbench.frames import Size
 from rlbench.ops.warp import reproject
 from rlbench.procedural import procedural
@@ -124,3 +124,14 @@ def test_a_training_that_is_done_keeps_its_card(tmp_path):
     train("oidn", [clip], [clip], tmp_path, plan, command="first")
     train("oidn", [clip], [clip], tmp_path, plan, command="second")
     assert read_card(tmp_path / "oidn.safetensors").command == "first"
+
+
+def test_crops_larger_than_a_clip_are_refused(tmp_path):
+    clip = write_noise(tmp_path / "noise", h=32, w=40)
+    with pytest.raises(BatchError, match="48 x 48 asked for, clip 'noise' has 32 x 40"):
+        Batches([clip], batch=1, crop=48, length=2, seed=0).draw(0)
+
+
+def test_batches_of_no_clips_are_refused():
+    with pytest.raises(BatchError, match="render --preset train"):
+        Batches([], batch=1, crop=48, length=2, seed=0)
