@@ -29,7 +29,7 @@ class Request:
     methods: tuple[str, ...]  # family or family/variant
     clips: tuple[Source, ...]
     spp: tuple[float, ...] = SPP  # samples per pixel
-    seeds: tuple[int, ...] = (0,)  # of the order in which samples are sold, and of ties
+    seeds: tuple[int, ...] = (0,)  # of the order in which samples are sold, and of rounding
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     cost: str = cost.MEASURED  # or a profile
     weights: str | None = None  # None for the shipped ones, "random", or a path

@@ -64,7 +64,9 @@ def run(
     pool: Annotated[
         str, typer.Option(help="stored samples, or live: traced when they are bought")
     ] = "stored",
-    seed: Annotated[str, typer.Option(help="one or more, of the order of sale and of ties")] = "0",
+    seed: Annotated[
+        str, typer.Option(help="one or more, of the order of sale and of rounding")
+    ] = "0",
     device: Device = "auto",
     out: Annotated[Path, typer.Option(help="results folder; it is added to")] = Path("results"),
     cost: Annotated[

@@ -23,7 +23,7 @@ def choose(weight: Int[Tensor, "h w"], number: int, key: int) -> Bool[Tensor, "h
     order = hilbert(h, w, weight.device)
     along = weight.flatten()[order]
     ends = along.cumsum(0)
-    marks = (ends.double() * (number / float(ends[-1])) + _shift(key)).floor()
+    marks = (ends.double() * (number / float(ends[-1])) + shift(key)).floor()
     marks[-1] = number
     inside = (torch.diff(marks, prepend=marks.new_zeros(1)) > 0) & (along > 0)
     return torch.empty_like(inside).scatter_(0, order, inside).view(weight.shape)
@@ -48,7 +48,7 @@ def hilbert(h: int, w: int, device: torch.device) -> Int[Tensor, " _"]:
     return along.argsort().to(device)
 
 
-def _shift(key: int) -> float:
+def shift(key: int) -> float:
     """A number in [0, 1) from a key: two rounds of a multiplicative hash, top 32 bits."""
     for factor in (0x9E3779B97F4A7C15, 0xD1342543DE82EF95):
         key = (key * factor + 1) & (2**64 - 1)

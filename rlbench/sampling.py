@@ -129,7 +129,7 @@ def buy(
     if fresh:
         held, low = samples.counts, torch.full_like(samples.counts, floor)
         paid = int(held[0].sum())  # as much in every image
-        keys = tuple(key + 1 for key in pool.keys)  # or ties would fall where the pilot's fell
+        keys = tuple(key + 1 for key in pool.keys)  # or it would round up where the pilot did
         counts = held + spend(wish, cost - paid, low, (pool.cap - held).clamp_max(cap), keys)
     else:
         counts = spend(wish, cost, samples.counts.clamp_min(floor), cap, pool.keys)

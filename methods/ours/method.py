@@ -39,10 +39,9 @@ class Ours:
     """Scardigli et al. 2023: sampler on the warped state, encoder of raw samples, denoiser.
 
     Differs from the paper: the density is the action above the lower end of its range (x + 1, x in
-    [-1, 1]) and not above the frame's least action, which is an outlier of half
-    a million values; networks see linear radiance through a logarithm where the authors' data was
-    8-bit sRGB; a state that comes from outside the image is marked by an exact mask, not by a magic
-    zero.
+    [-1, 1]) and not above the frame's least action, which is an outlier of half a million values;
+    networks see linear radiance through a logarithm where the authors' data was 8-bit sRGB; a state
+    that comes from outside the image is marked by an exact mask, not by a magic zero.
     """
 
     config: Config
