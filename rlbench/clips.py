@@ -136,7 +136,7 @@ def open_clip(
 
 
 def sale(seed: int, name: str, index: int, stored: int) -> tuple[list[int], int]:
-    """The order in which the stored samples of a frame are sold, and the key by which shares are rounded.
+    """The order in which a frame's stored samples are sold, and the key of rounding its shares.
 
     Both are hashes, so they are the same on every machine and with every version of numpy.
     """

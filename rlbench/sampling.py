@@ -62,7 +62,7 @@ class Pool(Protocol):
 
     @property
     def keys(self) -> tuple[int, ...]:
-        """One number a clip in the batch, another in each frame: decides whose share is rounded up."""
+        """One number a clip in the batch, another in each frame: decides who is rounded up."""
 
     def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel, those of `before` included."""
@@ -150,8 +150,9 @@ def spend(
     spread over the image (rlbench.dither), so that counts follow density below one sample too:
     to give what is left to the largest remainders would flatten any density between 0.5 and 1.5
     at 1 spp, and follow the grain of one that is all but flat at 0.5. A density without a positive
-    value is uniform. A pixel that nobody wants still takes what full pixels cannot. Differs from Scardigli et al. 2023, eq. in section 2.3,
-    which rounds each pixel by itself and so misses the budget by up to all of it below 0.5 spp.
+    value is uniform. A pixel that nobody wants still takes what full pixels cannot. Differs from
+    Scardigli et al. 2023, eq. in section 2.3, which rounds each pixel by itself and so misses the
+    budget by up to all of it below 0.5 spp.
     """
     if not torch.isfinite(density).all():
         raise BudgetError("density has values that are not finite; a density is finite and >= 0")

@@ -9,10 +9,9 @@ import torch
 from torch import nn
 
 from methods.ours import FAMILY
-from methods.ours.method import Ours, build
+from methods.ours.method import Ours, build, density
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.policy import Draws, Policy
-from methods.ours.method import density
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, VARIANTS
 from rlbench.frames import Size
