@@ -27,7 +27,7 @@ from rlbench.sampling import Samples, buy, nothing
 from rlbench.training import Trainer
 
 PEAK = 3e-4  # learning rate
-SHARES = {"encoder": 0.2, "sampler": 1.0}  # of it; at the full rate the encoder's tanh saturates
+SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 
 
