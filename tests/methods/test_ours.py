@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from methods.ours import FAMILY
 from methods.ours.method import Ours, build, density
@@ -57,6 +57,22 @@ def test_an_untrained_sampler_is_uniform():
     frame = next(iter(clip))
     wish = method.plan(frame.view, frame.pool.empty(), method.start(clip.size))
     assert wish.unique().numel() == 1
+
+
+def test_the_samplers_last_layer_is_shown_where_the_last_frames_samples_were_noisy():
+    method = trainer("", CPU, seed=0).method
+    shown: list[Tensor] = []
+    method.networks.sampler.head.register_forward_hook(lambda layer, x, out: shown.append(out))
+    clip = procedural(seed=1, size=Size(1, 64, 64), frames=1)
+    frame = next(iter(clip))
+    state = method.start(clip.size)
+    noise = torch.rand(1, 1, 64, 32, generator=torch.Generator().manual_seed(0))
+    state.latent[:] = 0.1
+    state.latent[:, :3, :, 32:] += 0.2 * (noise - 0.5)
+    with torch.no_grad():
+        method.act(replace(frame.view, static=True), state)
+    contrast = shown[0][0, 0]
+    assert contrast[8:-8, 40:-8].mean() > contrast[8:-8, 8:24].mean() + 0.2
 
 
 def test_every_network_gets_a_gradient_from_one_sequence():
