@@ -65,8 +65,8 @@ def _camera(time: float) -> Camera:
 
 def _low(time: float) -> Camera:
     """From near the water, at a corner of the pool, moving around it."""
-    angle = 0.9 + 0.012 * time
-    return Camera((4.6 * np.sin(angle), -4.6 * np.cos(angle), 1.2), (-0.5, 0.6, 0.1), fov=58)
+    angle = 0.62 + 0.012 * time
+    return Camera((4.6 * np.sin(angle), -4.6 * np.cos(angle), 1.2), (0.3, 1.2, 0.1), fov=58)
 
 
 def _basin(random: np.random.Generator) -> tuple[Mesh, ...]:
