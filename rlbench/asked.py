@@ -60,17 +60,45 @@ def clips(
         return tuple(pooled(folder, pool) for folder in rendered(scenes, preset))
     found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
-    kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
+    named = {clip: {clip.header.scene, clip.header.name} for clip in found}
+    kept = tuple(clip for clip, names in named.items() if not wanted or names & set(wanted))
     if not kept:
         have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
         raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
     return kept
 
 
-def generated(preset: str) -> list[Path]:
-    """The clip folders of a preset to train on. Raises AskedError where it holds scored scenes."""
+def seeds(text: str | None) -> tuple[int, ...] | None:
+    """Seeds given as `0:48`, without 48, as `3,7`, or both; None if none. Raises AskedError."""
+    if text is None:
+        return None
+    found: dict[int, None] = {}
+    for part in split([text]) or [""]:
+        first, colon, after = part.partition(":")
+        numbers = range(0)
+        if first.isdecimal() and (after.isdecimal() if colon else True):
+            numbers = range(int(first), int(after) if colon else int(first) + 1)
+        if not numbers:
+            raise AskedError(
+                f"--seeds takes a range such as 0:48, of which 48 is no part, or a list such as "
+                f"3,7, and was given '{text}'"
+            )
+        found |= dict.fromkeys(numbers)
+    return tuple(found)
+
+
+def generated(preset: str, chosen: tuple[int, ...] | None = None) -> list[Path]:
+    """The clip folders to train on: a preset's, or generated ones of the seeds chosen.
+
+    What is missing is rendered now. Raises AskedError where the preset holds scored scenes, or
+    where there are too few clips to keep one for validation.
+    """
     from rlbench.render.presets import PRESETS
 
+    if chosen is not None:
+        if len(chosen) < 2:
+            raise AskedError(f"--seeds {chosen[0]} is one clip; at least 2 are needed, 1 validates")
+        return rendered(None, preset, chosen=chosen)
     if preset in PRESETS and (scored := PRESETS[preset].scenes):
         fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scenes)
         raise AskedError(
@@ -95,7 +123,7 @@ def own_scene(
     if scene is None or scenes:
         raise AskedError(
             "--camera, --frames, --size, --exposure, --define and --out belong to --scene FILE, "
-            "which is given without --scenes"
+            "which is given without --scenes and --seeds"
         )
     from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
@@ -125,8 +153,16 @@ def _size(text: str) -> tuple[int, int]:
     return int(high), int(wide)
 
 
-def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:
-    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now."""
+def rendered(
+    scenes: list[str] | None,
+    preset: str,
+    cap: float | None = None,
+    chosen: tuple[int, ...] | None = None,
+) -> list[Path]:
+    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now.
+
+    Scenes, takes of them, and seeds of generated scenes replace those of the preset.
+    """
     from rlbench import registry
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
@@ -134,7 +170,7 @@ def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) ->
     if preset not in PRESETS:
         raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
     known, wanted = registry.names("scenes"), split(scenes or [])
-    if unknown := [name for name in wanted if name not in known]:
+    if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
-    return ensure(plan if cap is None else plan.capped(cap), wanted or None)
+    return ensure(plan if cap is None else plan.capped(cap), wanted or None, chosen)

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
-from rlbench.cli_clips import Preset, Scenes, lint, render
+from rlbench.cli_clips import Preset, Scenes, Seeds, lint, render
 from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
@@ -153,6 +153,7 @@ def train(
     seed: int = 0,
     device: Device = "auto",
     preset: Preset = "train",
+    seeds: Seeds = None,
     plugin: Plugins = None,
 ) -> None:
     """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
@@ -162,6 +163,8 @@ def train(
       rlbench train --methods ours,ntas
 
       rlbench train -m ours --minutes 30 --device cuda
+
+      rlbench train -m ours --seeds 0:48
     """
     _use(plugin)
     from rlbench import registry, show
@@ -172,7 +175,7 @@ def train(
     learning = [name for name in names if registry.learns(name)]
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    folders = asked.generated(preset) if learning else []
+    folders = asked.generated(preset, asked.seeds(seeds)) if learning else []
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
     command = shlex.join(["rlbench", *sys.argv[1:]])

@@ -9,13 +9,19 @@ import typer
 
 from rlbench import asked
 
-Scenes = Annotated[list[str] | None, typer.Option("--scenes", help="names a,b; default every one")]
+Scenes = Annotated[
+    list[str] | None, typer.Option("--scenes", help="scenes or clips a,b; default every one")
+]
+Seeds = Annotated[
+    str | None, typer.Option(help="generated scenes: 0:48 or 3,7; default the preset's")
+]
 Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
 
 
 def render(
     scenes: Scenes = None,
     preset: Preset = "mini",
+    seeds: Seeds = None,
     cap: Annotated[
         float | None, typer.Option(help="dim every sample to so many times display white")
     ] = None,
@@ -36,9 +42,9 @@ def render(
 
       rlbench render
 
-      rlbench render --preset train
+      rlbench render --preset train --seeds 0:48
 
-      rlbench render --scenes city,hall --preset standard
+      rlbench render --scenes city,hall-cut --preset standard
 
       rlbench render --cap 64
 
@@ -48,9 +54,9 @@ def render(
     """
     own = (camera, frames, size, exposure, define, out)
     if scene or any(own):
-        folders = [asked.own_scene(scene, scenes, preset, *own)]
+        folders = [asked.own_scene(scene, scenes or (seeds and [seeds]) or None, preset, *own)]
     else:
-        folders = asked.rendered(scenes, preset, cap)
+        folders = asked.rendered(scenes, preset, cap, asked.seeds(seeds))
     for folder in folders:
         typer.echo(folder)
 

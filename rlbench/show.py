@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 COLUMNS = {  # of `rlbench list`, in their order
     "methods": ("name", "question", "needs", "spp", "adapts"),
     "metrics": ("name", "unit", "better", "convention"),
-    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "purpose"),
+    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }
 
 

@@ -150,6 +150,8 @@ def _scene(wish: Wish, found: Opened, route: _Route, plan: Preset) -> Scene:
         found.scene,
         name=found.name,
         camera=found.scene.camera if own else route.camera(),
+        cuts=found.scene.cuts if own else (),
+        takes=(),
         static=found.scene.static if own else route.fixed and not found.moves,
         origin=hashlib.blake2b(words.encode(), digest_size=16).hexdigest(),
         licence="",  # of the scene's author

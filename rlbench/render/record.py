@@ -37,16 +37,19 @@ def ensure(
     """The clip folders of a preset, after rendering what is missing of them.
 
     `scenes` and `seeds` of generated scenes replace the preset's own; where only one is given, the
-    other is empty. Whole frames that are there are kept, unless the scene has changed since.
+    other is empty. A scene stands for the takes of it that the preset has, `<scene>-<take>` for
+    that take alone. Whole frames that are there are kept, unless the scene has changed since.
     `folder` holds the clips, in place of the cache. `progress` shows how far it is, in place of a
-    bar of its own. Raises LookupError for an unknown preset or scene.
+    bar of its own. Raises LookupError for an unknown preset or scene, SceneError for a take.
     """
     chosen = preset(chosen) if isinstance(chosen, str) else chosen
     folder = folder or paths.clips() / chosen.name
     if scenes is None and seeds is None:
         scenes, seeds = chosen.scenes, chosen.seeds
     names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
-    made = {name: named(name) for name in names}
+    made: dict[str, Scene] = {}
+    for name in names:
+        made |= _takes(name, chosen)
     jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
     return finish(jobs, progress)
 
@@ -60,16 +63,20 @@ def finish(jobs: list[Job], progress: Progress | None = None) -> list[Path]:
 
 
 def named(clip: str) -> Scene:
-    """The scene of a clip by the clip's name: `generated-<seed>`, or an installed scene.
+    """The scene of a clip by the clip's name.
 
-    Raises LookupError for an unknown scene.
+    That is `generated-<seed>`, an installed scene, or `<scene>-<take>`. Raises LookupError for an
+    unknown scene, and SceneError for an unknown take.
     """
-    kind, _, seed = clip.rpartition("-")
-    if kind == GENERATED and seed.isdigit():
-        scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(seed))
-    else:
-        scene = registry.load("scenes", clip)()
-    return scene
+    kind, _, last = clip.rpartition("-")
+    if kind == GENERATED and last.isdigit():
+        generated: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(last))
+        return generated
+
+    installed = registry.names("scenes")
+    whole = clip in installed or kind not in installed
+    scene: Scene = registry.load("scenes", clip if whole else kind)()
+    return scene if whole else scene.take(last)
 
 
 def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> None:
@@ -85,6 +92,13 @@ def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> No
         tracer.set_time(float(index))
         _render_frame(job, tracer, index, lambda spp: traced(spp * height * width))
     write_header(job.folder, _header(job, tracer))
+
+
+def _takes(name: str, chosen: Preset) -> dict[str, Scene]:
+    """The clips, by name, that a scene or a single take stands for in a preset."""
+    scene = named(name)
+    takes = scene.takes if chosen.takes == "all" else ()
+    return {name: scene, **{f"{name}-{take.name}": scene.take(take.name) for take in takes}}
 
 
 def _render_frame(job: Job, tracer: Tracer, index: int, traced: Callable[[int], None]) -> None:
@@ -140,6 +154,7 @@ def _header(job: Job, tracer: Tracer) -> Header:
         buffers=job.buffers,
         pools=POOLS,
         static=scene.static,
+        cuts=tuple(cut for cut in scene.cuts if cut < plan.frames),
         licence=scene.licence,
         sample_ms=tracer.sample_ms(),
         device=machine().cpu,

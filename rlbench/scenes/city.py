@@ -24,6 +24,7 @@ from rlbench.scenes.shapes import (
     rotation,
     yaw,
 )
+from rlbench.scenes.takes import cut, static
 from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, palette, rgb, tiles
 
 HALF = 15.0  # metres from the fountain to the facades
@@ -52,6 +53,7 @@ def scene() -> Scene:
         ),
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=5.0,
+        takes=(static(_camera, 40.0), cut(_camera, _balcony, "sky0", 1.0, 0.3)),  # a cloud
     )
 
 
@@ -59,6 +61,11 @@ def _camera(time: float) -> Camera:
     angle = 0.32 * np.sin(2 * np.pi * time / 125) - 0.16
     origin = (15.0 * np.sin(angle), -14.0 * np.cos(angle), 2.7 + 0.25 * np.sin(time / 30))
     return Camera(origin, (0.6 + 1.2 * np.sin(time / 27), 3.0, 4.3), fov=66)
+
+
+def _balcony(time: float) -> Camera:
+    """From above, at a corner of the square, moving along it."""
+    return Camera((-12.0 + 0.08 * time, -11.5, 8.0), (1.5, 2.0 + 0.05 * time, 2.0), fov=66)
 
 
 def _ground(random: np.random.Generator) -> tuple[Mesh, ...]:

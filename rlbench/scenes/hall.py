@@ -36,6 +36,7 @@ from rlbench.scenes.shapes import (
     rotation,
     yaw,
 )
+from rlbench.scenes.takes import cut, static, still
 from rlbench.scenes.textures import bitmap, glossy, metal, palette, rgb, tiles
 
 Point = tuple[float, float, float]
@@ -60,6 +61,11 @@ def scene() -> Scene:
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=7.5,
         depth=4,
+        takes=(
+            static(_camera, 20.0),
+            cut(_camera, _from_gallery, "tubes", 1.0, 0.0),
+            still(_camera, 45.0),
+        ),
     )
 
 
@@ -67,6 +73,12 @@ def _camera(time: float) -> Camera:
     glide = np.sin(2 * np.pi * time / 140)
     x, y = -1.6 + 1.8 * np.sin(2 * np.pi * time / 110), 1.2 + 3.2 * glide
     return Camera((x, y, 1.7), (0.8 + 1.2 * glide, y + 11, 2.5), fov=70)
+
+
+def _from_gallery(time: float) -> Camera:
+    """From above and the other end, moving along the hall."""
+    y = 27.0 - 0.1 * time
+    return Camera((4.4, y, 4.6), (-1.5, y - 10, 1.8), fov=70)
 
 
 def _building(random: np.random.Generator) -> tuple[Mesh, ...]:

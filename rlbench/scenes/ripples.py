@@ -20,6 +20,7 @@ from rlbench.scenes.shapes import (
     rotation,
     yaw,
 )
+from rlbench.scenes.takes import cut, static
 from rlbench.scenes.textures import bitmap, diffuse, glossy, mix, noise, palette, rgb, tiles
 
 HALF, DEPTH = 3.0, 0.8  # metres: half the pool's side, and its depth; water stands at z = 0
@@ -52,6 +53,7 @@ def scene() -> Scene:
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=1.1,
         depth=8,
+        takes=(static(_camera, 25.0), cut(_camera, _low, "lamp", 0.2, 1.0)),
     )
 
 
@@ -59,6 +61,12 @@ def _camera(time: float) -> Camera:
     angle = 0.45 * np.sin(2 * np.pi * time / 130) - 0.2
     lift = 2.5 + 0.25 * np.sin(2 * np.pi * time / 130)
     return Camera((5.2 * np.sin(angle), -5.2 * np.cos(angle), lift), (0.1, 0.25, 0.0), fov=58)
+
+
+def _low(time: float) -> Camera:
+    """From near the water, at a corner of the pool, moving around it."""
+    angle = 0.62 + 0.012 * time
+    return Camera((4.6 * np.sin(angle), -4.6 * np.cos(angle), 1.2), (0.3, 1.2, 0.1), fov=58)
 
 
 def _basin(random: np.random.Generator) -> tuple[Mesh, ...]:

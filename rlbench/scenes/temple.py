@@ -20,6 +20,7 @@ from rlbench.scenes.shapes import (
     quads,
     rotation,
 )
+from rlbench.scenes.takes import cut, static, still
 from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
 
 WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
@@ -53,6 +54,11 @@ def scene() -> Scene:
         moving=_moving,
         exposure=0.95,
         depth=4,
+        takes=(
+            static(_below_lamp, 0.0),
+            cut(_camera, _from_altar, "sky1", 1.0, 0.05),  # the sun goes
+            still(_camera, 55.0),
+        ),
     )
 
 
@@ -61,6 +67,17 @@ def _camera(time: float) -> Camera:
     y = 1.6 + 3.0 * np.sin(2 * np.pi * time / 170)
     x = 0.9 + 0.9 * sway
     return Camera((x, y, 1.9), (-0.9 + 1.2 * sway, y + 12, 3.1), fov=68)
+
+
+def _below_lamp(time: float) -> Camera:
+    """Near the swinging lamp, which moves little in the picture from elsewhere."""
+    return Camera((1.2, 8.4, 2.0), (-0.2, 14.0, 3.4), fov=68)
+
+
+def _from_altar(time: float) -> Camera:
+    """Back towards the door, moving across the hall."""
+    x = 2.0 - 0.06 * time
+    return Camera((x, 23.5, 2.6), (x - 2.2, 8.0, 3.0), fov=68)
 
 
 def _moving(time: float) -> dict[str, Floats]:
