@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import Shape, boxes, lathe, disc, merge, painted, placed, rotation
+from rlbench.scenes.shapes import Shape, boxes, disc, lathe, merge, painted, placed, rotation
 
 BODY = (
     (0.42, 0.02, 0.02),  # coats
@@ -114,11 +114,10 @@ def _wheels() -> list[Shape]:
     )
     back = disc(0.29, 0.19, 32)
     hub = merge(
-        lathe([(0.05, -0.015), (0.10, -0.012), (0.19, 0.012)], 24)._replace(),
+        lathe([(0.05, -0.015), (0.10, -0.012), (0.19, 0.012)], 24),
         lathe([(0.19, 0.0), (0.20, -0.01), (0.21, 0.0)], 24),
     )
-    cap = disc(0.052, 0.016, 16)
-    flip = rotation((1, 0, 0), np.pi)
+    rim = merge(hub, placed(disc(0.052, 0.016, 16), (0, 0, 0), rotation((1, 0, 0), np.pi)))
     parts = []
     for axle in AXLES:
         for mirror in (0.0, np.pi):
@@ -126,7 +125,7 @@ def _wheels() -> list[Shape]:
             at = (axle, 0.80 if mirror else -0.80, WHEEL)
             parts += [
                 painted(placed(merge(tyre, back), at, turn), TYRE, len(BODY)),
-                painted(placed(merge(hub, placed(cap, (0, 0, 0), flip)), at, turn), BRIGHT, len(BODY)),
+                painted(placed(rim, at, turn), BRIGHT, len(BODY)),
             ]
     return parts
 

@@ -73,7 +73,9 @@ def _pad(x: float, y: float, radius: float, turn: float, rings: int = 4, sides: 
     row = np.arange(rings)[:, None] * (sides + 1) + np.arange(sides)
     a, b, c, d = (k.ravel() for k in (row, row + sides + 1, row + sides + 2, row + 1))
     faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).astype(np.uint32)
-    shape = Shape(at.reshape(-1, 3).astype(np.float32), faces, np.zeros((at[..., 0].size, 2)))
+    shape = Shape(
+        at.reshape(-1, 3).astype(np.float32), faces, np.zeros((at[..., 0].size, 2), np.float32)
+    )
     return painted(shape, np.array([0, 1, 2, 1, 3])[: rings + 1].repeat(sides + 1), len(COLOURS))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.shapes import Shape, lathe, merge, quads
+from rlbench.scenes.shapes import Shape, lathe, merge, placed, quads
 
 RADIUS, STOREY, STOREYS = 7.5, 3.4, 7  # metres, metres, count
 PANES = 44  # around
@@ -32,17 +32,16 @@ def frame(x: float, y: float) -> Shape:
     """Mullions between the panes, a band at each floor, and a crown."""
     angle = np.arange(PANES) * (2 * np.pi / PANES)
     top = LOBBY + STOREY * STOREYS
-    spokes = []
-    for width, low, high, depth in ((0.05, 0.0, top, 0.16),):
-        out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
-        side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], -1)
-        foot = np.array([x, y, low]) + (RADIUS - 0.03) * out
-        rise = np.array([0, 0, high - low])
-        spokes += [
-            quads(foot + depth * out - width * side, 2 * width * side, rise),
-            quads(foot - width * side, depth * out, rise),
-            quads(foot + depth * out + width * side, -depth * out, rise),
-        ]
+    width, depth = 0.05, 0.16
+    out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], -1)
+    foot = np.array([x, y, 0.0]) + (RADIUS - 0.03) * out
+    rise = np.array([0, 0, top])
+    spokes = [
+        quads(foot + depth * out - width * side, 2 * width * side, rise),
+        quads(foot - width * side, depth * out, rise),
+        quads(foot + depth * out + width * side, -depth * out, rise),
+    ]
     bands = [
         lathe(
             [
@@ -55,9 +54,8 @@ def frame(x: float, y: float) -> Shape:
         )
         for z in LOBBY + STOREY * np.arange(STOREYS + 1)
     ]
+    eaves = RADIUS + 0.9
     crown = lathe(
-        [(RADIUS + 0.1, top), (RADIUS + 0.9, top + 0.35), (RADIUS + 0.9, top + 0.6), (0.5, top + 0.8)],
-        PANES,
+        [(RADIUS + 0.1, top), (eaves, top + 0.35), (eaves, top + 0.6), (0.5, top + 0.8)], PANES
     )
-    shifted = [b._replace(vertices=b.vertices + np.float32([x, y, 0])) for b in (*bands, crown)]
-    return merge(*spokes, *shifted)
+    return merge(*spokes, *(placed(part, (x, y, 0)) for part in (*bands, crown)))

@@ -10,7 +10,7 @@ from rlbench.render.scene import Mesh
 from rlbench.scenes import office, street, trees
 from rlbench.scenes.car import BODY, car
 from rlbench.scenes.glassware import faceted
-from rlbench.scenes.houses import BAY, CELLS, PAINTS, behind, house, windows
+from rlbench.scenes.houses import BAY, PAINTS, house
 from rlbench.scenes.shapes import (
     Shape,
     ball,
@@ -34,6 +34,7 @@ from rlbench.scenes.textures import (
     rgb,
     tiles,
 )
+from rlbench.scenes.windows import CELLS, behind, windows
 
 HALF = 15.0  # metres from the fountain to the facades
 ORBIT = 6.6  # metres from the fountain to the middle of the road
@@ -43,6 +44,7 @@ POSTS = ((-8.9, -1.4), (5.6, -8.6), (8.9, 7.4), (-6.8, 8.2))
 TABLES = ((9.2, 0.2), (11.9, 2.1), (9.6, 3.9))
 PARKED = ((-11.8, -0.2, 1.5, 2), (-12.0, 4.9, 1.62, 1), (-1.0, 12.2, 0.0, 3), (4.6, 12.3, 3.14, 2))
 # x, y, yaw, coat
+LOW = ((4, 1, "ochre"), (5, 2, "stone"), (4, 1, "brick"), (6, 2, "ochre"))  # bays, floors, wall
 SEATS = ((-9.9, -3.6, 1.9), (-4.6, 9.2, 2.6), (4.2, 9.3, -2.7), (11.6, -3.4, -1.7))
 PLANTERS = ((7.4, 5.9), (12.6, 5.2), (7.2, -1.8))
 
@@ -75,7 +77,7 @@ def buildings(random: np.random.Generator, woods: Sequence[trees.Tree]) -> tuple
     """Rows of houses with the tower, and all static parts that share their materials."""
     rows = [
         ((-HALF - 2.4, HALF), 0.0, ((4, 4, "stone"), (5, 4, "brick"), (4, 5, "ochre"))),
-        ((-27.0, -HALF), np.pi / 2, ((4, 1, "ochre"), (5, 2, "stone"), (4, 1, "brick"), (6, 2, "ochre"))),
+        ((-27.0, -HALF), np.pi / 2, LOW),
         ((HALF + 2, 6.0), -np.pi / 2, ((4, 4, "stone"), (5, 3, "ochre"))),
     ]
     parts: dict[str, list[Shape]] = {}

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
+from numpy.typing import NDArray
 
 from rlbench.scenes.shapes import (
     Shape,
@@ -38,8 +41,8 @@ def _arc(radius: float, thick: float) -> Shape:
     middle = np.stack([radius + radius * np.cos(angle), 0 * angle, 0.6 * np.sin(angle)], -1)
     turn = np.linspace(0, 2 * np.pi, 7)
     out = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
-    ring = (
-        np.cos(turn)[:, None, None] * out[None] + np.sin(turn)[:, None, None] * np.array([0, 1, 0])
+    ring = np.cos(turn)[:, None, None] * out[None] + np.sin(turn)[:, None, None] * np.array(
+        [0, 1, 0]
     )
     at = middle[None] + thick * ring  # 7 13 3
     return quads(
@@ -67,10 +70,8 @@ def benches(places: tuple[tuple[float, float, float], ...], slot: int, iron: int
 
 def bollards(spots: Spots) -> Shape:
     """Low iron posts with a round head."""
-    bollard = lathe(
-        [(0.10, 0), (0.10, 0.1), (0.065, 0.16), (0.055, 0.7), (0.085, 0.74), (0.07, 0.84), (0.01, 0.9)],
-        12,
-    )
+    foot, head = [(0.10, 0), (0.10, 0.1), (0.065, 0.16)], [(0.085, 0.74), (0.07, 0.84), (0.01, 0.9)]
+    bollard = lathe([*foot, (0.055, 0.7), *head], 12)
     return merge(*(placed(bollard, (x, y, 0)) for x, y in spots))
 
 
@@ -82,25 +83,19 @@ def terrace(spots: Spots, cloth: tuple[int, int], wood: int, iron: int, of: int)
     )
     pole = lathe([(0.26, 0.0), (0.25, 0.06), (0.03, 0.08), (0.024, 2.5)], 10)
     parts = [painted(top, wood, of), painted(pole, iron, of), _parasol(cloth, of)]
-    chair = merge(
-        painted(
-            boxes([(-0.2, -0.2, 0.43), (-0.2, 0.17, 0.6)], [(0.2, 0.2, 0.46), (0.2, 0.2, 0.86)]),
-            wood,
-            of,
-        ),
-        painted(
-            boxes(
-                [(x, y, 0) for x in (-0.2, 0.17) for y in (-0.2, 0.17)],
-                [(x + 0.03, y + 0.03, 0.86 if y > 0 else 0.44) for x in (-0.2, 0.17) for y in (-0.2, 0.17)],
-            ),
-            iron,
-            of,
-        ),
-    )
+    chair = _chair(wood, iron, of)
     for turn in (0.3, 2.5, 4.4):
         parts.append(placed(chair, (-0.75 * np.sin(turn), 0.75 * np.cos(turn), 0), yaw(turn)))
     table = merge(*parts)
     return merge(*(placed(table, (x, y, 0), yaw(x + y)) for x, y in spots))
+
+
+def _chair(wood: int, iron: int, of: int) -> Shape:
+    seat = boxes([(-0.2, -0.2, 0.43), (-0.2, 0.17, 0.6)], [(0.2, 0.2, 0.46), (0.2, 0.2, 0.86)])
+    feet = np.array([(x, y, 0) for x in (-0.2, 0.17) for y in (-0.2, 0.17)])
+    tall = np.where(feet[:, 1] > 0, 0.86, 0.44)
+    legs = boxes(feet, feet + np.stack([0 * tall + 0.03, 0 * tall + 0.03, tall], -1))
+    return merge(painted(seat, wood, of), painted(legs, iron, of))
 
 
 def _parasol(cloth: tuple[int, int], of: int) -> Shape:
@@ -109,12 +104,13 @@ def _parasol(cloth: tuple[int, int], of: int) -> Shape:
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     out = np.stack([np.cos(angle), np.sin(angle)], -1)
 
-    def ring(radius: float, height: float) -> np.ndarray:
+    def ring(radius: float, height: float) -> NDArray[np.float64]:
         return np.concatenate([radius * out, np.full((sides + 1, 1), height)], -1)
 
     parts = []
-    for (r0, z0), (r1, z1) in (((1.35, 2.05), (0.7, 2.38)), ((0.7, 2.38), (0.03, 2.58)), ((1.35, 1.88), (1.35, 2.05))):
-        lower, upper = ring(r0, z0), ring(r1, z1)
+    outline = [(1.35, 1.88), (1.35, 2.05), (0.7, 2.38), (0.03, 2.58)]
+    for inner, outer in pairwise(outline):
+        lower, upper = ring(*inner), ring(*outer)
         gore = quads(lower[:-1], lower[1:] - lower[:-1], upper[:-1] - lower[:-1])
         gore.vertices.reshape(-1, 4, 3)[:, 2] = upper[1:]
         slots = np.array(cloth)[np.arange(sides) // 2 % 2].repeat(4)
@@ -122,14 +118,16 @@ def _parasol(cloth: tuple[int, int], of: int) -> Shape:
     return merge(*parts)
 
 
-def planters(random: np.random.Generator, spots: Spots, box: int, blooms: tuple[int, ...], of: int) -> Shape:
+def planters(
+    random: np.random.Generator, spots: Spots, box: int, blooms: tuple[int, ...], of: int
+) -> Shape:
     """Wooden boxes full of small flowers."""
     parts = []
     for x, y in spots:
         crate = boxes((x - 0.6, y - 0.25, 0), (x + 0.6, y + 0.25, 0.5))
         parts.append(painted(crate, box, of))
-        for _ in range(60):
-            at = (x + random.uniform(-0.55, 0.55), y + random.uniform(-0.2, 0.2), random.uniform(0.48, 0.75))
+        for _ in range(90):
+            at = random.uniform((x - 0.58, y - 0.23, 0.48), (x + 0.58, y + 0.23, 0.75))
             turn = rotation(random.normal(size=3), random.uniform(0, 3))
             flower = placed(ball(0), at, turn, random.uniform(0.03, 0.07))
             parts.append(painted(flower, random.choice(blooms), of))

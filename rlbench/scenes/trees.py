@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rlbench.scenes.shapes import Floats, Shape, merge, painted
 
@@ -38,7 +39,7 @@ class _Twig(NamedTuple):
     thin: float
 
 
-def wood(trees: ArrayLike, seed: int = 5) -> Shape:
+def wood(trees: Sequence[Tree], seed: int = 5) -> Shape:
     """The trunks and boughs of `trees`, open tubes; texture runs along them."""
     return merge(
         *(
@@ -49,7 +50,7 @@ def wood(trees: ArrayLike, seed: int = 5) -> Shape:
     )
 
 
-def leaves(trees: ArrayLike, of: int, seed: int = 5) -> Shape:
+def leaves(trees: Sequence[Tree], of: int, seed: int = 5) -> Shape:
     """The leaves of `trees`, each two triangles folded along its rib, in slots 0 .. 5 of `of`."""
     return merge(
         *(
@@ -98,8 +99,11 @@ def _leaves(tree: Tree, twigs: list[_Twig], of: int, seed: tuple[int, ...]) -> S
     end = np.array([twig.end for twig in twigs])[chosen]
     along = random.uniform(0.15, 1.1, (count, 1))
     away = random.normal(size=(count, 3))
-    away *= 0.17 * tree.spread * random.uniform(0.1, 1, (count, 1)) / np.linalg.norm(
-        away, axis=1, keepdims=True
+    away *= (
+        0.17
+        * tree.spread
+        * random.uniform(0.1, 1, (count, 1))
+        / np.linalg.norm(away, axis=1, keepdims=True)
     )
     base = start + along * (end - start) + away
     middle = np.array([tree.x, tree.y, 0.62 * tree.height])
@@ -112,8 +116,9 @@ def _leaves(tree: Tree, twigs: list[_Twig], of: int, seed: tuple[int, ...]) -> S
     fold = np.cross(side, rib)
     long = random.uniform(0.19, 0.34, (count, 1)) * (tree.height / 6.5) ** 0.5
     waist, lift = base + 0.45 * long * rib, 0.08 * long * fold
+    wide = 0.36 * long * side
     corners = np.stack(
-        [base, waist + 0.36 * long * side + lift, base + long * rib, waist - 0.36 * long * side + lift],
+        [base, waist + wide + lift, base + long * rib, waist - wide + lift],
         1,
     )
     faces = np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
@@ -132,7 +137,7 @@ def _leaves(tree: Tree, twigs: list[_Twig], of: int, seed: tuple[int, ...]) -> S
 
 def softness(shape: Shape, low: float = 2.0, range_: float = 4.0) -> Floats:
     """How far the wind may push each vertex of leaves, 0.2..1: more with height."""
-    return np.clip((shape.vertices[:, 2] - low) / range_, 0.2, 1).astype(np.float32)
+    return np.asarray(np.clip((shape.vertices[:, 2] - low) / range_, 0.2, 1), np.float32)
 
 
 def _tube(twig: _Twig, sides: int) -> Shape:
