@@ -30,6 +30,7 @@ TIME = 4.0  # the frame that is shown
 STREAM = "referenceA"
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB: Rec. 709
 WHITE = 4.0  # luminance, in display whites, that the tone curve maps to 1
+KEEP = 1 / (1 - 0.18)  # leaves middle grey, 0.18, where it is
 GAP = 4  # pixels between pictures
 
 
@@ -59,12 +60,12 @@ def shown(radiance: Float[Array, "h w 3"], exposure: float) -> UInt8[Array, "h w
 
     The tone curve L (1 + L / white^2) / (1 + L) on luminance is equation 4 of Reinhard et al. 2002,
     Photographic Tone Reproduction for Digital Images; colours keep their ratios until they clip.
-    Differs from the paper: L is twice the exposed luminance, so that middle grey stays where the
-    scene's exposure has put it. What is not finite is black.
+    Differs from the paper: L is the exposed luminance times 1 / (1 - 0.18), so that middle grey
+    stays about where the scene's exposure has put it. What is not finite is black.
     """
-    linear = 2 * exposure * np.nan_to_num(radiance.astype(np.float64), posinf=0.0, neginf=0.0)
+    linear = KEEP * exposure * np.nan_to_num(radiance.astype(np.float64), posinf=0.0, neginf=0.0)
     luminance = (linear.clip(0) @ np.array(LUMINANCE))[..., None]
-    mapped = linear.clip(0) * (1 + luminance / (2 * WHITE) ** 2) / (1 + luminance)
+    mapped = linear.clip(0) * (1 + luminance / (KEEP * WHITE) ** 2) / (1 + luminance)
     light = mapped.clip(0, 1)
     curve = np.where(
         light <= 0.0031308, 12.92 * light, 1.055 * light.clip(1e-8) ** (1 / 2.4) - 0.055

@@ -18,14 +18,12 @@ from rlbench.scenes.shapes import (
     rotation,
     yaw,
 )
+from rlbench.scenes.stones import mosaic, travertine
 from rlbench.scenes.textures import (
-    Pixels,
     bitmap,
     diffuse,
     glossy,
     metal,
-    mix,
-    noise,
     palette,
     rgb,
     tiles,
@@ -74,11 +72,13 @@ def room(random: np.random.Generator) -> tuple[Mesh, ...]:
         tile=1.2,
     )
     bottom = quads((-a, -a, d), (2 * a, 0, 0), (0, 2 * a, 0), tile=0)
-    wall = quads([(-14, WALL, 0), (14, -7.5, 0)], [(28, 0, 0), (-28, 0, 0)], (0, 0, 7), tile=1.3)
+    wall = quads(
+        [(-14, WALL, 0), (4, -7.5, 0)], [(28, 0, 0), (-8, 0, 0)], [(0, 0, 7), (0, 0, 4)], 1.3
+    )
     return (
         liner.mesh("liner", diffuse(bitmap(sides))),
-        bottom.mesh("floor", diffuse(bitmap(_mosaic(random)))),
-        _stonework().mesh("deck", glossy(bitmap(_travertine(random)), 0.22)),
+        bottom.mesh("floor", diffuse(bitmap(mosaic(random)))),
+        _stonework().mesh("deck", glossy(bitmap(travertine(random)), 0.22)),
         wall.mesh("wall", glossy(bitmap(glaze), 0.12)),
     )
 
@@ -170,7 +170,7 @@ def fittings() -> tuple[Mesh, ...]:
         bezel = lathe([(0.13, 0), (0.13, 0.02), (0.17, 0.02), (0.18, 0)], 32)
         rings.append(placed(bezel, at, inward))
     strips = quads(
-        [(-3, -0.5, 3.1), (-3, 1.9, 3.1), (-6, WALL - 0.5, 3.4)],  # the last one washes the wall
+        [(-3, -0.5, 3.3), (-3, 1.9, 3.3), (-6, WALL - 0.6, 4.5)],  # the last one washes the wall
         [(0, 0.6, 0), (0, 0.6, 0), (0, 0.1, 0)],
         [(6, 0, 0), (6, 0, 0), (12, 0, 0)],
     )
@@ -187,32 +187,3 @@ def _shining(name: str, shape: Shape, radiance: tuple[float, float, float]) -> M
     dark = {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}
     light = {"type": "area", "radiance": rgb(*radiance)}
     return Mesh(name, shape.vertices, shape.faces, dark, uv=shape.uv, emission=light)
-
-
-def _mosaic(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:
-    """Rings of waves in small stones [size size 3], pale enough to show what light falls on it."""
-    colours = np.array(
-        [(0.72, 0.78, 0.72), (0.58, 0.74, 0.72), (0.34, 0.62, 0.64), (0.10, 0.32, 0.44)]
-    )
-    at = (np.arange(cells) + 0.5) / cells * 2 - 1
-    x, y = np.meshgrid(at, at)
-    radius, angle = np.hypot(x, y), np.arctan2(y, x)
-    wave = 9 * radius + 0.55 * np.cos(16 * angle) * (radius > 0.2)
-    band = np.array([3, 0, 1, 0, 2, 0, 0, 1, 3, 1, 0, 0, 2, 0])[np.floor(wave).astype(int)]
-    border = np.maximum(np.abs(x), np.abs(y)) > 0.94
-    stone = colours[np.where(border, 3, band)] * random.uniform(0.8, 1.12, (cells, cells, 1))
-    fine = size // cells
-    full = stone.repeat(fine, 0).repeat(fine, 1)
-    joint = (np.arange(size) % fine == 0)[:, None] | (np.arange(size) % fine == 0)
-    return np.where(joint[..., None], np.array([0.42, 0.46, 0.44]), full).astype(np.float32)
-
-
-def _travertine(random: np.random.Generator) -> Pixels:
-    """Slabs of warm stone [512 512 3] with veins along the rows."""
-    slabs = tiles(
-        random, [(0.54, 0.46, 0.36), (0.60, 0.52, 0.42)], (0.22, 0.18, 0.14), (3, 2), 0.5, 512, 0.02
-    )
-    cloud = noise(random, 512, 0.7)
-    across = (np.arange(512) / 512)[:, None, None]
-    vein = 0.5 + 0.5 * np.sin(2 * np.pi * (9 * across + 2.6 * cloud))
-    return slabs * mix((0.80, 0.76, 0.70), (1.08, 1.06, 1.04), np.asarray(vein, np.float32))

@@ -46,7 +46,7 @@ PARKED = ((-11.8, -0.2, 1.5, 2), (-12.0, 4.9, 1.62, 1), (-1.0, 12.2, 0.0, 3), (4
 # x, y, yaw, coat
 LOW = ((4, 1, "ochre"), (5, 2, "stone"), (4, 1, "brick"), (6, 2, "ochre"))  # bays, floors, wall
 SEATS = ((-9.9, -3.6, 1.9), (-4.6, 9.2, 2.6), (4.2, 9.3, -2.7), (11.6, -3.4, -1.7))
-PLANTERS = ((7.4, 5.9), (12.6, 5.2), (7.2, -1.8))
+PLANTERS = ((7.4, 5.9), (12.6, 5.2), (8.6, -2.6))
 
 
 def paving(random: np.random.Generator) -> tuple[Mesh, ...]:
@@ -115,9 +115,9 @@ def buildings(random: np.random.Generator, woods: Sequence[trees.Tree]) -> tuple
     )
     pane = {
         "type": "roughplastic",
-        "alpha": 0.08,
+        "alpha": 0.1,
         "diffuse_reflectance": bitmap(windows(random)),
-        "int_ior": 2.1,
+        "int_ior": 1.8,
     }
     materials = {
         "ochre": diffuse(bitmap(plaster)),

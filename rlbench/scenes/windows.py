@@ -23,9 +23,8 @@ def behind(glass: Shape, cells: NDArray[np.int64]) -> Shape:
 def windows(random: np.random.Generator, size: int = 64) -> Pixels:
     """What is seen behind glass: CELLS x CELLS cells; the last rows are offices and shops."""
     rows = []
-    v, u = np.meshgrid(
-        (np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij"
-    )
+    at = (np.arange(size) + 0.5) / size
+    v, u = np.meshgrid(at, at, indexing="ij")
     kinds = [_room] * (CELLS - 2) + [_desk, _shop]
     for kind in kinds:
         rows.append(np.concatenate([kind(random, u, v) for _ in range(CELLS)], 1))
