@@ -40,9 +40,7 @@ def _room(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
     curtain = (np.abs(u - 0.5) > 0.5 - drawn)[..., None]
     shaded = cloth * fold[..., None] * 0.7
     blind = (v > random.uniform(0.45, 1.6))[..., None]
-    slats = (0.55 * (0.7 + 0.3 * np.sin(2 * np.pi * 24 * v)))[..., None] * np.array(
-        (0.9, 0.86, 0.78)
-    )
+    slats = _slats(v) * np.array((0.50, 0.48, 0.43))
     return np.where(blind, slats, np.where(curtain, shaded, room))
 
 
@@ -57,12 +55,8 @@ def _desk(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
 
 def _shop(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
     """A door frame, shelves of goods, and a sign above."""
-    hue = np.array(
-        [(0.05, 0.14, 0.12), (0.20, 0.05, 0.05), (0.06, 0.08, 0.16), (0.16, 0.11, 0.05)]
-    )[random.integers(4)]
-    image = np.broadcast_to(
-        np.array((0.10, 0.075, 0.05)) * (0.4 + 0.8 * v[..., None]), (*u.shape, 3)
-    )
+    hue = np.array(FRONTS)[random.integers(len(FRONTS))]
+    image = np.array((0.10, 0.075, 0.05)) * (0.4 + 0.8 * v[..., None])
     shelf, column = np.floor(v * 11).astype(int), np.floor(u * 13).astype(int)
     goods = random.uniform(0.04, 0.55, (11, 13, 3)) * random.uniform(0.3, 1, (11, 13, 1))
     tall = random.uniform(0.4, 0.9, (11, 13))
