@@ -72,9 +72,7 @@ def room(random: np.random.Generator) -> tuple[Mesh, ...]:
         tile=1.2,
     )
     bottom = quads((-a, -a, d), (2 * a, 0, 0), (0, 2 * a, 0), tile=0)
-    wall = quads(
-        [(-14, WALL, 0), (4, -7.5, 0)], [(28, 0, 0), (-8, 0, 0)], [(0, 0, 7), (0, 0, 4)], 1.3
-    )
+    wall = quads((-14, WALL, 0), (28, 0, 0), (0, 0, 7), tile=1.3)
     return (
         liner.mesh("liner", diffuse(bitmap(sides))),
         bottom.mesh("floor", diffuse(bitmap(mosaic(random)))),

@@ -16,7 +16,7 @@ BODY = (
     (0.24, 0.30, 0.27),
     (0.010, 0.013, 0.016),  # 4 windows
     (0.018, 0.018, 0.018),  # 5 tyres and arches
-    (0.30, 0.30, 0.30),  # 6 bright parts
+    (0.22, 0.22, 0.22),  # 6 bright parts
     (0.30, 0.012, 0.01),  # 7 tail lamps
     (0.75, 0.72, 0.62),  # 8 head lamps
 )
@@ -71,7 +71,7 @@ def car(coat: int = 0) -> Shape:
 
 def _hull(coat: int) -> list[Shape]:
     """The body as a sheet over stations and a section, cut apart by colour."""
-    fine = _between(STATIONS, 61)
+    fine = _between(STATIONS, 73)
     x, sill, belt, top, half = fine.T
     arch = [np.sqrt(np.clip((WHEEL + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES]
     sill = np.maximum(sill, np.max(arch, 0) + WHEEL)
@@ -131,11 +131,12 @@ def _wheels() -> list[Shape]:
 
 
 def _between(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """The stations and `count` more, evenly along the car."""
-    x = np.union1d(np.linspace(stations[0, 0], stations[-1, 0], count), stations[:, 0])
-    x = x[np.concatenate([[True], np.diff(x) > 1e-3])]
-    rest = [np.interp(x, stations[:, 0], column) for column in stations.T[1:]]
-    return np.stack([x, *rest], -1)
+    """`count` stations, evenly along the car, with their corners rounded off."""
+    x = np.linspace(stations[0, 0], stations[-1, 0], count)
+    columns = [np.interp(x, stations[:, 0], column) for column in stations.T[1:]]
+    kernel = np.array([1, 4, 6, 4, 1]) / 16
+    rounded = [np.convolve(np.pad(c, 2, "edge"), kernel, "valid") for c in columns]
+    return np.stack([x, *rounded], -1)
 
 
 def _cut(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:

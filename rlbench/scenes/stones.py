@@ -10,7 +10,7 @@ from rlbench.scenes.textures import Pixels, mix, noise, tiles
 def mosaic(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:
     """Rings of waves in small stones [size size 3], pale enough to show what light falls on it."""
     colours = np.array(
-        [(0.72, 0.78, 0.72), (0.58, 0.74, 0.72), (0.34, 0.62, 0.64), (0.10, 0.32, 0.44)]
+        [(0.50, 0.64, 0.60), (0.37, 0.58, 0.58), (0.21, 0.46, 0.51), (0.06, 0.23, 0.34)]
     )
     at = (np.arange(cells) + 0.5) / cells * 2 - 1
     x, y = np.meshgrid(at, at)

@@ -70,8 +70,8 @@ def benches(places: tuple[tuple[float, float, float], ...], slot: int, iron: int
 
 def bollards(spots: Spots) -> Shape:
     """Low iron posts with a round head."""
-    foot, head = [(0.10, 0), (0.10, 0.1), (0.065, 0.16)], [(0.085, 0.74), (0.07, 0.84), (0.01, 0.9)]
-    bollard = lathe([*foot, (0.055, 0.7), *head], 12)
+    foot, head = [(0.08, 0), (0.08, 0.1), (0.05, 0.15)], [(0.06, 0.68), (0.05, 0.76), (0.01, 0.8)]
+    bollard = lathe([*foot, (0.04, 0.64), *head], 12)
     return merge(*(placed(bollard, (x, y, 0)) for x, y in spots))
 
 

@@ -56,9 +56,9 @@ def _desk(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
 def _shop(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
     """A door frame, shelves of goods, and a sign above."""
     hue = np.array(FRONTS)[random.integers(len(FRONTS))]
-    image = np.array((0.10, 0.075, 0.05)) * (0.4 + 0.8 * v[..., None])
+    image = np.array((0.24, 0.18, 0.12)) * (0.4 + 0.8 * v[..., None])
     shelf, column = np.floor(v * 11).astype(int), np.floor(u * 13).astype(int)
-    goods = random.uniform(0.04, 0.55, (11, 13, 3)) * random.uniform(0.3, 1, (11, 13, 1))
+    goods = random.uniform(0.1, 0.9, (11, 13, 3)) * random.uniform(0.4, 1, (11, 13, 1))
     tall = random.uniform(0.4, 0.9, (11, 13))
     shown = (v * 11 % 1 < tall[shelf, column]) & (u * 13 % 1 > 0.12) & (v > 0.16) & (v < 0.62)
     image = np.where(shown[..., None], goods[shelf, column], image)
