@@ -155,18 +155,11 @@ def _agave(random: np.random.Generator) -> Shape:
 
 
 def fittings() -> tuple[Mesh, ...]:
-    """A round mirror in a brass ring, two strips of light above, round lamps under the water."""
+    """A round mirror in a brass ring, and strips of light above."""
     upright = rotation((1, 0, 0), np.pi / 2)  # a disc that faced up now faces the pool
     glass = placed(disc(1.15, 0, 64), (0.0, WALL - 0.06, 1.95), upright)
     ring = lathe([(1.14, 0), (1.14, 0.1), (1.24, 0.1), (1.28, 0.05), (1.28, 0)], 72)
-    rings = [placed(ring, (0.0, WALL - 0.01, 1.95), upright)]
-    portholes = []
-    for angle, along in ((np.pi, -1.6), (np.pi, 1.2), (0.0, -1.2), (0.0, 1.4)):
-        inward = rotation((0, 0, 1), angle) @ rotation((0, 1, 0), -np.pi / 2)
-        at = np.array([HALF * np.cos(angle), along, -0.42])
-        portholes.append(placed(disc(0.13, 0.012, 24), at, inward))
-        bezel = lathe([(0.13, 0), (0.13, 0.02), (0.17, 0.02), (0.18, 0)], 32)
-        rings.append(placed(bezel, at, inward))
+    around = placed(ring, (0.0, WALL - 0.01, 1.95), upright)
     strips = quads(
         [(-3, -0.5, 3.3), (-3, 1.3, 3.3), (-6, WALL - 0.6, 4.5)],  # the last one washes the wall
         [(0, 0.6, 0), (0, 0.6, 0), (0, 0.1, 0)],
@@ -175,13 +168,13 @@ def fittings() -> tuple[Mesh, ...]:
     silver = {"type": "conductor", "specular_reflectance": rgb(0.88, 0.88, 0.86)}
     return (
         glass.mesh("mirror", {"type": "twosided", "bsdf": silver}),
-        merge(*rings).mesh("brass", metal(rgb(0.85, 0.58, 0.26), 0.18)),
-        _shining("lamp", strips, (8.0, 5.8, 3.5)),
-        _shining("portholes", merge(*portholes), (1.6, 3.6, 4.0)),
+        around.mesh("brass", metal(rgb(0.85, 0.58, 0.26), 0.18)),
+        Mesh(
+            "lamp",
+            strips.vertices,
+            strips.faces,
+            {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)},
+            uv=strips.uv,
+            emission={"type": "area", "radiance": rgb(8.0, 5.8, 3.5)},
+        ),
     )
-
-
-def _shining(name: str, shape: Shape, radiance: tuple[float, float, float]) -> Mesh:
-    dark = {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}
-    light = {"type": "area", "radiance": rgb(*radiance)}
-    return Mesh(name, shape.vertices, shape.faces, dark, uv=shape.uv, emission=light)
