@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     import torch
 
+    from rlbench.engine import Engine
     from rlbench.source import Stored
 
 
@@ -49,7 +50,11 @@ def device(name: str) -> torch.device:
 
 
 def clips(
-    own: list[Path] | None, scenes: list[str] | None, preset: str, pool: str = "stored"
+    own: list[Path] | None,
+    scenes: list[str] | None,
+    preset: str,
+    pool: str = "stored",
+    engine: Engine | None = None,
 ) -> tuple[Stored, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be."""
     from rlbench.source import POOLS, below, pooled
@@ -57,7 +62,8 @@ def clips(
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        return tuple(pooled(folder, pool) for folder in rendered(scenes, preset))
+        made = rendered(scenes, preset, engine=engine)
+        return tuple(pooled(folder, pool) for folder in made)
     found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
     kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
@@ -90,6 +96,7 @@ def own_scene(
     exposure: float | None,
     define: list[str] | None,
     out: Path | None,
+    engine: Engine | None = None,
 ) -> Path:
     """The clip folder of one's own scene; what is missing of it is rendered now."""
     if scene is None or scenes:
@@ -97,6 +104,7 @@ def own_scene(
             "--camera, --frames, --size, --exposure, --define and --out belong to --scene FILE, "
             "which is given without --scenes"
         )
+    from rlbench.engine import LOCAL
     from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
 
@@ -114,7 +122,9 @@ def own_scene(
         parameters=tuple((name, value) for name, _, value in pairs),
         out=out,
     )
-    return ensure_own(wish, preset_of(preset), lambda words: typer.echo(words, err=True))
+    return ensure_own(
+        wish, preset_of(preset), lambda words: typer.echo(words, err=True), engine or LOCAL
+    )
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -125,9 +135,15 @@ def _size(text: str) -> tuple[int, int]:
     return int(high), int(wide)
 
 
-def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:
+def rendered(
+    scenes: list[str] | None,
+    preset: str,
+    cap: float | None = None,
+    engine: Engine | None = None,
+) -> list[Path]:
     """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now."""
     from rlbench import registry
+    from rlbench.engine import LOCAL
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
 
@@ -137,4 +153,5 @@ def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) ->
     if unknown := [name for name in wanted if name not in known]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
-    return ensure(plan if cap is None else plan.capped(cap), wanted or None)
+    plan = plan if cap is None else plan.capped(cap)
+    return ensure(plan, wanted or None, engine=engine or LOCAL)
