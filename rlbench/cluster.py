@@ -139,9 +139,10 @@ class Cluster:
                 logging_level=logging.ERROR,
                 **here,
             )
-        except (ConnectionError, RuntimeError, ValueError) as error:
+        except Exception as error:  # of whatever kind: a busy machine is told by a bare one
             asked = f"no Ray cluster at {self.address}" if self.address else "Ray did not start"
-            raise EngineError(f"{asked}: {str(error).splitlines()[0]}") from error
+            words = (str(error).splitlines() or [""])[0]
+            raise EngineError(f"{asked}: {type(error).__name__}: {words}") from error
 
     def _sender(self, work: Work[J, R], share: Share) -> tuple[Any, int]:
         """What sends a job to a worker, and how many jobs may be on their way."""

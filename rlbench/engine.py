@@ -47,7 +47,7 @@ class Outcome(Generic[J, R]):
 class Work(Protocol[J_in, R_out]):
     """What is done to each job. Every process has a copy, which may keep what is dear to make."""
 
-    def __call__(self, job: J_in, tell: Tell) -> R_out:
+    def __call__(self, job: J_in, tell: Tell, /) -> R_out:
         """What is made of a job; `tell` hears of it on the way."""
 
 
