@@ -98,7 +98,7 @@ def test_ray_reports_nothing_to_its_makers(workers):
 
 
 @pytest.mark.slow
-def test_clips_rendered_on_ray_are_those_rendered_here_bit_for_bit(llvm, workers, tmp_path):
+def test_clips_rendered_on_ray_are_those_rendered_here_bit_for_bit(workers, tmp_path):
     folders = {}
     for name, engine in (("here", LOCAL), ("ray", workers)):
         jobs = [Job(each, room(), PLAN, tmp_path / name / each) for each in ("a", "b")]
@@ -123,11 +123,12 @@ def test_scores_from_ray_are_those_from_here_bit_for_bit(workers, tmp_path, monk
     )
     here = measure(asked, tmp_path / "here")
     there = measure(asked, tmp_path / "there", engine=workers)
-    assert here == there == Done(measured=8, refused=8)
-    assert scores(tmp_path / "here") == scores(tmp_path / "there")
+    assert here == there == Done(measured=12, refused=4)
+    # as words, for no nan equals another
+    assert repr(scores(tmp_path / "here")) == repr(scores(tmp_path / "there"))
     assert rows(tmp_path / "here") == rows(tmp_path / "there")
     assert table.cells(tmp_path / "here") == table.cells(tmp_path / "there")
-    assert measure(asked, tmp_path / "there", engine=workers).known == 8
+    assert measure(asked, tmp_path / "there", engine=workers).known == 12
 
 
 @pytest.mark.slow
@@ -177,6 +178,6 @@ def told(folder):
 
 
 def rows(results):
-    """How often there is each number of each cell: times too, which differ in nothing but value."""
+    """All rows without their values: those of times are other ones every time."""
     found = table.read(results).drop(columns=["value"])
-    return sorted(found.itertuples(index=False, name=None), key=repr)
+    return sorted(map(repr, found.itertuples(index=False, name=None)))
