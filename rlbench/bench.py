@@ -123,8 +123,9 @@ class _Bench:
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
         clip = self.ready.clip(cell)
         blank = replace(self._blank(cell), config=_config(method))
+        elsewhere = self._elsewhere()
         rows = [
-            self._placed(row)
+            replace(row, note=row.note or elsewhere)
             for shown in run_clip(method, clip, cell.spp)
             for row in self._scores(blank, shown, cell.clip.header)
         ]
@@ -132,12 +133,10 @@ class _Bench:
         times = self.times.of(cell, method, clip)
         return rows + self._timing(replace(blank, spp_realised=bought), times, cell.clip)
 
-    def _placed(self, row: Row) -> Row:
-        """A score, with a note where it is not of the device that the results are of."""
+    def _elsewhere(self) -> str:
+        """The device that scores are of, where the results are of another one."""
         here = latency.device_name(self.request.device)
-        if here == self.names.device or row.note:
-            return row
-        return replace(row, note=f"scored on {here}")
+        return "" if here == self.names.device else f"scored on {here}"
 
     def _scores(self, blank: Row, shown: Shown, header: Header) -> Iterator[Row]:
         reference = shown.frame.reference

@@ -35,17 +35,17 @@ class Setting:
 
     def apply(self) -> None:
         """Make this process like the sender. Raises EngineError where its code is other code."""
+        if code() != self.code:
+            raise EngineError(
+                f"{platform.node()} has {code()}, but the command was given where there is "
+                f"{self.code}; install the same on both"
+            )
         if os.path.isdir(self.folder):
             os.chdir(self.folder)
         for name in [name for name in os.environ if name.startswith(PREFIX)]:
             del os.environ[name]
         os.environ.update(self.variables)
         sys.path += [place for place in self.search if place not in sys.path]
-        if code() != self.code:
-            raise EngineError(
-                f"{platform.node()} has {code()}, but the command was given where there is "
-                f"{self.code}; install the same on both"
-            )
         torch.set_num_threads(self.torch_threads)
         plugins.forget_plugins()
         for file in self.plugins:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 from functools import partial
 
 import pytest
 
-from rlbench import cluster, table
+from rlbench import cluster, table, worker
 from rlbench.bench import Done, measure
 from rlbench.cells import Request
 from rlbench.cluster import Cluster, opened
@@ -135,13 +136,19 @@ def test_scores_from_ray_are_those_from_here_bit_for_bit(workers, tmp_path, monk
 def test_a_method_that_kills_its_process_is_a_row_with_the_reason(workers, clip_folder, tmp_path):
     body = "import os; os.kill(os.getpid(), 9)"
     use_plugin(write_plugin(tmp_path / "deadly.py", "deadly", body=body))
-    asked = Request(("deadly", "mean"), (Stored(clip_folder),), spp=(1.0,), repeats=2)
-    asked = Request(**{**vars(asked), "cost": "paper-2080ti"})
+    clips = (Stored(clip_folder),)
+    asked = Request(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
     done = measure(asked, tmp_path / "r", engine=workers)
     assert done == Done(measured=1, refused=1)
     found = table.read(tmp_path / "r")
     (why,) = found[found["method"] == "deadly"]["note"]
     assert why.startswith("EngineError: its worker died 2 times")
+
+
+def test_a_worker_with_other_code_refuses_to_work():
+    setting = replace(worker.setting(cpus=1), code="torch 1.0, code 0123")
+    with pytest.raises(EngineError, match="install the same on both"):
+        setting.apply()
 
 
 def test_without_ray_the_message_says_what_to_install(monkeypatch):
