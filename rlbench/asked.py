@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     import torch
 
+    from rlbench.engine import Engine
     from rlbench.source import Stored
 
 
@@ -49,7 +50,11 @@ def device(name: str) -> torch.device:
 
 
 def clips(
-    own: list[Path] | None, scenes: list[str] | None, preset: str, pool: str = "stored"
+    own: list[Path] | None,
+    scenes: list[str] | None,
+    preset: str,
+    pool: str = "stored",
+    engine: Engine | None = None,
 ) -> tuple[Stored, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be."""
     from rlbench.source import POOLS, below, pooled
@@ -57,7 +62,8 @@ def clips(
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        return tuple(pooled(folder, pool) for folder in rendered(scenes, preset))
+        made = rendered(scenes, preset, engine=engine)
+        return tuple(pooled(folder, pool) for folder in made)
     found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
     named = {clip: {clip.header.scene, clip.header.name} for clip in found}
@@ -118,6 +124,7 @@ def own_scene(
     exposure: float | None,
     define: list[str] | None,
     out: Path | None,
+    engine: Engine | None = None,
 ) -> Path:
     """The clip folder of one's own scene; what is missing of it is rendered now."""
     if scene is None or scenes:
@@ -125,6 +132,7 @@ def own_scene(
             "--camera, --frames, --size, --exposure, --define and --out belong to --scene FILE, "
             "which is given without --scenes and --seeds"
         )
+    from rlbench.engine import LOCAL
     from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
 
@@ -142,7 +150,9 @@ def own_scene(
         parameters=tuple((name, value) for name, _, value in pairs),
         out=out,
     )
-    return ensure_own(wish, preset_of(preset), lambda words: typer.echo(words, err=True))
+    return ensure_own(
+        wish, preset_of(preset), lambda words: typer.echo(words, err=True), engine or LOCAL
+    )
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -158,12 +168,14 @@ def rendered(
     preset: str,
     cap: float | None = None,
     chosen: tuple[int, ...] | None = None,
+    engine: Engine | None = None,
 ) -> list[Path]:
     """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now.
 
     Scenes, takes of them, and seeds of generated scenes replace those of the preset.
     """
     from rlbench import registry
+    from rlbench.engine import LOCAL
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
 
@@ -173,4 +185,5 @@ def rendered(
     if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
-    return ensure(plan if cap is None else plan.capped(cap), wanted or None, chosen)
+    plan = plan if cap is None else plan.capped(cap)
+    return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
-from rlbench.cli_clips import Preset, Scenes, Seeds, lint, render
+from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, Seeds, lint, render
 from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
@@ -79,6 +79,8 @@ def run(
     limit_frames: Annotated[
         int | None, typer.Option(min=1, help="first frames of each clip only, for trying out")
     ] = None,
+    engine: Engine = "local",
+    ray_address: RayAddress = None,
 ) -> None:
     """Measure methods on clips; what OUT holds already is not run again.
 
@@ -91,24 +93,28 @@ def run(
       rlbench run -m mine --plugin mine.py --clips my_renders/
 
       rlbench run -m ours --scenes temple --pool live
+
+      rlbench run -m all --preset standard --engine ray --ray-address auto
     """
     _use(plugin)
     from rlbench import registry, show
     from rlbench.bench import measure
     from rlbench.cells import Request
+    from rlbench.cluster import opened
 
-    request = Request(
-        methods=tuple(registry.expand(asked.split(methods))),
-        clips=asked.clips(clips, scenes, preset, pool),
-        spp=asked.numbers("--spp", spp, float),
-        seeds=asked.numbers("--seed", seed, int),
-        device=asked.device(device),
-        cost=cost,
-        weights=weights,
-        frames=limit_frames,
-    )
-    with show.progress(request) as tell:
-        done = measure(request, out, tell)
+    with opened(engine, ray_address) as workers:
+        request = Request(
+            methods=tuple(registry.expand(asked.split(methods))),
+            clips=asked.clips(clips, scenes, preset, pool, workers),
+            spp=asked.numbers("--spp", spp, float),
+            seeds=asked.numbers("--seed", seed, int),
+            device=asked.device(device),
+            cost=cost,
+            weights=weights,
+            frames=limit_frames,
+        )
+        with show.progress(request) as bar:
+            done = measure(request, out, bar.tell, workers, bar.timed)
     show.done(done, out)
     show.table(request, out)
 

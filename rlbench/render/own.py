@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench import paths
+from rlbench.engine import LOCAL, Engine
 from rlbench.render import flight, llvm, sight
 from rlbench.render.job import Job
 from rlbench.render.opened import Opened, opened
@@ -62,7 +63,10 @@ class _Route:
 
 
 def ensure_own(
-    wish: Wish, preset: Preset, tell: Callable[[str], None] = lambda words: None
+    wish: Wish,
+    preset: Preset,
+    tell: Callable[[str], None] = lambda words: None,
+    engine: Engine = LOCAL,
 ) -> Path:
     """The clip folder of a user's scene, after rendering what is missing of it.
 
@@ -90,7 +94,7 @@ def ensure_own(
     tell(
         f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, exposure {seen.exposure:g}"
     )
-    return finish([replace(job, scene=seen)])[0]
+    return finish([replace(job, scene=seen)], engine=engine)[0]
 
 
 def _looked(scene: Scene, route: _Route, plan: Preset) -> tuple[Scene, float]:
