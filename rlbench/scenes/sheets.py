@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.shapes import Shape, boxes, merge
+from rlbench.scenes.shapes import Shape, merge, quads
 
 Points = NDArray[np.float64]
 
@@ -82,14 +82,14 @@ def blade(
 def pierced(cells: tuple[int, int], size: float, hole: float, thick: float) -> Shape:
     """A screen of rows x columns square cells, each with a round hole, from the origin to +x, +z.
 
-    `size` is the width of a cell, `hole` the radius of its hole; it is `thick` deep about y = 0.
+    `size` is the width of a cell, `hole` the radius of its hole; it is `thick` deep about y = 0,
+    and has no back: it is for windows, seen from before them.
     """
     angle = np.linspace(0, 2 * np.pi, 17)
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     square = circle / np.abs(circle).max(1, keepdims=True)
     inside, outside = hole * circle, size / 2 * square
-    deep = np.array([-thick / 2, -thick / 2, thick / 2, thick / 2])
-    one = sheet(_raised([outside, inside, inside, outside], deep))
+    one = sheet(_raised([outside, inside, inside], [-thick / 2, -thick / 2, thick / 2]))
     rows, columns = np.indices(cells).reshape(2, -1)
     at = np.stack([(columns + 0.5) * size, 0 * rows, (rows + 0.5) * size], -1)
     count = len(one.vertices)
@@ -109,8 +109,8 @@ def blocks(
 ) -> Shape:
     """Blocks in running bond over a rectangle of the plane of x and z, their faces near y = 0.
 
-    They are cut at the rectangle's edges; each stands forward by its own 0 to 25 mm and has its own
-    piece of the texture, a repeat of which is 3 metres.
+    Only their faces, cut at the rectangle's edges; each stands forward by its own 0 to 25 mm and
+    has its own piece of the texture, a repeat of which is 3 metres.
     """
     cut = [
         (max(x, low[0]), max(z, low[1]), min(x + size[0], high[0]), min(z + size[1], high[1]))
@@ -119,11 +119,12 @@ def blocks(
     ]
     x0, z0, x1, z1 = np.array([c for c in cut if c[2] - c[0] > 0.08 and c[3] - c[1] > 0.08]).T
     face = -random.uniform(0.0, 0.025, len(x0))
+    wide, tall, none = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
     near = np.stack([x0 + gap / 2, face, z0 + gap / 2], -1)
-    far = np.stack([x1 - gap / 2, np.full_like(x0, 0.1), z1 - gap / 2], -1)
-    wall = boxes(near, far, tile=3.0)
-    shift = random.uniform(0, 1, (1, len(x0), 1, 2)).astype(np.float32)
-    return wall._replace(uv=(wall.uv.reshape(6, -1, 4, 2) + shift).reshape(-1, 2))
+    across, up = np.stack([wide, none, none], -1), np.stack([none, none, tall], -1)
+    wall = quads(near, across, up, tile=3.0)
+    shift = random.uniform(0, 1, (len(x0), 1, 2)).astype(np.float32)
+    return wall._replace(uv=(wall.uv.reshape(-1, 4, 2) + shift).reshape(-1, 2))
 
 
 def _arc(radius: float, spring: float, steps: int = 21) -> Points:

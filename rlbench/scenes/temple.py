@@ -12,12 +12,12 @@ from rlbench.scenes import temple_things as things
 from rlbench.scenes.shapes import Floats, Shape, boxes, merge, quads
 from rlbench.scenes.temple_paint import marble, pavement, wood, woven
 from rlbench.scenes.temple_stone import BAYS, HEIGHT, LENGTH, THICK, WIDTH
-from rlbench.scenes.textures import bitmap, diffuse, glossy, metal, mix, noise, rgb, tiles
+from rlbench.scenes.textures import bitmap, diffuse, metal, mix, noise, polished, rgb, tiles
 
 Point = tuple[float, float, float]
 
 GLOW = (3.4, 2.8, 2.0)  # radiance of alabaster in the sun
-DAY = (2.0, 2.5, 3.2)  # radiance of the sky through the door
+DAY = (2.4, 3.0, 3.8)  # radiance of the sky through the door
 
 
 def scene() -> Scene:
@@ -34,7 +34,7 @@ def scene() -> Scene:
                 "type": "directional",
                 "direction": [-0.78, 0.22, -0.6],
                 "sampling_weight": 1.1,
-                "irradiance": rgb(25.0, 20.5, 14.0),
+                "irradiance": rgb(20.0, 16.0, 10.5),
             },
         ),
         moving=_moving,
@@ -62,7 +62,7 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
         stone.walls(random).mesh("walls", diffuse(bitmap(warm)), smooth=False),
         stone.arcades().mesh("columns", diffuse(bitmap(pale)), smooth=True),
         _ceiling().mesh("ceiling", diffuse(bitmap(wood(random)))),
-        _floor().mesh("floor", glossy(bitmap(pavement(random)), 0.06)),
+        _floor().mesh("floor", polished(bitmap(pavement(random)))),
         stone.shell().mesh("gold", metal(bitmap(mosaic), 0.3), smooth=True),
     )
 
@@ -96,15 +96,16 @@ def _floor() -> Shape:
     """The pavement, whose texture is as wide as the hall and repeats with each bay."""
     wide = WIDTH + THICK
     flat = boxes((-wide, -4.7, -0.4), (wide, LENGTH + 4.2, 0))
-    return flat._replace(uv=(flat.vertices[:, :2] + (wide, 1)) / np.float32((2 * wide, 4)))
+    uv = (flat.vertices[:, :2] + (wide, 1.0)) / (2 * wide, 4.0)
+    return flat._replace(uv=uv.astype(np.float32))
 
 
 def _furniture(random: np.random.Generator) -> tuple[Mesh, ...]:
     green = mix((0.02, 0.07, 0.08), (0.06, 0.24, 0.22), noise(random, 128, 0.2))
     leaf = mix((0.05, 0.15, 0.03), (0.13, 0.28, 0.06), noise(random, 64, 0.2))
     return (
-        things.pedestal().mesh("pedestal", glossy(bitmap(marble(random)), 0.12), smooth=True),
-        things.pots().mesh("pots", glossy(bitmap(green), 0.08), smooth=True),
+        things.pedestal().mesh("pedestal", polished(bitmap(marble(random))), smooth=True),
+        things.pots().mesh("pots", polished(bitmap(green)), smooth=True),
         things.plants(random).mesh("plants", diffuse(bitmap(leaf)), smooth=True),
     )
 
@@ -114,6 +115,6 @@ def _movers(time: float = 0.0) -> tuple[Mesh, ...]:
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     return (
         things.cloth(time).mesh("banners", diffuse(woven()), smooth=True),
-        things.brass(time).mesh("brass", metal(rgb(0.90, 0.66, 0.32), 0.2), smooth=True),
+        things.brass(time).mesh("brass", metal(rgb(0.90, 0.66, 0.32), 0.25), smooth=True),
         things.crystal(time).mesh("crystal", glass, smooth=True),
     )

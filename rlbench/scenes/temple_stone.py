@@ -22,7 +22,7 @@ Point = tuple[float, float, float]
 
 def walls(random: np.random.Generator) -> Shape:
     """The outer walls with their slits, the screens in them, and the two ends."""
-    return merge(*(_wall(random, side) for side in (-1.0, 1.0)), *_ends(), _apse())
+    return merge(*(_wall(random, side) for side in (-1.0, 1.0)), *_ends(), _apse(), *_steps())
 
 
 def _wall(random: np.random.Generator, side: float) -> Shape:
@@ -36,7 +36,7 @@ def _wall(random: np.random.Generator, side: float) -> Shape:
     core = boxes([(x0, a[0], a[1]) for a, _ in parts], [(x1, b[0], b[1]) for _, b in parts], 3.0)
     flat = merge(*(blocks(random, *_seen_from_inside(a, b, side)) for a, b in parts))
     rows = int((HEAD - low) / CELL + 0.01)
-    screen = pierced((rows, 3), CELL, 0.245, 0.1)
+    screen = pierced((rows, 3), CELL, 0.245, 0.1) if side > 0 else _bars(rows)
     turn = yaw(-side * np.pi / 2)
     screens = [
         placed(screen, (side * (WIDTH + 0.16), y + side * HALF_SLIT, low), turn) for y in SLITS
@@ -46,6 +46,15 @@ def _wall(random: np.random.Generator, side: float) -> Shape:
         [(x1, y + HALF_SLIT, HEAD) for y in SLITS],
     )
     return merge(core, placed(flat, (side * WIDTH, 0, 0), turn), *screens, lintel)
+
+
+def _bars(rows: int) -> Shape:
+    """A lattice of plain bars as large as a pierced screen: no sun shines through it."""
+    x, z = CELL * np.arange(4), CELL * np.arange(rows + 1)
+    return boxes(
+        [(a - 0.04, -0.05, 0) for a in x] + [(0, -0.04, b - 0.04) for b in z],
+        [(a + 0.04, 0.05, rows * CELL) for a in x] + [(3 * CELL, 0.04, b + 0.04) for b in z],
+    )
 
 
 def _seen_from_inside(
@@ -68,6 +77,14 @@ def _ends() -> tuple[Shape, ...]:
     great = arch(APSE - 0.15, NAVE, SPRING - 0.9, top, 0.6)
     band = moulding(APSE - 0.15, 0.32, SPRING - 0.9, 0.75)
     return plain, *(placed(part, (0, LENGTH + 0.3, 0)) for part in (great, band))
+
+
+def _steps() -> list[Shape]:
+    """Three steps up to the altar."""
+    return [
+        boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH + 1.2, 0.22 + s / 2.4), tile=3.0)
+        for s in (0, 0.5, 1)
+    ]
 
 
 def _apse() -> Shape:
@@ -110,7 +127,7 @@ def windows() -> Shape:
 
 def arcades() -> Shape:
     """Two rows of columns with leaves on their capitals, round arches and a carved frieze."""
-    one = merge(column(SPRING, 0.5, 100, 20), _leaves(SPRING, 0.5))
+    one = merge(column(SPRING, 0.5, 72, 18), _leaves(SPRING, 0.5))
     span = merge(arch(1.28, 2.0, SPRING, HEIGHT, 0.7), moulding(1.28, 0.26, SPRING, 0.84))
     first = arch(1.28, 1.5, SPRING, HEIGHT, 0.7)  # over the half bay at either end
     parts = []

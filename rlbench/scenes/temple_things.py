@@ -16,12 +16,12 @@ from rlbench.scenes.shapes import (
     yaw,
 )
 from rlbench.scenes.sheets import blade, ring, sheet
-from rlbench.scenes.temple_stone import HEIGHT, LENGTH
+from rlbench.scenes.temple_stone import HEIGHT
 
-PIVOT = np.array([-1.7, 9.0, HEIGHT])  # where the lamp hangs from
-SPHERE = np.array([0.0, 14.5, 2.35])  # the middle of the rings
+PIVOT = np.array([-1.9, 6.5, HEIGHT])  # where the lamp hangs from
+SPHERE = np.array([0.0, 12.5, 2.4])  # the middle of the rings
 POTS = ((2.25, 6.0), (-2.2, 8.4), (2.2, 17.2), (-2.2, 19.0), (-2.3, 3.4))
-BANNERS = ((-1.85, 11.0), (1.85, 11.0), (-1.85, 19.0), (1.85, 19.0))  # from beams, facing the door
+BANNERS = ((-1.9, 9.0), (1.9, 9.0), (-1.9, 17.0), (1.9, 17.0))  # from beams, facing the door
 
 
 def pots() -> Shape:
@@ -43,15 +43,11 @@ def plants(random: np.random.Generator) -> Shape:
 
 
 def pedestal() -> Shape:
-    """The round steps below the rings, and the altar with its steps."""
-    low = [(1.25, 0.0), (1.25, 0.2), (1.0, 0.22), (1.0, 0.42), (0.62, 0.45), (0.5, 0.52)]
-    foot = lathe([*low, (0.42, 0.7), (0.4, 0.85), (0.46, 0.95), (0.5, 1.0), (0.01, 1.02)], 64)
-    steps = [
-        boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH + 1.2, 0.22 + s / 2.4), tile=4.0)
-        for s in (0, 0.5, 1)
-    ]
+    """The round foot below the rings, and the altar."""
+    low = [(0.95, 0.0), (0.95, 0.16), (0.75, 0.18), (0.75, 0.34), (0.5, 0.37), (0.4, 0.44)]
+    foot = lathe([*low, (0.3, 0.7), (0.28, 0.95), (0.36, 1.1), (0.4, 1.15), (0.01, 1.17)], 64)
     altar = boxes([(-0.9, 29.0, 0.6), (-1.0, 28.9, 1.4)], [(0.9, 29.9, 1.4), (1.0, 30.0, 1.6)])
-    return merge(placed(foot, (SPHERE[0], SPHERE[1], 0)), *steps, altar)
+    return merge(placed(foot, (SPHERE[0], SPHERE[1], 0)), altar)
 
 
 def cloth(time: float) -> Shape:
@@ -81,12 +77,8 @@ def brass(time: float) -> Shape:
     rings = []
     for radius, tilt, period in ((1.15, 1.45, 150.0), (0.98, 0.9, -95.0), (0.82, 0.4, 60.0)):
         turn = yaw(2 * np.pi * time / period + radius * 7) @ rotation((1, 0, 0), tilt)
-        band = lathe(
-            [(radius, -0.06), (radius + 0.05, -0.06), (radius + 0.05, 0.06), (radius, 0.06)], 72
-        )
-        rings.append(placed(band, SPHERE, turn))
-        inside = lathe([(radius, -0.06), (radius, 0.06)], 72)
-        rings.append(placed(inside, SPHERE, turn))
+        rim = [(radius, -0.09), (radius + 0.06, -0.09), (radius + 0.06, 0.09), (radius, 0.09)]
+        rings.append(placed(lathe([*rim, rim[0]], 56), SPHERE, turn))
     return merge(placed(merge(*lamp), PIVOT, swing), *rings)
 
 
