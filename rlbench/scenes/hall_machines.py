@@ -54,9 +54,7 @@ def lamps(time: float) -> Lamps:
 def _wheel(radius: float, teeth: int) -> Shape:
     """A ring in the plane of x and z with teeth inside and a tube along its rim."""
     face = about((1, 0, 0), -np.pi / 2)
-    band = lathe(
-        [(radius, -0.26), (radius + 0.2, -0.28), (radius + 0.2, 0.28), (radius, 0.26)], 64
-    )
+    band = lathe([(radius, -0.26), (radius + 0.2, -0.28), (radius + 0.2, 0.28), (radius, 0.26)], 64)
     inside = lathe([(radius, -0.26), (radius, 0.26)], 64)
     tooth = boxes((-0.09, -0.2, radius - 0.16), (0.09, 0.2, radius + 0.02))
     turns = [about((0, 1, 0), 2 * np.pi * k / teeth) for k in range(teeth)]

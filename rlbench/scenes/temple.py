@@ -11,7 +11,7 @@ from rlbench.scenes import temple_stone as stone
 from rlbench.scenes import temple_things as things
 from rlbench.scenes.shapes import Floats, Shape, boxes, merge, quads
 from rlbench.scenes.temple_paint import marble, pavement, wood, woven
-from rlbench.scenes.temple_stone import BAYS, HEIGHT, LENGTH, THICK, WIDTH
+from rlbench.scenes.temple_stone import HEIGHT, LENGTH, THICK, WIDTH
 from rlbench.scenes.textures import bitmap, diffuse, metal, mix, noise, polished, rgb, tiles
 
 Point = tuple[float, float, float]

@@ -14,7 +14,7 @@ BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
 CELL = 0.55  # metres: of the pierced screens
 SLITS, HALF_SLIT = (BAYS[:-1] + BAYS[1:]) / 2, 1.5 * CELL  # in the middle of each bay; metres
 SILL = {-1.0: 3.4, 1.0: 1.75}  # metres: where the slits of each side begin
-HEAD = 7.8  # metres: where slits end
+HEAD = 7.8  # metres: where slits end, whole cells above both sills
 TRANSOM = SILL[1.0] + 8 * CELL  # metres: above it, the slits of the sunny side are glazed
 APSE = 2.9  # metres: radius; its middle is at the end of the hall
 Point = tuple[float, float, float]
@@ -41,11 +41,7 @@ def _wall(random: np.random.Generator, side: float) -> Shape:
     screens = [
         placed(screen, (side * (WIDTH + 0.16), y + side * HALF_SLIT, low), turn) for y in SLITS
     ]
-    lintel = boxes(
-        [(x0, y - HALF_SLIT, low + rows * CELL) for y in SLITS],
-        [(x1, y + HALF_SLIT, HEAD) for y in SLITS],
-    )
-    return merge(core, placed(flat, (side * WIDTH, 0, 0), turn), *screens, lintel)
+    return merge(core, placed(flat, (side * WIDTH, 0, 0), turn), *screens)
 
 
 def _bars(rows: int) -> Shape:

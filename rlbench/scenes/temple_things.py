@@ -83,6 +83,6 @@ def brass(time: float) -> Shape:
 
 
 def crystal(time: float) -> Shape:
-    """A ball of glass within the rings, which rises and sinks."""
-    lift = 0.12 * np.sin(2 * np.pi * time / 60)
-    return placed(ball(4), SPHERE + (0, 0, lift), scale=0.5)
+    """A ball of glass within the rings, which drifts about."""
+    angle = 2 * np.pi * time / 60
+    return placed(ball(4), SPHERE + (0.1 * np.cos(angle), 0, 0.1 * np.sin(angle)), scale=0.5)
