@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from methods.ours.network import AUX, Networks, Sampler
 from rlbench.ops.initialise import initialise
@@ -63,7 +63,8 @@ def _show_contrast(sampler: Sampler) -> None:
     and normal, the brightness of the sample, and where there is no state; all pass the skip, and
     contrast and brightness of the sample reach the last layer. What it makes of them is learned.
     """
-    tail, block, merge = sampler.tail, sampler.down[0], sampler.merge[-1]
+    tail, head = sampler.tail, sampler.head
+    (enter, _, leave), (gather, _, pass_on) = (_layers(b) for b in (sampler.down[0], sampler.merge[-1]))
     sources = [(AUX, AUX + 1, AUX + 2), (3, 4, 5), (0, 1, 2), (6,)]  # state, albedo, normal, depth
     for to, channels in enumerate(sources):
         _wire(tail.weight, to, {channel: 1 / len(channels) for channel in channels})

@@ -231,8 +231,27 @@ def test_lamps_shine_with_one_radiance_a_mesh(name):
 
 def test_the_panes_of_the_temple_face_inside():
     panes = next(mesh for mesh in _scene("temple").meshes if mesh.name == "panes")
-    middle = panes.vertices[panes.faces].mean(1)
-    assert (_normals(panes.vertices, panes.faces)[:, 0] * middle[:, 0] < 0).all()
+    inward = np.array([0, 15, 4]) - panes.vertices[panes.faces].mean(1)  # from panes to the nave
+    assert ((_normals(panes.vertices, panes.faces) * inward).sum(-1) > 0).all()
+
+
+@pytest.mark.parametrize("name", ["temple", "hall"])
+@pytest.mark.parametrize("time", range(0, 340, 34))
+def test_the_camera_keeps_clear_of_columns_machines_and_walls(name, time):
+    found = _scene(name)
+    moved = found.moving(time)
+    eye = np.array(found.camera(time).origin)
+    for mesh in found.meshes:
+        a, b, c = np.moveaxis(moved.get(mesh.name, mesh.vertices)[mesh.faces], 1, 0)
+        assert np.linalg.norm((a + b + c) / 3 - eye, axis=-1).min() > 0.4, mesh.name
+        assert abs(_turns(a - eye, b - eye, c - eye)) < 0.5 or mesh.name in ("walls", "shell")
+
+
+def _turns(a, b, c):
+    """How often the triangles surround the origin: their solid angle (Van Oosterom, 1983)."""
+    x, y, z = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    below = x * y * z + (a * b).sum(-1) * z + (b * c).sum(-1) * x + (c * a).sum(-1) * y
+    return np.arctan2((a * np.cross(b, c)).sum(-1), below).sum() / (2 * np.pi)
 
 
 def test_the_tubes_of_the_hall_shine_down():
