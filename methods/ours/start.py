@@ -63,23 +63,28 @@ def _show_contrast(sampler: Sampler) -> None:
     and normal, the brightness of the sample, and where there is no state; all pass the skip, and
     contrast and brightness of the sample reach the last layer. What it makes of them is learned.
     """
-    tail, head = sampler.tail, sampler.head
-    (enter, _, leave), (gather, _, pass_on) = (_layers(b) for b in (sampler.down[0], sampler.merge[-1]))
     sources = [(AUX, AUX + 1, AUX + 2), (3, 4, 5), (0, 1, 2), (6,)]  # state, albedo, normal, depth
     for to, channels in enumerate(sources):
-        _wire(tail.weight, to, {channel: 1 / len(channels) for channel in channels})
+        _wire(sampler.tail.weight, to, {channel: 1 / len(channels) for channel in channels})
+    enter, leave = _convolutions(sampler.down[0])
     for to, (source, sign) in enumerate(((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))):
-        _wire(block[0].weight, to, {source: -sign * NOTICED}, box=True)
-        block[0].weight[to, source, 1, 1] += sign * NOTICED
-    _wire(block[0].weight, 6, {0: 4.0})
-    _wire(block[0].weight, 7, {0: -1 / (1 - LOST)})
-    block[0].bias[7] = -LOST / (1 - LOST)
+        _wire(enter.weight, to, {source: -sign * NOTICED}, box=True)
+        enter.weight[to, source, 1, 1] += sign * NOTICED
+    _wire(enter.weight, 6, {0: 4.0})
+    _wire(enter.weight, 7, {0: -1 / (1 - LOST)})
+    assert enter.bias is not None
+    enter.bias[7] = -LOST / (1 - LOST)
+    gather, forward = _convolutions(sampler.merge[-1])
     for to, units in enumerate(((0, 1), (6,), (7,), (2, 3), (4, 5))):
-        _wire(block[2].weight, to, dict.fromkeys(units, 1.0), box=True)
-        _wire(merge[0].weight, to, {block[2].out_channels + to: 1.0}, box=True)
-        _wire(merge[2].weight, to, {to: 1.0}, box=True)
+        _wire(leave.weight, to, dict.fromkeys(units, 1.0), box=True)
+        _wire(gather.weight, to, {leave.out_channels + to: 1.0}, box=True)
+        _wire(forward.weight, to, {to: 1.0}, box=True)
     for to in range(2):
         _wire(sampler.head.weight, to, {to: 1.0})
+
+
+def _convolutions(block: nn.Module) -> list[nn.Conv2d]:
+    return [layer for layer in block.children() if isinstance(layer, nn.Conv2d)]
 
 
 def _wire(weight: Tensor, to: int, sources: dict[int, float], box: bool = False) -> None:
