@@ -125,8 +125,16 @@ def _size(text: str) -> tuple[int, int]:
     return int(high), int(wide)
 
 
-def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:
-    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now."""
+def rendered(
+    scenes: list[str] | None,
+    preset: str,
+    cap: float | None = None,
+    views: list[str] | None = None,
+) -> list[Path]:
+    """The clip folders of a preset, or of it with a radiance cap, or with more view buffers.
+
+    Missing ones are rendered now.
+    """
     from rlbench import registry
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
@@ -137,4 +145,5 @@ def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) ->
     if unknown := [name for name in wanted if name not in known]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
-    return ensure(plan if cap is None else plan.capped(cap), wanted or None)
+    plan = plan if cap is None else plan.capped(cap)
+    return ensure(plan.showing(split(views)) if views else plan, wanted or None)
