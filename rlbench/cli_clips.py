@@ -20,7 +20,8 @@ def render(
         float | None, typer.Option(help="dim every sample to so many times display white")
     ] = None,
     views: Annotated[
-        list[str] | None, typer.Option("--views", help="more buffers a,b: object, albedo_first, ...")
+        list[str] | None,
+        typer.Option("--views", help="more buffers a,b: object, albedo_first, ..."),
     ] = None,
     scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
     camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,

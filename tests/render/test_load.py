@@ -27,6 +27,15 @@ def test_what_is_uploaded_is_a_copy(llvm):
     assert there.numpy().tolist() == list(range(64))
 
 
+@pytest.mark.parametrize("offset", [0, 4, 16, 36, 60])
+def test_what_is_uploaded_is_aligned_however_the_caller_holds_it(llvm, offset):
+    import mitsuba as mi
+
+    # elsewhere Dr.Jit would compile a kernel for each alignment of each input
+    held = np.zeros(256, np.uint8)[offset : offset + 128].view(np.float32)
+    assert load.upload(mi.Float, held).numpy().ctypes.data % 64 == 0
+
+
 def test_smooth_normals_of_a_sphere_point_outwards():
     mesh = ball()
     normals = load.smooth_normals(mesh.vertices, mesh.faces)
