@@ -82,7 +82,7 @@ def reflectance(surface: Any, ray: Any, active: Any) -> Any:
 
 
 def _context() -> Any:
-    """Importance transport, or refraction would scale weights by the squared index of refraction."""
+    """Importance transport, or refraction would scale weights by the squared refractive index."""
     import mitsuba as mi
 
     return mi.BSDFContext(mi.TransportMode.Importance)

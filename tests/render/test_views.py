@@ -51,6 +51,7 @@ def test_albedo_of_known_materials(variant, material, known, error):
         {"type": "blendbsdf", "weight": 0.5, "a": diffuse(0.6, 0.6, 0.6), "b": {**ROUGH}},
         {"type": "mask", "opacity": 0.5, "a": diffuse(0.6, 0.6, 0.6)},
         {"type": "twosided", "a": {"type": "roughplastic", "alpha": 0.3}},
+        {"type": "roughdielectric", "alpha": 0.3},
     ],
     ids=lambda material: material["type"],
 )
@@ -124,6 +125,12 @@ def test_objects_are_numbered_as_the_meshes_are(variant):
     found = views(tracer, {"object"})["object"][..., 0]
     np.testing.assert_array_equal(found, _mesh(tracer) + 1)
     assert {0, 1, 2, 3, 4} <= set(found.ravel())
+
+
+def test_glass_itself_passes_all_light_on(variant):
+    tracer = open_tracer(room(), H, W)
+    pane = views(tracer, {"albedo_first"})["albedo_first"][_mesh(tracer) == 3]
+    np.testing.assert_allclose(pane, 1.0, atol=1e-5)  # not scaled by the squared refractive index
 
 
 def test_background_behind_is_background(variant):
