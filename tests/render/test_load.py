@@ -27,12 +27,12 @@ def test_what_is_uploaded_is_a_copy(llvm):
     assert there.numpy().tolist() == list(range(64))
 
 
-@pytest.mark.parametrize("offset", [0, 4, 16, 36, 60])
-def test_what_is_uploaded_is_aligned_however_the_caller_holds_it(llvm, offset):
+@pytest.mark.parametrize("length", [16, 1000, 100_000, 1_000_000])
+def test_what_is_uploaded_is_aligned_whatever_the_caller_holds(llvm, length):
     import mitsuba as mi
 
-    # elsewhere Dr.Jit would compile a kernel for each alignment of each input
-    held = np.zeros(256, np.uint8)[offset : offset + 128].view(np.float32)
+    # or Dr.Jit would compile a kernel for each alignment of each input
+    held = np.zeros(length + 1, np.float32)[1:]
     assert load.upload(mi.Float, held).numpy().ctypes.data % 64 == 0
 
 
