@@ -37,13 +37,12 @@ def table(request):
     """Cells by scene and column; at the end, what there is of them is printed."""
     cells: dict[tuple[str, str], str] = {}
     yield cells
-    terminal = request.config.pluginmanager.getplugin("terminalreporter")
-    terminal.write_line("")
-    terminal.write_line(f"| scene | {' | '.join(COLUMNS)} |")
-    terminal.write_line(f"|---|{'---:|' * len(COLUMNS)}")
+    lines = [f"| scene | {' | '.join(COLUMNS)} |", f"|---|{'---:|' * len(COLUMNS)}"]
     for scene in sorted({scene for scene, _ in cells}, key=SCENES.index):
         row = [cells.get((scene, column), "") for column in COLUMNS]
-        terminal.write_line(f"| {scene} | {' | '.join(row)} |")
+        lines.append(f"| {scene} | {' | '.join(row)} |")
+    with request.config.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
+        print("", *lines, sep="\n")  # noqa: T201
 
 
 @pytest.fixture(scope="module", params=SCENES)
