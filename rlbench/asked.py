@@ -168,11 +168,13 @@ def rendered(
     preset: str,
     cap: float | None = None,
     chosen: tuple[int, ...] | None = None,
+    views: list[str] | None = None,
     engine: Engine | None = None,
 ) -> list[Path]:
-    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now.
+    """The clip folders of a preset, or of it with a radiance cap, or with more view buffers.
 
-    Scenes, takes of them, and seeds of generated scenes replace those of the preset.
+    Missing ones are rendered now. Scenes, takes of them, and seeds of generated scenes replace
+    those of the preset.
     """
     from rlbench import registry
     from rlbench.engine import LOCAL
@@ -186,4 +188,5 @@ def rendered(
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
     plan = plan if cap is None else plan.capped(cap)
+    plan = plan.showing(split(views)) if views else plan
     return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

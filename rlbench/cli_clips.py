@@ -30,6 +30,10 @@ def render(
     cap: Annotated[
         float | None, typer.Option(help="dim every sample to so many times display white")
     ] = None,
+    views: Annotated[
+        list[str] | None,
+        typer.Option("--views", help="more buffers a,b: object, albedo_first, ..."),
+    ] = None,
     scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
     camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
@@ -55,6 +59,8 @@ def render(
 
       rlbench render --cap 64
 
+      rlbench render --views object,normal_behind
+
       rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
 
       rlbench render --scene mine.py --camera path.json --out clips/mine
@@ -69,7 +75,7 @@ def render(
             given = scenes or (seeds and [seeds]) or None
             folders = [asked.own_scene(scene, given, preset, *own, workers)]
         else:
-            folders = asked.rendered(scenes, preset, cap, asked.seeds(seeds), workers)
+            folders = asked.rendered(scenes, preset, cap, asked.seeds(seeds), views, workers)
     for folder in folders:
         typer.echo(folder)
 

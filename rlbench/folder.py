@@ -12,13 +12,18 @@ from numpy.typing import NDArray
 from rlbench.exr import write_exr
 from rlbench.header import VIEWS, ClipError, Header
 
-HALF = frozenset({"albedo", "normal"})  # view buffers stored in half precision; the others float
+HALF = ("albedo", "normal")  # view buffers whose names begin so are stored in half; others float
 LARGEST_HALF = float(np.finfo(np.float16).max)
 CHANNELS = {
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
     "depth": ("depth.Z",),
     "motion": ("motion.X", "motion.Y"),
+    "object": ("object.I",),
+    "albedo_first": ("albedo_first.R", "albedo_first.G", "albedo_first.B"),
+    "normal_behind": ("normal_behind.X", "normal_behind.Y", "normal_behind.Z"),
+    "depth_behind": ("depth_behind.Z",),
+    "object_behind": ("object_behind.I",),
     "rgb": ("R", "G", "B"),
 }  # of the images in a file; a pool's are s0, s1, ... with s0.R, s0.G, s0.B, ...
 
@@ -63,7 +68,7 @@ def write_frame(
     _check(index, size, view, pools, a, b)
     planes: dict[str, NDArray[Any]] = {}
     for name, image in view.items():
-        planes |= _planes(name, image, np.float16 if name in HALF else np.float32)
+        planes |= _planes(name, image, np.float16 if name.startswith(HALF) else np.float32)
     write_exr(exr_path(folder, "view", index), planes)
     for pool, samples in pools.items():
         precision = np.float32 if _beyond_half(samples) else np.float16
@@ -83,7 +88,7 @@ def has_frame(folder: Path, index: int, pools: Iterable[str] = ("path",)) -> boo
 def not_finite(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
     """Where an image holds what no clip may hold: NaN or an infinity, save depth's background."""
     bad: NDArray[np.bool_] = ~np.isfinite(array)
-    return np.logical_and(bad, ~np.isposinf(array)) if name == "depth" else bad
+    return np.logical_and(bad, ~np.isposinf(array)) if name.startswith("depth") else bad
 
 
 def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:

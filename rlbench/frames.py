@@ -32,7 +32,9 @@ class View:
     pixel to its position in the previous frame, x right and y down; outside the image where nothing
     is remembered: for what has just come into view, and for every pixel where another shot begins.
     A buffer that was not declared as needed is absent, and reading it is an error. `motion` is None
-    where nothing moves.
+    where nothing moves. Some clips have more, see `rlbench.render.views`: object, albedo_first and,
+    of what lies behind glass and mirrors, normal_behind, depth_behind and object_behind. A method
+    that declares them runs on these clips alone, and reads them by `extra`.
     """
 
     buffers: Mapping[str, Tensor]
@@ -57,6 +59,10 @@ class View:
     def motion(self) -> Float[Tensor, "n 2 h w"] | None:
         """Pixels from here to the same point in the previous frame; None where nothing moves."""
         return None if self.static else self._read("motion")
+
+    def extra(self, name: str) -> Float[Tensor, "n c h w"]:
+        """A buffer that only some clips have, by its name."""
+        return self._read(name)
 
     def only(self, needs: frozenset[str]) -> View:
         """The same view without the buffers that a method did not declare."""

@@ -14,7 +14,15 @@ from rlbench.paths import replacing
 
 VERSION = 1
 FILE = "clip.toml"
-VIEWS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each view buffer
+CORE = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each view buffer
+EXTRAS = {  # of those that a clip has only where they were asked for
+    "object": 1,
+    "albedo_first": 3,
+    "normal_behind": 3,
+    "depth_behind": 1,
+    "object_behind": 1,
+}
+VIEWS = CORE | EXTRAS
 LACKS = {  # what a clip that others rendered may not have, though the format asks for it
     "halves": "referenceA and referenceB are one image, so its noise cannot be told from error",
     "independence": "seeds of samples are those of other frames or of the reference",
@@ -48,7 +56,7 @@ class Header:
     radiance_cap: float = math.inf  # of every sample, times display white; inf where there is none
     reference_spp: tuple[int, ...]  # per frame, of both halves together; 0: unknown
     noise_ceiling_db: tuple[float, ...] = ()  # per frame, PSNR of the truth against the reference
-    buffers: tuple[str, ...] = tuple(VIEWS)  # of the view
+    buffers: tuple[str, ...] = tuple(CORE)  # of the view
     pools: tuple[str, ...] = ("path",)
     lacks: tuple[str, ...] = ()  # of what the format asks for; words of LACKS
     static: bool = False  # neither camera nor objects move; then there is no motion buffer

@@ -47,6 +47,13 @@ def test_only_few_read_a_clock(file):
     assert of(file) in TIMED or not CLOCK.search(file.read_text())
 
 
+@pytest.mark.parametrize("call", [r"integrator\.sample\(", r"mi\.render\("])
+def test_light_is_traced_at_one_place(call):
+    calls = [of(file) for file in SOURCES for _ in re.finditer(call, file.read_text())]
+    wanted = {"i": "rlbench/render/wavefront.py", "m": "rlbench/render/whole.py"}
+    assert calls == [wanted[call[0]]]
+
+
 @pytest.mark.parametrize("file", SOURCES, ids=of)
 def test_nothing_is_unpickled(file):
     safe = re.sub(r"torch\.load\([^()]*, weights_only=True\)", "", file.read_text())

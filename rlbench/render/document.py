@@ -36,13 +36,14 @@ def read(document: Document) -> Facts:
 
     All spellings that Mitsuba upgrades are understood, and relative paths start at the file. The
     integrator gives the longest path only; sampler and film filter are replaced by rlbench's own.
-    Raises SceneError for XML errors, missing files, participating media, and sensors that are no
-    pinhole.
+    Raises SceneError for XML errors, missing files, participating media, lights that Mitsuba would
+    leave dark, and sensors that are no pinhole.
     """
     with _parsed(document, merge=False) as (_, state):
         notes: list[str] = []
         files = _files(state)
         _refuse_media(state)
+        _refuse_dark_lights(state)
         matrix, fov, aspect = _sensor(state, document.file, notes)
         depth = _depth(state, notes)
         from mitsuba import parser
@@ -170,6 +171,20 @@ def _refuse_media(state: Any) -> None:
                 f"{parser.file_location(state, node)}: the scene has a participating medium "
                 f"({node.props.plugin_name()}), which rlbench's path tracer would leave out; "
                 "remove it"
+            )
+
+
+def _refuse_dark_lights(state: Any) -> None:
+    """Radiance by mesh attribute is what next-event estimation takes for 0, without a word."""
+    import mitsuba as mi
+    from mitsuba import parser
+
+    for node in (n for n in state.nodes if n.type == mi.ObjectType.Emitter):
+        if any(c.props.plugin_name() == "mesh_attribute" for _, c in _children(state, node)):
+            raise SceneError(
+                f"{parser.file_location(state, node)}: the light's radiance is a mesh attribute, "
+                "of which Mitsuba's path tracer loses a good part; give it one radiance, or a "
+                "bitmap with a texel for each light"
             )
 
 

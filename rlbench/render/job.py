@@ -31,7 +31,8 @@ class Job:
     @property
     def buffers(self) -> tuple[str, ...]:
         """The view buffers to write: where nothing moves, there is no motion."""
-        return tuple(b for b in BUFFERS if not (self.scene.static and b == "motion"))
+        names = (*BUFFERS, *self.preset.extras)
+        return tuple(b for b in names if not (self.scene.static and b == "motion"))
 
     @property
     def missing(self) -> list[int]:
@@ -56,6 +57,7 @@ class Job:
         size = "x".join(map(str, plan.size))
         samples += f", up to {plan.rounds} rounds to {plan.ceiling_db:g} dB" * (plan.rounds > 1)
         samples += f", cap {plan.cap:g}" * (plan.cap < math.inf)
+        samples += f", with {' '.join(plan.extras)}" * bool(plan.extras)
         return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
 
     @property

@@ -61,14 +61,16 @@ class LivePool:
     def empty(self) -> Samples:
         """No samples at all."""
         _, h, w = self.size
-        counts = torch.zeros(1, 1, h, w, dtype=torch.int64, device=self.device)
-        return Samples(torch.zeros(1, self.cap, 3, h, w, device=self.device), counts)
+        counts = _blank((1, 1, h, w), np.int64).to(self.device)
+        return Samples(_blank((1, self.cap, 3, h, w), np.float32).to(self.device), counts)
 
     def take(self, before: Samples, counts: Int[Tensor, "1 1 h w"]) -> Float[Tensor, "1 s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel; what `before` lacks is traced."""
         pixels, slots = _lacking(*(c.flatten().cpu().numpy() for c in (before.counts, counts)))
         values = torch.from_numpy(self._traced(pixels, slots)).to(self.device) * self.exposure
-        radiance = before.radiance.clone() if before.counts.any() else self.empty().radiance
+        radiance = self.empty().radiance
+        most = int(before.counts.max())  # of one pixel: the slots beyond hold nothing to be copied
+        radiance[:, :most] = before.radiance[:, :most]
         row, column = (torch.from_numpy(i) for i in np.divmod(pixels, self.size.w))
         radiance[0].permute(0, 2, 3, 1)[torch.from_numpy(slots), row, column] = values
         return radiance
@@ -176,6 +178,11 @@ def _tracer(folder: Path, digest: str) -> Tracer:
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
     return open_tracer(scene_of(folder), header.height, header.width, header.seed, cap)
+
+
+def _blank(shape: tuple[int, ...], kind: type[np.number]) -> Tensor:
+    """Zeros whose memory is not there until it is written: torch writes its own at once."""
+    return torch.from_numpy(np.zeros(shape, kind))
 
 
 def _lacking(

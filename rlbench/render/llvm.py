@@ -1,22 +1,20 @@
-"""Finding a libLLVM that Dr.Jit can use, and starting Mitsuba with it or without."""
+"""Finding a libLLVM that Dr.Jit can use, and starting Mitsuba with the fastest that works."""
 
 from __future__ import annotations
 
 import glob
 import hashlib
 import importlib.metadata
-import json
 import os
 import platform
 import re
-import subprocess
 import sys
-import tempfile
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 from rlbench import paths
+from rlbench.render import cuda, probe
 
 OLDEST = 16  # 14 is refused by Dr.Jit, 15 aborts the process
 PATTERNS = (
@@ -68,44 +66,24 @@ def candidates() -> list[tuple[int, Path]]:
     return sorted(((v, f) for f in unique if (v := _version(f))), reverse=True)
 
 
-def probe(path: Path) -> str:
-    """Why `path` cannot be used, or an empty string if it can.
-
-    It runs in a process of its own, since an unsuitable LLVM aborts, and with an empty kernel
-    cache, since kernels that another LLVM has compiled would hide the fault.
-    """
-    with tempfile.TemporaryDirectory() as empty:
-        setting = {"DRJIT_LIBLLVM_PATH": str(path), "DRJIT_CACHE_DIR": empty}
-        run = [sys.executable, "-c", PROBE]
-        environment = {**os.environ, **setting}
-        try:
-            done = subprocess.run(run, env=environment, capture_output=True, text=True, timeout=120)
-        except subprocess.TimeoutExpired:
-            return "did not finish within 120 s"
-    if done.returncode == 0 and done.stdout.startswith("usable"):
-        return ""
-    if done.returncode < 0:
-        return f"ended by signal {-done.returncode} (LLVM too old or of another kind)"
-    words = [line for line in done.stderr.splitlines() if line.strip()]
-    return words[-1].strip()[:200] if words else f"exit code {done.returncode}"
+def probed(path: Path) -> str:
+    """Why `path` cannot be used, or an empty string if it can; an unsuitable LLVM aborts."""
+    return probe.tried(PROBE, {"DRJIT_LIBLLVM_PATH": str(path)})
 
 
 def libraries() -> list[Library]:
     """What was found, newest first, up to the first that can be used; each is probed only once."""
     note = paths.cache() / "llvm.json"
-    known: dict[str, str] = json.loads(note.read_text()) if note.exists() else {}
     found = []
     for version, path in candidates():
         if version < OLDEST:
             found.append(Library(path, version, f"too old, {OLDEST} or newer is needed"))
             continue
-        key = _key(path)
-        if key not in known:
-            known[key] = probe(path)
-            with paths.replacing(note) as file:
-                file.write_text(json.dumps(known, indent=1))
-        found.append(Library(path, version, known[key]))
-        if not known[key]:
+        key = f"{probe.stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
+        known = probe.noted(note, key)
+        reason = probe.keep(note, key, probed(path)) if known is None else known
+        found.append(Library(path, version, reason))
+        if not reason:
             break
     return found
 
@@ -113,35 +91,57 @@ def libraries() -> list[Library]:
 def activate(variant: str | None = None) -> str:
     """Start Mitsuba and return its variant.
 
-    `variant`, or else the variable RLBENCH_VARIANT, asks for one by name, such as `cuda_ad_rgb`.
-    Otherwise it is the one that is running already, or `llvm_ad_rgb` where a usable libLLVM is
-    found, or `scalar_rgb` with a warning. It must run before anything else imports drjit, which
-    loads LLVM at once. It traces with RLBENCH_THREADS threads, or one for each processor.
+    `variant`, or else the variable RLBENCH_VARIANT, asks for one by name, such as `llvm_ad_rgb`.
+    Otherwise it is the one that is running already, or the fastest that works: `cuda_ad_rgb` with
+    an NVIDIA device, `llvm_ad_rgb` with a libLLVM, or `scalar_rgb` with a warning. It must run
+    before anything else imports drjit, which loads LLVM at once. It traces with RLBENCH_THREADS
+    threads, or one for each processor.
     """
     if not variant and "mitsuba" in sys.modules and (runs := sys.modules["mitsuba"].variant()):
         _limit()
         return str(runs)
     asked = variant or os.environ.get("RLBENCH_VARIANT", "")
     good = next((lib for lib in libraries() if not lib.refused), None)
-    if good:
-        _prepare(good)
+    chosen = asked or fastest(good, cuda.refused())
+    _prepare(good)
     import mitsuba as mi
 
-    if not asked and not good:
+    if chosen not in mi.variants():
+        raise ValueError(f"Mitsuba has no variant '{chosen}'; it has: {', '.join(mi.variants())}")
+    if not asked and chosen == "scalar_rgb":
         warnings.warn(f"no usable libLLVM: tracing is slow; {ADVICE}", stacklevel=2)
-    mi.set_variant(asked or ("llvm_ad_rgb" if good else "scalar_rgb"))
+    mi.set_variant(chosen)
     _limit()
     return str(mi.variant())
 
 
+def fastest(library: Library | None, cuda_refused: str | None) -> str:
+    """The variant for a machine with this LLVM, where CUDA was refused so (see `cuda.refused`)."""
+    if cuda_refused == "":
+        return "cuda_ad_rgb"
+    return "llvm_ad_rgb" if library else "scalar_rgb"
+
+
 def report() -> str:
-    """Which libLLVM is used, which were refused and why, and how to get the fast one."""
-    found = libraries()
-    lines = [f"refused {lib.path}: {lib.refused}" for lib in found if lib.refused]
+    """Which variant is used and with what, what was refused and why, how to get a fast one."""
+    found, device = libraries(), cuda.refused()
     good = next((lib for lib in found if not lib.refused), None)
-    if good:
-        return "\n".join([f"path tracer: llvm_ad_rgb with {good.path}", *lines])
-    return "\n".join(["path tracer: scalar_rgb, no usable libLLVM", *lines, ADVICE])
+    chosen = fastest(good, device)
+    if chosen == "cuda_ad_rgb":
+        using = f"with {cuda.driver()}"
+    else:
+        using = f"with {good.path}" if good else "no usable libLLVM"
+    lines = [f"path tracer: {chosen}, {using}"]
+    if device:
+        lines.append(f"refused cuda_ad_rgb with {cuda.driver()}: {device}")
+    lines += [f"refused {lib.path}: {lib.refused}" for lib in found if lib.refused]
+    return "\n".join(lines if good or device == "" else [*lines, ADVICE])
+
+
+def kernels(library: Library | None) -> Path:
+    """The folder of compiled kernels: Dr.Jit's own cache is not keyed by LLVM's version."""
+    kind = f"llvm{library.version}" if library else "nollvm"
+    return paths.cache() / f"drjit-{kind}-{_processor()}"
 
 
 def _version(path: Path) -> int | None:
@@ -151,16 +151,12 @@ def _version(path: Path) -> int | None:
     return int(match[1]) if match else None
 
 
-def _key(path: Path) -> str:
-    stamp = path.stat().st_mtime_ns if path.exists() else 0
-    return f"{path} {stamp} mitsuba {importlib.metadata.version('mitsuba')}"
-
-
-def _prepare(library: Library) -> None:
-    """Name the library and a kernel cache of its own: Dr.Jit's is not keyed by LLVM's version."""
-    os.environ["DRJIT_LIBLLVM_PATH"] = str(library.path)
+def _prepare(library: Library | None) -> None:
+    """Tell Dr.Jit which LLVM to load, and where to keep kernels, unless the user has."""
+    if library:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(library.path)
     if "DRJIT_CACHE_DIR" not in os.environ:
-        folder = paths.cache() / f"drjit-llvm{library.version}-{_processor()}"
+        folder = kernels(library)
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["DRJIT_CACHE_DIR"] = str(folder)
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal
+
+from rlbench.header import EXTRAS
 
 FOUR = ("city", "temple", "hall", "ripples")
 GENERATED = "generated"  # clips of rlbench.scenes.generator are named generated-<seed>
@@ -30,6 +33,7 @@ class Preset:
     cap: float = math.inf  # brightest that a sample may be, times display white
     ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
     rounds: int = 1  # of `reference_spp` each, at most, until it does not
+    extras: tuple[str, ...] = ()  # view buffers beside those that every clip has
 
     @property
     def clip_samples(self) -> int:
@@ -47,6 +51,15 @@ class Preset:
         if not cap > 0:
             raise PresetError(f"a radiance cap of {cap:g} was asked for; it must be above 0")
         return replace(self, name=f"{self.name}-cap{cap:g}", cap=cap)
+
+    def showing(self, extras: Collection[str]) -> Preset:
+        """The same with more view buffers, under a name of its own. Raises PresetError."""
+        chosen = tuple(name for name in EXTRAS if name in set(extras))
+        if unknown := sorted(set(extras) - set(EXTRAS)):
+            raise PresetError(
+                f"no view buffer {', '.join(unknown)} to add; there are: {', '.join(EXTRAS)}"
+            )
+        return replace(self, name=f"{self.name}-views", extras=chosen)
 
 
 PRESETS = {

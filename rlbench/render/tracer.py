@@ -122,6 +122,25 @@ class Tracer(ABC):
             traced(count)
         return total
 
+    def moments(
+        self, spp: int, stream: str, first: int = 0, chunk: int | None = None
+    ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
+        """Mean and variance of samples `first` .. `first + spp - 1` of every pixel, in float32.
+
+        The variance is that of one sample, unbiased; over `spp` it is that of the mean. One sample
+        has none, and it is NaN then.
+        """
+        chunk = chunk or self._chunk()
+        total = np.zeros((2, self.height, self.width, 3))  # of samples and of their squares
+        for start in range(first, first + spp, chunk):
+            images = self._launch(start, min(chunk, first + spp - start), stream)
+            total[0] += images.sum(0, dtype=np.float64)
+            total[1] += np.square(images, dtype=np.float64).sum(0)
+        mean = total[0] / spp
+        spread = np.maximum(total[1] / spp - mean**2, 0)  # rounding may make it negative
+        variance = spread * (spp / (spp - 1) if spp > 1 else math.nan)
+        return mean.astype(np.float32), variance.astype(np.float32)
+
     def sample_ms(self, repeats: int = 5, spp: int = 1) -> float:
         """Median milliseconds of one full frame at one sample per pixel, after a warm-up.
 

@@ -1,12 +1,14 @@
 """What a camera knows before any light is traced: albedo, normal, depth and exact motion.
 
 All are of the pixel's centre. Normal, depth and motion are of the first surface, glass included, so
-that they belong together; albedo looks through glass and mirrors.
+that they belong together; albedo looks through glass and mirrors. Beside them there are, where they
+are asked for, the object that is hit, the first surface's own albedo, and what lies behind glass
+and mirrors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,17 +16,14 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.frames import BUFFERS
+from rlbench.header import VIEWS
 from rlbench.render.pose import Pose
+from rlbench.render.through import albedo, reflectance, through
 from rlbench.render.tracer import Tracer
 
-POINTS = 16  # directions of the albedo's quadrature
 OUTSIDE = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
-BOUNCES = 4  # mirrors and panes that albedo looks through
-LATTICE = (
-    1,
-    5,
-    25,
-)  # Korobov 1959: point i is i * LATTICE / POINTS; 5 had the least error of 3 .. 13
+HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of a first look
+BEHIND = {"hit_behind": 1, "mesh_behind": 1, "normal_behind": 3, "length_behind": 1}
 
 
 def views(
@@ -32,109 +31,105 @@ def views(
 ) -> dict[str, Float[Array, "h w channels"]]:
     """The buffers `needs` of the tracer's present time, float32, in the conventions of `View`.
 
-    albedo: see `albedo`; 0 for background. normal: world space, towards the camera. depth: along
-    the view axis, +inf for background. motion: to the position one frame earlier, from the poses at
-    `time` and `time - 1` (also for frame 0), so exact for camera, rigid and deforming motion; that
-    of background is the camera's rotation. Where another shot begins, at a frame of `Scene.cuts`,
-    every pixel comes from OUTSIDE the previous frame, though some of what it shows may have been
-    seen there: an engine knows that its camera was cut, drops its history, and knows no more.
+    albedo: see `through.albedo`; 0 for background. normal: world space, towards the camera. depth:
+    along the view axis, +inf for background. motion: to the position one frame earlier, from the
+    poses at `time` and `time - 1` (also for frame 0), so exact for camera, rigid and deforming
+    motion; that of background is the camera's rotation. Where another shot begins, at a frame of
+    `Scene.cuts`, every pixel comes from OUTSIDE the previous frame, though some of what it shows
+    may have been seen there: an engine knows that its camera was cut, drops its history, and knows
+    no more.
+
+    object: 1 + the place in `scene.meshes`, or one more than the last of them for any other shape;
+    0 for background. albedo_first: of the first surface itself. normal_behind, depth_behind and
+    object_behind: of the first surface that is not only mirror or glass, found as albedo finds it;
+    depth as if the way there had no bends.
     """
     height, width = tracer.height, tracer.width
     rows, columns = np.indices((height, width)).reshape(2, -1)
     film = np.stack([columns, rows], 1) + 0.5
-    hit, mesh, face, u, v, *shaded = tracer.each(
-        lambda ray: _look(tracer, ray, "albedo" in needs), film
-    )
-    found = {"albedo": np.stack(shaded[:3], 1), "normal": np.stack(shaded[3:6], 1)}
-    fixed = np.stack(shaded[6:], 1) if tracer.scene.document else None
-    now, before = _points(tracer, hit > 0, mesh, face, u, v, film, fixed)
+    channels = _channels(tracer, needs)
+    parts = np.cumsum(list(channels.values()))[:-1]
+    seen = tracer.each(lambda ray: _look(tracer, ray, channels), film)
+    found = dict(zip(channels, np.split(np.stack(seen, 1), parts, 1), strict=True))
+    hit, mesh, face = (found[name][:, 0] for name in ("hit", "mesh", "face"))
+    u, v = (found[name][:, 0].astype(np.float32) for name in "uv")
+    now, before = _points(tracer, hit > 0, mesh, face, u, v, film, found.get("point"))
     here, depth = tracer.pose.project(now, height, width)
     found["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
     there, _ = Pose.of(tracer.scene, tracer.time - 1).project(before, height, width)
     cut = any(tracer.time - 1 < first <= tracer.time for first in tracer.scene.cuts)
     found["motion"] = np.full_like(here, OUTSIDE) * (width, height) if cut else there - here
+    found["object"] = np.where(hit > 0, mesh + 1, 0)[:, None]
+    if "hit_behind" in found:
+        ends = found["hit_behind"] > 0
+        ahead = tracer.pose.directions(film, height, width) @ tracer.pose.axes()[2]
+        found["depth_behind"] = np.where(ends, found["length_behind"] * ahead[:, None], np.inf)
+        found["object_behind"] = np.where(ends, found["mesh_behind"] + 1, 0)
     return {
         name: found[name].reshape(height, width, -1).astype(np.float32)
-        for name in BUFFERS
+        for name in VIEWS
         if name in needs
     }
 
 
-def albedo(tracer: Tracer, ray: Any) -> Any:
-    """Share of light that the surface behind `ray` reflects or passes on, in [0, 1].
-
-    The mean of the BSDF's own sample weights over fixed points: its directional-hemispherical
-    reflectance, whatever the BSDF. Surfaces that are only mirror or glass are followed up to 4
-    times, through the pane rather than off it, and tint what lies behind; a mirror that shows the
-    sky has its own tint. Mitsuba's own albedo is far above 1 or 0 for rough metal and glass.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    # importance transport, or refraction would scale the weights by the squared index of refraction
-    context = mi.BSDFContext(mi.TransportMode.Importance)
-
-    def follow(ray: Any, tint: Any, result: Any, bounce: Any, active: Any) -> tuple[Any, ...]:
-        surface = tracer.mitsuba.ray_intersect(ray, active)
-        valid = active & surface.is_valid()
-        if valid is False:  # a single ray that has left the scene: there is no BSDF to ask
-            return ray, tint, tint if bounce > 0 else result, bounce, False
-        bsdf = surface.bsdf(ray)
-        smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ends = valid & (smooth | (bounce >= BOUNCES))
-        share = _reflectance(context, bsdf, surface, ends)
-        result = dr.select(ends, tint * share, result)
-        result = dr.select((active ^ valid) & (bounce > 0), tint, result)
-        onward = valid ^ ends
-        chosen, weight = bsdf.sample(context, surface, 0.999, mi.Point2f(0.5, 0.5), onward)
-        tint = dr.select(onward, tint * weight, tint)
-        ray = surface.spawn_ray(surface.to_world(chosen.wo))
-        return mi.Ray3f(ray), tint, result, bounce + 1, onward
-
-    start = (mi.Ray3f(ray), mi.Color3f(1), mi.Color3f(0), mi.UInt32(0), mi.Bool(True))
-    end = dr.while_loop(start, lambda *state: state[-1], follow)
-    return dr.clip(end[2], 0, 1)
+def _channels(tracer: Tracer, needs: Collection[str]) -> dict[str, int]:
+    """What has to be looked at along each ray, and how many numbers it is."""
+    more = {name: 3 for name in ("albedo", "albedo_first") if name in needs}
+    behind = BEHIND if any(name.endswith("_behind") for name in needs) else {}
+    return HIT | more | behind | ({"point": 3} if tracer.scene.document else {})
 
 
-def _look(tracer: Tracer, ray: Any, coloured: bool) -> tuple[Any, ...]:
-    """Is there a hit? Mesh, face and place in it; albedo, normal; of a document, where it is."""
+def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, ...]:
+    """The numbers of `channels` along a ray, one after the other; zeros where nothing is hit."""
     import drjit as dr
     import mitsuba as mi
 
     hit = tracer.mitsuba.ray_intersect_preliminary(ray)
     valid = hit.is_valid()
-    if valid is False:
-        return (0.0,) * (14 if tracer.scene.document else 11)
+    if valid is False:  # a single ray that has left the scene
+        return (0.0,) * sum(channels.values())
     surface = hit.compute_surface_interaction(ray, active=valid)
-    normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1, 1)
-    normal = dr.select(valid, normal, mi.Normal3f(0))
-    colour = albedo(tracer, ray) if coloured else mi.Color3f(0)
     place = dr.select(valid, mi.Point2f(hit.prim_uv), mi.Point2f(0))
-    where = (tracer.mesh(hit), dr.select(valid, hit.prim_index, mi.UInt32(0)), place.x, place.y)
-    point = dr.select(valid, surface.p, mi.Point3f(0)) if tracer.scene.document else ()
-    return (dr.select(valid, mi.Float(1), mi.Float(0)), *where, *colour, *normal, *point)
+    face = dr.select(valid, hit.prim_index, mi.UInt32(0))
+    found: dict[str, Any] = {"face": (face,), "u": (place.x,), "v": (place.y,)}
+    found |= _met(tracer, hit, surface, ray, valid)
+    if "point" in channels:
+        found["point"] = dr.select(valid, surface.p, mi.Point3f(0))
+    if "albedo_first" in channels:
+        share = dr.clip(reflectance(surface, ray, valid), 0, 1)
+        found["albedo_first"] = dr.select(valid, share, mi.Color3f(0))
+    if "albedo" in channels or "hit_behind" in channels:
+        last, tint, length, bounces = through(tracer, ray)
+        if "albedo" in channels:
+            found["albedo"] = albedo(tracer, last, tint, bounces)
+        if "hit_behind" in channels:
+            found |= _behind(tracer, last, length)
+    return tuple(number for name in channels for number in found[name])
 
 
-def _reflectance(context: Any, bsdf: Any, surface: Any, active: Any) -> Any:
+def _met(tracer: Tracer, hit: Any, surface: Any, ray: Any, valid: Any) -> dict[str, Any]:
+    """Is there a hit, of which mesh, and its normal towards the ray?"""
     import drjit as dr
     import mitsuba as mi
 
-    if active is False:
-        return mi.Color3f(0)
-
-    def add(point: Any, total: Any) -> tuple[Any, Any]:
-        choice, x, y = (_fraction((mi.Float(point) * step + 0.5) / POINTS) for step in LATTICE)
-        _, weight = bsdf.sample(context, surface, choice, mi.Point2f(x, y), active)
-        return point + 1, total + weight
-
-    start = (mi.UInt32(0), mi.Color3f(0))
-    return dr.while_loop(start, lambda point, _: point < POINTS, add)[1] / POINTS
+    normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1, 1)
+    return {
+        "hit": (dr.select(valid, mi.Float(1), mi.Float(0)),),
+        "mesh": (tracer.mesh(hit),),
+        "normal": dr.select(valid, normal, mi.Normal3f(0)),
+    }
 
 
-def _fraction(number: Any) -> Any:
-    import drjit as dr
-
-    return number - dr.floor(number)
+def _behind(tracer: Tracer, last: Any, length: Any) -> dict[str, Any]:
+    """The same of the last part of a way, and how long all of it is."""
+    hit = tracer.mitsuba.ray_intersect_preliminary(last)
+    valid = hit.is_valid()
+    if valid is False:
+        return {name: (0.0,) * count for name, count in BEHIND.items()}
+    surface = hit.compute_surface_interaction(last, active=valid)
+    met = _met(tracer, hit, surface, last, valid)
+    found = {f"{name}_behind": numbers for name, numbers in met.items()}
+    return found | {"length_behind": (length + hit.t,)}
 
 
 def _points(

@@ -31,10 +31,10 @@ class Wavefront(Tracer):
         import drjit as dr
         import mitsuba as mi
 
-        n = len(pixels)
-        if n < 2:  # one lane would be a scalar to Dr.Jit, and so another kernel; none is an error
-            some = [np.resize(np.append(a, np.uint32(0)), 2) for a in (pixels, samples)]
-            return self.trace(some[0], some[1], stream)[:n]
+        if not len(pixels):
+            return np.zeros((0, 3), np.float32)
+        if len(pixels) == 1:  # one lane would be a scalar to Dr.Jit, and so another kernel
+            return self.trace(np.repeat(pixels, 2), np.repeat(samples, 2), stream)[:1]
         pixel, sample = load.upload(mi.UInt32, pixels), load.upload(mi.UInt32, samples)
         salt = [dr.opaque(mi.UInt32, k) for k in sampler.key(stream, self.time, self.seed)]
         numbers = sampler.keyed(pixel, sample, salt)

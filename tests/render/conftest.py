@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from pathlib import Path
 
 import pytest
 
+from rlbench import paths
 from rlbench.render.llvm import activate, libraries
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
+
+
+@pytest.fixture(scope="session")
+def noted(tmp_path_factory) -> Path:
+    """What probing libLLVM has found, once for all tests: each has an empty cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("probed")))
+        libraries()
+        return paths.cache() / "llvm.json"
+
+
+@pytest.fixture(autouse=True)
+def _probed(noted, _own_cache):
+    paths.cache().mkdir(parents=True, exist_ok=True)
+    if noted.exists():
+        shutil.copy(noted, paths.cache())
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """The live pool: what is bought is what is traced, and equals what is stored."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from rlbench.clips import ClipError, open_clip, read_header
 from rlbench.exr import precision
 from rlbench.family import Traits
 from rlbench.render.job import Job
-from rlbench.render.live import LiveClip, open_live
+from rlbench.render.live import LiveClip, LivePool, open_live
 from rlbench.render.presets import Preset
-from rlbench.render.record import render
+from rlbench.render.record import named, render
+from rlbench.render.sampler import STREAMS
 from rlbench.render.trace import open_tracer
 from rlbench.run import run_clip
 from rlbench.sampling import buy, nothing
@@ -130,6 +132,53 @@ def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):
     images(live, 1.0)
     kernels, _ = launches(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
     assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+def maps(h, w):
+    """Counts of 0 to 8 samples per pixel that follow no order: few, none, one, 0.01 spp, many."""
+    random = np.random.default_rng(0)
+    for bought in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
+        counts = np.bincount(random.integers(0, h * w, bought), minlength=h * w)
+        yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, h, w)
+
+
+def check_no_map_compiles_a_kernel(scene, h, w):
+    tracer = open_tracer(scene, h, w)
+
+    def pool(time):
+        tracer.set_time(time)
+        return LivePool(tracer, time, tuple(range(8)), 1, 1.0, np.float16, torch.device("cpu"))
+
+    first = pool(0.0)
+    first.take(first.empty(), torch.ones(1, 1, h, w, dtype=torch.int64))
+    for time in (1.0, 2.0):
+        later = pool(time)
+        for counts in maps(h, w):
+            kernels, _ = launches(partial(later.take, later.empty(), counts))
+            assert all(kernel["cache_hit"] for kernel in kernels)
+            bought = int(counts.sum())
+            # one wavefront as wide as what is bought; a single lane would be another kernel
+            assert [k["size"] for k in kernels] == [max(bought, 2)] * (bought > 0)
+
+
+def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm):
+    check_no_map_compiles_a_kernel(room(), H, W)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
+def test_no_map_compiles_a_kernel_in_a_real_scene(llvm, name):
+    check_no_map_compiles_a_kernel(named(name), 32, 32)
+
+
+def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
+    tracer = open_tracer(room(), H, W)
+    pixels = np.arange(50)
+    tracer.trace(pixels, pixels)
+    tracer.seed, tracer.cap = 12, 0.5
+    kernels, _ = launches(lambda: [tracer.trace(pixels, pixels, s) for s in STREAMS])
+    assert len(kernels) == len(STREAMS)
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 

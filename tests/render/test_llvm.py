@@ -3,10 +3,13 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from rlbench.render import llvm
+
+NINETEEN = llvm.Library(Path("/usr/lib/libLLVM.so.19.1"), 19)
 
 
 @pytest.fixture
@@ -19,7 +22,7 @@ def false_library(tmp_path, monkeypatch):
 
 
 def test_a_file_that_is_no_library_is_refused_with_a_reason(false_library):
-    assert "LLVM" in llvm.probe(false_library)
+    assert "LLVM" in llvm.probed(false_library)
 
 
 def test_a_library_that_the_machine_offers_is_usable(llvm):
@@ -69,3 +72,53 @@ def test_the_report_says_what_was_refused_and_what_would_do(false_library):
     text = llvm.report()
     assert f"refused {false_library}" in text
     assert "apt-get install libllvm" in text
+
+
+def test_a_probe_sees_no_kernel_that_another_llvm_compiled(tmp_path, monkeypatch):
+    (tmp_path / "kernel.bin").touch()
+    monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))
+    code = "import os; assert not os.listdir(os.environ['DRJIT_CACHE_DIR']); print('usable')"
+    monkeypatch.setattr(llvm, "PROBE", code)
+    assert llvm.probed(tmp_path / "libLLVM.so.19.1") == ""
+
+
+def test_each_version_of_llvm_has_kernels_of_its_own():
+    others = [llvm.Library(NINETEEN.path, 20), None]
+    assert len({llvm.kernels(library) for library in (NINETEEN, *others)}) == 3
+
+
+def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
+    monkeypatch.delenv("DRJIT_CACHE_DIR", raising=False)
+    code = (
+        "from rlbench.render.llvm import activate, kernels, libraries\n"
+        "import os\n"
+        "activate('llvm_ad_rgb')\n"
+        "import drjit as dr, mitsuba as mi\n"
+        "dr.eval(dr.opaque(mi.Float, 2.0, 100) ** 3.7)\n"
+        "print(kernels(next(l for l in libraries() if not l.refused)))\n"
+    )
+    run = [sys.executable, "-c", code]
+    done = subprocess.run(run, capture_output=True, text=True, check=True, timeout=120)
+    assert list(Path(done.stdout.strip()).glob("*.bin*"))
+
+
+@pytest.mark.parametrize(
+    ("library", "cuda_refused", "variant"),
+    [
+        (NINETEEN, "", "cuda_ad_rgb"),
+        (None, "", "cuda_ad_rgb"),
+        (NINETEEN, "no OptiX", "llvm_ad_rgb"),
+        (NINETEEN, None, "llvm_ad_rgb"),
+        (None, "no OptiX", "scalar_rgb"),
+        (None, None, "scalar_rgb"),
+    ],
+)
+def test_the_fastest_variant_that_works_is_chosen(library, cuda_refused, variant):
+    assert llvm.fastest(library, cuda_refused) == variant
+
+
+def test_a_variant_that_mitsuba_lacks_is_an_error_that_lists_those_there_are(llvm):
+    from rlbench.render.llvm import activate
+
+    with pytest.raises(ValueError, match="no variant 'metal_rgb'; it has: .*scalar_rgb"):
+        activate("metal_rgb")

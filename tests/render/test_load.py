@@ -27,6 +27,15 @@ def test_what_is_uploaded_is_a_copy(llvm):
     assert there.numpy().tolist() == list(range(64))
 
 
+@pytest.mark.parametrize("length", [16, 1000, 100_000, 1_000_000])
+def test_what_is_uploaded_is_aligned_whatever_the_caller_holds(llvm, length):
+    import mitsuba as mi
+
+    # or Dr.Jit would compile a kernel for each alignment of each input
+    held = np.zeros(length + 1, np.float32)[1:]
+    assert load.upload(mi.Float, held).numpy().ctypes.data % 64 == 0
+
+
 def test_smooth_normals_of_a_sphere_point_outwards():
     mesh = ball()
     normals = load.smooth_normals(mesh.vertices, mesh.faces)

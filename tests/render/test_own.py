@@ -358,6 +358,9 @@ def test_a_changed_file_is_rendered_anew(room, change):
          "participating medium"),
         ("17, 12, 4", "0, 0, 0", "sees only black"),
         ('<rgb name="radiance" value="17, 12, 4"/>',
+         '<texture type="mesh_attribute" name="radiance"><string name="name" value="face_light"/>'
+         "</texture>", "radiance is a mesh attribute"),
+        ('<rgb name="radiance" value="17, 12, 4"/>',
          '<spectrum type="blackbody" name="radiance"><float name="temperature" value="5000"/>'
          "</spectrum>", "cannot trace this scene with llvm_ad_rgb"),
     ],

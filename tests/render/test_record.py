@@ -11,6 +11,7 @@ from rlbench.render.job import Job
 from rlbench.render.presets import PRESETS, Preset, preset
 from rlbench.render.record import ensure, render
 from rlbench.render.trace import open_tracer
+from rlbench.render.views import views
 from tests.render.worlds import diffuse, room, square
 
 PLAN = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
@@ -94,6 +95,36 @@ def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
     render(job(tmp_path, room(static=True), replace(PLAN, frames=1)))
     assert read_header(tmp_path).static
     assert "motion" not in read_header(tmp_path).buffers
+
+
+EXTRAS = ("object", "albedo_first", "normal_behind", "depth_behind", "object_behind")
+
+
+def test_view_buffers_that_were_asked_for_are_in_the_clip(llvm, tmp_path):
+    render(job(tmp_path, plan=PLAN.showing(EXTRAS)))
+    assert verify(tmp_path) == []
+    view = open_clip(tmp_path, needs=frozenset(EXTRAS)).frame(1).view
+    tracer = open_tracer(room(), 16, 24)
+    tracer.set_time(1.0)
+    for name, expected in views(tracer, EXTRAS).items():
+        found = view.extra(name)[0].permute(1, 2, 0).numpy()
+        np.testing.assert_allclose(found, expected, atol=2**-11, err_msg=name)  # half, up to 1
+
+
+def test_a_clip_without_them_says_so(clip):
+    with pytest.raises(ClipError, match="no buffer object; it has: albedo, normal, depth, motion"):
+        open_clip(clip, needs=frozenset({"object"}))
+
+
+def test_clips_with_more_buffers_are_another_set():
+    more = PRESETS["mini"].showing(["object"])
+    assert more.name == "mini-views"
+    assert job("a", plan=more).mark != job("a", plan=PRESETS["mini"]).mark
+
+
+def test_a_buffer_that_cannot_be_added_is_an_error_that_lists_those_there_are():
+    with pytest.raises(ValueError, match="no view buffer emission to add; there are: object"):
+        PRESETS["mini"].showing(["object", "emission"])
 
 
 def test_a_changed_scene_replaces_its_frames(clip):

@@ -1,11 +1,13 @@
 """Tracing: the same sample whatever surrounds it, and the right radiance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rlbench.render.record import named
 from rlbench.render.trace import open_tracer
-from tests.render.worlds import diffuse, looking_down, room, under_a_lamp
+from tests.render.worlds import atlas, diffuse, looking_down, room, under_a_lamp
 
 H, W = 24, 32
 
@@ -63,6 +65,34 @@ def test_the_mean_is_that_of_the_stack_whatever_the_chunk(tracer):
     np.testing.assert_allclose(tracer.mean(6, "referenceA", chunk=4), stack, rtol=1e-6)
 
 
+@pytest.mark.parametrize("chunk", [None, 1, 3])
+def test_moments_are_those_of_the_stack_whatever_the_chunk(variant, chunk):
+    tracer = open_tracer(room(), H, W)
+    stack = tracer.stack(5, "pilot", first=2).astype(np.float64)
+    mean, variance = tracer.moments(5, "pilot", first=2, chunk=chunk)
+    np.testing.assert_allclose(mean, stack.mean(0), rtol=1e-6)  # float32 of a float64 sum
+    # a variance is the small difference of two squares
+    np.testing.assert_allclose(variance, stack.var(0, ddof=1), rtol=1e-5, atol=1e-6)
+
+
+def test_one_sample_has_no_variance(llvm):
+    assert np.isnan(open_tracer(room(), 4, 4).moments(1, "input")[1]).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_threads_do_not_change_a_sample(tracer, threads):
+    import drjit as dr
+
+    tracer.set_time(2.0)
+    before, usual = tracer.stack(2), dr.thread_count()
+    dr.set_thread_count(threads)
+    try:
+        tracer.set_time(2.0)
+        np.testing.assert_array_equal(tracer.stack(2), before)
+    finally:
+        dr.set_thread_count(usual)
+
+
 @pytest.mark.parametrize("other", ["referenceA", "referenceB", "pilot"])
 def test_streams_are_independent(variant, other):
     tracer = open_tracer(room(), H, W)
@@ -84,6 +114,17 @@ def test_a_floor_below_a_lamp_has_the_radiance_of_the_form_factor(variant):
     scene, radiance = under_a_lamp(half=0.5, height=2.0, radiance=10.0, albedo=0.6)
     samples = open_tracer(scene, 16, 16).stack(64).ravel().astype(np.float64)
     # 4 standard errors, and 1e-3 for the patch of floor that the pixels cover
+    error = 4 * samples.std() / np.sqrt(len(samples)) + 1e-3 * radiance
+    assert abs(samples.mean() - radiance) < error
+
+
+def test_a_floor_below_an_atlas_of_lamps_has_the_radiance_of_the_form_factor(variant):
+    scene, radiance = under_a_lamp(half=0.5, height=2.0, radiance=10.0, albedo=0.6)
+    floor, _ = scene.meshes
+    texels = np.array([[[4.0] * 3, [16.0] * 3], [[12.0] * 3, [8.0] * 3]])  # 10 in the mean
+    scene = replace(scene, meshes=(floor, atlas(0.5, 2.0, texels)))
+    samples = open_tracer(scene, 16, 16).stack(64).ravel().astype(np.float64)
+    # 4 standard errors, and 1e-3 for the patch of floor; the four squares count alike there
     error = 4 * samples.std() / np.sqrt(len(samples)) + 1e-3 * radiance
     assert abs(samples.mean() - radiance) < error
 

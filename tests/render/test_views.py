@@ -3,11 +3,20 @@
 import numpy as np
 import pytest
 
+from rlbench.header import VIEWS
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Scene
 from rlbench.render.trace import open_tracer
 from rlbench.render.views import views
-from tests.render.worlds import STEP, diffuse, grey, looking_down, room
+from tests.render.worlds import (
+    STEP,
+    around_the_corner,
+    diffuse,
+    grey,
+    looking_down,
+    room,
+    stretching,
+)
 
 H, W = 48, 64
 MIRROR = {"type": "conductor", "material": "none", "specular_reflectance": grey(0.6)}
@@ -39,6 +48,10 @@ def test_albedo_of_known_materials(variant, material, known, error):
         {"type": "roughconductor", "alpha": 0.2, "material": "Au"},
         {"type": "roughplastic", "diffuse_reflectance": grey(0.6)},
         {"type": "principled", "base_color": grey(0.6), "roughness": 0.4},
+        {"type": "blendbsdf", "weight": 0.5, "a": diffuse(0.6, 0.6, 0.6), "b": {**ROUGH}},
+        {"type": "mask", "opacity": 0.5, "a": diffuse(0.6, 0.6, 0.6)},
+        {"type": "twosided", "a": {"type": "roughplastic", "alpha": 0.3}},
+        {"type": "roughdielectric", "alpha": 0.3},
     ],
     ids=lambda material: material["type"],
 )
@@ -67,16 +80,79 @@ def test_albedo_looks_through_glass(variant):
     assert behind.mean() > 0.5  # the rest shows the sky, or the pane's edges
 
 
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"type": "roughconductor", "alpha": 0.05, "material": "Au"},
+        {"type": "dielectric"},
+        {"type": "thindielectric"},
+        {"type": "roughdielectric", "alpha": 0.3},
+        {"type": "null"},
+        {"type": "principled", "base_color": grey(1.0), "metallic": 1.0, "roughness": 0.1},
+    ],
+    ids=lambda material: material["type"],
+)
+def test_albedo_is_a_share_and_no_surface_is_black(llvm, material):
+    found = views(open_tracer(around_the_corner(material), 8, 8), {"albedo", "albedo_first"})
+    for albedo in found.values():
+        assert albedo.min() > 0.05  # the wall behind what is clear has 0.2 of red
+        assert albedo.max() <= 1
+
+
+def test_a_mirror_shows_how_far_behind_it_things_are(variant):
+    found = views(open_tracer(around_the_corner(MIRROR), 5, 5), VIEWS)
+    middle = {name: buffer[2, 2] for name, buffer in found.items()}
+    assert middle["depth"] == pytest.approx(4.0, rel=1e-5)
+    # Mitsuba starts a reflected ray a little off the mirror
+    assert middle["depth_behind"] == pytest.approx(4.0 + 3.0, rel=1e-4)
+    np.testing.assert_allclose(middle["normal"], [0.5**0.5, -(0.5**0.5), 0], atol=1e-5)
+    np.testing.assert_allclose(middle["normal_behind"], [-1, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(middle["albedo_first"], [0.6] * 3, atol=1e-5)
+    np.testing.assert_allclose(middle["albedo"], np.multiply(0.6, [0.2, 0.4, 0.8]), atol=1e-5)
+    assert (middle["object"], middle["object_behind"]) == (1, 2)
+
+
+def test_behind_what_is_not_clear_there_is_itself(variant):
+    found = views(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
+    for name in ("normal", "object"):
+        np.testing.assert_array_equal(found[f"{name}_behind"], found[name])
+    np.testing.assert_allclose(found["depth_behind"], found["depth"], rtol=1e-5)
+    np.testing.assert_array_equal(found["albedo_first"], found["albedo"])
+
+
+def test_objects_are_numbered_as_the_meshes_are(variant):
+    tracer = open_tracer(room(), H, W)
+    found = views(tracer, {"object"})["object"][..., 0]
+    np.testing.assert_array_equal(found, _mesh(tracer) + 1)
+    assert {0, 1, 2, 3, 4} <= set(found.ravel())
+
+
+def test_glass_itself_passes_all_light_on(variant):
+    tracer = open_tracer(room(), H, W)
+    pane = views(tracer, {"albedo_first"})["albedo_first"][_mesh(tracer) == 3]
+    np.testing.assert_allclose(pane, 1.0, atol=1e-5)  # not scaled by the squared refractive index
+
+
+def test_background_behind_is_background(variant):
+    tracer = open_tracer(room(), H, W)
+    found = views(tracer, VIEWS)
+    sky = np.isinf(found["depth_behind"][..., 0])
+    assert (sky & np.isfinite(found["depth"][..., 0])).sum() > 0  # seen through the pane
+    assert not found["normal_behind"][sky].any()
+    assert not found["object_behind"][sky].any()
+
+
 def test_depth_runs_along_the_view_axis(variant):
     depth = views(open_tracer(looking_down(diffuse(0.5, 0.5, 0.5), height=3.0), 8, 8))["depth"]
     np.testing.assert_allclose(depth, 3.0, rtol=1e-6)
 
 
 def test_background_has_no_normal_no_albedo_and_infinite_depth(variant):
-    found = views(open_tracer(room(), H, W))
+    found = views(open_tracer(room(), H, W), VIEWS)
     sky = np.isinf(found["depth"][..., 0])
     assert 0 < sky.sum() < sky.size
     assert not found["normal"][sky].any()
+    assert not found["albedo_first"][sky].any()
     assert not found["albedo"][sky].any()
 
 
@@ -131,6 +207,16 @@ def test_motion_leads_to_the_same_point_in_the_previous_frame(variant):
     assert hit.mean() > 0.5
     assert (nearer & hit).mean() < 0.2
     assert unexplained.mean() < 1e-4
+
+
+def test_motion_of_a_mesh_that_deforms_is_exact(variant):
+    tracer = open_tracer(stretching(diffuse(0.5, 0.5, 0.5)), 9, 9)
+    tracer.set_time(5.0)
+    rows, columns = np.indices((9, 9))
+    from_middle = np.stack([columns, rows], -1) - 4.0
+    # 1.4 times its first size before, 1.5 times now
+    expected = from_middle * (1.4 / 1.5 - 1)
+    np.testing.assert_allclose(views(tracer)["motion"], expected, atol=1e-4)
 
 
 def test_projection_undoes_directions():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -86,6 +87,48 @@ def looking_down(material, height=3.0, fov=50.0, sky=1.0, depth=2):
         camera=lambda time: Camera((0, 0, height), (0, 0, 0), up=(0, 1, 0), fov=fov),
         sky=({"type": "constant", "radiance": grey(sky)},),
         depth=depth,
+    )
+
+
+def stretching(material):
+    """The plane of `looking_down`, which grows by a tenth of its first size each frame."""
+    scene = looking_down(material)
+    (plane,) = scene.meshes
+    return replace(scene, moving=lambda time: {"plane": plane.vertices * np.float32(1 + time / 10)})
+
+
+def around_the_corner(material):
+    """Seen from the origin along y: a tilted square at 4 m, which shows a wall 3 m to the right."""
+    tilted = np.array([[-1, 3, -1], [1, 5, -1], [1, 5, 1], [-1, 3, 1]], np.float32)
+    wall = np.array([[3, 0, -4], [3, 0, 4], [3, 8, 4], [3, 8, -4]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
+    return Scene(
+        name="corner",
+        title="A corner for tests",
+        meshes=(
+            Mesh("tilted", tilted, faces, material),
+            Mesh("wall", wall, faces, diffuse(0.2, 0.4, 0.8)),
+        ),
+        camera=lambda time: Camera((0, 0, 0), (0, 1, 0), fov=10.0),
+        sky=({"type": "constant", "radiance": grey(1.0)},),
+    )
+
+
+def atlas(half, height, texels):
+    """A square lamp of 2 x 2 squares, each shining with one texel of an image."""
+    corners = np.array([[-1, -1], [0, -1], [-1, 0], [0, 0]], np.float32) * half
+    quad = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32) * half
+    vertices = np.concatenate([np.column_stack([quad + c, [height] * 4]) for c in corners])
+    middles = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]], np.float32)
+    faces = np.concatenate([np.array([[0, 2, 1], [0, 3, 2]]) + 4 * i for i in range(4)])
+    image = {"type": "bitmap", "data": texels, "raw": True, "filter_type": "nearest"}
+    return Mesh(
+        "lamp",
+        vertices.astype(np.float32),
+        faces.astype(np.uint32),
+        diffuse(0.0, 0.0, 0.0),
+        uv=np.repeat(middles, 4, axis=0),
+        emission={"type": "area", "radiance": image},
     )
 
 

@@ -1,0 +1,48 @@
+"""Finding out whether Mitsuba can trace on this machine's NVIDIA device."""
+
+from __future__ import annotations
+
+import glob
+import importlib.metadata
+from pathlib import Path
+
+from rlbench import paths
+from rlbench.render import probe
+
+DRIVERS = (
+    "/usr/lib/*/libcuda.so.1",
+    "/usr/lib64/libcuda.so.1",
+    "/usr/lib/libcuda.so.1",
+    "/usr/lib/wsl/lib/libcuda.so.1",
+    "/usr/local/nvidia/lib64/libcuda.so.1",
+)
+PROBE = """
+import mitsuba as mi
+mi.set_variant("cuda_ad_rgb")
+scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}, "sky": {"type": "constant"}})
+lanes = mi.Float([0.1, 0.2, 9.0])
+hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(lanes, 0, -5), mi.Vector3f(0, 0, 1)))
+assert hit.is_valid().numpy().tolist() == [True, True, False]
+print("usable")
+"""
+
+
+def driver() -> Path | None:
+    """The library of the NVIDIA driver, or None on a machine without one."""
+    found = sorted(file for pattern in DRIVERS for file in glob.glob(pattern))
+    return Path(found[0]).resolve() if found else None
+
+
+def refused() -> str | None:
+    """Why there is no tracing with CUDA; empty where there is; None without an NVIDIA driver.
+
+    Mitsuba needs the driver's OptiX, which containers often lack. A process of its own traces
+    three rays, once for each driver and version of Mitsuba.
+    """
+    library = driver()
+    if library is None:
+        return None
+    note = paths.cache() / "cuda.json"
+    key = f"{probe.stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
+    known = probe.noted(note, key)
+    return probe.keep(note, key, probe.tried(PROBE, {})) if known is None else known

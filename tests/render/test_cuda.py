@@ -1,0 +1,45 @@
+"""Finding a device that Mitsuba can trace with; none is needed here."""
+
+import pytest
+
+from rlbench.render import cuda, llvm, probe
+
+
+@pytest.fixture
+def false_driver(tmp_path, monkeypatch):
+    if cuda.driver():
+        pytest.skip("an NVIDIA driver is installed, which a false one would not replace")
+    file = tmp_path / "libcuda.so.1"
+    file.write_bytes(b"not a library")
+    monkeypatch.setattr(cuda, "DRIVERS", (str(file),))
+    return file
+
+
+def test_without_a_driver_there_is_nothing_to_refuse(tmp_path, monkeypatch):
+    monkeypatch.setattr(cuda, "DRIVERS", (f"{tmp_path}/libcuda.so.1",))
+    assert cuda.refused() is None
+    assert not list(tmp_path.rglob("cuda.json"))
+
+
+def test_a_driver_that_does_not_work_is_refused_and_told(false_driver):
+    assert cuda.refused()
+    assert f"refused cuda_ad_rgb with {false_driver}: {cuda.refused()}" in llvm.report()
+    assert not llvm.report().startswith("path tracer: cuda")
+
+
+def test_a_driver_is_probed_once(false_driver, tmp_path):
+    reason = cuda.refused()
+    note = next(tmp_path.rglob("cuda.json"))
+    note.write_text(note.read_text().replace(reason[:10], "as noted"))
+    assert cuda.refused().startswith("as noted")
+
+
+def test_a_driver_that_works_is_used(false_driver, tmp_path):
+    reason = cuda.refused()
+    note = next(tmp_path.rglob("cuda.json"))
+    note.write_text(note.read_text().replace(f'"{reason}"', '""'))
+    assert llvm.report().startswith(f"path tracer: cuda_ad_rgb, with {false_driver}")
+
+
+def test_the_probe_passes_where_rays_can_be_traced(llvm):
+    assert probe.tried(cuda.PROBE.replace("cuda_ad_rgb", llvm), {}) == ""

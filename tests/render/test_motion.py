@@ -1,0 +1,59 @@
+"""Motion of the test scenes: the previous camera's ray hits what was said to be there."""
+
+import numpy as np
+import pytest
+
+from rlbench.render.pose import Pose
+from rlbench.render.record import named
+from rlbench.render.trace import open_tracer
+from rlbench.render.views import views
+
+SIDE = 192
+TIME = 3.0
+NEAR = 1e-3  # m, between where a point was and where it is found
+
+
+@pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
+def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
+    tracer = open_tracer(named(name), SIDE, SIDE)
+    rows, columns = np.indices((SIDE, SIDE)).reshape(2, -1)
+    film = np.stack([columns, rows], 1) + 0.5
+    tracer.set_time(TIME)
+    motion = views(tracer, {"motion"})["motion"].reshape(-1, 2)
+    mesh, place, hit = seen(tracer, film)
+    towards = tracer.pose.directions(film, SIDE, SIDE)
+    tracer.set_time(TIME - 1)
+    mesh_then, place_then, hit_then = seen(tracer, film + motion)
+    eye = np.asarray(tracer.pose.camera.origin)
+
+    was = points(tracer, mesh, place, hit) - eye
+    found = points(tracer, mesh_then, place_then, hit_then) - eye
+    same = hit & hit_then & (mesh == mesh_then) & (np.linalg.norm(found - was, axis=1) < NEAR)
+    apart = abs(towards - tracer.pose.directions(film + motion, SIDE, SIDE)).max(1)
+    same |= ~hit & ~hit_then & (apart < 1e-5)  # the sky: a hundredth of a pixel
+    far = np.where(hit, np.linalg.norm(was, axis=1), np.inf)
+    hidden = hit_then & (np.linalg.norm(found, axis=1) < far - NEAR)
+    assert same.mean() > 0.9
+    assert (~same & ~hidden).mean() < 1e-4
+
+
+def seen(tracer, film):
+    """What lies at film positions: the mesh, the place on it (face, u, v), is there anything?"""
+
+    def look(ray):
+        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+        return tracer.mesh(hit), hit.prim_index, hit.prim_uv.x, hit.prim_uv.y, hit.t
+
+    mesh, *place, distance = tracer.each(look, film)
+    return mesh, np.stack(place, 1), np.isfinite(distance)
+
+
+def points(tracer, mesh, place, hit):
+    """Where places on the meshes are at the tracer's time, by the scene's own animation."""
+    found = np.zeros((len(mesh), 3))
+    vertices = Pose.of(tracer.scene, tracer.time).vertices
+    for number, (shape, corners) in enumerate(zip(tracer.scene.meshes, vertices, strict=True)):
+        of = hit & (mesh == number)
+        a, b, c = np.moveaxis(corners[shape.faces[place[of, 0].astype(int)]].astype(float), 1, 0)
+        found[of] = a + place[of, 1:2] * (b - a) + place[of, 2:] * (c - a)
+    return found
