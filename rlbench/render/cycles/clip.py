@@ -31,7 +31,7 @@ from rlbench.render.own import Wish, job_of, told
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 
-SPAN = 8  # samples of a reference that share a seed: more are stratified, and less than independent
+SPAN = 32  # samples of a reference's picture: so much is lost at most when it is killed
 LOOK = (32, 32)  # pixels of the pictures that the exposure is chosen by: 8 x 8 areas of 4 x 4
 LOOK_SPP = 16
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -112,7 +112,7 @@ def _exposure(shoot: Shoot) -> float:
     place = paths.cache() / "cycles" / "looks"
     with _emptied(place):
         looks = [
-            Picture(place / f"{index}.exr", index, seed(index, "pilot", 0), LOOK_SPP)
+            Picture(place / f"{index}.exr", index, seed(index, "pilot", 0), LOOK_SPP, 1, LOOK_SPP)
             for index in range(shoot.job.preset.frames)
         ]
         for _ in shoot.run(looks, place.with_name("look.log"), look=True):
@@ -176,8 +176,8 @@ def _frames(shoot: Shoot) -> Iterator[int]:
         wanted = [picture for index in job.missing for picture in pictures[index]]
         spp = {picture.file: (picture.frame, picture.spp) for picture in wanted}
         for file, seconds in shoot.run(wanted, work / f"round{done}.log"):
-            index, samples = spp[file.resolve()] if file not in spp else spp[file]
-            if samples == SPAN:
+            index, samples = spp[file]
+            if file.name.startswith("reference"):
                 _time(work, seconds / samples)
             _settle(shoot, index, done)
             yield samples
@@ -190,17 +190,19 @@ def _pictures(shoot: Shoot, index: int, done: int) -> list[Picture]:
         Picture(work / f"path.{index:04d}.{slot}.exr", index, seed(index, "path", slot))
         for slot in range(plan.pool_spp)
     ]
-    spans = [SPAN] * (plan.reference_spp // SPAN)
-    spans += [plan.reference_spp % SPAN] if plan.reference_spp % SPAN else []
     for half in rounds.HALVES:
-        stream = f"reference{half}"
-        found += [
-            Picture(
-                work / f"{stream}.{index:04d}.{number}.exr", index, seed(index, stream, number), spp
-            )
-            for number, spp in enumerate(spans * done)
-        ]
+        for turn in range(done):
+            found += _half(work, f"reference{half}", index, turn, plan.reference_spp)
     return found
+
+
+def _half(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
+    """What one round adds to one half of a reference: one seed, its samples in spans."""
+    name, number = f"{stream}.{index:04d}.{turn}", seed(index, stream, turn)
+    return [
+        Picture(work / f"{name}.{first}.exr", index, number, min(SPAN, total - first + 1), first, total)
+        for first in range(1, total + 1, SPAN)
+    ]
 
 
 def _settle(shoot: Shoot, index: int, done: int) -> None:
@@ -263,6 +265,7 @@ def _header(shoot: Shoot) -> Header:
         pool_spp=plan.pool_spp,
         radiance_cap=plan.cap,
         reference_spp=tuple(map(job.spent, range(plan.frames))),
+        stratified=True,
         noise_ceiling_db=tuple(
             rounds.stored_ceiling_db(job.folder, index, *plan.size, scene.exposure)
             for index in range(plan.frames)

@@ -54,12 +54,18 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Picture:
-    """One EXR file that the worker is to write."""
+    """One EXR file that the worker is to write: samples first ... first + spp - 1 of a seed.
+
+    Sample 0 is never among them, for Cycles sends it through pixel centres. `total` samples of one
+    seed are stratified together, however they are shared out among pictures.
+    """
 
     file: Path
     frame: int
     seed: int
     spp: int = 1
+    first: int = 1
+    total: int = 1
 
     @property
     def json(self) -> dict[str, Any]:
@@ -69,6 +75,8 @@ class Picture:
             "frame": self.frame,
             "seed": self.seed,
             "spp": self.spp,
+            "first": self.first,
+            "total": self.total,
         }
 
 

@@ -1,7 +1,7 @@
 """One small scene, as data: for Mitsuba as our Scene, for Blender as a glTF file and matrices.
 
-A floor, two walls, a box that slides, a pillar, and a square lamp in one mesh; all diffuse. The
-camera passes by. World is z up; glTF is y up, and Blender turns it back.
+A chequered floor and wall, three more sides, a box that slides, a pillar and a flat lamp; all
+diffuse. The camera passes by. World is z up; glTF is y up, and Blender turns it back.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from rlbench.render import flight
 from rlbench.render.scene import Camera, Mesh, Scene
 
-FRAMES, FPS, FOV, BOUNCES, LIGHT = 4, 24, 50.0, 6, (9.0, 8.0, 6.0)
-PACE = np.array([0.07, -0.04, 0.0])  # metres a frame, of the box
+FRAMES, FPS, FOV, BOUNCES, LIGHT = 4, 24, 50.0, 6, (4.0, 3.5, 2.5)
+PACE = np.array([0.12, -0.07, 0.0])  # metres a frame, of the box
 Z_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to glTF's
 
 
@@ -45,21 +45,22 @@ def box(low, high):
 
 def parts():
     """Name: vertices, faces, albedo, radiance, does it move?"""
-    floor = tiled((-3, -3, 0), (6, 0, 0), (0, 6, 0), [(0.7, 0.6, 0.3), (0.2, 0.35, 0.6)], 8)
+    floor = tiled((-3, -6, 0), (6, 0, 0), (0, 9, 0), [(0.7, 0.6, 0.3), (0.2, 0.35, 0.6)], 8)
     wall = tiled((-3, 3, 0), (6, 0, 0), (0, 0, 3), [(0.7, 0.25, 0.2), (0.75, 0.7, 0.6)], 6)
     found = {f"floor{i}": (*part, (0, 0, 0), False) for i, part in enumerate(floor)}
     found |= {f"wall{i}": (*part, (0, 0, 0), False) for i, part in enumerate(wall)}
-    side = quad((-3, -3, 0), (0, 6, 0), (0, 0, 3))
-    found["side"] = (*side, (0.3, 0.6, 0.3), (0, 0, 0), False)
+    for name, x, colour in (("left", -3, (0.3, 0.6, 0.3)), ("right", 3, (0.6, 0.6, 0.2))):
+        found[name] = (*quad((x, -6, 0), (0, 9, 0), (0, 0, 3)), colour, (0, 0, 0), False)
+    found["ceiling"] = (*quad((-3, -6, 3), (6, 0, 0), (0, 9, 0)), (0.6,) * 3, (0, 0, 0), False)
     found["box"] = (*box((-0.6, -0.4, 0.0), (0.4, 0.6, 1.0)), (0.6, 0.3, 0.5), (0, 0, 0), True)
     found["pillar"] = (*box((1.2, 0.8, 0), (1.7, 1.3, 2.2)), (0.5, 0.5, 0.5), (0, 0, 0), False)
-    lamp = quad((-0.8, 0.8, 2.9), (1.6, 0, 0), (0, -1.6, 0))
+    lamp = box((-0.8, -0.8, 2.3), (0.8, 0.8, 2.4))  # closed, as Cycles' meshes shine to both sides
     found["lamp"] = (*lamp, (0, 0, 0), LIGHT, False)
     return found
 
 
 def camera(time):
-    return Camera((0.4 + 0.08 * time, -5.5 + 0.03 * time, 2.1), (0.0, 0.4, 0.9), fov=FOV)
+    return Camera((0.25 * time - 0.5, -5.5 + 0.1 * time, 2.1), (0.2 * time - 0.3, 0.4, 0.9), fov=FOV)
 
 
 def for_mitsuba():

@@ -273,16 +273,20 @@ def aim(scene: Any, path: dict[str, Any], start: int) -> None:
 
 
 def render(scene: Any, plan: dict[str, Any], geometry: bool, start: int) -> None:
-    """One picture. Samples are numbered from 1, for Cycles sends number 0 through pixel centres.
+    """One picture. Sample 0 goes through pixel centres, whatever the seed: so radiance has none.
 
-    Geometry is of sample 0 alone, as depth is written by no other.
+    Geometry is of sample 0 alone, for depth is written by no other. Which pattern samples follow
+    depends on `total`, so it is the same for all pictures that belong together.
     """
     file = Path(plan["file"])
     part = file.with_name(f".part.{file.name}")
     cycles = scene.cycles
-    cycles.seed, cycles.samples = plan["seed"], 1 if geometry else plan["spp"] + 1
+    if not geometry and plan["first"] < 1:
+        raise JobError("a picture of sample 0 has no anti-aliasing and does not converge")
+    cycles.seed, cycles.samples = plan["seed"], 1 if geometry else 1 + plan["total"]
     cycles.use_sample_subset = not geometry
-    cycles.sample_offset, cycles.sample_subset_length = (0, 1) if geometry else (1, plan["spp"])
+    cycles.sample_offset = 0 if geometry else plan["first"]
+    cycles.sample_subset_length = 1 if geometry else plan["spp"]
     scene.frame_set(start + plan["frame"])
     scene.render.filepath = str(part)
     begun = time.perf_counter()
