@@ -19,7 +19,12 @@ def render(
     cap: Annotated[
         float | None, typer.Option(help="dim every sample to so many times display white")
     ] = None,
-    scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="your own: .xml (Mitsuba), .py, .blend, .usd, .glb, .fbx")
+    ] = None,
+    tracer: Annotated[
+        str | None, typer.Option(help="mitsuba or cycles; default the one that reads the file")
+    ] = None,
     camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
     size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
@@ -45,8 +50,10 @@ def render(
       rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
 
       rlbench render --scene mine.py --camera path.json --out clips/mine
+
+      rlbench render --scene atrium.blend --frames 20 -D max_bounces=6
     """
-    own = (camera, frames, size, exposure, define, out)
+    own = (camera, frames, size, exposure, define, out, tracer)
     if scene or any(own):
         folders = [asked.own_scene(scene, scenes, preset, *own)]
     else:

@@ -192,15 +192,17 @@ def _pictures(shoot: Shoot, index: int, done: int) -> list[Picture]:
     ]
     for half in rounds.HALVES:
         for turn in range(done):
-            found += _half(work, f"reference{half}", index, turn, plan.reference_spp)
+            found += half(work, f"reference{half}", index, turn, plan.reference_spp)
     return found
 
 
-def _half(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
+def half(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
     """What one round adds to one half of a reference: one seed, its samples in spans."""
     name, number = f"{stream}.{index:04d}.{turn}", seed(index, stream, turn)
     return [
-        Picture(work / f"{name}.{first}.exr", index, number, min(SPAN, total - first + 1), first, total)
+        Picture(
+            work / f"{name}.{first}.exr", index, number, min(SPAN, total - first + 1), first, total
+        )
         for first in range(1, total + 1, SPAN)
     ]
 

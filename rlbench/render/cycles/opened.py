@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float
@@ -75,6 +76,7 @@ def _remembered(wish: Wish, frames: int, asked: Parameters) -> dict[str, Any]:
             facts |= event
     if "start" not in facts:
         raise CyclesError(f"Blender opened {wish.file} and said nothing of it")
+    facts["files"] = sorted({*facts["files"], *_parts(wish.file)})
     facts["digest"] = digest(wish.file, facts["files"])
     if not facts["missing"]:
         with paths.replacing(note) as path:
@@ -89,6 +91,17 @@ def digest(file: Path, others: list[str]) -> str:
         told.update(each.name.encode())
         told.update(hashlib.sha256(each.read_bytes()).digest() if each.is_file() else b"missing")
     return told.hexdigest()
+
+
+def _parts(file: Path) -> list[str]:
+    """The files beside a .gltf that it consists of, which Blender forgets once they are read."""
+    if file.suffix.lower() != ".gltf":
+        return []
+    text = json.loads(file.read_text(encoding="utf-8"))
+    found = [
+        part.get("uri", "data:") for kind in ("buffers", "images") for part in text.get(kind, ())
+    ]
+    return [str((file.parent / unquote(uri)).absolute()) for uri in found if uri[:5] != "data:"]
 
 
 def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> Opened:
@@ -109,7 +122,7 @@ def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> Opene
     )
     if path["lens"] not in ("PERSP", "none"):
         raise SceneError(f"{file}: its camera is {path['lens']}; rlbench takes PERSP, a pinhole")
-    if path.get("shift", 0.0) > CENTRED:
+    if path["shift"] > CENTRED:
         raise SceneError(f"{file}: its camera's lens is shifted; rlbench takes a centred pinhole")
     made_of = f"cycles {RECIPE} {facts['digest']} {facts['start']} {asked.mark}"
     fov = path["fov"][1] if matrices else 60.0

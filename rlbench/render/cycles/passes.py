@@ -6,7 +6,6 @@ written by no other. Found by comparing with analytic scenes, Blender 4.5.15.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -73,9 +72,3 @@ def sky_motion(scene: Scene, time: float, height: int, width: int) -> Float[Arra
 def radiance(file: Path, size: tuple[int, int]) -> Float[Array, "h w 3"]:
     """Linear radiance of a file, float32. Raises ClipError where it is broken."""
     return np.moveaxis(read_exr(file, COMBINED, *size).astype(np.float32), 0, -1)
-
-
-def mean(files: Iterable[Path], size: tuple[int, int]) -> Float[Array, "h w 3"]:
-    """The mean radiance of pictures with equally many samples, float32."""
-    images = [radiance(file, size) for file in files]
-    return np.mean(images, axis=0, dtype=np.float64).astype(np.float32)

@@ -60,7 +60,9 @@ def parts():
 
 
 def camera(time):
-    return Camera((0.25 * time - 0.5, -5.5 + 0.1 * time, 2.1), (0.2 * time - 0.3, 0.4, 0.9), fov=FOV)
+    return Camera(
+        (0.25 * time - 0.5, -5.5 + 0.1 * time, 2.1), (0.2 * time - 0.3, 0.4, 0.9), fov=FOV
+    )
 
 
 def for_mitsuba():

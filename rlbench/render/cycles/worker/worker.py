@@ -104,7 +104,8 @@ def load(file: Path) -> None:
     if kind not in importers:
         raise JobError(f"{file} is of no known format; known are .blend, {', '.join(importers)}")
     group, _, name = importers[kind].partition(".")
-    if "FINISHED" not in getattr(getattr(bpy.ops, group), name)(filepath=str(file)):
+    more = {"anim_offset": 0.0} if kind == ".fbx" else {}  # or animations begin a frame late
+    if "FINISHED" not in getattr(getattr(bpy.ops, group), name)(filepath=str(file), **more):
         raise JobError(f"Blender could not import {file}; its log says why")
     for item in bpy.data.objects:
         _awaken(item)
@@ -127,7 +128,7 @@ def first_frame(scene: Any, file: Path) -> int:
     """Where a scene begins: as it says, or where the first key is in a format without a range."""
     starts = [action.frame_range[0] for action in bpy.data.actions]
     if file.suffix.lower() in (".glb", ".gltf", ".fbx") and starts:
-        return math.floor(min(starts))
+        return int(math.floor(min(starts)))
     return int(scene.frame_start)
 
 
@@ -136,17 +137,7 @@ def describe(scene: Any, job: dict[str, Any], start: int) -> dict[str, Any]:
     camera = scene.camera or next((o for o in scene.objects if o.type == "CAMERA"), None)
     film = (scene.render.resolution_y, scene.render.resolution_x)
     height, width = job["size"] or film
-    path = {"matrices": [], "fov": [], "lens": "none"}
-    if camera:
-        path["lens"] = camera.data.type
-    for index in range(-1, job["frames"] + 1) if camera else ():
-        scene.frame_set(start + index)
-        graph = bpy.context.evaluated_depsgraph_get()
-        found = camera.evaluated_get(graph)
-        lens = found.calc_matrix_camera(graph, x=width, y=height)
-        path["matrices"].append([list(row) for row in found.matrix_world.normalized()])
-        path["fov"].append(math.degrees(2 * math.atan(1 / lens[0][0])))
-        path["shift"] = max(path.get("shift", 0.0), abs(lens[0][2]), abs(lens[1][2]))
+    path = _path(scene, camera, job["frames"], start, (height, width))
     scene.frame_set(start)
     meshes = [item for item in scene.objects if item.type == "MESH"]
     needed = {path: os.path.isfile(path) for path in map(str, _files())}
@@ -165,6 +156,25 @@ def describe(scene: Any, job: dict[str, Any], start: int) -> dict[str, Any]:
         "files": sorted(needed),
         "missing": sorted(path for path, there in needed.items() if not there),
     }
+
+
+def _path(
+    scene: Any, camera: Any, frames: int, start: int, size: tuple[int, int]
+) -> dict[str, Any]:
+    """The camera from frame -1: matrices, horizontal views in degrees, largest lens shift."""
+    path: dict[str, Any] = {"matrices": [], "fov": [], "lens": "none", "shift": 0.0}
+    if not camera:
+        return path
+    path["lens"] = camera.data.type
+    for index in range(-1, frames + 1):
+        scene.frame_set(start + index)
+        graph = bpy.context.evaluated_depsgraph_get()
+        found = camera.evaluated_get(graph)
+        lens = found.calc_matrix_camera(graph, x=size[1], y=size[0])
+        path["matrices"].append([list(row) for row in found.matrix_world.normalized()])
+        path["fov"].append(math.degrees(2 * math.atan(1 / lens[0][0])))
+        path["shift"] = max(path["shift"], abs(lens[0][2]), abs(lens[1][2]))
+    return path
 
 
 def _files() -> set[str]:

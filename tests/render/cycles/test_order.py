@@ -1,0 +1,85 @@
+"""The job file: seeds that never meet, cameras turned to Blender's axes, parameters checked."""
+
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rlbench.render import flight
+from rlbench.render.cycles import clip
+from rlbench.render.cycles.order import (
+    NUMBERS,
+    STREAMS,
+    Parameters,
+    Picture,
+    order,
+    seed,
+    turned,
+)
+from rlbench.render.scene import Camera, Scene, SceneError
+
+LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
+
+
+def test_no_two_pictures_share_a_seed():
+    made = [seed(*which) for which in product(range(5), STREAMS, range(NUMBERS))]
+    assert len(set(made)) == len(made)
+
+
+def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
+    assert seed(10_000, "pilot", NUMBERS - 1) < 2**31
+
+
+def test_a_camera_that_looks_north_does_so_in_blenders_axes():
+    found = turned(flight.matrix(LEVEL.camera(0.0)))
+    right, up, back, place = found[:3].T
+    assert_allclose([right, up, back], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)  # float64
+    assert_allclose(place, [0, -4, 1])
+
+
+def ordered(**more):
+    pictures = [Picture(clip.Path("a.exr"), 0, 1)]
+    return order(
+        clip.Path("a.blend"), LEVEL, 1, 3, (8, 9), Parameters(max_bounces=4), pictures, **more
+    )
+
+
+def test_the_camera_is_given_from_the_frame_before_the_first_to_the_one_after_the_last():
+    places = np.array(ordered()["camera"]["matrices"])[:, 0, 3]
+    assert_allclose(places, [-1, 0, 1, 2, 3])
+
+
+def test_a_job_is_json_with_absolute_paths():
+    job = json.loads(json.dumps(ordered()))
+    assert clip.Path(job["scene"]).is_absolute()
+    assert clip.Path(job["renders"][0]["file"]).is_absolute()
+
+
+def test_no_radiance_is_of_sample_zero():
+    # Cycles sends it through the pixel's centre whatever the seed, so it does not converge
+    job = ordered()
+    assert all(picture["first"] >= 1 for picture in job["renders"])
+
+
+@pytest.mark.parametrize("total", [1, 31, 32, 33, 100])
+def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
+    parts = clip.half(tmp_path, "referenceA", 3, 0, total)
+    numbers = [n for part in parts for n in range(part.first, part.first + part.spp)]
+    assert numbers == list(range(1, total + 1))
+    assert {(part.seed, part.total) for part in parts} == {(seed(3, "referenceA", 0), total)}
+
+
+@pytest.mark.parametrize(
+    ("pair", "match"),
+    [
+        (("depth", "3"), "takes max_bounces, world, start, threads"),
+        (("max_bounces", "many"), "'many' is no number"),
+        (("world", "nan"), "takes a number from 0"),
+        (("world", "-1"), "takes a number from 0"),
+    ],
+)
+def test_a_parameter_that_is_none_is_refused(pair, match):
+    with pytest.raises(SceneError, match=match):
+        Parameters.of((pair,))
