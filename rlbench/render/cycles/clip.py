@@ -192,11 +192,11 @@ def _pictures(shoot: Shoot, index: int, done: int) -> list[Picture]:
     ]
     for half in rounds.HALVES:
         for turn in range(done):
-            found += half(work, f"reference{half}", index, turn, plan.reference_spp)
+            found += spans(work, f"reference{half}", index, turn, plan.reference_spp)
     return found
 
 
-def half(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
+def spans(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
     """What one round adds to one half of a reference: one seed, its samples in spans."""
     name, number = f"{stream}.{index:04d}.{turn}", seed(index, stream, turn)
     return [

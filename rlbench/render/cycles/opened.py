@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 from rlbench import paths
 from rlbench.render import flight
 from rlbench.render.cycles.order import RECIPE, Parameters, inquiry, turned
-from rlbench.render.cycles.process import VERSION, CyclesError, installed, run
+from rlbench.render.cycles.process import VERSION, CyclesError, run
 from rlbench.render.opened import Opened
 from rlbench.render.own import Wish
 from rlbench.render.scene import Camera, Scene, SceneError
@@ -60,8 +60,7 @@ def opened(wish: Wish, frames: int, asked: Parameters) -> Found:
 
 def _remembered(wish: Wish, frames: int, asked: Parameters) -> dict[str, Any]:
     """The worker's description, from the cache if nothing it depends on has changed."""
-    version = installed() or ""
-    words = f"{RECIPE} {version} {wish.file.absolute()} {frames} {wish.size} {asked.start}"
+    words = f"{RECIPE} {wish.file.absolute()} {frames} {wish.size} {asked.start}"
     place = paths.cache() / "cycles" / hashlib.sha256(words.encode()).hexdigest()[:16]
     note = place.with_suffix(".json")
     if note.is_file():

@@ -15,6 +15,8 @@ def blender():
     return process.interpreter()
 
 
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path, monkeypatch, request):
-    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
+@pytest.fixture(autouse=True, scope="session")
+def _own_cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -1,5 +1,6 @@
 """Clips that Cycles renders: the same scene as Mitsuba's, in every format, killed and resumed."""
 
+import json
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from rlbench.lint.checks import examine
 from rlbench.lint.finding import Verdict
 from rlbench.lint.footage import read_footage
 from rlbench.render import flight
+from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
 from rlbench.render.cycles.process import CyclesError
 from rlbench.render.job import Job
@@ -28,7 +30,7 @@ from tests.render.cycles import both
 
 pytestmark = pytest.mark.slow
 H, W = 64, 64
-PLAN = Preset("test", "tests", (H, W), both.FRAMES, reference_spp=40)
+PLAN = Preset("test", "tests", (H, W), both.FRAMES, reference_spp=40)  # in two spans
 SMALL = replace(PLAN, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
 ASKED = (("max_bounces", str(both.BOUNCES)),)
 FORMATS = ("blend", "usd", "glb", "fbx")
@@ -103,6 +105,8 @@ def test_the_header_says_who_traced_it(cycles):
 
 def test_a_finished_clip_needs_no_blender(cycles, files, monkeypatch):
     assert verify(cycles) == []
+    monkeypatch.setenv(process.VARIABLE, "/nowhere")
+    assert ensure_cycles(wish(files, cycles), PLAN) == cycles
 
 
 def test_samples_are_antialiased(cycles, mitsuba, llvm):
@@ -155,8 +159,6 @@ def test_a_still_camera_and_nothing_that_moves_make_a_static_clip(files, tmp_pat
     still.write_text(text.replace('"animations"', '"extras"'))
     asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
     first = flight.matrix(both.camera(0)).tolist()
-    import json
-
     Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": both.FOV}))
     header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
     assert header.static
@@ -180,8 +182,6 @@ def test_a_broken_file_is_told_with_blenders_words(blender, tmp_path):
 
 
 def test_a_worker_that_is_killed_is_a_crash(files, tmp_path):
-    from rlbench.render.cycles import process
-
     events = process.run(
         {
             "scene": str(files / "both.blend"),

@@ -65,7 +65,7 @@ def test_no_radiance_is_of_sample_zero():
 
 @pytest.mark.parametrize("total", [1, 31, 32, 33, 100])
 def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
-    parts = clip.half(tmp_path, "referenceA", 3, 0, total)
+    parts = clip.spans(tmp_path, "referenceA", 3, 0, total)
     numbers = [n for part in parts for n in range(part.first, part.first + part.spp)]
     assert numbers == list(range(1, total + 1))
     assert {(part.seed, part.total) for part in parts} == {(seed(3, "referenceA", 0), total)}
