@@ -27,6 +27,7 @@ scene.frame_start, scene.frame_end = 0, len(path["camera_to_world"]) - 1
 scene.render.use_motion_blur = scene.render.film_transparent = True
 scene.cycles.seed, scene.cycles.use_animated_seed, scene.cycles.film_exposure = 5, True, 3.0
 scene.view_layers.new("another")
+scene.render.resolution_x = scene.render.resolution_y = 64  # glTF keeps the vertical view
 lens.dof.use_dof = True
 lens.dof.aperture_fstop = 0.1
 bpy.ops.wm.save_as_mainfile(filepath=str(folder / "both.blend"))
@@ -34,4 +35,5 @@ scene.view_layers.remove(scene.view_layers["another"])
 bpy.ops.wm.usd_export(filepath=str(folder / "both.usd"), export_animation=True)
 bpy.ops.export_scene.gltf(filepath=str(folder / "both.glb"), export_cameras=True)
 one_take = {"bake_anim_use_all_actions": False, "bake_anim_use_nla_strips": False}
+one_take["bake_anim_simplify_factor"] = 0.0
 bpy.ops.export_scene.fbx(filepath=str(folder / "both.fbx"), **one_take)
