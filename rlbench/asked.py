@@ -116,11 +116,11 @@ def own_scene(
         parameters=tuple((name, value) for name, _, value in pairs),
         out=out,
     )
-    render = {"mitsuba": ensure_own, "cycles": ensure_cycles}[_tracer(scene, tracer)]
+    render = {"mitsuba": ensure_own, "cycles": ensure_cycles}[tracer_of(scene, tracer)]
     return render(wish, preset_of(preset), lambda words: typer.echo(words, err=True))
 
 
-def _tracer(scene: Path, asked: str | None) -> str:
+def tracer_of(scene: Path, asked: str | None) -> str:
     """Which tracer renders a scene file: the one that reads its format. Raises AskedError."""
     from rlbench.render.cycles.opened import FORMATS
 

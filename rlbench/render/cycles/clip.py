@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float
@@ -85,6 +85,8 @@ def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -
     origin, and CyclesError where Blender is missing or broke down.
     """
     asked = Parameters.of(wish.parameters)
+    if preset.cap < np.inf:
+        raise SceneError(f"preset {preset.name} has a radiance cap; Cycles' samples are not capped")
     found = opened(wish, wish.frames or preset.frames, asked)
     job, route = job_of(wish, found.opened, preset)
     if job.finished:
@@ -109,13 +111,15 @@ def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -
 
 def _exposure(shoot: Shoot) -> float:
     """What shows the frames at a usual brightness. Raises SceneError for one that is all black."""
-    place = paths.cache() / "cycles" / "looks"
-    with _emptied(place):
+    log = paths.cache() / "cycles" / f"{shoot.job.name}.log"
+    with TemporaryDirectory(prefix="rlbench-") as place:
         looks = [
-            Picture(place / f"{index}.exr", index, seed(index, "pilot", 0), LOOK_SPP, 1, LOOK_SPP)
+            Picture(
+                Path(place, f"{index}.exr"), index, seed(index, "pilot", 0), LOOK_SPP, 1, LOOK_SPP
+            )
             for index in range(shoot.job.preset.frames)
         ]
-        for _ in shoot.run(looks, place.with_name("look.log"), look=True):
+        for _ in shoot.run(looks, log, look=True):
             pass
         areas = np.stack([_areas(passes.radiance(look.file, LOOK)) for look in looks])
     if black := [str(index) for index, frame in enumerate(areas) if not frame.any()]:
@@ -175,6 +179,7 @@ def _frames(shoot: Shoot) -> Iterator[int]:
             _settle(shoot, index, done)
         wanted = [picture for index in job.missing for picture in pictures[index]]
         spp = {picture.file: (picture.frame, picture.spp) for picture in wanted}
+        yield sum(p.spp for p in wanted if p.file.is_file()) if done == 1 else 0
         for file, seconds in shoot.run(wanted, work / f"round{done}.log"):
             index, samples = spp[file]
             if file.name.startswith("reference"):
@@ -265,7 +270,6 @@ def _header(shoot: Shoot) -> Header:
         frames=plan.frames,
         exposure=scene.exposure,
         pool_spp=plan.pool_spp,
-        radiance_cap=plan.cap,
         reference_spp=tuple(map(job.spent, range(plan.frames))),
         stratified=True,
         noise_ceiling_db=tuple(
@@ -279,14 +283,3 @@ def _header(shoot: Shoot) -> Header:
         sample_ms=seconds * 1e3 if np.isfinite(seconds) else float("nan"),
         device=machine().cpu,
     )
-
-
-@contextmanager
-def _emptied(folder: Path) -> Iterator[None]:
-    """A folder that is empty now, and gone at the end."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    try:
-        yield
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

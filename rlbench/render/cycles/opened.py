@@ -75,7 +75,7 @@ def _remembered(wish: Wish, frames: int, asked: Parameters) -> dict[str, Any]:
             facts |= event
     if "start" not in facts:
         raise CyclesError(f"Blender opened {wish.file} and said nothing of it")
-    facts["files"] = sorted({*facts["files"], *_parts(wish.file)})
+    facts["files"] = sorted({*facts["files"], *parts(wish.file)})
     facts["digest"] = digest(wish.file, facts["files"])
     if not facts["missing"]:
         with paths.replacing(note) as path:
@@ -92,7 +92,7 @@ def digest(file: Path, others: list[str]) -> str:
     return told.hexdigest()
 
 
-def _parts(file: Path) -> list[str]:
+def parts(file: Path) -> list[str]:
     """The files beside a .gltf that it consists of, which Blender forgets once they are read."""
     if file.suffix.lower() != ".gltf":
         return []

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from rlbench.asked import AskedError, tracer_of
 from rlbench.render import flight
-from rlbench.render.cycles import clip
+from rlbench.render.cycles import clip, opened
 from rlbench.render.cycles.order import (
     NUMBERS,
     STREAMS,
@@ -18,7 +19,10 @@ from rlbench.render.cycles.order import (
     seed,
     turned,
 )
+from rlbench.render.own import Wish
+from rlbench.render.presets import preset
 from rlbench.render.scene import Camera, Scene, SceneError
+from tests.render.cycles import both
 
 LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
 
@@ -83,3 +87,46 @@ def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
 def test_a_parameter_that_is_none_is_refused(pair, match):
     with pytest.raises(SceneError, match=match):
         Parameters.of((pair,))
+
+
+def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="not capped"):
+        clip.ensure_cycles(Wish(tmp_path / "a.blend"), preset("tiny").capped(4.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "match"), [("none.blend", "no scene file"), ("a.max", "it takes .blend, .usd")]
+)
+def test_a_file_that_cannot_be_opened_is_told_without_blender(name, match, tmp_path):
+    with pytest.raises(SceneError, match=match):
+        clip.ensure_cycles(Wish(tmp_path / name), preset("tiny"))
+
+
+def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
+    file, _ = both.for_blender(tmp_path)
+    parts = opened.parts(file)
+    before = opened.digest(file, parts)
+    (tmp_path / "both.bin").write_bytes(b"other")
+    assert [clip.Path(part).name for part in parts] == ["both.bin"]
+    assert opened.digest(file, parts) != before
+
+
+@pytest.mark.parametrize(
+    ("name", "tracer", "match"),
+    [
+        ("a.blend", "mitsuba", "does not read a.blend; it reads .xml"),
+        ("a.xml", "cycles", "does not read a.xml; it reads .blend"),
+        ("a.xml", "luxcore", "it is mitsuba or cycles"),
+        ("a.max", None, "no tracer reads it"),
+    ],
+)
+def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
+    with pytest.raises(AskedError, match=match):
+        tracer_of(clip.Path(name), tracer)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "cycles")]
+)
+def test_a_file_goes_to_the_tracer_that_reads_it(name, wanted):
+    assert tracer_of(clip.Path(name), None) == wanted
