@@ -6,7 +6,9 @@ RESULTS := results
 REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn,mean
 
-.PHONY: demo docs test test-all format clean
+SPP := 1000
+
+.PHONY: demo docs contact test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench render --preset mini
@@ -19,6 +21,10 @@ demo: .venv/run.stamp
 docs: demo
 	mkdir -p docs
 	cp $(REPORT)/pareto.png $(REPORT)/summary.md docs/
+
+# one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
+contact: .venv/run.stamp
+	$(BIN)/python -m rlbench.render.contact docs/scenes.png --spp $(SPP)
 
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .

@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     import torch
 
+    from rlbench.engine import Engine
     from rlbench.source import Stored
 
 
@@ -49,7 +50,11 @@ def device(name: str) -> torch.device:
 
 
 def clips(
-    own: list[Path] | None, scenes: list[str] | None, preset: str, pool: str = "stored"
+    own: list[Path] | None,
+    scenes: list[str] | None,
+    preset: str,
+    pool: str = "stored",
+    engine: Engine | None = None,
 ) -> tuple[Stored, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be."""
     from rlbench.source import POOLS, below, pooled
@@ -57,20 +62,49 @@ def clips(
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        return tuple(pooled(folder, pool) for folder in rendered(scenes, preset))
+        made = rendered(scenes, preset, engine=engine)
+        return tuple(pooled(folder, pool) for folder in made)
     found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
-    kept = tuple(clip for clip in found if not wanted or clip.header.scene in wanted)
+    named = {clip: {clip.header.scene, clip.header.name} for clip in found}
+    kept = tuple(clip for clip, names in named.items() if not wanted or names & set(wanted))
     if not kept:
         have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
         raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
     return kept
 
 
-def generated(preset: str) -> list[Path]:
-    """The clip folders of a preset to train on. Raises AskedError where it holds scored scenes."""
+def seeds(text: str | None) -> tuple[int, ...] | None:
+    """Seeds given as `0:48`, without 48, as `3,7`, or both; None if none. Raises AskedError."""
+    if text is None:
+        return None
+    found: dict[int, None] = {}
+    for part in split([text]) or [""]:
+        first, colon, after = part.partition(":")
+        numbers = range(0)
+        if first.isdecimal() and (after.isdecimal() if colon else True):
+            numbers = range(int(first), int(after) if colon else int(first) + 1)
+        if not numbers:
+            raise AskedError(
+                f"--seeds takes a range such as 0:48, of which 48 is no part, or a list such as "
+                f"3,7, and was given '{text}'"
+            )
+        found |= dict.fromkeys(numbers)
+    return tuple(found)
+
+
+def generated(preset: str, chosen: tuple[int, ...] | None = None) -> list[Path]:
+    """The clip folders to train on: a preset's, or generated ones of the seeds chosen.
+
+    What is missing is rendered now. Raises AskedError where the preset holds scored scenes, or
+    where there are too few clips to keep one for validation.
+    """
     from rlbench.render.presets import PRESETS
 
+    if chosen is not None:
+        if len(chosen) < 2:
+            raise AskedError(f"--seeds {chosen[0]} is one clip; at least 2 are needed, 1 validates")
+        return rendered(None, preset, chosen=chosen)
     if preset in PRESETS and (scored := PRESETS[preset].scenes):
         fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scenes)
         raise AskedError(
@@ -91,13 +125,15 @@ def own_scene(
     define: list[str] | None,
     out: Path | None,
     tracer: str | None = None,
+    engine: Engine | None = None,
 ) -> Path:
     """The clip folder of one's own scene; what is missing of it is rendered now."""
     if scene is None or scenes:
         raise AskedError(
             "--camera, --frames, --size, --exposure, --define, --out and --tracer belong to "
-            "--scene FILE, which is given without --scenes"
+            "--scene FILE, which is given without --scenes and --seeds"
         )
+    from rlbench.engine import LOCAL
     from rlbench.render.cycles.clip import ensure_cycles
     from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
@@ -116,8 +152,12 @@ def own_scene(
         parameters=tuple((name, value) for name, _, value in pairs),
         out=out,
     )
-    render = {"mitsuba": ensure_own, "cycles": ensure_cycles}[tracer_of(scene, tracer)]
-    return render(wish, preset_of(preset), lambda words: typer.echo(words, err=True))
+    plan, tell = preset_of(preset), lambda words: typer.echo(words, err=True)
+    if tracer_of(scene, tracer) == "mitsuba":
+        return ensure_own(wish, plan, tell, engine or LOCAL)
+    if engine not in (None, LOCAL):
+        raise AskedError("--engine ray does not render with Cycles, which uses all cores by itself")
+    return ensure_cycles(wish, plan, tell)
 
 
 def tracer_of(scene: Path, asked: str | None) -> str:
@@ -145,16 +185,27 @@ def _size(text: str) -> tuple[int, int]:
     return int(high), int(wide)
 
 
-def rendered(scenes: list[str] | None, preset: str, cap: float | None = None) -> list[Path]:
-    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now."""
+def rendered(
+    scenes: list[str] | None,
+    preset: str,
+    cap: float | None = None,
+    chosen: tuple[int, ...] | None = None,
+    engine: Engine | None = None,
+) -> list[Path]:
+    """The clip folders of a preset, or of it with a radiance cap; missing ones are rendered now.
+
+    Scenes, takes of them, and seeds of generated scenes replace those of the preset.
+    """
     from rlbench import registry
+    from rlbench.engine import LOCAL
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
 
     if preset not in PRESETS:
         raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
     known, wanted = registry.names("scenes"), split(scenes or [])
-    if unknown := [name for name in wanted if name not in known]:
+    if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
-    return ensure(plan if cap is None else plan.capped(cap), wanted or None)
+    plan = plan if cap is None else plan.capped(cap)
+    return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

@@ -15,18 +15,20 @@ from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
-from rlbench import cost, latency, provenance, registry, table
+from rlbench import cost, latency, registry, table
 from rlbench.cells import Cell, Names, Request, cells, distinct, older
-from rlbench.cost import Cost
-from rlbench.frames import Clip
+from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
 from rlbench.method import Method
+from rlbench.ready import Ready
 from rlbench.run import Shown, run_clip
-from rlbench.source import Short, Source, unusable
+from rlbench.source import Source
 from rlbench.table import WHOLE_CLIP, Row
+from rlbench.times import Times
 
 
 @dataclass(frozen=True)
@@ -40,32 +42,39 @@ class Done:
 
 
 def measure(
-    request: Request, results: Path, tell: Callable[[Cell], None] = lambda cell: None
+    request: Request,
+    results: Path,
+    tell: Callable[[Cell], None] = lambda cell: None,
+    engine: Engine = LOCAL,
+    timed: Callable[[Cell], None] = lambda cell: None,
 ) -> Done:
     """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
 
-    Raises PluginError for an unknown method, CostError for an unknown profile and CellsError for
-    clips that share a name, before anything is measured.
+    `timed` hears of each whose times were taken before. Raises PluginError for an unknown method,
+    CostError for an unknown profile and CellsError for clips that share a name, before anything is
+    measured, and EngineError where no cell can be run.
     """
     distinct(request)
     bench = _Bench(request)
     stored = table.cells(results)
     done = Done()
+    todo = []
     for cell in cells(request):
-        name = bench.names.of(cell)
-        if name in stored:
+        if bench.names.of(cell) in stored:
             done = replace(done, known=done.known + 1)
+            tell(cell)
         else:
-            try:
-                rows = bench.rows(cell)
-            except Exception as error:  # whatever a stranger's method may raise is what is reported
-                name = bench.names.failed(cell)
-                rows = [bench.refusal(cell, f"{type(error).__name__}: {error}")]
-            table.write_cell(results, name, rows)
-            refused = len(rows) == 1
-            done = replace(
-                done, measured=done.measured + (not refused), refused=done.refused + refused
-            )
+            todo.append(cell)
+    for outcome in bench.outcomes(todo, engine, timed):
+        cell, name = outcome.job, bench.names.of(outcome.job)
+        try:
+            rows = outcome.result()
+        except Exception as error:  # whatever a stranger's method may raise is what is reported
+            name = bench.names.failed(cell)
+            rows = [bench.refusal(cell, f"{type(error).__name__}: {error}")]
+        table.write_cell(results, name, rows)
+        refused = len(rows) == 1
+        done = replace(done, measured=done.measured + (not refused), refused=done.refused + refused)
         for each in older(name, stored):
             table.drop_cell(results, each)
             stored.remove(each)
@@ -75,37 +84,59 @@ def measure(
 
 
 class _Bench:
-    """What the cells of one request share: built methods, costs, and times already taken."""
+    """What the cells of one request share, and the rows of each."""
 
     def __init__(self, request: Request) -> None:
         self.request = request
         self.metrics = registry.metrics()
         self.names = Names(request)
-        self.profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
-        self._built: dict[str, Method | Exception] = {}
-        self._times: dict[tuple[object, ...], Timing] = {}
+        self.ready = Ready(request)
+        profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
+        self.times = Times(self.ready, profile)
 
-    def rows(self, cell: Cell) -> list[Row]:
+    def outcomes(
+        self, todo: list[Cell], engine: Engine, timed: Callable[[Cell], None]
+    ) -> Iterator[Outcome[Cell, list[Row]]]:
+        """The rows of cells as they are done, or the error that stopped them."""
+        if not todo:
+            return
+        self.names = self.names.settled()
+        gpus = 1 if self.request.device.type == "cuda" else 0
+        share = Share(torch.get_num_threads(), gpus)
+        untimed = {} if engine.alone else self.times.take(todo, engine, share, timed)
+        for cell in todo:
+            if error := untimed.get(self.times.key(cell)):
+                yield Outcome(cell, error=error)
+        able = [cell for cell in todo if self.times.key(cell) not in untimed]
+        yield from engine.map(self, able, share)
+
+    def __call__(self, cell: Cell, tell: Tell) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
-        if why := unusable(cell.clip.header, registry.variant(cell.method).traits, cell.spp):
+        if why := self.ready.unusable(cell):
             return [self.refusal(cell, why)]
-        return self._measured(cell, self._method(cell.method))
+        return self._measured(cell, self.ready.method(cell))
 
     def refusal(self, cell: Cell, why: str) -> Row:
         """The one row of a cell without numbers."""
         return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
 
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
-        clip = cell.clip.open(method.traits, cell.spp, cell.seed, self.request.device)
-        clip = Short(clip, self.request.frames) if self.request.frames else clip
+        clip = self.ready.clip(cell)
         blank = replace(self._blank(cell), config=_config(method))
+        elsewhere = self._elsewhere()
         rows = [
-            row
+            replace(row, note=row.note or elsewhere)
             for shown in run_clip(method, clip, cell.spp)
             for row in self._scores(blank, shown, cell.clip.header)
         ]
         bought = sum(row.spp_realised for row in rows) / len(rows)
-        return rows + self._timing(replace(blank, spp_realised=bought), cell, method, clip)
+        times = self.times.of(cell, method, clip)
+        return rows + self._timing(replace(blank, spp_realised=bought), times, cell.clip)
+
+    def _elsewhere(self) -> str:
+        """The device that scores are of, where the results are of another one."""
+        here = latency.device_name(self.request.device)
+        return "" if here == self.names.device else f"scored on {here}"
 
     def _scores(self, blank: Row, shown: Shown, header: Header) -> Iterator[Row]:
         reference = shown.frame.reference
@@ -123,12 +154,8 @@ class _Bench:
             told = (metric.name, score, metric.unit, metric.better, metric.convention, note)
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 
-    def _timing(self, blank: Row, cell: Cell, method: Method, clip: Clip) -> list[Row]:
-        header = cell.clip.header  # where nothing moves nothing is warped, which takes less time
-        key = (cell.method, clip.size, cell.spp, header.static, header.pool_spp, cell.clip.priced)
-        if key not in self._times:
-            self._times[key] = latency.time_method(method, clip, cell.spp, self.request.repeats)
-        times, price = self._times[key], self._cost(cell.clip)
+    def _timing(self, blank: Row, times: Timing, clip: Source) -> list[Row]:
+        price = self.times.cost(clip)
         told = f"{times.inference.n} frames after {latency.WARM_UP} of warm-up"
         rows = []
         for part in ("plan", "denoise", "buy", "inference"):
@@ -155,25 +182,6 @@ class _Bench:
                 why,
             ),
         ]
-
-    def _cost(self, clip: Source) -> Cost:
-        header = clip.header
-        if self.profile:
-            return self.profile.cost(header.scene, header.height, header.width)
-        return cost.measured(header, provenance.machine().cpu)
-
-    def _method(self, name: str) -> Method:
-        if name not in self._built:
-            try:
-                built = registry.method(name, self.request.device, self.request.weights)
-            except Exception as error:  # missing weights or packages: a reason for each cell
-                self._built[name] = error
-            else:
-                self._built[name] = built
-        found = self._built[name]
-        if isinstance(found, Exception):
-            raise found
-        return found
 
     def _blank(self, cell: Cell) -> Row:
         """A row of this cell, without a number."""

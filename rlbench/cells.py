@@ -15,7 +15,12 @@ from rlbench import cost, latency, provenance, registry
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
-MEASURE = ("rlbench.bench", "rlbench.latency", "rlbench.cost")  # what makes numbers of images
+MEASURE = (
+    "rlbench.bench",
+    "rlbench.times",
+    "rlbench.latency",
+    "rlbench.cost",
+)  # what makes numbers of images
 
 
 class CellsError(ValueError):
@@ -29,7 +34,7 @@ class Request:
     methods: tuple[str, ...]  # family or family/variant
     clips: tuple[Source, ...]
     spp: tuple[float, ...] = SPP  # samples per pixel
-    seeds: tuple[int, ...] = (0,)  # of the order in which samples are sold, and of ties
+    seeds: tuple[int, ...] = (0,)  # of the order in which samples are sold, and of rounding
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     cost: str = cost.MEASURED  # or a profile
     weights: str | None = None  # None for the shipped ones, "random", or a path
@@ -92,6 +97,11 @@ class Names:
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""
         return f"{self.title(cell)} failed"
+
+    def settled(self) -> Names:
+        """Itself, with every name known, so that it says the same on another machine."""
+        _ = self.run, self.device, self.code, self.weights
+        return self
 
     @cached_property
     def run(self) -> str:

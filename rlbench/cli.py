@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
-from rlbench.cli_clips import Preset, Scenes, lint, render
+from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, Seeds, lint, render
 from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
@@ -64,7 +64,9 @@ def run(
     pool: Annotated[
         str, typer.Option(help="stored samples, or live: traced when they are bought")
     ] = "stored",
-    seed: Annotated[str, typer.Option(help="one or more, of the order of sale and of ties")] = "0",
+    seed: Annotated[
+        str, typer.Option(help="one or more, of the order of sale and of rounding")
+    ] = "0",
     device: Device = "auto",
     out: Annotated[Path, typer.Option(help="results folder; it is added to")] = Path("results"),
     cost: Annotated[
@@ -77,6 +79,8 @@ def run(
     limit_frames: Annotated[
         int | None, typer.Option(min=1, help="first frames of each clip only, for trying out")
     ] = None,
+    engine: Engine = "local",
+    ray_address: RayAddress = None,
 ) -> None:
     """Measure methods on clips; what OUT holds already is not run again.
 
@@ -89,24 +93,28 @@ def run(
       rlbench run -m mine --plugin mine.py --clips my_renders/
 
       rlbench run -m ours --scenes temple --pool live
+
+      rlbench run -m all --preset standard --engine ray --ray-address auto
     """
     _use(plugin)
     from rlbench import registry, show
     from rlbench.bench import measure
     from rlbench.cells import Request
+    from rlbench.cluster import opened
 
-    request = Request(
-        methods=tuple(registry.expand(asked.split(methods))),
-        clips=asked.clips(clips, scenes, preset, pool),
-        spp=asked.numbers("--spp", spp, float),
-        seeds=asked.numbers("--seed", seed, int),
-        device=asked.device(device),
-        cost=cost,
-        weights=weights,
-        frames=limit_frames,
-    )
-    with show.progress(request) as tell:
-        done = measure(request, out, tell)
+    with opened(engine, ray_address) as workers:
+        request = Request(
+            methods=tuple(registry.expand(asked.split(methods))),
+            clips=asked.clips(clips, scenes, preset, pool, workers),
+            spp=asked.numbers("--spp", spp, float),
+            seeds=asked.numbers("--seed", seed, int),
+            device=asked.device(device),
+            cost=cost,
+            weights=weights,
+            frames=limit_frames,
+        )
+        with show.progress(request) as bar:
+            done = measure(request, out, bar.tell, workers, bar.timed)
     show.done(done, out)
     show.table(request, out)
 
@@ -151,6 +159,7 @@ def train(
     seed: int = 0,
     device: Device = "auto",
     preset: Preset = "train",
+    seeds: Seeds = None,
     plugin: Plugins = None,
 ) -> None:
     """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
@@ -160,6 +169,8 @@ def train(
       rlbench train --methods ours,ntas
 
       rlbench train -m ours --minutes 30 --device cuda
+
+      rlbench train -m ours --seeds 0:48
     """
     _use(plugin)
     from rlbench import registry, show
@@ -170,7 +181,7 @@ def train(
     learning = [name for name in names if registry.learns(name)]
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    folders = asked.generated(preset) if learning else []
+    folders = asked.generated(preset, asked.seeds(seeds)) if learning else []
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
     command = shlex.join(["rlbench", *sys.argv[1:]])

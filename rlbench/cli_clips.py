@@ -9,13 +9,24 @@ import typer
 
 from rlbench import asked
 
-Scenes = Annotated[list[str] | None, typer.Option("--scenes", help="names a,b; default every one")]
+Scenes = Annotated[
+    list[str] | None, typer.Option("--scenes", help="scenes or clips a,b; default every one")
+]
+Seeds = Annotated[
+    str | None, typer.Option(help="generated scenes: 0:48 or 3,7; default the preset's")
+]
 Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
+Engine = Annotated[str, typer.Option(help="who does the work: local, or ray, many at a time")]
+RayAddress = Annotated[
+    str | None,
+    typer.Option(help="a running Ray cluster: auto or host:port; else one of this machine"),
+]
 
 
 def render(
     scenes: Scenes = None,
     preset: Preset = "mini",
+    seeds: Seeds = None,
     cap: Annotated[
         float | None, typer.Option(help="dim every sample to so many times display white")
     ] = None,
@@ -31,19 +42,21 @@ def render(
     exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,
     define: Annotated[list[str] | None, typer.Option("--define", "-D", help="name=value")] = None,
     out: Annotated[Path | None, typer.Option(help="the clip's folder")] = None,
+    engine: Engine = "local",
+    ray_address: RayAddress = None,
 ) -> None:
     """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
 
-    With --scene it is one clip of a scene of yours, and only then are the options below it of use:
-    see docs/scenes.md. What they do not say is as in the preset.
+    With --scene it is one clip of a scene of yours, and only then are the options from --camera to
+    --out of use: see docs/scenes.md. What they do not say is as in the preset.
 
     Examples:
 
       rlbench render
 
-      rlbench render --preset train
+      rlbench render --preset train --seeds 0:48
 
-      rlbench render --scenes city,hall --preset standard
+      rlbench render --scenes city,hall-cut --preset standard
 
       rlbench render --cap 64
 
@@ -52,12 +65,18 @@ def render(
       rlbench render --scene mine.py --camera path.json --out clips/mine
 
       rlbench render --scene atrium.blend --frames 20 -D max_bounces=6
+
+      rlbench render --preset standard --engine ray --ray-address auto
     """
+    from rlbench.cluster import opened
+
     own = (camera, frames, size, exposure, define, out, tracer)
-    if scene or any(own):
-        folders = [asked.own_scene(scene, scenes, preset, *own)]
-    else:
-        folders = asked.rendered(scenes, preset, cap)
+    with opened(engine, ray_address) as workers:
+        if scene or any(own):
+            given = scenes or (seeds and [seeds]) or None
+            folders = [asked.own_scene(scene, given, preset, *own, workers)]
+        else:
+            folders = asked.rendered(scenes, preset, cap, asked.seeds(seeds), workers)
     for folder in folders:
         typer.echo(folder)
 

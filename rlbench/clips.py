@@ -45,7 +45,7 @@ class StoredClip:
     needs: frozenset[str]
     slots: int  # most samples per pixel that can be bought
     pool: str
-    seed: int  # of the order of sale and of ties
+    seed: int  # of the order of sale and of rounding
     device: torch.device
 
     @property
@@ -136,7 +136,7 @@ def open_clip(
 
 
 def sale(seed: int, name: str, index: int, stored: int) -> tuple[list[int], int]:
-    """The order in which the stored samples of a frame are sold, and the key that breaks its ties.
+    """The order in which a frame's stored samples are sold, and the key of rounding its shares.
 
     Both are hashes, so they are the same on every machine and with every version of numpy.
     """

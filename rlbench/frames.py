@@ -29,8 +29,10 @@ class View:
 
     albedo [n 3 h w] in [0, 1]; normal [n 3 h w] world space, unit length, zero for background;
     depth [n 1 h w] along the view axis, +inf for background; motion [n 2 h w] in pixels, from a
-    pixel to its position in the previous frame, x right and y down. A buffer that was not declared
-    as needed is absent, and reading it is an error. `motion` is None where nothing moves.
+    pixel to its position in the previous frame, x right and y down; outside the image where nothing
+    is remembered: for what has just come into view, and for every pixel where another shot begins.
+    A buffer that was not declared as needed is absent, and reading it is an error. `motion` is None
+    where nothing moves.
     """
 
     buffers: Mapping[str, Tensor]

@@ -53,6 +53,7 @@ class Header:
     pools: tuple[str, ...] = ("path",)
     lacks: tuple[str, ...] = ()  # of what the format asks for; words of LACKS
     static: bool = False  # neither camera nor objects move; then there is no motion buffer
+    cuts: tuple[int, ...] = ()  # frames where another shot begins; all motion leads outside there
     licence: str = ""  # of the pixels
     sample_ms: float = math.nan  # time of one full-frame 1-spp trace, or nan
     device: str = ""  # where it was traced
@@ -78,10 +79,17 @@ class Header:
                 f"clip '{self.name}': unknown view buffer {', '.join(unknown)}; "
                 f"format v{VERSION} knows {', '.join(VIEWS)}"
             )
-
         if unknown := sorted(set(self.lacks) - set(LACKS)):
             raise ClipError(
                 f"clip '{self.name}': lacks {', '.join(unknown)}; known are {', '.join(LACKS)}"
+            )
+        self._check_cuts()
+
+    def _check_cuts(self) -> None:
+        if self.cuts and (self.static or not set(self.cuts) <= set(range(1, self.frames))):
+            raise ClipError(
+                f"clip '{self.name}': cuts are {list(self.cuts)}; expected frames from 1 to "
+                f"{self.frames - 1}, of a clip that is not static"
             )
 
     @property

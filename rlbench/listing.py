@@ -97,6 +97,7 @@ def _presets() -> list[dict[str, Any]]:
             "frames": preset.frames,
             "reference_spp": 2 * preset.reference_spp * preset.rounds,  # at most
             "scenes": list(preset.scenes),
+            "takes": preset.takes,
             "generated": len(preset.seeds),
         }
         for preset in PRESETS.values()

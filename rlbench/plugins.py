@@ -63,7 +63,7 @@ def entries(group: str) -> dict[str, Entry]:
     """All plugins of a group by name, sorted. Raises PluginError if two share a name."""
     if group not in GROUPS:
         raise PluginError(f"'{group}' is not a kind of plugin; there are: {', '.join(GROUPS)}")
-    found = _installed(group)
+    found = installed(group)
     if group == "methods":
         found += _from_variable(os.environ.get(VARIABLE, ""))
         found += [entry for file in _files.values() for entry in _from_file(file)]
@@ -88,6 +88,11 @@ def resolve(target: str) -> Any:
     return found
 
 
+def loose_files() -> tuple[Path, ...]:
+    """The files given with `--plugin`, in the order given."""
+    return tuple(_files.values())
+
+
 def loose_file(module: str) -> Path | None:
     """The file given with `--plugin` that goes by this module name, or None."""
     return _files.get(module)
@@ -110,7 +115,8 @@ def place(target: str) -> Path:
     return Path(spec.origin)
 
 
-def _installed(group: str) -> list[Entry]:
+def installed(group: str) -> list[Entry]:
+    """The plugins of installed packages alone, ours first."""
     found = importlib.metadata.entry_points(group=f"rlbench.{group}")
     ours_first = sorted(found, key=lambda point: (_origin(point) != "rlbench", point.name))
     return [Entry(p.name, p.value, _origin(p), p.load) for p in ours_first]

@@ -40,9 +40,9 @@ def procedural(
     is exactly 1 (log-normal, wilder in shade, with rare fireflies); the sky has no noise. `speed`
     scales all movement; 1 moves about 2 pixels per frame at a width of 128. From frame `cut` on
     another world is shown, whose motion is still its own: as after an editor's cut, the history is
-    wrong and no buffer says so. `static` stops all movement; the noise goes on. Motion leads far
-    outside the image where a point was behind the previous camera; in frame 0 it leads to the
-    frame that would have come before.
+    wrong and no buffer says so, while at a cut of rendered clips all motion leads outside. `static`
+    stops all movement; the noise goes on. Motion leads far outside the image where a point was
+    behind the previous camera; in frame 0 it leads to the frame that would have come before.
 
     Frames are computed anew whenever they are read, and equal whenever they are read.
     """

@@ -9,11 +9,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rlbench.dither import choose
 from rlbench.frames import Size
 
 TOLERANCE = 1e-3  # samples by which the shares of an image may miss the budget before rounding
 STEPS = 64  # most refinements of the multiplier; 5 to 10 are usual
-TIE_BITS = 40  # random bits below the fraction in the key that ranks remainders
+FRACTION = 2**32  # parts of a sample that remainders are counted in
 
 
 class BudgetError(ValueError):
@@ -61,7 +62,7 @@ class Pool(Protocol):
 
     @property
     def keys(self) -> tuple[int, ...]:
-        """One number a clip in the batch, another in each frame: breaks ties between pixels."""
+        """One number a clip in the batch, another in each frame: decides who is rounded up."""
 
     def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel, those of `before` included."""
@@ -128,7 +129,7 @@ def buy(
     if fresh:
         held, low = samples.counts, torch.full_like(samples.counts, floor)
         paid = int(held[0].sum())  # as much in every image
-        keys = tuple(key + 1 for key in pool.keys)  # or ties would fall where the pilot's fell
+        keys = tuple(key + 1 for key in pool.keys)  # or it would round up where the pilot did
         counts = held + spend(wish, cost - paid, low, (pool.cap - held).clamp_max(cap), keys)
     else:
         counts = spend(wish, cost, samples.counts.clamp_min(floor), cap, pool.keys)
@@ -144,23 +145,25 @@ def spend(
 ) -> Int[Tensor, "n 1 h w"]:
     """Whole counts in [low, high] that follow `density` and sum to exactly `cost` in each image.
 
-    The counts are clip(k * density, low, high) with k such that they sum to `cost`, rounded down;
-    what is left goes to the largest remainders, and ties are broken by a hash of pixel and key, so
-    never by pixel order. A density without a positive value is uniform. A pixel that nobody wants
-    still takes what full pixels cannot. Differs from Scardigli et al. 2023, eq. in section 2.3,
-    which rounds each pixel by itself and so misses the budget by up to all of it below 0.5 spp.
+    The share of a pixel is clip(k * density, low, high) with k such that shares sum to `cost`. Its
+    count is the share rounded down or up, up with the probability of the remainder and in even
+    spread over the image (rlbench.dither), so that counts follow density below one sample too:
+    to give what is left to the largest remainders would flatten any density between 0.5 and 1.5
+    at 1 spp, and follow the grain of one that is all but flat at 0.5. A density without a positive
+    value is uniform. A pixel that nobody wants still takes what full pixels cannot. Differs from
+    Scardigli et al. 2023, eq. in section 2.3, which rounds each pixel by itself and so misses the
+    budget by up to all of it below 0.5 spp.
     """
     if not torch.isfinite(density).all():
         raise BudgetError("density has values that are not finite; a density is finite and >= 0")
     if (density < 0).any():
         raise BudgetError(f"density has negative values, down to {float(density.min()):g}")
     most = torch.as_tensor(high, device=low.device).expand_as(low)
-    images = zip(density.flatten(1).double(), low.flatten(1), most.flatten(1), keys, strict=True)
-    counts = [_spend_one(image, cost, least, room, key) for image, least, room, key in images]
-    return torch.stack(counts).view(density.shape)
+    images = zip(density[:, 0].double(), low[:, 0], most[:, 0], keys, strict=True)
+    return torch.stack([_spend_one(*image, cost) for image in images]).unsqueeze(1)
 
 
-def _spend_one(density: Tensor, cost: int, low: Tensor, high: Tensor, key: int) -> Tensor:
+def _spend_one(density: Tensor, low: Tensor, high: Tensor, key: int, cost: int) -> Tensor:
     pixels, least, most = density.numel(), int(low.sum()), int(high.sum())
     if not least <= cost <= most or bool((low > high).any()):
         raise BudgetError(
@@ -175,16 +178,13 @@ def _spend_one(density: Tensor, cost: int, low: Tensor, high: Tensor, key: int) 
         density = (~wanted).to(density.dtype)
     share = _fill(density / density.max(), cost, low, high)
     counts = share.floor().long()
-    rank = _ties(pixels, key, density.device)
     while (left := cost - int(counts.sum())) > 0:
-        rest = ((share - counts).clamp(0, 1) * 2**20).round().long()
-        score = ((rest << TIE_BITS) + rank).where(counts < high, -1)
-        least_score = score.kthvalue(pixels - left + 1).values if left <= pixels else -1
-        above = score > least_score
-        # one pixel is left to choose, or several where hashes collide, of which the first are taken
-        same = ((score == least_score) & (counts < high)).nonzero()[: left - int(above.sum()), 0]
-        counts += above
-        counts[same] += 1
+        free = counts < high
+        rest = ((share - counts).clamp(0, 1) * FRACTION).long().where(free, 0)
+        if not rest.any():
+            rest = free.long()
+        counts += choose(rest, left, key)
+        key += 1
     return counts
 
 
@@ -213,11 +213,3 @@ def _fill(density: Tensor, cost: int, low: Tensor, high: Tensor) -> Tensor:
             guess = 2 * k if above == float("inf") else (below + above) / 2
         k = guess
     return best
-
-
-def _ties(pixels: int, key: int, device: torch.device) -> Tensor:
-    """A number of TIE_BITS bits for each pixel: a hash, so that it is the same on every device."""
-    x = torch.arange(pixels, dtype=torch.int64, device=device) + (key & 0x7FFFFFFF) * 0x9E3779B9
-    for factor in (0x2545F4914F6CDD1D, 0x1B873593CC9E2D51):
-        x = (x ^ ((x >> 29) & 0x7FFFFFFFF)) * factor
-    return (x >> (63 - TIE_BITS)).bitwise_and(2**TIE_BITS - 1)

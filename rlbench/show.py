@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -18,15 +18,23 @@ if TYPE_CHECKING:
     from rlbench.bench import Done
     from rlbench.doctor import Finding
 
+PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
 COLUMNS = {  # of `rlbench list`, in their order
     "methods": ("name", "question", "needs", "spp", "adapts"),
     "metrics": ("name", "unit", "better", "convention"),
-    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "purpose"),
+    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }
 
 
+class Told(NamedTuple):
+    """What shows how far a run is."""
+
+    tell: Callable[[Cell], None]  # of a cell that is done
+    timed: Callable[[Cell], None]  # of one whose times were taken first
+
+
 @contextmanager
-def progress(request: Request) -> Iterator[Callable[[Cell], None]]:
+def progress(request: Request) -> Iterator[Told]:
     """A bar over the cells of a request, on the error stream."""
     with _bar() as bar:
         task = bar.add_task("measuring", total=len(cells(request)))
@@ -35,7 +43,10 @@ def progress(request: Request) -> Iterator[Callable[[Cell], None]]:
             told = f"{cell.method} on {cell.clip.header.name}, {cell.spp:g} spp"
             bar.update(task, advance=1, description=told)
 
-        yield tell
+        def timed(cell: Cell) -> None:
+            bar.update(task, description=f"timed {cell.method}, {cell.spp:g} spp")
+
+        yield Told(tell, timed)
 
 
 @contextmanager
@@ -111,7 +122,8 @@ def findings(found: Iterable[Finding]) -> None:
 
 def _bar() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    return Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
+    console = Console(stderr=True)
+    return Progress(*columns, TimeRemainingColumn(), console=console, speed_estimate_period=PERIOD)
 
 
 def _figure(value: float | None) -> str:

@@ -162,6 +162,16 @@ def test_a_clip_that_stands_still_needs_no_motion(name):
 
 
 @every_method
+def test_where_another_shot_begins_it_remembers_nothing(name):
+    *before, last = clip()
+    away = torch.tensor([-2.0 * ODD.w, -2.0 * ODD.h]).view(1, 2, 1, 1)
+    motion = away.expand_as(last.view.buffers["motion"])
+    cut = replace(last, view=View({**last.view.buffers, "motion": motion}))
+    after, fresh = (MemoryClip("cut", "procedural", "", some) for some in ([*before, cut], [cut]))
+    assert torch.equal(images(name, after)[-1], images(name, fresh)[0])
+
+
+@every_method
 def test_a_pool_may_hold_fewer_samples_than_eight(name):
     spp = max(1.0, registry.variant(name).traits.spp[0])
     assert torch.isfinite(images(name, clip(pool_spp=2), spp)).all()

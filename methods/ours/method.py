@@ -24,7 +24,6 @@ from rlbench.sampling import Samples
 from rlbench.weights import load_into
 
 MISSING = -1.0  # a sample that was not bought, a state that is not there
-FLAT = 0.125  # an action nearer zero than this is none
 MULTIPLE = 16  # sides that the denoiser can halve four times
 
 
@@ -40,10 +39,9 @@ class Ours:
     """Scardigli et al. 2023: sampler on the warped state, encoder of raw samples, denoiser.
 
     Differs from the paper: the density is the action above the lower end of its range (x + 1, x in
-    [-1, 1], small x being zero) and not above the frame's least action, which is an outlier of half
-    a million values; networks see linear radiance through a logarithm where the authors' data was
-    8-bit sRGB; a state that comes from outside the image is marked by an exact mask, not by a magic
-    zero.
+    [-1, 1]) and not above the frame's least action, which is an outlier of half a million values;
+    networks see linear radiance through a logarithm where the authors' data was 8-bit sRGB; a state
+    that comes from outside the image is marked by an exact mask, not by a magic zero.
     """
 
     config: Config
@@ -57,14 +55,10 @@ class Ours:
         return Memory(torch.full(shape, MISSING, device=device), 0)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
-        """How far each pixel's action lies above the lowest one, in [0, 2]; 1 where it is small.
-
-        Equal densities are a tie, which the bench breaks at random, anew in each frame. At half a
-        sample a pixel it would else follow the grain of a map that is all but flat.
-        """
+        """How far each pixel's action lies above the lowest one, in [0, 2]."""
         if self.networks.sampler is None:
             return torch.ones_like(view.depth)
-        return 1 + F.softshrink(self.act(view, state), FLAT) / (1 - FLAT)
+        return density(self.act(view, state))
 
     def act(self, view: View, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action, in [-1, 1]."""
@@ -96,6 +90,11 @@ class Ours:
         latent = state.latent if state.age % self.config.bptt else state.latent.detach()
         history = recall(latent, view.motion, MISSING)
         return torch.cat((view.normal, view.albedo, squash_depth(view.depth), history), dim=1)
+
+
+def density(action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
+    return 1 + action.clamp(-1, 1)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ours:

@@ -35,9 +35,10 @@ class Policy:
 
     spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
     draws: int = 4  # of the same frame and state, an even number
-    every: int = 8  # frames between updates of the sampler
+    every: int = 2  # frames between updates of the sampler
     block: int = 8  # pixels: side of a block
     margin: int = 4  # pixels around a block whose error is credited to it
+    most: float = 3.0  # deviations that an advantage is cut at
     weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
 
     def corner(self, generator: torch.Generator) -> tuple[int, int]:
@@ -80,6 +81,7 @@ class Policy:
         price = -(worse * more).sum() / more.square().sum().clamp_min(1e-8)
         advantage = -(worse + price * more)
         advantage = advantage / advantage.square().mean().sqrt().clamp_min(1e-8)
+        advantage = advantage.clamp(-self.most, self.most)
         away = self._blocks(drawn.actions - mean, drawn.corner) / self.block**2 / self.spread
         drift = mean.mean((1, 2, 3)).square().mean()
         return (advantage * away.square()).mean() / 2 + drift

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours import FAMILY
-from methods.ours.method import Memory, Ours
+from methods.ours.method import Memory, Ours, density
 from methods.ours.network import Networks
 from methods.ours.policy import Draws, Policy
 from methods.ours.start import start
@@ -33,11 +33,12 @@ BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, o
 
 @dataclass
 class Explorer:
-    """`ours` while it trains: acts with noise, and remembers what the sampler was asked."""
+    """`ours` while it trains: acts with noise half of the time, and remembers what it was asked."""
 
     method: Ours
     policy: Policy
     generator: torch.Generator
+    noisy: bool = True  # in this sequence?
     asked: list[tuple[View, Memory]] = field(default_factory=list)
 
     @property
@@ -50,14 +51,16 @@ class Explorer:
         return self.method.start(size)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
-        """The density of an action drawn around the sampler's."""
+        """The density of the sampler's action, or of one drawn around it."""
         if self.method.networks.sampler is None:
             return self.method.plan(view, samples, state)
         self.asked = [(view, state)]
         with torch.no_grad():
             mean = self.method.act(view, state)
-        corner = self.policy.corner(self.generator)
-        return density(self.policy.explore(mean, corner, self.generator))
+        if self.noisy:
+            corner = self.policy.corner(self.generator)
+            mean = self.policy.explore(mean, corner, self.generator)
+        return density(mean)
 
     def denoise(
         self, view: View, samples: Samples, state: Memory
@@ -78,6 +81,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         explorer.generator.manual_seed(next(iter(clip)).pool.keys[0])
+        explorer.noisy = bool(torch.randint(2, (), generator=explorer.generator))
         for shown in unroll(explorer, clip, spp):
             loss = mixed(log_forward(shown.image), log_forward(shown.frame.reference.mean))
             if networks.sampler is not None and shown.frame.index % policy.every == 0:
@@ -85,11 +89,6 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
             yield loss
 
     return Trainer(method, networks, losses, BUDGETS, PEAK, SHARES)
-
-
-def density(action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
-    return 1 + action.clamp(-1, 1)
 
 
 def _sampler_loss(explorer: Explorer, frame: Frame, spp: float) -> Tensor:

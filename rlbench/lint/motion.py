@@ -112,15 +112,15 @@ def _approach(now: Tensor, moved: Tensor, inside: Tensor) -> Tensor:
 def best(footage: Footage) -> list[tuple[Reading, float]]:
     """Likely readings with the mean share that they explain, the best first; v1's wins ties.
 
-    All are tried on one pair of frames, and those that do well there on up to PAIRS pairs.
+    All are tried on one pair of frames of a shot, and those that do well there on up to PAIRS.
     """
-    last = len(footage) - 1
-    middle = list(range(1, last)) or [1]
+    follow = _follow(footage)
+    middle = [t for t in follow if t + 1 in follow] or follow
 
     def tried(some: Sequence[Reading], frames: Sequence[int]) -> list[tuple[Reading, float]]:
         found = []
         for reading in some:
-            fitting = [t for t in frames if t + DIRECTIONS[reading.direction] <= last]
+            fitting = [t for t in frames if t + max(DIRECTIONS[reading.direction], 0) in follow]
             if fitting:
                 found.append((reading, float(explained(footage, reading, fitting).mean())))
         return sorted(found, key=lambda pair: (-pair[1], pair[0] != STORED))
@@ -132,14 +132,8 @@ def best(footage: Footage) -> list[tuple[Reading, float]]:
 
 def motion(footage: Footage) -> Finding:
     """Does motion lead to where a pixel was in the previous frame, and does nothing else fit?"""
-    if footage.header.static:
-        return _static(footage)
-    if "motion" not in footage.view:
-        return odd(CHECK, "the clip has no motion buffer", "write one, or say static = true")
-    if len(footage) < 2:
-        return odd(CHECK, "one frame has no previous one", "lint at least two frames")
-    if moves(footage) < STILL:
-        return odd(CHECK, "nothing moves, so no reading can be told", "say static = true")
+    if early := _early(footage):
+        return early
     found = best(footage)
     stored = dict(found)[STORED]
     (rival, share), *_ = found
@@ -152,21 +146,54 @@ def motion(footage: Footage) -> Finding:
         told = f"it explains {stored:.0%} of the change between frames; nothing does better"
         return wrong(CHECK, told, "check which frames and which camera the motion is from")
     told = f"explains {stored:.0%} of the change as {STORED}; next best {other}"
-    each = explained(footage, STORED, range(1, len(footage)))
+    each = explained(footage, STORED, _follow(footage))
     if float(each.min()) < CUT * float(each.median()):
-        frame = int(each.argmin()) + 1
-        return odd(
-            CHECK, f"{told}; but {each.min():.0%} in frame {frame}", "fine if there is a cut"
-        )
+        frame = _follow(footage)[int(each.argmin())]
+        remedy = "if another shot begins there, list it in cuts, and let motion lead outside"
+        return odd(CHECK, f"{told}; but {each.min():.0%} in frame {frame}", remedy)
     return fine(CHECK, told)
 
 
 def moves(footage: Footage) -> float:
-    """Mean difference between neighbouring frames of the view, in standard deviations, cut at 1."""
+    """Mean difference between neighbouring frames of the view, in standard deviations, cut at 1.
+
+    Neighbours are those of one shot.
+    """
+    follow = torch.tensor(_follow(footage), dtype=torch.long)
     views = [v for name, v in footage.view.items() if name in ("albedo", "normal")]
     views += [1 / footage.view["depth"]] if "depth" in footage.view else []
-    spread = [(v[1:] - v[:-1]).abs() / v.std().clamp_min(1e-6) for v in views]
+    spread = [(v[follow] - v[follow - 1]).abs() / v.std().clamp_min(1e-6) for v in views]
     return max((float(s.clamp_max(1).mean()) for s in spread), default=0.0)
+
+
+def _early(footage: Footage) -> Finding | None:
+    """What is told without trying any reading, if there is something."""
+    if footage.header.static:
+        return _static(footage)
+    if "motion" not in footage.view:
+        return odd(CHECK, "the clip has no motion buffer", "write one, or say static = true")
+    if told := _cuts(footage):
+        return wrong(CHECK, told, "let motion lead outside there, as history is of another shot")
+    if not _follow(footage):
+        return odd(CHECK, "no frame has a previous one of its shot", "lint at least two frames")
+    if moves(footage) < STILL:
+        return odd(CHECK, "nothing moves, so no reading can be told", "say static = true")
+    return None
+
+
+def _follow(footage: Footage) -> list[int]:
+    """Frames that are of the same shot as the frame before."""
+    return [t for t in range(1, len(footage)) if t not in footage.header.cuts]
+
+
+def _cuts(footage: Footage) -> str:
+    """Which cut has motion that leads into the previous shot, or nothing."""
+    for index in (cut for cut in footage.header.cuts if cut < len(footage)):
+        motion = footage.view["motion"][index, None]
+        inside = float(reproject(torch.zeros_like(motion), motion)[1].float().mean())
+        if inside > 0:
+            return f"frame {index} is a cut, but motion of {inside:.1%} of it leads inside"
+    return ""
 
 
 def _static(footage: Footage) -> Finding:

@@ -17,6 +17,8 @@ RECIPE = 2  # raised whenever the tracer makes other pixels of the same scene
 def fingerprint(scene: Scene, frames: int) -> str:
     """Hash of a scene's shapes, materials, lights, and poses at its first and last frame.
 
+    Also at those around its cuts, and of the lights that change, frame by frame.
+
     Numbers enter rounded, and arrays as sums, so that the last bit of a sine, which differs from
     one machine to another, does not matter; a change too small to be seen may be missed.
     A user's scene has an `origin` in place of all this.
@@ -27,10 +29,18 @@ def fingerprint(scene: Scene, frames: int) -> str:
     for mesh in scene.meshes:
         words += [mesh.name, str(mesh.smooth), f"{len(mesh.faces)} faces"]
         words += [_words(part) for part in (mesh.uv, mesh.material, mesh.emission)]
-    for time in (0.0, frames - 1.0):
+    for time in _times(scene, frames):
         pose = Pose.of(scene, time)
         words += [_words([pose.axes(), pose.camera.origin, pose.camera.fov, *pose.vertices])]
+    factors = [scene.lights(float(time)) for time in range(frames)]
+    words += [f"lights {_words(factors)}"] * any(factors)
     return _hash("\n".join(words))
+
+
+def _times(scene: Scene, frames: int) -> list[float]:
+    """Frames whose poses tell a scene from another: the first, the last, and those at its cuts."""
+    cuts = [cut for cut in scene.cuts if cut < frames]
+    return [0.0, frames - 1.0, *(float(time) for cut in cuts for time in (cut - 1, cut))]
 
 
 def _hash(words: str) -> str:

@@ -38,7 +38,7 @@ class LivePool:
     tracer: Tracer
     time: float  # of the frame
     order: tuple[int, ...]  # numbers of the samples, in the order of sale
-    key: int  # breaks ties between pixels
+    key: int  # decides whose share is rounded up
     exposure: float
     stored: type[np.floating]  # precision to which the clip's file rounds radiance
     device: torch.device

@@ -116,9 +116,10 @@ def activate(variant: str | None = None) -> str:
     `variant`, or else the variable RLBENCH_VARIANT, asks for one by name, such as `cuda_ad_rgb`.
     Otherwise it is the one that is running already, or `llvm_ad_rgb` where a usable libLLVM is
     found, or `scalar_rgb` with a warning. It must run before anything else imports drjit, which
-    loads LLVM at once.
+    loads LLVM at once. It traces with RLBENCH_THREADS threads, or one for each processor.
     """
     if not variant and "mitsuba" in sys.modules and (runs := sys.modules["mitsuba"].variant()):
+        _limit()
         return str(runs)
     asked = variant or os.environ.get("RLBENCH_VARIANT", "")
     good = next((lib for lib in libraries() if not lib.refused), None)
@@ -129,6 +130,7 @@ def activate(variant: str | None = None) -> str:
     if not asked and not good:
         warnings.warn(f"no usable libLLVM: tracing is slow; {ADVICE}", stacklevel=2)
     mi.set_variant(asked or ("llvm_ad_rgb" if good else "scalar_rgb"))
+    _limit()
     return str(mi.variant())
 
 
@@ -161,6 +163,14 @@ def _prepare(library: Library) -> None:
         folder = paths.cache() / f"drjit-llvm{library.version}-{_processor()}"
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["DRJIT_CACHE_DIR"] = str(folder)
+
+
+def _limit() -> None:
+    import drjit as dr
+
+    asked = os.environ.get("RLBENCH_THREADS", "")
+    if asked.isdecimal() and 0 < int(asked) != dr.thread_count():
+        dr.set_thread_count(int(asked))
 
 
 def _processor() -> str:

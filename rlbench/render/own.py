@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench import paths
+from rlbench.engine import LOCAL, Engine
 from rlbench.render import flight, llvm, sight
 from rlbench.render.job import Job
 from rlbench.render.opened import Opened, opened
@@ -70,7 +71,10 @@ class Route:
 
 
 def ensure_own(
-    wish: Wish, preset: Preset, tell: Callable[[str], None] = lambda words: None
+    wish: Wish,
+    preset: Preset,
+    tell: Callable[[str], None] = lambda words: None,
+    engine: Engine = LOCAL,
 ) -> Path:
     """The clip folder of a user's scene, after rendering what is missing of it.
 
@@ -89,7 +93,7 @@ def ensure_own(
     own = seen.exposure if found.flies else usual
     job = replace(job, scene=replace(seen, exposure=wish.exposure or own))
     tell(told(job))
-    return finish([job])[0]
+    return finish([job], engine=engine)[0]
 
 
 def job_of(wish: Wish, found: Opened, preset: Preset) -> tuple[Job, Route]:
@@ -165,6 +169,8 @@ def _scene(wish: Wish, found: Opened, route: Route, plan: Preset) -> Scene:
         found.scene,
         name=found.name,
         camera=found.scene.camera if own else route.camera(),
+        cuts=found.scene.cuts if own else (),
+        takes=(),
         static=found.scene.static if own else route.fixed and not found.moves,
         origin=hashlib.blake2b(words.encode(), digest_size=16).hexdigest(),
         licence="",  # of the scene's author

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 FOUR = ("city", "temple", "hall", "ripples")
 GENERATED = "generated"  # clips of rlbench.scenes.generator are named generated-<seed>
@@ -24,6 +25,7 @@ class Preset:
     reference_spp: int  # samples per pixel of each half of the reference
     scenes: tuple[str, ...] = FOUR  # by entry point of the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated training scenes
+    takes: Literal["main", "all"] = "main"  # of each scene, that are clips of their own
     pool_spp: int = 8  # stored 1-spp images per frame
     cap: float = math.inf  # brightest that a sample may be, times display white
     ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
@@ -31,7 +33,7 @@ class Preset:
 
     @property
     def clip_samples(self) -> int:
-        """Light paths that one clip costs at most."""
+        """Light paths that one clip costs at most; two cores trace a million a second."""
         return self.frames * self.frame_samples
 
     @property
@@ -39,11 +41,6 @@ class Preset:
         """Light paths that one frame costs at most: the pool and all rounds of both halves."""
         most = self.pool_spp + 2 * self.reference_spp * self.rounds
         return self.size[0] * self.size[1] * most
-
-    @property
-    def samples(self) -> int:
-        """Light paths that the whole preset costs at most; two cores trace a million a second."""
-        return self.clip_samples * (len(self.scenes) + len(self.seeds))
 
     def capped(self, cap: float) -> Preset:
         """The same with a cap, under a name of its own. Raises PresetError unless it is above 0."""
@@ -57,7 +54,17 @@ PRESETS = {
     for preset in (
         Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city")),
         Preset("mini", "the first command: about 3 minutes on two cores", (192, 192), 8, 64),
-        Preset("standard", "a workstation", (256, 256), 20, 64, ceiling_db=40.0, rounds=16),
+        Preset(
+            "standard",
+            "a workstation: all takes",
+            (256, 256),
+            20,
+            64,
+            takes="all",
+            ceiling_db=40.0,
+            rounds=16,
+        ),
+        # of each scene one take, as in the paper: a clip is 10^10 paths, three hours of two cores
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
         Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28))),
     )

@@ -1,11 +1,15 @@
-"""Rendering what is missing of a preset's clips, frame by frame, resumable at any moment."""
+"""Rendering what is missing of a preset's clips, frame by frame, resumable at any moment.
+
+Frames are traced by an engine, here or elsewhere, and written here. A clip's header, which says
+how long a sample takes, is written when no frame is being traced on this machine any more.
+"""
 
 from __future__ import annotations
 
 import gc
 import importlib
 import importlib.metadata
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -14,17 +18,18 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench import paths, registry
-from rlbench.clips import Header, write_frame, write_header
+from rlbench.clips import Header, write_header
+from rlbench.engine import LOCAL, Engine, Tell
 from rlbench.provenance import machine
 from rlbench.render import llvm, rounds
 from rlbench.render.job import POOLS, Job
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
+from rlbench.render.studio import SEED, Shot, Studio, keep, share
 from rlbench.render.trace import Tracer, open_tracer
-from rlbench.render.views import views
 
 TRIAL = 8  # samples per pixel that are traced to guess how long all of them take
-SEED = 0  # of the light paths; frames, samples and streams are told apart below it
+PATIENCE = 3600.0  # seconds of progress that a guess of the rest looks back on, if by whole frames
 
 
 def ensure(
@@ -33,88 +38,117 @@ def ensure(
     seeds: Iterable[int] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
+    engine: Engine = LOCAL,
 ) -> list[Path]:
     """The clip folders of a preset, after rendering what is missing of them.
 
     `scenes` and `seeds` of generated scenes replace the preset's own; where only one is given, the
-    other is empty. Whole frames that are there are kept, unless the scene has changed since.
+    other is empty. A scene stands for the takes of it that the preset has, `<scene>-<take>` for
+    that take alone. Whole frames that are there are kept, unless the scene has changed since.
     `folder` holds the clips, in place of the cache. `progress` shows how far it is, in place of a
-    bar of its own. Raises LookupError for an unknown preset or scene.
+    bar of its own, and `engine` traces the frames. Raises LookupError for an unknown preset or
+    scene, SceneError for a take.
     """
     chosen = preset(chosen) if isinstance(chosen, str) else chosen
     folder = folder or paths.clips() / chosen.name
     if scenes is None and seeds is None:
         scenes, seeds = chosen.scenes, chosen.seeds
     names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
-    made = {name: named(name) for name in names}
+    made: dict[str, Scene] = {}
+    for name in names:
+        made |= _takes(name, chosen)
     jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
-    return finish(jobs, progress)
+    return finish(jobs, progress, engine)
 
 
-def finish(jobs: list[Job], progress: Progress | None = None) -> list[Path]:
+def finish(jobs: list[Job], progress: Progress | None = None, engine: Engine = LOCAL) -> list[Path]:
     """The folders of clips of one preset, after rendering what is missing of them."""
     if unfinished := [job for job in jobs if not job.finished]:
-        with _shown(progress) as bar:
-            _render_all(unfinished, bar)
+        with _shown(progress, engine) as bar:
+            _render_all(unfinished, bar, engine)
     return [job.folder for job in jobs]
 
 
 def named(clip: str) -> Scene:
-    """The scene of a clip by the clip's name: `generated-<seed>`, or an installed scene.
+    """The scene of a clip by the clip's name.
 
-    Raises LookupError for an unknown scene.
+    That is `generated-<seed>`, an installed scene, or `<scene>-<take>`. Raises LookupError for an
+    unknown scene, and SceneError for an unknown take.
     """
-    kind, _, seed = clip.rpartition("-")
-    if kind == GENERATED and seed.isdigit():
-        scene: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(seed))
-    else:
-        scene = registry.load("scenes", clip)()
-    return scene
+    kind, _, last = clip.rpartition("-")
+    if kind == GENERATED and last.isdigit():
+        generated: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(last))
+        return generated
+
+    installed = registry.names("scenes")
+    whole = clip in installed or kind not in installed
+    scene: Scene = registry.load("scenes", clip if whole else kind)()
+    return scene if whole else scene.take(last)
 
 
-def render(job: Job, traced: Callable[[int], None] = lambda samples: None) -> None:
+def render(job: Job, traced: Tell = lambda samples: None, engine: Engine = LOCAL) -> None:
     """Render the missing frames of one clip, then write its header.
 
     Stored radiance is as traced; `exposure` is in the header. `traced` is told of light paths as
-    they are done. Killed at any moment and called again, it leaves the same files.
+    they are done. Killed at any moment and called again, it leaves the same files. A frame that
+    cannot be traced does not stop the others; its error is raised when they are done.
     """
-    height, width = job.preset.size
-    job.claim()
-    tracer = open_tracer(job.scene, height, width, SEED, job.preset.cap / job.scene.exposure)
-    for index in job.missing:
-        tracer.set_time(float(index))
-        _render_frame(job, tracer, index, lambda spp: traced(spp * height * width))
-    write_header(job.folder, _header(job, tracer))
+    _raise_first(_together([job], traced, engine))
 
 
-def _render_frame(job: Job, tracer: Tracer, index: int, traced: Callable[[int], None]) -> None:
-    view = views(tracer, job.buffers)
-    pool = tracer.stack(job.preset.pool_spp)
-    traced(job.preset.pool_spp)
-    a, b, spp = rounds.trace(tracer, job.preset, job.scene.exposure, traced)
-    if job.preset.rounds > 1:
-        rounds.note(job.folder, index, spp)
-    write_frame(job.folder, index, view, {"path": pool}, a, b)
+def _takes(name: str, chosen: Preset) -> dict[str, Scene]:
+    """The clips, by name, that a scene or a single take stands for in a preset."""
+    scene = named(name)
+    takes = scene.takes if chosen.takes == "all" else ()
+    return {name: scene, **{f"{name}-{take.name}": scene.take(take.name) for take in takes}}
 
 
-def _render_all(jobs: list[Job], bar: Progress) -> None:
+def _together(jobs: list[Job], traced: Tell, engine: Engine) -> list[Exception]:
+    """Render clips, a frame at a time, then write headers; the errors of frames that have none."""
+    for job in jobs:
+        job.claim()
+    studio = Studio(jobs)
+    shots = [Shot(clip, index) for clip, job in enumerate(jobs) for index in job.missing]
+    errors = []
+    for outcome in engine.map(studio, shots, share(), traced):
+        if outcome.error:
+            errors.append(outcome.error)
+        else:
+            keep(jobs[outcome.job.clip], outcome.job.index, outcome.result())
+    for clip, job in enumerate(jobs):
+        if not job.missing:
+            write_header(job.folder, _header(job, studio.tracer(clip)))
+    return errors
+
+
+def _render_all(jobs: list[Job], bar: Progress, engine: Engine) -> None:
     area = jobs[0].preset.size[0] * jobs[0].preset.size[1]
-    todo = {job: len(job.missing) * job.preset.frame_samples for job in jobs}
-    total = sum(todo.values())
+    total = sum(len(job.missing) * job.preset.frame_samples for job in jobs)
     trial = open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(repeats=1, spp=TRIAL)
     seconds = total / area * trial / 1e3
     most = "at most " if jobs[0].preset.rounds > 1 else ""
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
+    alone = f" by this machine alone; {engine.where}" if engine.where else ""
     bar.console.print(
         f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} with {llvm.activate()}: "
-        f"{most}{total / 1e6:.0f} million light paths, about {_duration(seconds)}; "
+        f"{most}{total / 1e6:.0f} million light paths, about {_duration(seconds)}{alone}; "
         f"into {jobs[0].folder.parent}"
     )
     task = bar.add_task("", total=total)
-    for job in jobs:
-        bar.update(task, description=job.name)
-        render(job, partial(bar.advance, task))
+    errors: list[Exception] = []
+    for together in [[job] for job in jobs] if engine.alone else [jobs]:
+        named = together[0].name if len(together) == 1 else f"{len(together)} clips"
+        bar.update(task, description=named)
+        errors += _together(together, partial(bar.advance, task), engine)
         gc.collect()
+    _raise_first(errors)
+
+
+def _raise_first(errors: list[Exception]) -> None:
+    if len(errors) > 1:
+        errors[0].add_note(f"and {len(errors) - 1} more, the last of which: {errors[-1]}")
+    if errors:
+        raise errors[0]
 
 
 def _header(job: Job, tracer: Tracer) -> Header:
@@ -140,6 +174,7 @@ def _header(job: Job, tracer: Tracer) -> Header:
         buffers=job.buffers,
         pools=POOLS,
         static=scene.static,
+        cuts=tuple(cut for cut in scene.cuts if cut < plan.frames),
         licence=scene.licence,
         sample_ms=tracer.sample_ms(),
         device=machine().cpu,
@@ -154,13 +189,14 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def _shown(progress: Progress | None) -> Iterator[Progress]:
+def _shown(progress: Progress | None, engine: Engine) -> Iterator[Progress]:
     """The caller's bar, or one of its own on standard error."""
     if progress:
         yield progress
         return
     columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
+    period = 120 if engine.alone else PATIENCE
     with Progress(
-        *columns, TimeRemainingColumn(), console=Console(stderr=True), speed_estimate_period=120
+        *columns, TimeRemainingColumn(), console=Console(stderr=True), speed_estimate_period=period
     ) as bar:
         yield bar

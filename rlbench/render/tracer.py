@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.render import load
+from rlbench.render.lights import Dimmer
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 
@@ -43,11 +44,13 @@ class Tracer(ABC):
         self.mitsuba = load.load(scene)
         self.integrator = load.plugin({"type": "path", "max_depth": scene.depth})
         self._parameters = mi.traverse(self.mitsuba)
+        self._lights = Dimmer(self._parameters)
         self.set_time(0.0)
 
     def set_time(self, time: float) -> None:
-        """Move camera and vertices to `time`, in frames. Nothing is loaded or compiled again."""
+        """Camera, vertices and lights as at `time`, in frames. Nothing is loaded again."""
         self.time, self.pose = float(time), Pose.of(self.scene, time)
+        self._lights.set(self.scene.lights(time))
         load.move(self._parameters, self.scene.moving(time), self.scene.meshes)
         self._look()
 

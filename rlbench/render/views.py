@@ -18,6 +18,7 @@ from rlbench.render.pose import Pose
 from rlbench.render.tracer import Tracer
 
 POINTS = 16  # directions of the albedo's quadrature
+OUTSIDE = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
 BOUNCES = 4  # mirrors and panes that albedo looks through
 LATTICE = (
     1,
@@ -34,7 +35,9 @@ def views(
     albedo: see `albedo`; 0 for background. normal: world space, towards the camera. depth: along
     the view axis, +inf for background. motion: to the position one frame earlier, from the poses at
     `time` and `time - 1` (also for frame 0), so exact for camera, rigid and deforming motion; that
-    of background is the camera's rotation.
+    of background is the camera's rotation. Where another shot begins, at a frame of `Scene.cuts`,
+    every pixel comes from OUTSIDE the previous frame, though some of what it shows may have been
+    seen there: an engine knows that its camera was cut, drops its history, and knows no more.
     """
     height, width = tracer.height, tracer.width
     rows, columns = np.indices((height, width)).reshape(2, -1)
@@ -48,7 +51,8 @@ def views(
     here, depth = tracer.pose.project(now, height, width)
     found["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
     there, _ = Pose.of(tracer.scene, tracer.time - 1).project(before, height, width)
-    found["motion"] = there - here
+    cut = any(tracer.time - 1 < first <= tracer.time for first in tracer.scene.cuts)
+    found["motion"] = np.full_like(here, OUTSIDE) * (width, height) if cut else there - here
     return {
         name: found[name].reshape(height, width, -1).astype(np.float32)
         for name in BUFFERS

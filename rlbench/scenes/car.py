@@ -1,64 +1,165 @@
-"""Car: a small old car, coloured by a palette, made of two outlines and four wheels."""
+"""Car: a small old car with a curved body, windows and four wheels, coloured by a palette."""
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import (
-    Shape,
-    boxes,
-    cylinder,
-    merge,
-    painted,
-    placed,
-    quads,
-    rotation,
+from rlbench.scenes.shapes import Shape, boxes, disc, lathe, merge, painted, placed, rotation
+
+BODY = (
+    (0.42, 0.02, 0.02),  # coats
+    (0.02, 0.09, 0.14),
+    (0.55, 0.52, 0.43),
+    (0.24, 0.30, 0.27),
+    (0.010, 0.013, 0.016),  # 4 windows
+    (0.018, 0.018, 0.018),  # 5 tyres and arches
+    (0.22, 0.22, 0.22),  # 6 bright parts
+    (0.30, 0.012, 0.01),  # 7 tail lamps
+    (0.75, 0.72, 0.62),  # 8 head lamps
+)
+AXLES, WHEEL = (-1.28, 1.27), 0.31  # metres
+GLASS, TYRE, BRIGHT, TAIL, HEAD = 4, 5, 6, 7, 8
+
+# along the car, from the tail to the nose, metres: x, sill, belt, top, half width
+STATIONS = np.array(
+    [
+        (-1.98, 0.42, 0.66, 0.70, 0.66),
+        (-1.95, 0.34, 0.78, 0.86, 0.74),
+        (-1.85, 0.28, 0.85, 0.95, 0.79),
+        (-1.55, 0.26, 0.89, 1.02, 0.82),
+        (-1.42, 0.25, 0.90, 1.10, 0.825),
+        (-1.05, 0.24, 0.91, 1.39, 0.83),
+        (-0.80, 0.24, 0.91, 1.45, 0.83),
+        (-0.20, 0.24, 0.91, 1.49, 0.83),
+        (0.30, 0.24, 0.90, 1.45, 0.83),
+        (0.45, 0.24, 0.90, 1.39, 0.83),
+        (0.95, 0.25, 0.89, 1.00, 0.82),
+        (1.10, 0.25, 0.87, 0.94, 0.82),
+        (1.60, 0.27, 0.80, 0.87, 0.79),
+        (1.86, 0.29, 0.74, 0.80, 0.75),
+        (1.96, 0.33, 0.66, 0.72, 0.70),
+        (2.00, 0.42, 0.60, 0.64, 0.64),
+    ]
 )
 
-BODY = ((0.50, 0.03, 0.03), (0.015, 0.02, 0.025), (0.02, 0.02, 0.02), (0.70, 0.68, 0.60))
 
-
-@cache
-def car() -> Shape:
-    """The car about the origin, on the ground, facing +x."""
-    hull = [(-2.0, 0.35), (2.05, 0.35), (2.1, 0.75), (1.9, 0.95), (0.95, 1.05), (0.45, 1.62)]
-    hull += [(-1.05, 1.66), (-1.75, 1.05), (-2.1, 0.95)]
-    pane = [(0.80, 1.07), (0.42, 1.52), (-0.25, 1.55), (-0.25, 1.07)]
-    rear = [(-0.35, 1.07), (-0.35, 1.55), (-1.0, 1.55), (-1.5, 1.07)]
+@lru_cache(maxsize=8)
+def car(coat: int = 0) -> Shape:
+    """The car about the origin, on the ground, facing +x; `coat` is a slot of BODY, 0..3."""
     of = len(BODY)
-    parts = [painted(_extruded(hull, 0.85), 0, of)]
-    parts += [painted(_extruded(window, 0.86), 1, of) for window in (pane, rear)]
-    parts += [painted(quads((0.99, -0.7, 1.1), (0, 1.4, 0), (-0.46, 0, 0.5)), 1, of)]
-    parts += [painted(quads((-1.70, 0.7, 1.15), (0, -1.4, 0), (0.56, 0, 0.48)), 1, of)]
-    on_axle = rotation((1, 0, 0), np.pi / 2)
-    for x in (-1.3, 1.35):
-        for y in (-0.72, 0.9):
-            parts.append(painted(placed(cylinder(0.36, 0, 0.2, 20), (x, y, 0.36), on_axle), 2, of))
-            parts.append(
-                painted(placed(cylinder(0.2, -0.01, 0.21, 16), (x, y, 0.36), on_axle), 3, of)
-            )
-    parts.append(
-        painted(
-            boxes(
-                [(2.05, -0.85, 0.4), (-2.15, -0.85, 0.4)], [(2.2, 0.85, 0.52), (-2.0, 0.85, 0.52)]
-            ),
-            3,
-            of,
-        )
-    )
+    parts = [*_hull(coat), *_wheels()]
+    fittings = [
+        (BRIGHT, (1.92, -0.72, 0.36), (2.06, 0.72, 0.45)),
+        (BRIGHT, (-2.05, -0.72, 0.40), (-1.92, 0.72, 0.49)),
+        (TYRE, (1.90, -0.34, 0.46), (2.02, 0.34, 0.58)),
+        (TAIL, (-1.975, -0.70, 0.58), (-1.90, -0.46, 0.72)),
+        (TAIL, (-1.975, 0.46, 0.58), (-1.90, 0.70, 0.72)),
+        (BRIGHT, (-1.99, -0.2, 0.54), (-1.9, 0.2, 0.64)),
+    ]
+    parts += [painted(boxes(low, high), slot, of) for slot, low, high in fittings]
+    ahead = rotation((0, 1, 0), np.pi / 2)
+    for y in (-0.54, 0.54):
+        lamp = merge(disc(0.09, 0.03, 20), lathe([(0.12, 0), (0.12, 0.02), (0.09, 0.03)], 20))
+        parts.append(painted(placed(lamp, (1.97, y, 0.56), ahead), HEAD, of))
+    for y in (-0.93, 0.82):
+        parts.append(painted(boxes((0.42, y, 0.93), (0.54, y + 0.11, 1.05)), coat, of))
     return merge(*parts)
 
 
-def _extruded(outline: list[tuple[float, float]], half: float) -> Shape:
-    """A convex outline in (x, z), counter-clockwise seen from -y, made 2 x half wide."""
-    flat = np.array(outline)
-    near = np.stack([flat[:, 0], np.full(len(flat), -half), flat[:, 1]], -1)
-    sides = quads(near, np.roll(near, -1, 0) - near, (0, 2 * half, 0))
-    sides = sides._replace(faces=sides.faces[:, ::-1])
-    fan = np.array([(0, k, k + 1) for k in range(1, len(flat) - 1)], np.uint32)
-    uv = np.zeros((len(flat), 2), np.float32)
-    lid = Shape(near.astype(np.float32), fan, uv)
-    other = Shape((near * (1, -1, 1)).astype(np.float32), fan[:, ::-1], uv)
-    return merge(sides, lid, other)
+def _hull(coat: int) -> list[Shape]:
+    """The body as a sheet over stations and a section, cut apart by colour."""
+    fine = _between(STATIONS, 73)
+    x, sill, belt, top, half = fine.T
+    arch = [np.sqrt(np.clip((WHEEL + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES]
+    sill = np.maximum(sill, np.max(arch, 0) + WHEEL)
+    cabin = np.clip((top - belt - 0.12) / 0.45, 0, 1)  # 0 at bonnet and boot, 1 at the roof
+    inset = half - 0.02 - 0.20 * cabin
+    ones = np.ones_like(x)
+    section = [  # y, z and what lies between it and the next: 0 coat, 1 window where there is one
+        (half - 0.05, sill),
+        (half - 0.01, sill + 0.08 * (belt - sill)),
+        (half + 0.012, 0.5 * (sill + belt)),
+        (half, belt - 0.06),
+        (half - 0.025, belt),
+        (half - 0.045 - 0.02 * cabin, belt + 0.03 * cabin + 0.004),
+        (inset + 0.02, top - 0.07 * cabin - 0.02),
+        (inset - 0.03, top - 0.035 * cabin - 0.008),
+        (0.8 * inset, top - 0.008),
+        (0.4 * inset, top + 0.012),
+        (0.0 * ones, top + 0.016),
+    ]
+    right = np.stack([np.stack([x, -y, z], -1) for y, z in section], 1)  # station section 3
+    left = (right * (1, -1, 1))[:, -2::-1]
+    sheet = np.concatenate([right, left], 1)
+    bands = sheet.shape[1] - 1
+    middle = 0.5 * (x[:-1] + x[1:])
+    slope = np.abs(np.diff(top) / np.diff(x))
+    side = np.zeros((len(middle), bands), bool)
+    panes = (cabin[:-1] > 0.25) & (cabin[1:] > 0.25) & (np.abs(middle + 0.30) > 0.045)
+    side[np.ix_(panes & (middle < 0.62) & (middle > -1.2), [5, bands - 6])] = True
+    screens = (slope > 0.42) & (top[:-1] > 0.98) & (top[1:] > 0.98)
+    side[np.ix_(screens, list(range(8, bands - 8)))] = True
+    slots = np.where(side, GLASS, coat)
+    ends = [_lid(sheet[0], coat), _lid(sheet[-1][::-1], coat)]
+    under = boxes((-1.85, -0.7, 0.24), (1.85, 0.7, 0.62))  # hides the ground through the arches
+    return [*_cut(sheet, slots), *ends, painted(under, TYRE, len(BODY))]
+
+
+def _wheels() -> list[Shape]:
+    tyre = lathe(
+        [(0.19, 0.0), (0.27, -0.012), (0.30, 0.01), (WHEEL, 0.04), (WHEEL, 0.14), (0.29, 0.19)], 32
+    )
+    back = disc(0.29, 0.19, 32)
+    hub = merge(
+        lathe([(0.05, -0.015), (0.10, -0.012), (0.19, 0.012)], 24),
+        lathe([(0.19, 0.0), (0.20, -0.01), (0.21, 0.0)], 24),
+    )
+    rim = merge(hub, placed(disc(0.052, 0.016, 16), (0, 0, 0), rotation((1, 0, 0), np.pi)))
+    parts = []
+    for axle in AXLES:
+        for mirror in (0.0, np.pi):
+            turn = rotation((0, 0, 1), mirror) @ rotation((1, 0, 0), -np.pi / 2)
+            at = (axle, 0.80 if mirror else -0.80, WHEEL)
+            parts += [
+                painted(placed(merge(tyre, back), at, turn), TYRE, len(BODY)),
+                painted(placed(rim, at, turn), BRIGHT, len(BODY)),
+            ]
+    return parts
+
+
+def _between(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """`count` stations, evenly along the car, with their corners rounded off."""
+    x = np.linspace(stations[0, 0], stations[-1, 0], count)
+    columns = [np.interp(x, stations[:, 0], column) for column in stations.T[1:]]
+    kernel = np.array([1, 4, 6, 4, 1]) / 16
+    rounded = [np.convolve(np.pad(c, 2, "edge"), kernel, "valid") for c in columns]
+    return np.stack([x, *rounded], -1)
+
+
+def _cut(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:
+    """The cells of a sheet [rows columns 3] in shapes of one colour each."""
+    rows, columns = sheet.shape[:2]
+    first = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
+    shapes = []
+    for slot in np.unique(slots):
+        a = first[slots == slot]
+        b, c, d = a + columns, a + columns + 1, a + 1
+        faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+        used, faces = np.unique(faces, return_inverse=True)
+        vertices = sheet.reshape(-1, 3)[used].astype(np.float32)
+        shape = Shape(vertices, faces.reshape(-1, 3).astype(np.uint32), vertices[:, :2])
+        shapes.append(painted(shape, int(slot), len(BODY)))
+    return shapes
+
+
+def _lid(outline: NDArray[np.float64], coat: int) -> Shape:
+    """A flat end of the hull."""
+    middle = outline.mean(0, keepdims=True)
+    vertices = np.concatenate([outline, middle]).astype(np.float32)
+    first = np.arange(len(outline))
+    faces = np.stack([first, np.roll(first, -1), np.full(len(outline), len(outline))], -1)
+    faces = faces[:, ::-1]
+    return painted(Shape(vertices, faces.astype(np.uint32), vertices[:, :2]), coat, len(BODY))

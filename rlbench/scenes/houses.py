@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.shapes import (
-    Floats,
-    Shape,
-    boxes,
-    merge,
-    painted,
-    quads,
-)
+from rlbench.scenes.shapes import Floats, Shape, boxes, merge, painted, quads
+from rlbench.scenes.windows import CELLS, behind
 
 FLOOR, BAY = 3.1, 2.4  # metres: height of a storey, width of a window bay
 PAINTS = (
@@ -20,10 +14,14 @@ PAINTS = (
     (0.30, 0.05, 0.04),
     (0.045, 0.05, 0.06),  # 3 slate
     (0.14, 0.08, 0.05),  # 4 bark and wood
-    (0.65, 0.09, 0.07),  # 5 awnings
-    (0.78, 0.74, 0.66),
-    (0.08, 0.26, 0.30),
+    (0.52, 0.10, 0.07),  # 5 awnings
+    (0.74, 0.70, 0.62),
+    (0.07, 0.21, 0.24),
     (0.025, 0.03, 0.03),  # 8 iron
+    (0.62, 0.10, 0.16),  # 9 flowers and fruit
+    (0.80, 0.56, 0.12),
+    (0.09, 0.19, 0.04),  # 11 leaves
+    (0.26, 0.15, 0.075),  # 12 light wood
 )
 
 
@@ -72,13 +70,30 @@ def house(random: np.random.Generator, bays: int, floors: int) -> dict[str, Shap
             None, (width, 9, 99)
         ),
     )
-    glass = quads((0, depth - 0.04, 0), (width, 0, 0), (0, 0, top))
+    glass = _panes(random, x, sill, head, middles, depth)
     return {
         "wall": merge(piers, below, above, body),
         "trim": merge(sills, bars, bands, posts),
         "glass": glass,
         "paint": merge(*_dressing(random, x, sill, head, width, top)),
     }
+
+
+def _panes(
+    random: np.random.Generator, x: Floats, sill: Floats, head: Floats, doors: Floats, depth: float
+) -> Shape:
+    """Windows and shop fronts, each with a cell of the atlas `windows` behind its glass."""
+    half = 0.55
+    low = np.stack([x - half, np.full_like(x, depth - 0.04), sill], -1)
+    tall = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
+    upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), tall, 0)
+    front = np.stack([doors - BAY / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
+    lower = quads(front, (BAY, 0, 0), (0, 0, 3.6), tile=0)
+    cells = np.concatenate(
+        [random.integers(0, CELLS * (CELLS - 2), len(x)), random.integers(CELLS, size=len(doors))]
+    )
+    cells[len(x) :] += CELLS * (CELLS - 1)  # shops have the last row
+    return behind(merge(upper, lower), cells)
 
 
 def _dressing(

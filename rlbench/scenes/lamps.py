@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.shapes import Shape, quads
+from rlbench.scenes.shapes import Floats, Shape, merge, quads, yaw
 
 WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
+RING_AT, RING_HIGH = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it
 CYAN, AMBER, ROSE, WHITE = range(4)  # the colours, as indices of RADIANCE
 RADIANCE = ((0.10, 0.62, 0.85), (0.85, 0.36, 0.05), (0.85, 0.07, 0.30), (0.55, 0.60, 0.66))
+CONSOLES = ((-4.3, 6.2, 0.5), (4.0, 5.2, -0.6), (-3.9, 11.6, 0.35))  # x, y, turn
 
 
 class Lamps(NamedTuple):
@@ -26,8 +28,7 @@ class Lamps(NamedTuple):
 
 def fixed(random: np.random.Generator) -> Lamps:
     """All lamps that are part of the building."""
-    groups = [_strips(random), _signs(random), _gate(), _guides()]
-    return joined(groups)
+    return joined([_strips(random), _signs(random), _consoles(random), _gate(), _guides()])
 
 
 def joined(groups: Sequence[Lamps]) -> Lamps:
@@ -35,21 +36,44 @@ def joined(groups: Sequence[Lamps]) -> Lamps:
     return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
 
 
+def moved(lamps: Lamps, at: ArrayLike, turn: Floats) -> Lamps:
+    """The lamps turned, then shifted."""
+    corner, across, up = (v @ turn.T.astype(float) for v in lamps[:3])
+    return Lamps(corner + np.asarray(at, float), across, up, lamps.colour)
+
+
+def circle(count: int, radius: float, size: tuple[float, float], colour: int) -> Lamps:
+    """Lamps round the origin in the plane of x and z that shine towards -y."""
+    angle = np.arange(count) * (2 * np.pi / count)
+    outward = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
+    along = np.stack([-np.sin(angle), 0 * angle, np.cos(angle)], -1)
+    corner = radius * outward - size[0] / 2 * along
+    # along x outward points to -y
+    return Lamps(corner, size[0] * along, size[1] * outward, np.full(count, colour))
+
+
 def tubes() -> Shape:
-    """Two lines of long tubes below the ceiling, between the beams: most of the light is theirs."""
-    bays = np.arange(3.0, LENGTH, 4.0)
-    corner = [(x - 0.25, y - 1.7, HEIGHT - 0.62) for y in bays for x in (-2.2, 2.2)]
-    return quads(corner, (0, 3.4, 0), (0.5, 0, 0), tile=0)
+    """Tubes on the slopes and panels in the ceiling, bay by bay: most of the light is theirs."""
+    bays = np.arange(-1.0, LENGTH, 4.0)
+    places = [(side, y) for y in bays for side in (-1.0, 1.0)]
+    slopes = quads(
+        [(side * 5.72, y + 1.5 * side, 5.72) for side, y in places],
+        [(0, -3.0 * side, 0) for side, _ in places],
+        [(-0.2 * side, 0, 0.2) for side, _ in places],
+        tile=0,
+    )
+    corner = [(2.35 * side - 0.3, y - 1.3, HEIGHT - 0.02) for side, y in places]
+    return merge(slopes, quads(corner, (0, 2.6, 0), (0.6, 0, 0), tile=0))
 
 
 def _strips(random: np.random.Generator) -> Lamps:
-    """Two broken lines of small lamps along each long wall, cyan below and rose above."""
+    """Two broken lines of small lamps along each long wall, cyan below and rose or amber above."""
     y = np.arange(-3.5, LENGTH - 0.5, 0.3)
     groups = []
     for side in (-1.0, 1.0):
-        for height, colour in ((0.93, CYAN), (3.34, ROSE if side < 0 else AMBER)):
+        for height, colour in ((0.74, CYAN), (3.34, ROSE if side < 0 else AMBER)):
             keep = y[random.random(len(y)) < 0.85]
-            depth = WIDTH - (1.11 if height < 1 else 0.91)
+            depth = WIDTH - (1.32 if height < 1 else 0.91)
             x = np.full_like(keep, side * depth)
             corner = np.stack([x, keep + (0.22 if side > 0 else 0), np.full_like(keep, height)], -1)
             length = random.uniform(0.12, 0.27, (len(keep), 1))
@@ -60,28 +84,36 @@ def _strips(random: np.random.Generator) -> Lamps:
 
 
 def _signs(random: np.random.Generator) -> Lamps:
-    """Panels of tiny lamps on the walls, like consoles and signs, in random colours and sizes."""
+    """Panels of tiny lamps on the walls, in random colours and sizes."""
     groups = []
-    for number, y in enumerate(np.arange(3.0, 27.0, 4.0)):
+    for number, y in enumerate((7.0, 11.0, 19.0)):
         side = 1.0 if number % 2 else -1.0
-        rows, columns = np.meshgrid(np.arange(6), np.arange(12), indexing="ij")
-        z = 1.5 + 0.2 * rows.ravel()
-        along = y - 1.2 + 0.2 * columns.ravel() + (0.16 if side > 0 else 0)
-        corner = np.stack([np.full_like(z, side * (WIDTH - 0.02)), along, z], -1)
-        size = random.choice([0.04, 0.08, 0.14], (len(z), 1))
-        colour = random.integers(4, size=len(z))
-        across, up = size * np.array([0, -1.15 * side, 0]), size * np.array([0, 0, 1.0])
-        groups.append(Lamps(corner, across, up, colour))
+        lamps = _matrix(random, (6, 12), 0.2)
+        groups.append(moved(lamps, (side * (WIDTH - 0.3), y, 1.5), yaw(-side * np.pi / 2)))
     return joined(groups)
+
+
+def _consoles(random: np.random.Generator) -> Lamps:
+    """The buttons and screens of the desks."""
+    return joined(
+        [moved(_matrix(random, (5, 10), 0.13), (x, y, 1.02), yaw(turn)) for x, y, turn in CONSOLES]
+    )
+
+
+def _matrix(random: np.random.Generator, count: tuple[int, int], pitch: float) -> Lamps:
+    """Rows and columns of lamps that stand on z = 0 about x = 0 and shine towards -y."""
+    rows, columns = np.indices(count).reshape(2, -1)
+    size = pitch * random.choice([0.2, 0.4, 0.7, 0.85], (rows.size, 1))
+    x = pitch * (columns - count[1] / 2)
+    corner = np.stack([x, 0 * x, pitch * rows], -1)
+    colour = random.choice([CYAN, CYAN, WHITE, AMBER, ROSE], rows.size)
+    return Lamps(corner, size * (1.1, 0, 0), size * (0, 0, 1.0), colour)
 
 
 def _gate() -> Lamps:
     """A ring of lamps about the round gate at the far end."""
-    angle = np.arange(48) * (2 * np.pi / 48)
-    outward = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
-    along = np.stack([-np.sin(angle), 0 * angle, np.cos(angle)], -1)
-    corner = np.array([0, LENGTH - 1.35, 2.9]) + 2.2 * outward - 0.12 * along
-    return Lamps(corner, 0.24 * along, 0.22 * outward, np.full(48, AMBER))
+    ring = circle(48, 2.2, (0.24, 0.22), WHITE)
+    return moved(ring, (0, LENGTH - 1.35, RING_HIGH), np.eye(3, dtype=np.float32))
 
 
 def _guides() -> Lamps:

@@ -90,3 +90,8 @@ def tiles(
     inside = (np.abs(y % 1 - 0.5) < 0.5 - gap / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
     grain = 0.85 + 0.3 * noise(random, size, 0.3)
     return np.asarray(np.where(inside[..., None], face, np.array(joint)) * grain, np.float32)
+
+
+def polished(reflectance: dict[str, Any]) -> dict[str, Any]:
+    """A coloured base under a clear coat as smooth as a mirror, on both sides."""
+    return {"type": "twosided", "bsdf": {"type": "plastic", "diffuse_reflectance": reflectance}}

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import table
+from rlbench import asked, table
 from rlbench.cli import app
 from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
@@ -91,6 +91,16 @@ def test_clips_may_be_a_folder_of_clips_and_are_chosen_by_scene(tmp_path):
     assert set(table.read(tmp_path / "r")["scene"]) == {"attic"}
 
 
+def test_clips_of_a_scene_are_chosen_together_or_one_by_one(tmp_path):
+    for name in ("attic", "attic-cut", "foyer"):
+        write_noise(tmp_path / "clips" / name, name.partition("-")[0])
+    words = ("run", "-m", "mean", "--clips", tmp_path / "clips", "--spp", 1)
+    rlbench(*words, "--out", tmp_path / "both", "--scenes", "attic")
+    rlbench(*words, "--out", tmp_path / "one", "--scenes", "attic-cut")
+    assert set(table.read(tmp_path / "both")["clip"]) == {"attic", "attic-cut"}
+    assert set(table.read(tmp_path / "one")["clip"]) == {"attic-cut"}
+
+
 def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
     words = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
     rlbench(*words, "--limit-frames", 2)
@@ -131,10 +141,49 @@ def test_a_folder_without_a_clip_is_told(tmp_path):
     [
         (("--preset", "huge"), "error: no preset 'huge'; there are: tiny, mini"),
         (("--scenes", "cellar"), "error: no scene 'cellar'; there are: city, hall"),
+        (
+            ("--scenes", "city-crane"),
+            "error: scene 'city' has no take 'crane'; it has: static, cut",
+        ),
+        (("--seeds", "48:0"), "error: --seeds takes a range such as 0:48"),
+        (("--seeds", "a"), "and was given 'a'"),
+        (("--seeds", "0:48", "--scene", "x.xml"), "without --scenes and --seeds"),
     ],
 )
 def test_what_cannot_be_rendered_is_told(words, told):
     assert told in rlbench("render", *words, code=2)
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("0:3", (0, 1, 2)), ("7", (7,)), ("3,1", (3, 1)), ("0:2,9,1:3", (0, 1, 9, 2)), (None, None)],
+)
+def test_seeds_are_ranges_without_their_end_and_lists(text, seeds):
+    assert asked.seeds(text) == seeds
+
+
+def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
+    wanted = []
+
+    def ensure(plan, scenes, seeds):
+        wanted.append((plan.name, scenes, seeds))
+        return []
+
+    monkeypatch.setattr("rlbench.render.record.ensure", ensure)
+    rlbench("render", "--preset", "train", "--seeds", "0:48")
+    asked.generated("train", (30, 31))
+    asked.generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    whole = tuple(range(48))
+    assert wanted == [
+        ("train", None, whole),
+        ("train", None, (30, 31)),
+        ("mini", None, (30, 31)),
+    ]
+
+
+def test_one_clip_is_too_few_to_train_on():
+    told = rlbench("train", "-m", "oidn", "--seeds", "7", code=2)
+    assert "error: --seeds 7 is one clip; at least 2 are needed, 1 validates" in told
 
 
 def test_a_loose_file_is_listed_and_runs(clip_folder, tmp_path):

@@ -152,6 +152,28 @@ def test_any_text_survives_in_toml(text, tmp_path_factory):
     assert tomllib.loads((path / "clip.toml").read_text("utf-8"))["licence"] == text
 
 
+def test_a_header_tells_where_shots_begin(tmp_path):
+    write_header(tmp_path, replace(HEADER, cuts=(1,)))
+    assert read_header(tmp_path).cuts == (1,)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"cuts": (0,)}, {"cuts": (FRAMES,)}, {"cuts": (1,), "static": True}]
+)
+def test_a_cut_where_there_is_no_frame_before_or_nothing_moves_is_refused(wrong):
+    with pytest.raises(
+        ClipError, match="expected frames from 1 to 1, of a clip that is not static"
+    ):
+        replace(HEADER, **wrong)
+
+
+def test_a_clip_of_one_shot_has_the_digest_that_it_had_before_there_were_cuts(folder):
+    before = open_clip(folder).digest
+    told = (folder / "clip.toml").read_text("utf-8").replace("cuts = []\n", "")
+    (folder / "clip.toml").write_text(told, "utf-8")
+    assert open_clip(folder).digest == before
+
+
 def test_an_unknown_sample_time_is_nan(folder):
     assert math.isnan(read_header(folder).sample_ms)
 

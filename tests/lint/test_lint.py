@@ -67,6 +67,42 @@ def test_a_fault_turns_its_own_check_red_and_no_other(footage, tmp_path, fault):
     assert red(store(plant(footage), tmp_path / "faulty")) == [check]
 
 
+def cut_at(footage: Footage, index: int, outside: bool) -> Footage:
+    """The footage, in which another clip is shown from frame `index` on, as its header says."""
+    other, kept = clean(7), slice(None, index)
+    view = {k: torch.cat((v[kept], other.view[k][index:])) for k, v in footage.view.items()}
+    if outside:
+        away = torch.tensor([-2.0 * footage.header.width, -2.0 * footage.header.height])
+        view["motion"][index] = away.view(2, 1, 1)
+    a, b = (torch.cat((one[kept], two[index:])) for one, two in _halves(footage, other))
+    pool = torch.cat((footage.pools["path"][kept], other.pools["path"][index:]))
+    return Footage(replace(footage.header, cuts=(index,)), view, {"path": pool}, a, b)
+
+
+def _halves(one: Footage, two: Footage):
+    return (one.a, two.a), (one.b, two.b)
+
+
+@pytest.mark.parametrize("index", [1, 2])
+def test_a_clip_with_a_cut_at_which_all_comes_from_outside_is_green(footage, tmp_path, index):
+    found = examine(read_footage(store(cut_at(footage, index, True), tmp_path / "cut")))
+    assert {f.check: f.found for f in found if f.verdict is not Verdict.PASS} == {}
+
+
+def test_motion_that_leads_into_another_shot_is_red(footage, tmp_path):
+    faulty = store(cut_at(footage, 2, False), tmp_path / "cut")
+    (found,) = (f for f in examine(read_footage(faulty)) if f.verdict is Verdict.FAIL)
+    assert found.check == "motion"
+    assert "frame 2 is a cut" in found.found
+
+
+def test_a_cut_that_is_not_told_is_odd(footage, tmp_path):
+    secret = cut_at(footage, 2, True)
+    secret = replace(secret, header=replace(secret.header, cuts=()))
+    found = examine(read_footage(store(secret, tmp_path / "cut")))
+    assert [f.check for f in found if f.verdict is Verdict.WARN] == ["motion"]
+
+
 def test_one_broken_value_is_red_in_one_check_and_told_with_its_place(footage, tmp_path):
     faulty = store(footage, tmp_path / "faulty")
     break_values(faulty, footage)

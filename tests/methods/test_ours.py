@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from methods.ours import FAMILY
-from methods.ours.method import Ours, build
+from methods.ours.method import Ours, build, density
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.policy import Draws, Policy
-from methods.ours.train import density, trainer
+from methods.ours.train import trainer
 from methods.ours.variants import BASE, VARIANTS
 from rlbench.frames import Size
 from rlbench.ops.initialise import initialise
@@ -59,21 +59,20 @@ def test_an_untrained_sampler_is_uniform():
     assert wish.unique().numel() == 1
 
 
-def test_an_all_but_flat_map_is_a_tie():
-    """At half a sample a pixel, each quarter of the image gets its share."""
+def test_the_samplers_last_layer_is_shown_where_the_last_frames_samples_were_noisy():
     method = trainer("", CPU, seed=0).method
-    last = method.networks.sampler.last
-    nn.init.normal_(last.weight, std=1e-3, generator=torch.Generator().manual_seed(0))
+    shown: list[Tensor] = []
+    method.networks.sampler.head.register_forward_hook(lambda layer, x, out: shown.append(out))
     clip = procedural(seed=1, size=Size(1, 64, 64), frames=1)
     frame = next(iter(clip))
     state = method.start(clip.size)
-    assert method.act(frame.view, state).unique().numel() > 1
-    wish = method.plan(frame.view, frame.pool.empty(), state)
-    nothing = torch.zeros(1, 1, 64, 64, dtype=torch.int64)
-    counts = spend(wish.detach(), 64 * 32, nothing, 8, (0,))
-    quarters = counts.unfold(2, 32, 32).unfold(3, 32, 32).sum((-1, -2)).flatten()
-    # 512 of 1024 each, drawn without replacement: a deviation of 14
-    assert (quarters - 512).abs().max() < 60
+    noise = torch.rand(1, 1, 64, 32, generator=torch.Generator().manual_seed(0))
+    state.latent[:] = 0.1
+    state.latent[:, :3, :, 32:] += 0.2 * (noise - 0.5)
+    with torch.no_grad():
+        method.act(replace(frame.view, static=True), state)
+    contrast = shown[0][0, 0]
+    assert contrast[8:-8, 40:-8].mean() > contrast[8:-8, 8:24].mean() + 0.2
 
 
 def test_every_network_gets_a_gradient_from_one_sequence():

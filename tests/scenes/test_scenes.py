@@ -134,8 +134,24 @@ def _ahead(camera):
     return forward / np.linalg.norm(forward)
 
 
+def _takes(scene):
+    """All clips of a scene as scenes of their own."""
+    return [scene, *(scene.take(take.name) for take in scene.takes)]
+
+
 @pytest.mark.parametrize("time", [-1.0, 0.0, 10.0, 20.0, 100.0, 1000.0])
 def test_nothing_stands_within_arm_length_of_the_camera(scene, time):
+    _check_room_around(scene, time)
+
+
+@pytest.mark.parametrize("time", [0.0, 5.0, 10.0, 19.0])
+@pytest.mark.parametrize("which", [1, 2, 3])
+def test_nothing_stands_within_arm_length_of_the_camera_of_a_take(scene, which, time):
+    if which < len(_takes(scene)):
+        _check_room_around(_takes(scene)[which], time)
+
+
+def _check_room_around(scene, time):
     origin = np.array(scene.camera(time).origin)
     moved = scene.moving(time)
     for mesh in scene.meshes:
@@ -143,6 +159,43 @@ def test_nothing_stands_within_arm_length_of_the_camera(scene, time):
         size = np.linalg.norm(corners.max(1) - corners.min(1), axis=1)
         gap = np.linalg.norm(corners - origin, axis=-1).min(1)
         assert gap[size < 1].min(initial=np.inf) > 0.4, mesh.name
+
+
+def test_every_scene_has_a_take_with_a_camera_that_stands_while_things_move(scene):
+    take = scene.take("static")
+    assert take.camera(3.0) == take.camera(17.0)
+    assert not take.static
+    before, after = take.moving(3.0), take.moving(4.0)
+    assert all(np.abs(after[name] - before[name]).max() > 1e-3 for name in after)
+
+
+def test_every_scene_has_a_take_with_a_cut_and_a_light_that_changes_at_another_frame(scene):
+    take = scene.take("cut")
+    places = np.array([take.camera(float(t)).origin for t in range(20)])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert take.cuts == (10,)
+    assert steps.argmax() == 9  # from frame 9 to frame 10
+    assert steps[9] > 10 * np.delete(steps, 9).max()
+    changes = [t for t in range(1, 20) if take.lights(float(t)) != take.lights(t - 1.0)]
+    assert changes
+    assert not set(changes) & {9, 10, 11}
+
+
+def test_lights_that_change_are_there(scene):
+    lamps = {mesh.name for mesh in scene.meshes if mesh.emission}
+    skies = {f"sky{number}" for number in range(len(scene.sky))}
+    assert all(set(take.lights(19.0)) <= lamps | skies for take in scene.takes)
+
+
+def test_both_shots_have_the_same_field_of_view(scene):
+    take = scene.take("cut")  # or `rlbench lint`, which fits one, could not tell it
+    assert take.camera(9.0).fov == take.camera(10.0).fov
+
+
+def test_a_take_in_which_nothing_moves_says_so_and_no_other_does(scene):
+    for take in _takes(scene):
+        moved, camera = take.moving(7.0), take.camera(7.0)
+        assert take.static == (not moved and camera == take.camera(0.0))
 
 
 def test_some_lamp_or_sky_shines(scene):
@@ -178,8 +231,27 @@ def test_lamps_shine_with_one_radiance_a_mesh(name):
 
 def test_the_panes_of_the_temple_face_inside():
     panes = next(mesh for mesh in _scene("temple").meshes if mesh.name == "panes")
-    middle = panes.vertices[panes.faces].mean(1)
-    assert (_normals(panes.vertices, panes.faces)[:, 0] * middle[:, 0] < 0).all()
+    inward = np.array([0, 15, 4]) - panes.vertices[panes.faces].mean(1)  # from panes to the nave
+    assert ((_normals(panes.vertices, panes.faces) * inward).sum(-1) > 0).all()
+
+
+@pytest.mark.parametrize("name", ["temple", "hall"])
+@pytest.mark.parametrize("time", range(0, 340, 34))
+def test_the_camera_keeps_clear_of_columns_machines_and_walls(name, time):
+    found = _scene(name)
+    moved = found.moving(time)
+    eye = np.array(found.camera(time).origin)
+    for mesh in found.meshes:
+        a, b, c = np.moveaxis(moved.get(mesh.name, mesh.vertices)[mesh.faces], 1, 0)
+        assert np.linalg.norm((a + b + c) / 3 - eye, axis=-1).min() > 0.4, mesh.name
+        assert abs(_turns(a - eye, b - eye, c - eye)) < 0.5 or mesh.name in ("walls", "shell")
+
+
+def _turns(a, b, c):
+    """How often the triangles surround the origin: their solid angle (Van Oosterom, 1983)."""
+    x, y, z = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    below = x * y * z + (a * b).sum(-1) * z + (b * c).sum(-1) * x + (c * a).sum(-1) * y
+    return np.arctan2((a * np.cross(b, c)).sum(-1), below).sum() / (2 * np.pi)
 
 
 def test_the_tubes_of_the_hall_shine_down():

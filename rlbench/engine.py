@@ -1,0 +1,109 @@
+"""Where jobs run: here, one after another, or beside one another on the workers of Ray."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+J = TypeVar("J")
+R = TypeVar("R")
+J_in = TypeVar("J_in", contravariant=True)
+R_out = TypeVar("R_out", covariant=True)
+
+Tell = Callable[[float], None]  # hears how much of the work has been done since it last heard
+
+
+class EngineError(RuntimeError):
+    """An engine that cannot run jobs, or a job that no worker came back from."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one job takes of a machine while it runs."""
+
+    cpus: int = 1  # of a machine with fewer, all of them
+    gpus: int = 0
+
+
+ONE = Share()
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[J, R]):
+    """What became of one job."""
+
+    job: J
+    made: tuple[R, ...] = ()  # what the work returned, or nothing where it failed
+    error: Exception | None = None
+
+    def result(self) -> R:
+        """What the work returned. Raises what the work raised."""
+        if self.error:
+            raise self.error
+        return self.made[0]
+
+
+class Work(Protocol[J_in, R_out]):
+    """What is done to each job. Every process has a copy, which may keep what is dear to make."""
+
+    def __call__(self, job: J_in, tell: Tell, /) -> R_out:
+        """What is made of a job; `tell` hears of it on the way."""
+
+
+class Engine(Protocol):
+    """Runs jobs and hands back what became of each, as soon as it is there."""
+
+    @property
+    def alone(self) -> bool:
+        """Does no job run beside another one, so that each may take times?"""
+
+    @property
+    def where(self) -> str:
+        """Who runs the jobs, in words, or empty where it is this process."""
+
+    def single(self) -> Engine:
+        """The same on this machine, one job after another, so that each may take times."""
+
+    def map(
+        self,
+        work: Work[J, R],
+        jobs: Sequence[J],
+        share: Share = ONE,
+        tell: Tell = lambda done: None,
+    ) -> Iterator[Outcome[J, R]]:
+        """One outcome for each job, in the order in which they end.
+
+        A job that raises does not stop the others. Raises EngineError where no job can be run.
+        """
+
+
+@dataclass(frozen=True)
+class Local:
+    """Runs jobs in this process, each when its outcome is asked for."""
+
+    alone: bool = True
+    where: str = ""
+
+    def single(self) -> Local:
+        """Itself."""
+        return self
+
+    def map(
+        self,
+        work: Work[J, R],
+        jobs: Sequence[J],
+        share: Share = ONE,
+        tell: Tell = lambda done: None,
+    ) -> Iterator[Outcome[J, R]]:
+        """One outcome for each job, in the order of the jobs."""
+        for job in jobs:
+            try:
+                made = work(job, tell)
+            except Exception as error:  # of whatever kind: it is the outcome
+                yield Outcome(job, error=error)
+            else:
+                yield Outcome(job, (made,))
+
+
+LOCAL = Local()

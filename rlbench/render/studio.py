@@ -1,0 +1,83 @@
+"""Tracing one frame of one of several clips, wherever that may be, and keeping it here."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from rlbench.clips import write_frame
+from rlbench.engine import Share, Tell
+from rlbench.render import llvm, rounds
+from rlbench.render.job import Job
+from rlbench.render.trace import Tracer, open_tracer
+from rlbench.render.views import views
+
+SEED = 0  # of the light paths; frames, samples and streams are told apart below it
+CPUS = 4  # that a frame may use: more gain little, as views and textures are made by one
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame to be traced."""
+
+    clip: int  # its place among the studio's clips
+    index: int  # of the frame
+
+
+class Traced(NamedTuple):
+    """One frame as traced: linear radiance, before exposure."""
+
+    view: dict[str, Any]  # buffers by name, h w c
+    pool: Float[Array, "s h w 3"]  # independent 1-spp images
+    a: Float[Array, "h w 3"]  # one half of the reference
+    b: Float[Array, "h w 3"]  # the other
+    spp: int  # that both halves cost
+
+
+@dataclass
+class Studio:
+    """Traces frames of clips. The scene of the last one stays open, as opening takes seconds."""
+
+    jobs: Sequence[Job]
+    _open: tuple[int, Tracer] | None = None
+
+    def __call__(self, shot: Shot, tell: Tell) -> Traced:
+        """The frame; `tell` hears of light paths as they are done."""
+        job, tracer = self.jobs[shot.clip], self.tracer(shot.clip)
+        height, width = job.preset.size
+
+        def traced(spp: int) -> None:
+            tell(spp * height * width)
+
+        tracer.set_time(float(shot.index))
+        view = views(tracer, job.buffers)
+        pool = tracer.stack(job.preset.pool_spp)
+        traced(job.preset.pool_spp)
+        return Traced(view, pool, *rounds.trace(tracer, job.preset, job.scene.exposure, traced))
+
+    def tracer(self, clip: int) -> Tracer:
+        """The tracer of a clip's scene, in place of the one before."""
+        if self._open is None or self._open[0] != clip:
+            self._open = None
+            gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
+            job = self.jobs[clip]
+            cap = job.preset.cap / job.scene.exposure
+            self._open = clip, open_tracer(job.scene, *job.preset.size, SEED, cap)
+        return self._open[1]
+
+
+def share() -> Share:
+    """What a frame takes of a machine: some processors, or a GPU."""
+    return Share(CPUS, gpus=1 if llvm.activate().startswith("cuda") else 0)
+
+
+def keep(job: Job, index: int, frame: Traced) -> None:
+    """Write a frame to its clip's folder, each file whole or not at all."""
+    if job.preset.rounds > 1:
+        rounds.note(job.folder, index, frame.spp)
+    write_frame(job.folder, index, frame.view, {"path": frame.pool}, frame.a, frame.b)

@@ -1,0 +1,139 @@
+"""Bent sheets to build with: rings, arches, blades of leaves, pierced screens, blocks of a wall."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rlbench.scenes.shapes import Shape, merge, quads
+
+Points = NDArray[np.float64]
+
+
+def sheet(points: ArrayLike, tile: float = 1.0) -> Shape:
+    """A grid of points [rows columns 3] as a sheet that faces along (to the right) x (upwards).
+
+    A repeat of the texture is `tile` metres, measured along the first column and the first row.
+    """
+    at = np.asarray(points, float)
+    rows, columns, _ = at.shape
+    up = np.linalg.norm(np.diff(at[:, 0], axis=0, prepend=at[:1, 0]), axis=-1).cumsum()
+    along = np.linalg.norm(np.diff(at[0], axis=0, prepend=at[0, :1]), axis=-1).cumsum()
+    uv = np.stack(np.broadcast_arrays(along[None], up[:, None]), -1) / tile
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
+    a, b, c, d = first, first + 1, first + columns + 1, first + columns
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    return Shape(
+        at.reshape(-1, 3).astype(np.float32),
+        faces.astype(np.uint32),
+        uv.reshape(-1, 2).astype(np.float32),
+    )
+
+
+def ring(radius: float, thick: float, sides: int = 64, around: int = 10) -> Shape:
+    """A level torus about the origin; `thick` is the radius of its tube."""
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    turn = np.linspace(0, 2 * np.pi, around + 1)[:, None]
+    wide = radius + thick * np.cos(turn)
+    height = np.broadcast_to(thick * np.sin(turn), (around + 1, sides + 1))
+    return sheet(np.stack([wide * np.cos(angle), wide * np.sin(angle), height], -1))
+
+
+def arch(radius: float, half: float, spring: float, top: float, thick: float) -> Shape:
+    """A wall from `spring` to `top` with a round arch cut out, `half` metres to either side.
+
+    It stands in the plane of x and z, `thick` metres deep about y = 0; its ends stay open.
+    """
+    a = _arc(radius, spring)
+    low = np.concatenate([[(-half, spring)], a, [(half, spring)]])
+    high = np.stack([low[:, 0], np.full(len(low), top)], -1)
+    front = sheet(_raised([low, high], [-thick / 2] * 2), 3.0)
+    back = sheet(_raised([low[::-1], high[::-1]], [thick / 2] * 2), 3.0)
+    soffit = sheet(_raised([low, low], [thick / 2, -thick / 2]), 3.0)
+    return merge(front, back, soffit)
+
+
+def moulding(radius: float, wide: float, spring: float, thick: float) -> Shape:
+    """The raised band about an arch of that radius, through a wall whose faces it overhangs."""
+    inner, outer = _arc(radius, spring), _arc(radius + wide, spring)
+    deep = [-thick / 2, -thick / 2, thick / 2, thick / 2, -thick / 2]
+    return sheet(_raised([inner, outer, outer, inner, inner], deep), 3.0)
+
+
+def blade(
+    length: float, width: float, rise: float, curl: float, steps: int = 7, cup: float = 0.2
+) -> Shape:
+    """A leaf from the origin that leaves towards +x at the angle `rise` and bends down by `curl`.
+
+    Angles are in radians; the edges stand `cup` of the half width above its spine.
+    """
+    s = np.linspace(0, 1, steps)
+    slope = rise - curl * s**1.5
+    ahead = np.stack([np.cos(slope), np.sin(slope)], -1) * length / (steps - 1)
+    spine = np.concatenate([[[0.0, 0.0]], ahead[:-1].cumsum(0)])
+    half = width / 2 * (0.08 + 0.92 * np.sin(np.pi * (0.18 + 0.8 * s)) ** 0.8)
+    side = np.array([-1.0, 0.0, 1.0])
+    lift = cup * half[:, None] * np.abs(side)
+    away = np.stack([-np.sin(slope), np.cos(slope)], -1)
+    x, z = (spine[:, None, k] + away[:, None, k] * lift for k in (0, 1))
+    return sheet(np.stack([x, half[:, None] * side, z], -1))
+
+
+def pierced(cells: tuple[int, int], size: float, hole: float, thick: float) -> Shape:
+    """A screen of rows x columns square cells, each with a round hole, from the origin to +x, +z.
+
+    `size` is the width of a cell, `hole` the radius of its hole; it is `thick` deep about y = 0,
+    and has no back: it is for windows, seen from before them.
+    """
+    angle = np.linspace(0, 2 * np.pi, 17)
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    square = circle / np.abs(circle).max(1, keepdims=True)
+    inside, outside = hole * circle, size / 2 * square
+    one = sheet(_raised([outside, inside, inside], [-thick / 2, -thick / 2, thick / 2]))
+    rows, columns = np.indices(cells).reshape(2, -1)
+    at = np.stack([(columns + 0.5) * size, 0 * rows, (rows + 0.5) * size], -1)
+    count = len(one.vertices)
+    return Shape(
+        (one.vertices + at[:, None].astype(np.float32)).reshape(-1, 3),
+        (one.faces + (np.arange(len(at)) * count)[:, None, None]).reshape(-1, 3).astype(np.uint32),
+        np.tile(one.uv, (len(at), 1)),
+    )
+
+
+def blocks(
+    random: np.random.Generator,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    size: tuple[float, float] = (1.25, 0.6),
+    gap: float = 0.018,
+) -> Shape:
+    """Blocks in running bond over a rectangle of the plane of x and z, their faces near y = 0.
+
+    Only their faces, cut at the rectangle's edges; each stands forward by its own 0 to 25 mm and
+    has its own piece of the texture, a repeat of which is 3 metres.
+    """
+    cut = [
+        (max(x, low[0]), max(z, low[1]), min(x + size[0], high[0]), min(z + size[1], high[1]))
+        for row, z in enumerate(np.arange(0, high[1], size[1]))
+        for x in np.arange(-40 + size[0] / 2 * (row % 2), high[0], size[0])
+    ]
+    x0, z0, x1, z1 = np.array([c for c in cut if c[2] - c[0] > 0.08 and c[3] - c[1] > 0.08]).T
+    face = -random.uniform(0.0, 0.025, len(x0))
+    wide, tall, none = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
+    near = np.stack([x0 + gap / 2, face, z0 + gap / 2], -1)
+    across, up = np.stack([wide, none, none], -1), np.stack([none, none, tall], -1)
+    wall = quads(near, across, up, tile=3.0)
+    shift = random.uniform(0, 1, (len(x0), 1, 2)).astype(np.float32)
+    return wall._replace(uv=(wall.uv.reshape(-1, 4, 2) + shift).reshape(-1, 2))
+
+
+def _arc(radius: float, spring: float, steps: int = 21) -> Points:
+    """Half a circle from left to right [steps 2]."""
+    angle = np.linspace(np.pi, 0, steps)
+    return np.stack([radius * np.cos(angle), spring + radius * np.sin(angle)], -1)
+
+
+def _raised(outlines: list[Points], deep: ArrayLike) -> Points:
+    """Outlines in x and z, each at its own y [outlines n 3]."""
+    rows = zip(outlines, np.asarray(deep, float), strict=True)
+    return np.stack([np.stack([o[:, 0], np.full(len(o), y), o[:, 1]], -1) for o, y in rows])

@@ -1,0 +1,134 @@
+"""Street: lamp posts, benches, bollards, café tables under parasols, planters, a kiosk's sign."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rlbench.scenes.shapes import (
+    Shape,
+    ball,
+    boxes,
+    disc,
+    lathe,
+    merge,
+    painted,
+    placed,
+    quads,
+    rotation,
+    yaw,
+)
+
+Spots = tuple[tuple[float, float], ...]
+
+
+def posts(spots: Spots) -> Shape:
+    """Cast-iron lamp posts with two arms, each with a glass globe's cage."""
+    arm = [placed(_arc(0.5, 0.032), (0, 0, 3.55), yaw(turn)) for turn in (0.0, np.pi)]
+    lantern = lathe([(0.05, -0.30), (0.10, -0.28), (0.17, 0.06), (0.20, 0.08), (0.03, 0.25)], 6)
+    hung = [placed(lantern, (x, 0, 3.52)) for x in (-1.0, 1.0)]
+    base = [(0.24, 0), (0.24, 0.08), (0.15, 0.14), (0.15, 0.6), (0.10, 0.68), (0.065, 0.8)]
+    shaft = [(0.05, 3.3), (0.09, 3.34), (0.09, 3.42), (0.05, 3.46), (0.04, 4.1), (0.005, 4.3)]
+    post = merge(lathe(base + shaft, 14), *arm, *hung)
+    return merge(*(placed(post, (x, y, 0), yaw(0.4 * x)) for x, y in spots))
+
+
+def _arc(radius: float, thick: float) -> Shape:
+    """A pipe that rises from the origin and bends over to x = 2 radius, in the plane y = 0."""
+    angle = np.linspace(np.pi, 0.0, 13)
+    middle = np.stack([radius + radius * np.cos(angle), 0 * angle, 0.6 * np.sin(angle)], -1)
+    turn = np.linspace(0, 2 * np.pi, 7)
+    out = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
+    ring = np.cos(turn)[:, None, None] * out[None] + np.sin(turn)[:, None, None] * np.array(
+        [0, 1, 0]
+    )
+    at = middle[None] + thick * ring  # 7 13 3
+    return quads(
+        at[:-1, :-1].reshape(-1, 3),
+        (at[:-1, 1:] - at[:-1, :-1]).reshape(-1, 3),
+        (at[1:, :-1] - at[:-1, :-1]).reshape(-1, 3),
+    )
+
+
+def benches(places: tuple[tuple[float, float, float], ...], slot: int, iron: int, of: int) -> Shape:
+    """Slatted benches at (x, y, yaw), which face their own -y."""
+    slats = boxes(
+        [(-0.9, y, 0.43) for y in (-0.22, -0.07, 0.08)]
+        + [(-0.9, 0.24 + 0.03 * k, 0.52 + 0.15 * k) for k in range(3)],
+        [(0.9, y + 0.12, 0.46) for y in (-0.22, -0.07, 0.08)]
+        + [(0.9, 0.27 + 0.03 * k, 0.63 + 0.15 * k) for k in range(3)],
+    )
+    legs = boxes(
+        [(x, y, 0) for x in (-0.75, 0.7) for y in (-0.2, 0.2)],
+        [(x + 0.05, y + 0.05, 0.43 if y < 0 else 0.9) for x in (-0.75, 0.7) for y in (-0.2, 0.2)],
+    )
+    bench = merge(painted(slats, slot, of), painted(legs, iron, of))
+    return merge(*(placed(bench, (x, y, 0), yaw(turn)) for x, y, turn in places))
+
+
+def bollards(spots: Spots) -> Shape:
+    """Low iron posts with a round head."""
+    foot, head = [(0.08, 0), (0.08, 0.1), (0.05, 0.15)], [(0.06, 0.68), (0.05, 0.76), (0.01, 0.8)]
+    bollard = lathe([*foot, (0.04, 0.64), *head], 12)
+    return merge(*(placed(bollard, (x, y, 0)) for x, y in spots))
+
+
+def terrace(spots: Spots, cloth: tuple[int, int], wood: int, iron: int, of: int) -> Shape:
+    """Round tables with three chairs under a striped parasol; slots of a palette of `of`."""
+    top = merge(
+        placed(disc(0.42, 0, 24), (0, 0, 0.74)),
+        lathe([(0.42, 0.70), (0.42, 0.74)], 24),
+    )
+    pole = lathe([(0.26, 0.0), (0.25, 0.06), (0.03, 0.08), (0.024, 2.5)], 10)
+    parts = [painted(top, wood, of), painted(pole, iron, of), _parasol(cloth, of)]
+    chair = _chair(wood, iron, of)
+    for turn in (0.3, 2.5, 4.4):
+        parts.append(placed(chair, (-0.75 * np.sin(turn), 0.75 * np.cos(turn), 0), yaw(turn)))
+    table = merge(*parts)
+    return merge(*(placed(table, (x, y, 0), yaw(x + y)) for x, y in spots))
+
+
+def _chair(wood: int, iron: int, of: int) -> Shape:
+    seat = boxes([(-0.2, -0.2, 0.43), (-0.2, 0.17, 0.6)], [(0.2, 0.2, 0.46), (0.2, 0.2, 0.86)])
+    feet = np.array([(x, y, 0) for x in (-0.2, 0.17) for y in (-0.2, 0.17)])
+    tall = np.where(feet[:, 1] > 0, 0.86, 0.44)
+    legs = boxes(feet, feet + np.stack([0 * tall + 0.03, 0 * tall + 0.03, tall], -1))
+    return merge(painted(seat, wood, of), painted(legs, iron, of))
+
+
+def _parasol(cloth: tuple[int, int], of: int) -> Shape:
+    """Eight gores of two colours and a hanging rim."""
+    sides = 16
+    angle = np.arange(sides + 1) * (2 * np.pi / sides)
+    out = np.stack([np.cos(angle), np.sin(angle)], -1)
+
+    def ring(radius: float, height: float) -> NDArray[np.float64]:
+        return np.concatenate([radius * out, np.full((sides + 1, 1), height)], -1)
+
+    parts = []
+    outline = [(1.35, 1.88), (1.35, 2.05), (0.7, 2.38), (0.03, 2.58)]
+    for inner, outer in pairwise(outline):
+        lower, upper = ring(*inner), ring(*outer)
+        gore = quads(lower[:-1], lower[1:] - lower[:-1], upper[:-1] - lower[:-1])
+        gore.vertices.reshape(-1, 4, 3)[:, 2] = upper[1:]
+        slots = np.array(cloth)[np.arange(sides) // 2 % 2].repeat(4)
+        parts.append(painted(gore, slots, of))
+    return merge(*parts)
+
+
+def planters(
+    random: np.random.Generator, spots: Spots, box: int, blooms: tuple[int, ...], of: int
+) -> Shape:
+    """Wooden boxes full of small flowers."""
+    parts = []
+    for x, y in spots:
+        crate = boxes((x - 0.6, y - 0.25, 0), (x + 0.6, y + 0.25, 0.5))
+        parts.append(painted(crate, box, of))
+        for _ in range(90):
+            at = random.uniform((x - 0.58, y - 0.23, 0.48), (x + 0.58, y + 0.23, 0.75))
+            turn = rotation(random.normal(size=3), random.uniform(0, 3))
+            flower = placed(ball(0), at, turn, random.uniform(0.03, 0.07))
+            parts.append(painted(flower, random.choice(blooms), of))
+    return merge(*parts)

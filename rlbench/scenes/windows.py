@@ -1,0 +1,72 @@
+"""Windows: an atlas of what is seen behind panes, rooms, offices and shops."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rlbench.scenes.shapes import Shape
+from rlbench.scenes.textures import Pixels
+
+Floats = NDArray[np.float64]
+CELLS = 6  # of the atlas, along each side
+CLOTHS = ((0.60, 0.57, 0.50), (0.50, 0.30, 0.22), (0.35, 0.40, 0.42))
+FRONTS = ((0.05, 0.14, 0.12), (0.20, 0.05, 0.05), (0.06, 0.08, 0.16), (0.16, 0.11, 0.05))
+
+
+def behind(glass: Shape, cells: NDArray[np.int64]) -> Shape:
+    """Panes, four vertices each, before cells of the atlas `windows`, which count row by row."""
+    corner = np.stack([cells % CELLS, cells // CELLS], -1).repeat(4, 0)
+    return glass._replace(uv=((corner + 0.02 + 0.96 * glass.uv) / CELLS).astype(np.float32))
+
+
+def windows(random: np.random.Generator, size: int = 64) -> Pixels:
+    """What is seen behind glass: CELLS x CELLS cells; the last rows are offices and shops."""
+    rows = []
+    at = (np.arange(size) + 0.5) / size
+    v, u = np.meshgrid(at, at, indexing="ij")
+    kinds = [_room] * (CELLS - 2) + [_desk, _shop]
+    for kind in kinds:
+        rows.append(np.concatenate([kind(random, u, v) for _ in range(CELLS)], 1))
+    return np.concatenate(rows).astype(np.float32)
+
+
+def _room(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
+    """Curtains to both sides, perhaps a blind, before a dark room; v goes up."""
+    room = np.full((*u.shape, 3), 0.012) + 0.02 * v[..., None]
+    cloth = np.array(CLOTHS)[random.integers(len(CLOTHS))]
+    drawn = random.uniform(0.0, 0.42) + 0.06 * (1 - v) ** 2
+    fold = 0.75 + 0.25 * np.sin(2 * np.pi * (14 * u + random.uniform()))
+    curtain = (np.abs(u - 0.5) > 0.5 - drawn)[..., None]
+    shaded = cloth * fold[..., None] * 0.7
+    blind = (v > random.uniform(0.45, 1.6))[..., None]
+    slats = _slats(v) * np.array((0.50, 0.48, 0.43))
+    return np.where(blind, slats, np.where(curtain, shaded, room))
+
+
+def _desk(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
+    """An office: a ceiling with lamps above a dark blue depth, and perhaps a blind."""
+    depth = np.array((0.012, 0.022, 0.028)) * (1 + v[..., None])
+    lamps = (v > 0.86) & (np.abs(u * 2 % 1 - 0.5) < 0.3)
+    ceiling = np.where(lamps[..., None], 0.5, np.where((v > 0.8)[..., None], 0.12, depth))
+    blind = (v > random.uniform(0.55, 2.2))[..., None]
+    return np.where(blind, 0.30 * _slats(v), ceiling)
+
+
+def _shop(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
+    """A door frame, shelves of goods, and a sign above."""
+    hue = np.array(FRONTS)[random.integers(len(FRONTS))]
+    image = np.array((0.24, 0.18, 0.12)) * (0.4 + 0.8 * v[..., None])
+    shelf, column = np.floor(v * 11).astype(int), np.floor(u * 13).astype(int)
+    goods = random.uniform(0.1, 0.9, (11, 13, 3)) * random.uniform(0.4, 1, (11, 13, 1))
+    tall = random.uniform(0.4, 0.9, (11, 13))
+    shown = (v * 11 % 1 < tall[shelf, column]) & (u * 13 % 1 > 0.12) & (v > 0.16) & (v < 0.62)
+    image = np.where(shown[..., None], goods[shelf, column], image)
+    frame = (v < 0.14) | (v > 0.86) | (np.abs(u - 0.5) > 0.46) | (np.abs(u - 0.33) < 0.015)
+    image = np.where(frame[..., None], hue, image)
+    letters = (np.abs(v - 0.93) < 0.03) & (np.sin(61 * u) + np.sin(37 * u + 40 * hue[0]) > 0.1)
+    return np.where((letters & (np.abs(u - 0.5) < 0.35))[..., None], (0.75, 0.62, 0.32), image)
+
+
+def _slats(v: Floats) -> Floats:
+    return (0.7 + 0.3 * np.sin(2 * np.pi * 24 * v))[..., None]

@@ -1,0 +1,87 @@
+"""What cells take in time and samples cost: each taken once, when nothing else is running here.
+
+Where cells run one after another that is when the first of them asks. Where they run beside one
+another, `take` has to come before: on this machine, for it is this machine that rows are of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from rlbench import cost, latency, provenance
+from rlbench.cells import Cell
+from rlbench.cost import Cost, Profile
+from rlbench.engine import Engine, Share, Tell
+from rlbench.frames import Clip
+from rlbench.latency import Timing
+from rlbench.method import Method
+from rlbench.ready import Ready
+from rlbench.source import Source
+
+Key = tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times and costs that are known by now."""
+
+    ready: Ready
+    profile: Profile | None  # None where samples are charged by what this machine takes
+    _known: dict[Key, Timing] = field(default_factory=dict, repr=False)
+    _costs: dict[str, Cost] = field(default_factory=dict, repr=False)
+
+    def __call__(self, cell: Cell, tell: Tell) -> Timing:
+        """Times of a cell, taken now: work for an engine."""
+        return self._taken(cell, self.ready.method(cell), self.ready.clip(cell))
+
+    def take(
+        self,
+        todo: Iterable[Cell],
+        engine: Engine,
+        share: Share,
+        timed: Callable[[Cell], None],
+    ) -> dict[Key, Exception]:
+        """Take all that cells will ask for, one after another; the errors of what is not to be had.
+
+        `timed` hears of each cell that times were taken of.
+        """
+        able = [cell for cell in todo if not self.ready.unusable(cell)]
+        firsts = {self.key(cell): cell for cell in reversed(able)}
+        errors: dict[Key, Exception] = {}
+        for outcome in engine.single().map(self, list(firsts.values()), share):
+            if outcome.error:
+                errors[self.key(outcome.job)] = outcome.error
+            else:
+                self._known[self.key(outcome.job)] = outcome.result()
+            timed(outcome.job)
+        for cell in able:
+            self.cost(cell.clip)
+        return errors
+
+    def key(self, cell: Cell) -> Key:
+        """What a time depends on: where nothing moves nothing is warped, which takes less."""
+        header = cell.clip.header
+        size = (header.height, header.width)
+        return cell.method, size, cell.spp, header.static, header.pool_spp, cell.clip.priced
+
+    def of(self, cell: Cell, method: Method, clip: Clip) -> Timing:
+        """Times of a method on an open clip, taken now unless they are known."""
+        key = self.key(cell)
+        if key not in self._known:
+            self._known[key] = self._taken(cell, method, clip)
+        return self._known[key]
+
+    def cost(self, clip: Source) -> Cost:
+        """What a sample of a clip costs, measured now unless it is known."""
+        header = clip.header
+        if header.name not in self._costs:
+            self._costs[header.name] = (
+                self.profile.cost(header.scene, header.height, header.width)
+                if self.profile
+                else cost.measured(header, provenance.machine().cpu)
+            )
+        return self._costs[header.name]
+
+    def _taken(self, cell: Cell, method: Method, clip: Clip) -> Timing:
+        return latency.time_method(method, clip, cell.spp, self.ready.request.repeats)
