@@ -124,15 +124,17 @@ def own_scene(
     exposure: float | None,
     define: list[str] | None,
     out: Path | None,
+    tracer: str | None = None,
     engine: Engine | None = None,
 ) -> Path:
     """The clip folder of one's own scene; what is missing of it is rendered now."""
     if scene is None or scenes:
         raise AskedError(
-            "--camera, --frames, --size, --exposure, --define and --out belong to --scene FILE, "
-            "which is given without --scenes and --seeds"
+            "--camera, --frames, --size, --exposure, --define, --out and --tracer belong to "
+            "--scene FILE, which is given without --scenes and --seeds"
         )
     from rlbench.engine import LOCAL
+    from rlbench.render.cycles.clip import ensure_cycles
     from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
 
@@ -150,9 +152,29 @@ def own_scene(
         parameters=tuple((name, value) for name, _, value in pairs),
         out=out,
     )
-    return ensure_own(
-        wish, preset_of(preset), lambda words: typer.echo(words, err=True), engine or LOCAL
-    )
+    plan, tell = preset_of(preset), lambda words: typer.echo(words, err=True)
+    if tracer_of(scene, tracer) == "mitsuba":
+        return ensure_own(wish, plan, tell, engine or LOCAL)
+    if engine not in (None, LOCAL):
+        raise AskedError("--engine ray does not render with Cycles, which uses all cores by itself")
+    return ensure_cycles(wish, plan, tell)
+
+
+def tracer_of(scene: Path, asked: str | None) -> str:
+    """Which tracer renders a scene file: the one that reads its format. Raises AskedError."""
+    from rlbench.render.cycles.opened import FORMATS
+
+    reads = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
+    fits = [name for name, kinds in reads.items() if scene.suffix.lower() in kinds]
+    if asked is None and not fits:
+        told = "; ".join(f"{name} reads {', '.join(kinds)}" for name, kinds in reads.items())
+        raise AskedError(f"--scene {scene}: no tracer reads it; {told}")
+    if asked is not None and asked not in fits:
+        known = (
+            f"it reads {', '.join(reads[asked])}" if asked in reads else "it is mitsuba or cycles"
+        )
+        raise AskedError(f"--tracer {asked} does not read {scene.name}; {known}")
+    return fits[0]
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -34,7 +34,12 @@ def render(
         list[str] | None,
         typer.Option("--views", help="more buffers a,b: object, albedo_first, ..."),
     ] = None,
-    scene: Annotated[Path | None, typer.Option(help="your own: Mitsuba XML, or Python")] = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="your own: .xml (Mitsuba), .py, .blend, .usd, .glb, .fbx")
+    ] = None,
+    tracer: Annotated[
+        str | None, typer.Option(help="mitsuba or cycles; default the one that reads the file")
+    ] = None,
     camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
     size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
@@ -65,11 +70,13 @@ def render(
 
       rlbench render --scene mine.py --camera path.json --out clips/mine
 
+      rlbench render --scene atrium.blend --frames 20 -D max_bounces=6
+
       rlbench render --preset standard --engine ray --ray-address auto
     """
     from rlbench.cluster import opened
 
-    own = (camera, frames, size, exposure, define, out)
+    own = (camera, frames, size, exposure, define, out, tracer)
     with opened(engine, ray_address) as workers:
         if scene or any(own):
             given = scenes or (seeds and [seeds]) or None

@@ -38,6 +38,7 @@ def examine() -> Iterator[Finding]:
         _versions,
         _device,
         _tracer,
+        _cycles,
         _cache,
         _plugins,
         _extras,
@@ -71,6 +72,20 @@ def _tracer() -> Iterator[Finding]:
 
     told = llvm.report()
     yield Finding("path tracer", "scalar" not in told.splitlines()[0], told)
+
+
+def _cycles() -> Iterator[Finding]:
+    from rlbench.render.cycles import process
+
+    version, python = process.installed(), process.interpreter()
+    if not version:
+        told = f"a second tracer for .blend, USD, glTF: no bpy in {python}; {process.INSTALL}"
+        yield Finding("extra cycles", True, told)
+    elif version != process.VERSION:
+        told = f"bpy {version} in {python}; rlbench was measured with {process.VERSION}"
+        yield Finding("extra cycles", False, told)
+    else:
+        yield Finding("extra cycles", True, f"bpy {version} in {python}")
 
 
 def _cache() -> Iterator[Finding]:

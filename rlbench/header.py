@@ -55,6 +55,7 @@ class Header:
     pool_spp: int = 8  # stored 1-spp images per frame, in each pool
     radiance_cap: float = math.inf  # of every sample, times display white; inf where there is none
     reference_spp: tuple[int, ...]  # per frame, of both halves together; 0: unknown
+    stratified: bool = False  # samples of a half follow a pattern: less noise than independent ones
     noise_ceiling_db: tuple[float, ...] = ()  # per frame, PSNR of the truth against the reference
     buffers: tuple[str, ...] = tuple(CORE)  # of the view
     pools: tuple[str, ...] = ("path",)

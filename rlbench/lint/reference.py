@@ -25,7 +25,10 @@ CAP_DB = 100.0
 
 
 def halves(footage: Footage) -> Finding:
-    """Are the halves independent, with as much noise as their samples per pixel give?"""
+    """Are the halves independent, with as much noise as their samples per pixel give?
+
+    That they share samples cannot be told where these are stratified, as clip.toml then says.
+    """
     check = "halves"
     if bool((footage.a == footage.b).all()):
         remedy = "trace two halves with seeds of their own; equal ones hide the reference's noise"
@@ -40,7 +43,9 @@ def halves(footage: Footage) -> Finding:
     told = f"noise {value:.2f} +- {error:.2f} times what the samples predict"
     if math.isnan(value):
         return odd(check, "one sample a pixel, or none with noise, predicts nothing", "store more")
-    if value < LESS and value + SIGMAS * error < 1:
+    if footage.header.stratified:
+        told = f"noise {value:.2f} +- {error:.2f} times that of independent samples, as stratified"
+    elif value < LESS and value + SIGMAS * error < 1:
         remedy = "trace halves with seeds of their own; correct reference_spp if they have more"
         return wrong(check, f"{told}: they share samples", remedy)
     if value > MORE and value - SIGMAS * error > 1:

@@ -41,7 +41,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class _Route:
+class Route:
     """How the camera goes: by itself ("own"), through matrices, or from the first of them."""
 
     kind: str  # own, still, orbit, dolly, or the name of a JSON file
@@ -61,6 +61,14 @@ class _Route:
         route = path or flight.listed(self.matrices)
         return lambda time: flight.camera(route(time), self.fov)
 
+    def around(self, away: float, frames: int) -> Callable[[float], Camera]:
+        """The pinhole on an orbit of the point `away` ahead, or on a dolly towards it."""
+        start = self.matrices[0]
+        orbits = self.kind == "orbit"
+        return self.camera(
+            flight.orbit(start, away, frames) if orbits else flight.dolly(start, away)
+        )
+
 
 def ensure_own(
     wish: Wish,
@@ -76,54 +84,61 @@ def ensure_own(
     """
     llvm.activate()
     found = opened(wish.file, wish.parameters)
+    job, route = job_of(wish, found, preset)
+    if job.finished:
+        return job.folder
+    for note in found.notes:
+        tell(note)
+    seen, usual = _looked(job.scene, route, job.preset)
+    own = seen.exposure if found.flies else usual
+    job = replace(job, scene=replace(seen, exposure=wish.exposure or own))
+    tell(told(job))
+    return finish([job], engine=engine)[0]
+
+
+def job_of(wish: Wish, found: Opened, preset: Preset) -> tuple[Job, Route]:
+    """What is to be rendered of an opened scene, before it was looked at. Raises SceneError."""
     route = _route(wish, found)
     plan = replace(preset, frames=_frames(wish, route, preset), size=_size(wish, found, preset))
     name = re.sub(r"[^\w.-]+", "-", f"{found.name}-{route.kind}")
     folder = wish.out or paths.clips() / f"{FOLDER}{preset.name}" / name
     if folder.exists() and not folder.is_dir():
         raise SceneError(f"--out {folder} is a file; it takes a folder, which need not exist")
-    scene = _scene(wish, found, route, plan)
-    job = Job(name, scene, plan, folder)
-    if job.finished:
-        return job.folder
-    for note in found.notes:
-        tell(note)
-    seen, usual = _looked(scene, route, plan)
-    own = seen.exposure if found.flies else usual
-    seen = replace(seen, exposure=wish.exposure or own)
-    tell(
-        f"{name}: {plan.frames} frames of {plan.size[1]}x{plan.size[0]}, exposure {seen.exposure:g}"
-    )
-    return finish([replace(job, scene=seen)], engine=engine)[0]
+    return Job(name, _scene(wish, found, route, plan), plan, folder), route
 
 
-def _looked(scene: Scene, route: _Route, plan: Preset) -> tuple[Scene, float]:
+def told(job: Job) -> str:
+    """What was decided, in words."""
+    plan = job.preset
+    size = f"{plan.size[1]}x{plan.size[0]}"
+    return f"{job.name}: {plan.frames} frames of {size}, exposure {job.scene.exposure:g}"
+
+
+def _looked(scene: Scene, route: Route, plan: Preset) -> tuple[Scene, float]:
     """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
     with sight.told():
         tracer = open_tracer(scene, *plan.size)
     if route.kind in ("orbit", "dolly"):
-        away, start = sight.distance(tracer), route.matrices[0]
-        orbit = route.kind == "orbit"
-        path = flight.orbit(start, away, plan.frames) if orbit else flight.dolly(start, away)
-        tracer.scene = replace(scene, camera=route.camera(path))
+        camera = route.around(sight.distance(tracer), plan.frames)
+        tracer.scene = replace(scene, camera=camera)
     exposure, seen = sight.survey(tracer, plan.frames), tracer.scene
     del tracer
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     return seen, exposure
 
 
-def _route(wish: Wish, found: Opened) -> _Route:
+def _route(wish: Wish, found: Opened) -> Route:
     kind = wish.camera or ("own" if found.flies else "orbit")
     fov = found.fov
     if kind == "own":
-        return _Route(kind)
+        return Route(kind)
     if kind in ("still", "orbit", "dolly"):
-        return _Route(kind, (found.start(),), fov)
+        return Route(kind, (found.start(),), fov)
     matrices, given = flight.read(Path(kind))
-    return _Route(Path(kind).stem, tuple(matrices), given or fov)
+    return Route(Path(kind).stem, tuple(matrices), given or fov)
 
 
-def _frames(wish: Wish, route: _Route, preset: Preset) -> int:
+def _frames(wish: Wish, route: Route, preset: Preset) -> int:
     there = len(route.matrices)
     if route.kind in ("own", "still", "orbit", "dolly"):
         return wish.frames or preset.frames
@@ -144,7 +159,7 @@ def _size(wish: Wish, found: Opened, preset: Preset) -> tuple[int, int]:
     return high, wide
 
 
-def _scene(wish: Wish, found: Opened, route: _Route, plan: Preset) -> Scene:
+def _scene(wish: Wish, found: Opened, route: Route, plan: Preset) -> Scene:
     """The scene as far as it is known before it is looked at, with the hash of its origin."""
     matrices = [matrix.tolist() for matrix in route.matrices]
     path = f"{route.kind} {matrices} {route.fov}"

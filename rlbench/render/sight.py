@@ -56,7 +56,11 @@ def survey(tracer: Tracer, frames: int) -> float:
         if not seen:
             raise SceneError(_nothing(tracer))
         views(tracer)
-    areas = np.stack(bright)
+    return exposure(np.stack(bright))
+
+
+def exposure(areas: Float[Array, "..."]) -> float:
+    """What shows luminances of areas at a usual brightness; see `survey`. One must be above 0."""
     average = np.exp(np.log(areas[areas > 0]).mean())
     return float(f"{min(GREY / average, WHITE / np.percentile(areas, 95)):.2g}")
 

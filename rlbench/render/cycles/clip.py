@@ -1,0 +1,285 @@
+"""A user's Blender, USD, glTF or FBX scene as a clip: opened, looked at, rendered by Cycles.
+
+Three kinds of job, each in a process of its own: small pictures for exposure, the views of all
+frames, then radiance. What is whole is kept, so a killed rendering goes on.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from rich.console import Console
+from rich.progress import Progress
+
+from rlbench import paths
+from rlbench.clips import Header, write_frame, write_header
+from rlbench.provenance import machine
+from rlbench.render import rounds, sight
+from rlbench.render.cycles import passes
+from rlbench.render.cycles.opened import Found, opened
+from rlbench.render.cycles.order import Parameters, Picture, order, seed
+from rlbench.render.cycles.process import run
+from rlbench.render.job import POOLS, Job
+from rlbench.render.own import Wish, job_of, told
+from rlbench.render.presets import Preset
+from rlbench.render.scene import SceneError
+
+SPAN = 32  # samples of a reference's picture: so much is lost at most when it is killed
+LOOK = (32, 32)  # pixels of the pictures that the exposure is chosen by: 8 x 8 areas of 4 x 4
+LOOK_SPP = 16
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+WORK = ".cycles"  # beside the frames, until all are there
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Shoot:
+    """One clip that Cycles renders."""
+
+    job: Job
+    file: Path
+    found: Found
+    asked: Parameters
+
+    @property
+    def work(self) -> Path:
+        """Where the worker's pictures are until their frame is whole."""
+        return self.job.folder / WORK
+
+    def run(
+        self, pictures: list[Picture], log: Path, geometry: bool = False, look: bool = False
+    ) -> Iterator[tuple[Path, float]]:
+        """Files as they are made, and the seconds each took; those that are there are left out."""
+        missing = [picture for picture in pictures if not picture.file.is_file()]
+        if not missing:
+            return
+        plan, scene = self.job.preset, self.job.scene
+        size = LOOK if look else plan.size
+        what = order(
+            self.file,
+            scene,
+            self.found.start,
+            plan.frames,
+            size,
+            self.asked,
+            missing,
+            geometry,
+        )
+        for event in run(what, log):
+            if event.get("event") == "made":
+                yield Path(event["file"]), event["seconds"]
+
+
+def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -> Path:
+    """The clip folder of a scene file that Cycles renders, after rendering what is missing of it.
+
+    As `rlbench.render.own.ensure_own`, with the file's own camera if it has one. Raises SceneError
+    where the scene cannot be rendered as asked, ClipError where `out` holds frames of another
+    origin, and CyclesError where Blender is missing or broke down.
+    """
+    asked = Parameters.of(wish.parameters)
+    if preset.cap < np.inf:
+        raise SceneError(f"preset {preset.name} has a radiance cap; Cycles' samples are not capped")
+    found = opened(wish, wish.frames or preset.frames, asked)
+    job, route = job_of(wish, found.opened, preset)
+    if job.finished:
+        return job.folder
+    for note in found.opened.notes:
+        tell(note)
+    if route.kind in ("orbit", "dolly"):
+        if not found.distance:
+            raise SceneError(
+                f"the camera of {wish.file} sees no surface in the middle of the picture, so there "
+                "is nothing to move around; use --camera still, or a JSON file of matrices"
+            )
+        scene = replace(job.scene, camera=route.around(found.distance, job.preset.frames))
+        job = replace(job, scene=scene)
+    shoot = Shoot(job, wish.file, found, asked)
+    usual = _exposure(shoot)
+    job = replace(job, scene=replace(job.scene, exposure=wish.exposure or usual))
+    tell(told(job))
+    _render(replace(shoot, job=job))
+    return job.folder
+
+
+def _exposure(shoot: Shoot) -> float:
+    """What shows the frames at a usual brightness. Raises SceneError for one that is all black."""
+    log = paths.cache() / "cycles" / f"{shoot.job.name}.log"
+    with TemporaryDirectory(prefix="rlbench-") as place:
+        looks = [
+            Picture(
+                Path(place, f"{index}.exr"), index, seed(index, "pilot", 0), LOOK_SPP, 1, LOOK_SPP
+            )
+            for index in range(shoot.job.preset.frames)
+        ]
+        for _ in shoot.run(looks, log, look=True):
+            pass
+        areas = np.stack([_areas(passes.radiance(look.file, LOOK)) for look in looks])
+    if black := [str(index) for index, frame in enumerate(areas) if not frame.any()]:
+        raise SceneError(
+            f"frames {', '.join(black[:8])} are black: there is no light, none gets to what the "
+            "camera sees, or the camera is inside something. --define world=1 adds a white sky; "
+            "glTF and FBX do not carry every kind of lamp"
+        )
+    return sight.exposure(areas)
+
+
+def _areas(image: Float[Array, "h w 3"]) -> Float[Array, " areas"]:
+    luminance = image @ np.array(LUMINANCE)
+    side = LOOK[0] // sight.AREAS
+    return np.asarray(luminance.reshape(sight.AREAS, side, sight.AREAS, side).mean((1, 3)).ravel())
+
+
+def _render(shoot: Shoot) -> None:
+    """Render the missing frames, then write the header."""
+    job = shoot.job
+    job.claim()
+    _claim(shoot)
+    plan = job.preset
+    columns = Progress.get_default_columns()
+    with Progress(*columns, console=Console(stderr=True), speed_estimate_period=120) as bar:
+        area = plan.size[0] * plan.size[1]
+        paths_left = len(job.missing) * plan.frame_samples
+        bar.console.print(
+            f"rendering with Cycles (Blender {shoot.found.blender}): "
+            f"at most {paths_left / 1e6:.2f} million light paths; into {job.folder}"
+        )
+        task = bar.add_task(job.name, total=paths_left)
+        for spp in _frames(shoot):
+            bar.advance(task, spp * area)
+    write_header(job.folder, _header(shoot))
+    shutil.rmtree(shoot.work)
+
+
+def _claim(shoot: Shoot) -> None:
+    """An empty work folder, or the one of this very clip."""
+    mark = shoot.work / "mark.txt"
+    if not (mark.is_file() and mark.read_text() == shoot.job.mark):
+        shutil.rmtree(shoot.work, ignore_errors=True)
+        with paths.replacing(mark) as path:
+            path.write_text(shoot.job.mark)
+
+
+def _frames(shoot: Shoot) -> Iterator[int]:
+    """Render and write all missing frames, in rounds; yields samples per pixel as they are done."""
+    job, work = shoot.job, shoot.work
+    views = [Picture(_geometry(work, i), i, seed(i, "path", 0)) for i in job.missing]
+    for _ in shoot.run(views, work / "geometry.log", geometry=True):
+        pass
+    for done in range(1, job.preset.rounds + 1):
+        pictures = {index: _pictures(shoot, index, done) for index in job.missing}
+        for index in pictures:
+            _settle(shoot, index, done)
+        wanted = [picture for index in job.missing for picture in pictures[index]]
+        spp = {picture.file: (picture.frame, picture.spp) for picture in wanted}
+        yield sum(p.spp for p in wanted if p.file.is_file()) if done == 1 else 0
+        for file, seconds in shoot.run(wanted, work / f"round{done}.log"):
+            index, samples = spp[file]
+            if file.name.startswith("reference"):
+                _time(work, seconds / samples)
+            _settle(shoot, index, done)
+            yield samples
+
+
+def _pictures(shoot: Shoot, index: int, done: int) -> list[Picture]:
+    """All radiance pictures of a frame in rounds up to `done`: samples, then both halves."""
+    plan, work = shoot.job.preset, shoot.work.absolute()
+    found = [
+        Picture(work / f"path.{index:04d}.{slot}.exr", index, seed(index, "path", slot))
+        for slot in range(plan.pool_spp)
+    ]
+    for half in rounds.HALVES:
+        for turn in range(done):
+            found += spans(work, f"reference{half}", index, turn, plan.reference_spp)
+    return found
+
+
+def spans(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
+    """What one round adds to one half of a reference: one seed, its samples in spans."""
+    name, number = f"{stream}.{index:04d}.{turn}", seed(index, stream, turn)
+    return [
+        Picture(
+            work / f"{name}.{first}.exr", index, number, min(SPAN, total - first + 1), first, total
+        )
+        for first in range(1, total + 1, SPAN)
+    ]
+
+
+def _settle(shoot: Shoot, index: int, done: int) -> None:
+    """Write a frame if all its pictures are there, and its reference is good enough or the last."""
+    job, plan = shoot.job, shoot.job.preset
+    pictures = _pictures(shoot, index, done)
+    if not all(picture.file.is_file() for picture in pictures):
+        return
+    halves = {}
+    for half in rounds.HALVES:
+        own = [p for p in pictures if p.file.name.startswith(f"reference{half}.")]
+        weighted = [passes.radiance(p.file, plan.size) * np.float64(p.spp) for p in own]
+        total = np.sum(weighted, axis=0) / sum(p.spp for p in own)
+        halves[half] = total.astype(np.float32)
+    a, b = halves["A"], halves["B"]
+    if done < plan.rounds and rounds.ceiling_db(a, b, job.scene.exposure) < plan.ceiling_db:
+        return
+    file = _geometry(shoot.work, index)
+    view = passes.read_view(file, job.scene, index, plan.size)
+    samples = [p for p in pictures if p.file.name.startswith("path.")]
+    pool = np.stack([passes.radiance(p.file, plan.size) for p in samples])
+    if plan.rounds > 1:
+        rounds.note(job.folder, index, 2 * plan.reference_spp * done)
+    view = {name: view[name] for name in job.buffers}
+    write_frame(job.folder, index, view, {"path": pool}, a, b)
+    for picture in pictures:
+        picture.file.unlink()
+    file.unlink()
+
+
+def _geometry(work: Path, index: int) -> Path:
+    return work.absolute() / f"view.{index:04d}.exr"
+
+
+def _time(work: Path, seconds: float) -> None:
+    """Remember the least time of a sample."""
+    least = min(seconds, _seconds(work))
+    with paths.replacing(work / "seconds.txt") as path:
+        path.write_text(repr(least))
+
+
+def _seconds(work: Path) -> float:
+    note = work / "seconds.txt"
+    return float(note.read_text()) if note.is_file() else float("inf")
+
+
+def _header(shoot: Shoot) -> Header:
+    job, plan, scene = shoot.job, shoot.job.preset, shoot.job.scene
+    seconds = _seconds(shoot.work)
+    return Header(
+        name=job.name,
+        scene=scene.name,
+        preset=plan.name,
+        sampler="cycles",
+        sampler_version=f"Blender {shoot.found.blender}, {scene.depth - 2} bounces, light tree",
+        height=plan.size[0],
+        width=plan.size[1],
+        frames=plan.frames,
+        exposure=scene.exposure,
+        pool_spp=plan.pool_spp,
+        reference_spp=tuple(map(job.spent, range(plan.frames))),
+        stratified=True,
+        noise_ceiling_db=tuple(
+            rounds.stored_ceiling_db(job.folder, index, *plan.size, scene.exposure)
+            for index in range(plan.frames)
+        ),
+        buffers=job.buffers,
+        pools=POOLS,
+        static=scene.static,
+        licence=scene.licence,
+        sample_ms=seconds * 1e3 if np.isfinite(seconds) else float("nan"),
+        device=machine().cpu,
+    )

@@ -1,0 +1,201 @@
+"""Clips that Cycles renders: the same scene as Mitsuba's, in every format, killed and resumed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rlbench.clips import open_clip, read_header, verify
+from rlbench.lint.checks import examine
+from rlbench.lint.finding import Verdict
+from rlbench.lint.footage import read_footage
+from rlbench.render import flight
+from rlbench.render.cycles import process
+from rlbench.render.cycles.clip import ensure_cycles
+from rlbench.render.cycles.process import CyclesError
+from rlbench.render.job import Job
+from rlbench.render.own import Wish
+from rlbench.render.presets import Preset
+from rlbench.render.record import finish
+from rlbench.render.scene import SceneError
+from rlbench.render.trace import open_tracer
+from rlbench.render.views import views
+from tests.render.cycles import both
+
+pytestmark = pytest.mark.slow
+H, W = 64, 64
+PLAN = Preset("test", "tests", (H, W), both.FRAMES, reference_spp=40)  # in two spans
+SMALL = replace(PLAN, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
+ASKED = (("max_bounces", str(both.BOUNCES)),)
+FORMATS = ("blend", "usd", "glb", "fbx")
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def files(blender, tmp_path_factory):
+    """Folder with the scene in every format."""
+    folder = tmp_path_factory.mktemp("scene")
+    both.for_blender(folder)
+    subprocess.run(
+        [blender, "-I", str(HERE / "export.py"), str(folder)], check=True, capture_output=True
+    )
+    return folder
+
+
+def wish(folder, out, **more):
+    asked = {"exposure": 1.0, "size": (H, W), "parameters": ASKED, **more}
+    return Wish(folder / "both.gltf", str(folder / "path.json"), out=out, **asked)
+
+
+@pytest.fixture(scope="module")
+def cycles(files, tmp_path_factory):
+    return ensure_cycles(wish(files, tmp_path_factory.mktemp("cycles") / "clip"), PLAN)
+
+
+@pytest.fixture(scope="module")
+def mitsuba(tmp_path_factory):
+    scene, matrices = both.for_mitsuba(), [flight.matrix(both.camera(t)) for t in range(4)]
+    path = flight.listed(matrices)  # before frame 0, nothing moves, as in the file
+    scene = replace(scene, camera=lambda time: flight.camera(path(time), both.FOV))
+    job = Job("both", scene, PLAN, tmp_path_factory.mktemp("mitsuba") / "clip")
+    return finish([job])[0]
+
+
+@pytest.mark.parametrize("tracer", ["cycles", "mitsuba"])
+def test_the_linter_finds_no_fault(tracer, llvm, request):
+    findings = examine(read_footage(request.getfixturevalue(tracer)))
+    assert not [finding for finding in findings if finding.verdict == Verdict.FAIL]
+
+
+@pytest.mark.parametrize("index", range(both.FRAMES))
+def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index):
+    ours, theirs = (open_clip(clip).frame(index) for clip in (cycles, mitsuba))
+    seen = (theirs.view.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.view.albedo)
+    means, errors = [], []
+    for frame in (ours, theirs):
+        noise = (frame.reference.a - frame.reference.b)[seen] / 2
+        means.append(float(frame.reference.mean[seen].mean()))
+        errors.append(float(noise.double().square().mean().sqrt()) / int(seen.sum()) ** 0.5)
+    # 4 standard errors of the difference of two means, noise of pixels being independent
+    assert abs(means[0] - means[1]) < 4 * np.hypot(*errors)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"), [("normal", 1e-3), ("motion", 1e-2), ("depth", 2e-3)]
+)
+def test_geometry_is_that_of_mitsuba(cycles, mitsuba, llvm, name, tolerance):
+    # half precision of normals, float32 matrices; pixels at edges may see another surface
+    ours, theirs = (open_clip(clip).frame(2).view.buffers[name] for clip in (cycles, mitsuba))
+    apart = (ours - theirs).abs().amax(1)
+    assert float((apart > tolerance).float().mean()) < 5e-3
+
+
+def test_the_header_says_who_traced_it(cycles):
+    header = read_header(cycles)
+    told = (header.sampler, header.sampler_version, header.stratified, header.pool_spp)
+    assert told == ("cycles", "Blender 4.5.15 LTS, 6 bounces, light tree", True, 8)
+    assert header.sample_ms > 0
+
+
+def test_a_finished_clip_needs_no_blender(cycles, files, monkeypatch):
+    assert verify(cycles) == []
+    monkeypatch.setenv(process.VARIABLE, "/nowhere")
+    assert ensure_cycles(wish(files, cycles), PLAN) == cycles
+
+
+def test_samples_are_antialiased(cycles, mitsuba, llvm):
+    # sample 0 alone would not converge: its mean would be off at edges by far more than noise
+    clip = open_clip(cycles)
+    frame = clip.frame(1)
+    pool = frame.pool.take(frame.pool.empty(), frame.pool.empty().counts + 8)[0]
+    error = (pool.mean(0) - frame.reference.a[0]) * (pool.mean(0) - frame.reference.b[0])
+    expected = pool.var(0) / len(pool)
+    weight = 1 / (frame.reference.mean[0] + 0.05) ** 2
+    ratio = float((error * weight).mean() / (expected * weight).mean())
+    assert ratio == pytest.approx(1, abs=0.25)  # without anti-aliasing it was 22
+
+
+def test_a_killed_rendering_goes_on_and_makes_the_same_pixels(cycles, files, tmp_path):
+    out, log = tmp_path / "clip", tmp_path / "log"
+    code = (
+        "from tests.render.cycles.test_clip import *; import sys;"
+        "ensure_cycles(wish(Path(sys.argv[1]), Path(sys.argv[2])), PLAN)"
+    )
+    with log.open("wb") as words:
+        going = subprocess.Popen(
+            [sys.executable, "-c", code, str(files), str(out)], stderr=words, cwd=HERE.parents[2]
+        )
+        while going.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
+            pass
+        going.send_signal(signal.SIGKILL)
+        going.wait()
+    assert not (out / "clip.toml").exists(), log.read_text()
+    again = ensure_cycles(wish(files, out), PLAN)
+    for file in cycles.glob("*.exr"):
+        assert (again / file.name).read_bytes() == file.read_bytes(), file.name
+    assert not (again / ".cycles").exists()
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_every_format_has_the_camera_the_shapes_and_their_motion(kind, files, tmp_path, llvm):
+    asked = Wish(files / f"both.{kind}", "", size=SMALL.size, exposure=1.0, out=tmp_path / "clip")
+    found = open_clip(ensure_cycles(asked, SMALL)).frame(1).view
+    tracer = open_tracer(both.for_mitsuba(), *SMALL.size)
+    tracer.set_time(1.0)
+    for name, wanted in views(tracer, ("depth", "motion")).items():
+        apart = np.abs(found.buffers[name][0].permute(1, 2, 0).numpy() - wanted).max(-1)
+        assert (apart > 1e-2).mean() < 0.01, name  # pixels at edges may see another surface
+
+
+def test_a_still_camera_and_nothing_that_moves_make_a_static_clip(files, tmp_path):
+    still = files / "still.gltf"
+    text = (files / "both.gltf").read_text()
+    still.write_text(text.replace('"animations"', '"extras"'))
+    asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
+    first = flight.matrix(both.camera(0)).tolist()
+    Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": both.FOV}))
+    header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
+    assert header.static
+    assert "motion" not in header.buffers
+
+
+def test_a_scene_without_light_is_told_before_anything_is_written(files, tmp_path):
+    dark = files / "dark.gltf"
+    dark.write_text((files / "both.gltf").read_text().replace("emissiveFactor", "extras"))
+    asked = replace(wish(files, tmp_path / "clip"), file=dark)
+    with pytest.raises(SceneError, match="frames 0, 1.* are black.*world=1"):
+        ensure_cycles(replace(asked, exposure=None), SMALL)
+    assert not (tmp_path / "clip").exists()
+
+
+def test_a_broken_file_is_told_with_blenders_words(blender, tmp_path):
+    file = tmp_path / "broken.blend"
+    file.write_bytes(b"BLENDER-v405 and nothing more")
+    with pytest.raises(CyclesError, match=r"Blender: .*broken\.blend"):
+        ensure_cycles(Wish(file, out=tmp_path / "clip"), SMALL)
+
+
+def test_a_worker_that_is_killed_is_a_crash(files, tmp_path):
+    events = process.run(
+        {
+            "scene": str(files / "both.blend"),
+            "frames": 2000,
+            "start": 0,
+            "size": None,
+            "renders": [],
+        },
+        tmp_path / "log.txt",
+    )
+    assert next(events)["event"] == "hello"
+    children = subprocess.run(
+        ["pgrep", "-P", str(os.getpid()), "-f", "worker.py"], capture_output=True, text=True
+    )
+    os.kill(int(children.stdout.split()[0]), signal.SIGSEGV)
+    with pytest.raises(CyclesError, match=r"SIGSEGV.*segmentation fault"):
+        list(events)

@@ -1,0 +1,132 @@
+"""The job file: seeds that never meet, cameras turned to Blender's axes, parameters checked."""
+
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rlbench.asked import AskedError, tracer_of
+from rlbench.render import flight
+from rlbench.render.cycles import clip, opened
+from rlbench.render.cycles.order import (
+    NUMBERS,
+    STREAMS,
+    Parameters,
+    Picture,
+    order,
+    seed,
+    turned,
+)
+from rlbench.render.own import Wish
+from rlbench.render.presets import preset
+from rlbench.render.scene import Camera, Scene, SceneError
+from tests.render.cycles import both
+
+LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
+
+
+def test_no_two_pictures_share_a_seed():
+    made = [seed(*which) for which in product(range(5), STREAMS, range(NUMBERS))]
+    assert len(set(made)) == len(made)
+
+
+def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
+    assert seed(10_000, "pilot", NUMBERS - 1) < 2**31
+
+
+def test_a_camera_that_looks_north_does_so_in_blenders_axes():
+    found = turned(flight.matrix(LEVEL.camera(0.0)))
+    right, up, back, place = found[:3].T
+    assert_allclose([right, up, back], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)  # float64
+    assert_allclose(place, [0, -4, 1])
+
+
+def ordered(**more):
+    pictures = [Picture(clip.Path("a.exr"), 0, 1)]
+    return order(
+        clip.Path("a.blend"), LEVEL, 1, 3, (8, 9), Parameters(max_bounces=4), pictures, **more
+    )
+
+
+def test_the_camera_is_given_from_the_frame_before_the_first_to_the_one_after_the_last():
+    places = np.array(ordered()["camera"]["matrices"])[:, 0, 3]
+    assert_allclose(places, [-1, 0, 1, 2, 3])
+
+
+def test_a_job_is_json_with_absolute_paths():
+    job = json.loads(json.dumps(ordered()))
+    assert clip.Path(job["scene"]).is_absolute()
+    assert clip.Path(job["renders"][0]["file"]).is_absolute()
+
+
+def test_no_radiance_is_of_sample_zero():
+    # Cycles sends it through the pixel's centre whatever the seed, so it does not converge
+    job = ordered()
+    assert all(picture["first"] >= 1 for picture in job["renders"])
+
+
+@pytest.mark.parametrize("total", [1, 31, 32, 33, 100])
+def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
+    parts = clip.spans(tmp_path, "referenceA", 3, 0, total)
+    numbers = [n for part in parts for n in range(part.first, part.first + part.spp)]
+    assert numbers == list(range(1, total + 1))
+    assert {(part.seed, part.total) for part in parts} == {(seed(3, "referenceA", 0), total)}
+
+
+@pytest.mark.parametrize(
+    ("pair", "match"),
+    [
+        (("depth", "3"), "takes max_bounces, world, start, threads"),
+        (("max_bounces", "many"), "'many' is no number"),
+        (("world", "nan"), "takes a number from 0"),
+        (("world", "-1"), "takes a number from 0"),
+    ],
+)
+def test_a_parameter_that_is_none_is_refused(pair, match):
+    with pytest.raises(SceneError, match=match):
+        Parameters.of((pair,))
+
+
+def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="not capped"):
+        clip.ensure_cycles(Wish(tmp_path / "a.blend"), preset("tiny").capped(4.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "match"), [("none.blend", "no scene file"), ("a.max", "it takes .blend, .usd")]
+)
+def test_a_file_that_cannot_be_opened_is_told_without_blender(name, match, tmp_path):
+    with pytest.raises(SceneError, match=match):
+        clip.ensure_cycles(Wish(tmp_path / name), preset("tiny"))
+
+
+def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
+    file, _ = both.for_blender(tmp_path)
+    parts = opened.parts(file)
+    before = opened.digest(file, parts)
+    (tmp_path / "both.bin").write_bytes(b"other")
+    assert [clip.Path(part).name for part in parts] == ["both.bin"]
+    assert opened.digest(file, parts) != before
+
+
+@pytest.mark.parametrize(
+    ("name", "tracer", "match"),
+    [
+        ("a.blend", "mitsuba", "does not read a.blend; it reads .xml"),
+        ("a.xml", "cycles", "does not read a.xml; it reads .blend"),
+        ("a.xml", "luxcore", "it is mitsuba or cycles"),
+        ("a.max", None, "no tracer reads it"),
+    ],
+)
+def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
+    with pytest.raises(AskedError, match=match):
+        tracer_of(clip.Path(name), tracer)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "cycles")]
+)
+def test_a_file_goes_to_the_tracer_that_reads_it(name, wanted):
+    assert tracer_of(clip.Path(name), None) == wanted

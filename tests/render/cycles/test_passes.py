@@ -1,0 +1,78 @@
+"""Channels as Cycles writes them become a view in the conventions of a clip."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rlbench.exr import write_exr
+from rlbench.render.cycles import passes
+from rlbench.render.scene import Camera, Scene
+
+H, W = 4, 6
+TURN = 2.0  # degrees that the camera pans to the right per frame
+
+
+def panning(time):
+    angle = math.radians(TURN * time)
+    return Camera((0, 0, 0), (math.sin(angle), math.cos(angle), 0), fov=60.0)
+
+
+SCENE = Scene("pan", "pan", (), panning)
+
+
+def planes(albedo=(0.5, 0.4, 0.3), normal=(0, 0, 1), depth=2.0, vector=(3.0, 5.0)):
+    """One value for all pixels; the last column is sky, as Cycles writes it."""
+    values = np.array([*albedo, *normal, depth, *vector], np.float32)
+    made = np.broadcast_to(values[:, None, None], (9, H, W)).copy()
+    made[:, :, -1] = np.array([9, 9, 9, 0, 0, 0, 1e10, 0, 0], np.float32)[:, None]
+    return made
+
+
+def test_motion_is_vector_with_y_down():
+    assert_allclose(passes.view(planes(), SCENE, 0.0)["motion"][0, 0], [3, -5])
+
+
+def test_depth_of_sky_is_infinite_and_of_surfaces_unchanged():
+    depth = passes.view(planes(), SCENE, 0.0)["depth"]
+    assert np.isposinf(depth[:, -1]).all()
+    assert_allclose(depth[:, :-1], 2.0)
+
+
+@pytest.mark.parametrize("name", ["albedo", "normal"])
+def test_sky_has_no(name):
+    assert not passes.view(planes(), SCENE, 0.0)[name][:, -1].any()
+
+
+def test_albedo_of_what_glows_is_cut_to_one():
+    albedo = passes.view(planes(albedo=(23.9, 0.5, -0.1)), SCENE, 0.0)["albedo"][0, 0]
+    assert_allclose(albedo, [1, 0.5, 0])
+
+
+def test_normals_become_unit_length():
+    normal = passes.view(planes(normal=(0.0, 0.3, 0.4)), SCENE, 0.0)["normal"][0, 0]
+    assert_allclose(normal, [0, 0.6, 0.8], atol=1e-6)  # float32
+
+
+def test_a_surface_without_a_normal_is_background():
+    # the linter refuses clips whose depth and normal disagree on what is background
+    view = passes.view(planes(normal=(0, 0, 0)), SCENE, 0.0)
+    assert np.isposinf(view["depth"]).all()
+
+
+def test_sky_moves_by_the_turn_of_the_camera():
+    # after a turn to the right by TURN, what is now straight ahead was to the right before
+    size = 301  # odd, so that a pixel's centre is straight ahead
+    motion = passes.sky_motion(SCENE, 1.0, size, size)[size // 2, size // 2]
+    focal = size / 2 / math.tan(math.radians(30))
+    assert_allclose(motion, [focal * math.tan(math.radians(TURN)), 0], atol=1e-9)  # float64
+
+
+def test_channels_are_found_by_name_in_a_file(tmp_path):
+    made = planes()
+    file = tmp_path / "view.exr"
+    write_exr(file, dict(zip(reversed(passes.GEOMETRY), made[::-1], strict=True)))
+    found = passes.read_view(file, SCENE, 0, (H, W))
+    wanted = passes.view(made, SCENE, 0.0)
+    assert all(np.array_equal(found[name], wanted[name]) for name in wanted)
