@@ -145,11 +145,11 @@ class Names:
             return ""
         if self.request.weights == "random":
             return "random"
-        family, _, variant = name.partition("/")
         if self.request.weights:
             return _hash(Path(self.request.weights))
-        beside = _found(registry.place, registry.family(name).build)
-        return _hash(Path(beside).parent / "cards" / f"{variant or family}.safetensors")
+        family = registry.family(name)
+        beside = _found(registry.place, family.build)
+        return _hash(Path(beside).parent / "cards" / family.weights(name.partition("/")[2]))
 
 
 def _code(target: str) -> str:

@@ -46,6 +46,7 @@ class Variant:
     question: str
     traits: Traits
     learned: bool = True  # does it need trained weights?
+    borrows: str | None = None  # the variant whose weights it uses, if not its own
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,9 @@ class Family:
     `build` names a function, as `module:name`, that takes (variant, device, weights) and returns a
     `Method`; it is imported when the method is first asked for. `weights` is the path of a file, or
     `"random"` for seeded untrained weights, or None for the shipped ones: NAME.safetensors in the
-    folder `cards` beside that module, NAME being the variant's name or else the family's; results
-    are measured anew when this file changes. `train` names a function in the same way (see
-    `rlbench.training`), or is empty where nothing is learned.
+    folder `cards` beside that module, NAME as in `weights`; results are measured anew when this
+    file changes. `train` names a function in the same way (see `rlbench.training`), or is empty
+    where nothing is learned.
     """
 
     name: str
@@ -71,3 +72,8 @@ class Family:
     def names(self) -> list[str]:
         """Every variant as it is written on the command line, `family` or `family/variant`."""
         return [f"{self.name}/{key}" if key else self.name for key in self.variants]
+
+    def weights(self, variant: str) -> str:
+        """File name of a variant's shipped weights: its own name, or that of whose it borrows."""
+        borrowed = self.variants[variant].borrows
+        return f"{(variant if borrowed is None else borrowed) or self.name}.safetensors"

@@ -127,7 +127,8 @@ def trainer(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any
 
 def learns(name: str) -> bool:
     """Is there anything to train?"""
-    return variant(name).learned and bool(family(name).train)
+    asked = variant(name)
+    return asked.learned and asked.borrows is None and bool(family(name).train)
 
 
 def metrics() -> dict[str, Any]:

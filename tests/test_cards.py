@@ -20,8 +20,14 @@ shipped = pytest.mark.parametrize("path", SHIPPED, ids=NAMES)
 
 def test_every_learned_method_ships_weights():
     names = [n for family in registry.names("methods") for n in registry.family(family).names()]
-    learned = [name for name in names if registry.variant(name).learned]
+    learned = [name for name in names if registry.learns(name)]
     assert {name.rpartition("/")[2] for name in learned} == set(NAMES)
+
+
+def test_borrowed_weights_are_there():
+    families = [registry.family(name) for name in registry.names("methods")]
+    files = {f.weights(key) for f in families for key, row in f.variants.items() if row.learned}
+    assert files == {path.name for path in SHIPPED}
 
 
 @shipped

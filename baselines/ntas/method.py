@@ -110,7 +110,7 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
     if weights == "random":
         networks.draw(seed=0)
     else:
-        shipped = Path(__file__).parent / "cards" / f"{variant or 'ntas'}.safetensors"
+        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
         load_into(networks, Path(weights) if weights else shipped)
     networks.to(device).eval().requires_grad_(False)
     return Ntas(networks, traits=FAMILY.variants[variant].traits)

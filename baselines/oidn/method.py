@@ -88,7 +88,7 @@ def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
     """OIDN with our weights, those of a file, or `"random"` ones."""
     network = UNet(INPUTS, widths=VARIANTS[variant].widths)
     if weights != "random":
-        shipped = Path(__file__).parent / "cards" / f"{variant or 'oidn'}.safetensors"
+        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
         load_into(network, Path(weights) if weights else shipped)
     network.to(device).eval().requires_grad_(False)
     return Oidn(network)

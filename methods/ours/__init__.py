@@ -22,6 +22,11 @@ FAMILY = Family(
         "A2": Variant(
             "Is planning worth its time? (uniform sampling)", replace(TRAITS, adapts=False)
         ),
+        "flat": Variant(
+            "What does the map itself give? (weights of ours, sampled uniformly)",
+            replace(TRAITS, adapts=False),
+            borrows="",
+        ),
     },
     build="methods.ours.method:build",
     train="methods.ours.train:trainer",

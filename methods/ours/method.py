@@ -56,7 +56,7 @@ class Ours:
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """How far each pixel's action lies above the lowest one, in [0, 2]."""
-        if self.networks.sampler is None:
+        if self.networks.sampler is None or self.config.flat:
             return torch.ones_like(view.depth)
         return density(self.act(view, state))
 
@@ -104,7 +104,7 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
     if weights == "random":
         initialise(networks)
     else:
-        shipped = Path(__file__).parent / "cards" / f"{variant or 'ours'}.safetensors"
+        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
         load_into(networks, Path(weights) if weights else shipped)
     networks.to(device).eval().requires_grad_(False)
     return Ours(config, FAMILY.variants[variant].traits, networks)

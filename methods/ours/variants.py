@@ -13,10 +13,12 @@ class Config:
     latent: int = 32  # channels of the state
     sampler: tuple[int, ...] = (4, 8, 16, 32)  # widths of the sampler's levels; empty: uniform
     bptt: int = 1  # frames through which gradients flow
+    flat: bool = False  # is the sampler's map ignored?
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
     "A2": replace(BASE, sampler=()),  # is planning worth its time?
+    "flat": replace(BASE, flat=True),  # what does the map give, all else equal?
 }

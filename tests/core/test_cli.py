@@ -165,7 +165,7 @@ def test_seeds_are_ranges_without_their_end_and_lists(text, seeds):
 def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
     wanted = []
 
-    def ensure(plan, scenes, seeds):
+    def ensure(plan, scenes, seeds, engine):
         wanted.append((plan.name, scenes, seeds))
         return []
 

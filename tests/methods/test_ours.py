@@ -40,7 +40,7 @@ def test_parameter_counts_are_those_of_the_fact_sheet(network, count):
     assert parameters(network) == count
 
 
-@pytest.mark.parametrize(("variant", "fields"), [("A2", {"sampler"})])
+@pytest.mark.parametrize(("variant", "fields"), [("A2", {"sampler"}), ("flat", {"flat"})])
 def test_a_variant_changes_only_what_its_row_claims(variant, fields):
     base, other = asdict(BASE), asdict(VARIANTS[variant])
     assert {name for name in base if base[name] != other[name]} == fields

@@ -86,7 +86,7 @@ def test_a_preset_of_all_takes_has_a_clip_of_each_and_the_scene_is_told(clips):
 def test_a_scene_stands_for_takes_of_the_preset_and_a_clip_for_itself(
     installed, monkeypatch, tmp_path, takes, asked, made
 ):
-    monkeypatch.setattr("rlbench.render.record._render_all", lambda jobs, bar: None)
+    monkeypatch.setattr("rlbench.render.record._render_all", lambda jobs, bar, engine: None)
     folders = ensure(replace(PLAN, takes=takes), asked, folder=tmp_path)
     assert [folder.name for folder in folders] == made
 
