@@ -62,7 +62,7 @@ def _camera(time: float) -> Camera:
 def _from_gallery(time: float) -> Camera:
     """From above and the other end, moving along the hall."""
     y = 27.0 - 0.1 * time
-    return Camera((4.4, y, 4.6), (-1.5, y - 10, 1.8), fov=70)
+    return Camera((4.4, y, 4.6), (-1.5, y - 10, 1.8), fov=66)
 
 
 def _building(random: np.random.Generator) -> tuple[Mesh, ...]:

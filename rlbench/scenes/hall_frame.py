@@ -79,7 +79,7 @@ def panels(random: np.random.Generator) -> Shape:
                     high.append(np.stack([side * depth, cut[:, 2], cut[:, 3]], -1))
     ends = np.sort(np.stack([np.concatenate(low), np.concatenate(high)]), axis=0)
     ducts = boxes(
-        [(-1.9, -4, 6.2), (0.5, -4, 6.35), (-0.3, -4, 6.0)],
+        [(-1.9, -4, 6.15), (0.5, -4, 6.35), (-0.3, -4, 6.0)],
         [(-0.9, LENGTH, 6.8), (1.6, LENGTH, 6.8), (0.2, LENGTH, 6.3)],
         tile=2.0,
     )
