@@ -155,14 +155,14 @@ def _agave(random: np.random.Generator) -> Shape:
 
 
 def fittings() -> tuple[Mesh, ...]:
-    """A round mirror in a brass ring, and strips of light above."""
+    """A round mirror in a brass ring, and light above, broad enough that paths find it."""
     upright = rotation((1, 0, 0), np.pi / 2)  # a disc that faced up now faces the pool
     glass = placed(disc(1.15, 0, 64), (0.0, WALL - 0.06, 1.95), upright)
     ring = lathe([(1.14, 0), (1.14, 0.1), (1.24, 0.1), (1.28, 0.05), (1.28, 0)], 72)
     around = placed(ring, (0.0, WALL - 0.01, 1.95), upright)
     strips = quads(
-        [(-3, -0.5, 3.3), (-3, 1.3, 3.3), (-6, WALL - 0.6, 4.5)],  # the last one washes the wall
-        [(0, 0.6, 0), (0, 0.6, 0), (0, 0.1, 0)],
+        [(-3, -1.55, 3.3), (-3, 0.65, 3.3), (-6, WALL - 0.6, 4.5)],  # the last washes the wall
+        [(0, 1.8, 0), (0, 1.8, 0), (0, 0.1, 0)],
         [(6, 0, 0), (6, 0, 0), (12, 0, 0)],
     )
     silver = {"type": "conductor", "specular_reflectance": rgb(0.88, 0.88, 0.86)}
@@ -175,6 +175,6 @@ def fittings() -> tuple[Mesh, ...]:
             strips.faces,
             {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)},
             uv=strips.uv,
-            emission={"type": "area", "radiance": rgb(8.0, 5.8, 3.5)},
+            emission={"type": "area", "radiance": rgb(2.7, 1.95, 1.2)},
         ),
     )

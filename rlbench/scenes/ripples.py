@@ -20,14 +20,14 @@ GLASS = {"type": "dielectric", "int_ior": 1.5}
 
 
 def scene() -> Scene:
-    """The bath in the evening: two warm strips of light above, blue dusk all around."""
+    """The bath in the evening: two warm panels of light above, blue dusk all around."""
     random = np.random.default_rng(31)
     return Scene(
         name="ripples",
         title="Ripples: caustics, glass and a mirror",
         meshes=(*room(random), clutter(random), *fittings(), _glassware(), *_movers(0.0)),
         camera=_camera,
-        sky=({"type": "constant", "radiance": rgb(0.10, 0.16, 0.26)},),
+        sky=({"type": "constant", "radiance": rgb(0.15, 0.24, 0.39)},),
         moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=1.8,
         depth=8,
