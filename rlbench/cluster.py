@@ -29,6 +29,7 @@ QUIET = {
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # else `uv run` packs and sends the working folder
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # or it warns that this will be so
     "RAY_enable_metrics_collection": "0",
+    "RAY_worker_niceness": "0",  # times are of a worker that nobody else on the machine starves
 }
 
 
