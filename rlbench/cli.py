@@ -1,4 +1,4 @@
-"""The command line: run, list, render, import, lint, train, report, regress, doctor."""
+"""The command line: run, list, render, import, lint, train, check, report, regress, doctor."""
 
 from __future__ import annotations
 
@@ -201,6 +201,31 @@ def train(
                 tell,
             )
         typer.echo(f"{name}: {place}")
+
+
+@app.command()
+def check(
+    methods: Annotated[list[str], typer.Argument(help="names a,b; family/*; all with variants")],
+    plugin: Plugins = None,
+    device: Device = "cpu",
+) -> None:
+    """Check that a method does what every method must, on a world whose truth is known.
+
+    A tick list: what holds, what fails and what would do, and what does not apply (-). Weights are
+    random, so nothing is said of quality. Exit code 1 if a claim fails.
+
+    Examples:
+
+      rlbench check ours
+
+      rlbench check bright --plugin bright.py
+
+      rlbench check all
+    """
+    _use(plugin)
+    from rlbench.check.tell import check as examine
+
+    raise typer.Exit(0 if examine(asked.split(methods), asked.device(device)) else 1)
 
 
 @app.command()

@@ -1,0 +1,63 @@
+"""Claims of samples: what a method buys, which budgets it takes, and what it may not see."""
+
+from __future__ import annotations
+
+from rlbench.check import worlds
+from rlbench.check.finding import Finding, moot, wrong
+from rlbench.check.promises import unsound
+from rlbench.check.subject import Subject
+from rlbench.check.watched import same
+
+FEW = 2  # samples of each pixel in a short pool
+LEAST = 0.01  # samples per pixel: the budget of a method without a lower limit that is not zero
+
+
+def budget(subject: Subject) -> Finding | None:
+    """Neither more nor less: methods are compared at equal samples."""
+    bought = [int(each.samples.counts.sum()) for each in subject.usual.shown]
+    asked = round(subject.budget * subject.size.h * subject.size.w)
+    if bought == [asked] * worlds.FRAMES:
+        return None
+    return wrong(f"{bought} samples in {worlds.FRAMES} frames, {asked} asked for in each")
+
+
+def leak(subject: Subject) -> Finding | None:
+    """With NaN for reference and unbought samples the images are what they were."""
+    first = subject.usual
+    again = subject.run(worlds.clip_of([worlds.poisoned(each) for each in first.shown]))
+    if all(map(same, first.images, again.images)):
+        return None
+    return wrong("images change where the reference and the samples that it did not buy are NaN")
+
+
+def spread(subject: Subject) -> Finding | None:
+    """Its lowest and highest budget, and one that is no whole number above the lowest."""
+    low, high = subject.traits.spp
+    high = min(high, float(worlds.POOL))
+    first = worlds.clip_of(subject.small().frames[:1])
+    for spp in dict.fromkeys((max(low, LEAST), min(low + 0.5, high), high)):
+        try:
+            run = subject.run(first, spp)
+        except Exception as error:  # whatever it raises is what it says of this budget
+            return wrong(f"at {spp:g} spp: {type(error).__name__}: {error}", error)
+        if why := unsound(run):
+            return wrong(f"at {spp:g} spp, {why}")
+    return None
+
+
+def nothing(subject: Subject) -> Finding | None:
+    """History, albedo and normals are there all the same."""
+    if subject.traits.spp[0] > 0:
+        return moot(f"it asks for {subject.traits.spp[0]:g} spp at least")
+    why = unsound(subject.run(subject.small(), 0.0))
+    return wrong(why) if why else None
+
+
+def fewer(subject: Subject) -> Finding | None:
+    """Clips of others hold what they hold."""
+    low, high = subject.traits.spp
+    spp = min(max(1.0, low), high)
+    if spp > FEW:
+        return moot(f"it asks for {low:g} spp at least")
+    why = unsound(subject.run(subject.small(pool=FEW), spp))
+    return wrong(why) if why else None

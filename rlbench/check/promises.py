@@ -1,0 +1,120 @@
+"""Claims of form: how a method is built, what it reads, and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import is_dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rlbench.check import worlds
+from rlbench.check.finding import Finding, moot, wrong
+from rlbench.check.subject import Run, Subject
+from rlbench.check.watched import Watched, flaw
+from rlbench.run import unroll
+
+
+def built(subject: Subject) -> Finding | None:
+    """Its traits are those of its family's table; anything else `registry.method` refuses."""
+    if subject.method.traits == subject.traits:
+        return None
+    return wrong(f"it is built with {subject.method.traits}, and declared with {subject.traits}")
+
+
+def frozen(subject: Subject) -> Finding | None:
+    """An attribute that can be set is a memory that the bench cannot see."""
+    kind = type(subject.method)
+    parameters: Any = getattr(kind, "__dataclass_params__", None)
+    if is_dataclass(kind) and parameters.frozen:
+        return None
+    return wrong(f"it is a {kind.__name__}, which can be written to")
+
+
+def runs(subject: Subject) -> Finding | None:
+    """No network halves 77 or 123 pixels without padding."""
+    return _shows(subject.usual)
+
+
+def small(subject: Subject) -> Finding | None:
+    """Sides that are smaller than what a network halves to one pixel, or pads by."""
+    return _shows(subject.run(worlds.world(subject.device, worlds.SEED, worlds.TINY)))
+
+
+def image(subject: Subject) -> Finding | None:
+    """As metrics take it, which would broadcast or round anything else without a word."""
+    size = subject.size
+    for shown in subject.usual.shown:
+        found = shown.image
+        if found.shape != (1, 3, size.h, size.w) or found.dtype != torch.float32:
+            return wrong(f"frame {shown.frame.index} is of {found.dtype} {list(found.shape)}")
+    why = unsound(subject.usual)
+    return wrong(why) if why else None
+
+
+def density(subject: Subject) -> Finding | None:
+    """What is not finite or is negative cannot be bought."""
+    size, watched = subject.size, subject.usual.watched
+    for wished in watched.densities:
+        if why := flaw(wished, (1, 1, size.h, size.w)):
+            return wrong(why)
+    wanted = worlds.FRAMES * len(subject.traits.passes)
+    if len(watched.densities) != wanted:
+        return wrong(f"there are {len(watched.densities)}, wanted {wanted}")
+    return None
+
+
+def uniform(subject: Subject) -> Finding | None:
+    """Of a stored clip it is given no more samples than uniform sampling needs."""
+    if subject.traits.adapts:
+        return moot("it declares that it adapts")
+    for wished in subject.usual.watched.densities:
+        if isinstance(wished, Tensor) and bool(wished.max() > wished.min()):
+            return wrong(f"one goes from {float(wished.min()):g} to {float(wished.max()):g}")
+    return None
+
+
+def reads(subject: Subject) -> Finding | None:
+    """What is declared is read from disk or traced, whether or not it is of use."""
+    read, declared = subject.usual.watched.read, subject.traits.needs
+    if read == declared:
+        return None
+    return wrong(f"it reads {_names(read)}, and declares {_names(declared)}")
+
+
+def inputs(subject: Subject) -> Finding | None:
+    """The bench, the trainer and the next pass go on with what it was given."""
+    written = subject.usual.watched.written
+    return wrong(f"it changes {_names(written)} in place") if written else None
+
+
+def graph(subject: Subject) -> Finding | None:
+    """A state with a graph keeps all frames before it in memory."""
+    watched = Watched(subject.method)
+    with torch.inference_mode(False), torch.enable_grad():
+        list(unroll(watched, worlds.clip_of(subject.small().frames[:2]), subject.budget))
+    return (
+        wrong(f"gradients would flow through {_names(watched.graphs)}") if watched.graphs else None
+    )
+
+
+def unsound(run: Run) -> str | None:
+    """Which frame has values that are not finite, or None if there is none."""
+    for shown in run.shown:
+        if bad := int((~torch.isfinite(shown.image)).sum()):
+            told = f"{bad} of {shown.image.numel()} values that are not finite"
+            return f"frame {shown.frame.index} has {told}"
+    return None
+
+
+def _shows(run: Run) -> Finding | None:
+    """Is there an image of every frame, as large as the frame?"""
+    for shown in run.shown:
+        wanted, found = shown.frame.reference.a.shape, shown.image.shape
+        if wanted != found:
+            return wrong(f"an image of {list(found)} for a frame of {list(wanted)}")
+    return None
+
+
+def _names(some: set[str] | frozenset[str]) -> str:
+    return ", ".join(sorted(some)) or "none"
