@@ -6,6 +6,9 @@ import re
 from pathlib import Path
 
 from rlbench import registry
+from rlbench.check.finding import Verdict
+from rlbench.check.subject import Subject
+from rlbench.check.suite import examine
 from rlbench.frames import Size
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
@@ -24,6 +27,15 @@ def test_the_method_of_the_readme_runs_and_samples_the_bright(tmp_path):
     light = list(clip)[1].reference.mean.mean(1, keepdim=True)
     bright = light > light.median()
     assert counts[bright].float().mean() > counts[~bright].float().mean()
+
+
+def test_the_method_of_the_readme_is_sound(tmp_path):
+    (snippet,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    (tmp_path / "bright.py").write_text(snippet)
+    registry.use_plugin(tmp_path / "bright.py")
+    found = {claim.name: finding.verdict for claim, finding in examine(Subject("bright"))}
+    assert {name for name in found if found[name] is not Verdict.HOLDS} == {"uniform", "temporal"}
+    assert Verdict.FAILS not in found.values()
 
 
 def test_every_file_that_the_readme_names_is_there():

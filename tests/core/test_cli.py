@@ -27,6 +27,7 @@ COMMANDS = (
     "import",
     "lint",
     "train",
+    "check",
     "report",
     "regress",
     "doctor",
