@@ -31,7 +31,9 @@ def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Floa
     The change is the sum over pixels of the logarithm of the difference in albedo, normal and
     depth, down to the floor: 1 where the moved picture equals the other, 0 where it is no better
     than without motion, below 0 where it is worse. Logarithms, so that a pixel that was hidden
-    weighs no more than one that fits. Motion that leads outside the image explains nothing.
+    weighs no more than one that fits. Motion that leads outside the image explains nothing. Of
+    background there is nothing to compare, and what an object hid of it would tell against any
+    motion that is more than none: it is left out.
     """
     shares, step = [], DIRECTIONS[reading.direction]
     pictures = _pictures(footage)
@@ -40,7 +42,10 @@ def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Floa
         now, other = pictures[index, None], pictures[index + step, None]
         still, _ = _doubt(now, other, torch.zeros_like(motion))
         moved, valid = _doubt(now, other, motion)
-        shares.append(((still - moved) * valid).sum() / still.sum().clamp_min(1e-9))
+        seen = (now != 0).any(1, keepdim=True)
+        shares.append(
+            ((still - moved) * (valid & seen)).sum() / (still * seen).sum().clamp_min(1e-9)
+        )
     return torch.stack(shares)
 
 
@@ -68,16 +73,17 @@ def _doubt(
     for x, y in product((torch.floor, torch.ceil), (torch.floor, torch.ceil)):
         tap, valid = reproject(other, torch.stack((x(motion[:, 0]), y(motion[:, 1])), 1))
         least = torch.where(valid, least.minimum(_differences(now, tap)), least)
-    least = least / torch.cat(
-        (torch.ones_like(near), torch.ones_like(near), near.clamp_min(1e-9)), 1
-    )
     return (least / FLOOR).log1p().mean(1, keepdim=True), inside
 
 
 def _differences(now: Tensor, other: Tensor) -> Float[Tensor, "1 3 h w"]:
-    """Of albedo, normal and disparity."""
+    """Of albedo, normal and disparity, the last as a share of the larger one.
+
+    Where one is background, whose disparity is 0, the share is 1, whichever of the two it is.
+    """
     apart = (now - other).abs()
-    parts = (apart[:, :3].mean(1), apart[:, 3:6].mean(1), apart[:, 6])
+    larger = torch.maximum(now[:, 6], other[:, 6]).clamp_min(1e-9)
+    parts = (apart[:, :3].mean(1), apart[:, 3:6].mean(1), apart[:, 6] / larger)
     return torch.stack(parts, 1)
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from rlbench import paths
 from rlbench.clips import ClipError, has_frame
 from rlbench.frames import BUFFERS
-from rlbench.header import FILE
+from rlbench.header import FILE, Header
+from rlbench.provenance import machine
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.presets import Preset
-from rlbench.render.rounds import NOTES, noted
+from rlbench.render.rounds import NOTES, noted, stored_ceiling_db
 from rlbench.render.scene import Scene
 
 POOLS = ("path",)
@@ -64,6 +65,48 @@ class Job:
     def finished(self) -> bool:
         """Is there a header, and every frame, of this very scene?"""
         return (self.folder / FILE).is_file() and not self.missing
+
+    def header(
+        self,
+        sampler: str,
+        version: str,
+        sample_ms: float,
+        seed: int = 0,
+        stratified: bool = False,
+    ) -> Header:
+        """What clip.toml says of the clip, whose frames are all there.
+
+        The arguments are what only the tracer knows: its name, version, time of a sample (nan: not
+        known) and seed, and whether samples of a half of the reference follow a pattern.
+        """
+        plan, scene = self.preset, self.scene
+        return Header(
+            name=self.name,
+            scene=scene.name,
+            preset=plan.name,
+            sampler=sampler,
+            sampler_version=version,
+            height=plan.size[0],
+            width=plan.size[1],
+            frames=plan.frames,
+            seed=seed,
+            exposure=scene.exposure,
+            pool_spp=plan.pool_spp,
+            radiance_cap=plan.cap,
+            reference_spp=tuple(map(self.spent, range(plan.frames))),
+            stratified=stratified,
+            noise_ceiling_db=tuple(
+                stored_ceiling_db(self.folder, index, *plan.size, scene.exposure)
+                for index in range(plan.frames)
+            ),
+            buffers=self.buffers,
+            pools=POOLS,
+            static=scene.static,
+            cuts=tuple(cut for cut in scene.cuts if cut < plan.frames),
+            licence=scene.licence,
+            sample_ms=sample_ms,
+            device=machine().cpu,
+        )
 
     def claim(self) -> None:
         """Say what the frames of a folder are, after removing those of another scene or preset.

@@ -20,9 +20,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rlbench import paths, registry
 from rlbench.clips import Header, write_header
 from rlbench.engine import LOCAL, Engine, Tell
-from rlbench.provenance import machine
-from rlbench.render import llvm, rounds
-from rlbench.render.job import POOLS, Job
+from rlbench.render import llvm
+from rlbench.render.job import Job
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
 from rlbench.render.studio import SEED, Shot, Studio, keep, share
@@ -152,33 +151,8 @@ def _raise_first(errors: list[Exception]) -> None:
 
 
 def _header(job: Job, tracer: Tracer) -> Header:
-    plan, scene = job.preset, job.scene
-    return Header(
-        name=job.name,
-        scene=scene.name,
-        preset=plan.name,
-        sampler="mitsuba path",
-        sampler_version=f"{importlib.metadata.version('mitsuba')} {llvm.activate()}",
-        height=plan.size[0],
-        width=plan.size[1],
-        frames=plan.frames,
-        seed=SEED,
-        exposure=scene.exposure,
-        pool_spp=plan.pool_spp,
-        radiance_cap=plan.cap,
-        reference_spp=tuple(map(job.spent, range(plan.frames))),
-        noise_ceiling_db=tuple(
-            rounds.stored_ceiling_db(job.folder, index, *plan.size, scene.exposure)
-            for index in range(plan.frames)
-        ),
-        buffers=job.buffers,
-        pools=POOLS,
-        static=scene.static,
-        cuts=tuple(cut for cut in scene.cuts if cut < plan.frames),
-        licence=scene.licence,
-        sample_ms=tracer.sample_ms(),
-        device=machine().cpu,
-    )
+    version = f"{importlib.metadata.version('mitsuba')} {llvm.activate()}"
+    return job.header("mitsuba path", version, tracer.sample_ms(), seed=SEED)
 
 
 def _duration(seconds: float) -> str:

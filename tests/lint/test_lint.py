@@ -16,6 +16,7 @@ from rlbench.lint.checks import examine, geometry
 from rlbench.lint.finding import Verdict
 from rlbench.lint.footage import Footage, read_footage
 from rlbench.lint.geometry import VIEW, rotation
+from rlbench.lint.motion import motion as check_motion
 from rlbench.lint.noise import bounded, correlation, ratio
 from rlbench.lint.reading import STORED, Reading, readings
 from rlbench.lint.reference import ceiling_db, half_noise
@@ -224,3 +225,25 @@ def test_the_command_fails_where_a_check_does(footage, tmp_path):
     found = CliRunner().invoke(app, ["lint", str(tmp_path / "clips")])
     assert found.exit_code == 1, found.output
     assert "both halves are the same image" in found.output
+
+
+def test_an_object_before_nothing_is_judged_by_itself():
+    """A disc that turns before a void, as an orbit around it shows it: what is behind moves on."""
+    frames, h, w, turn, pan = 3, 64, 96, 0.2, 0.55  # pixels a frame: of the disc, and behind it
+    y, x = torch.meshgrid(torch.arange(h) - 31.3, torch.arange(w) - 47.6, indexing="ij")
+    disc = (x.square() + y.square() < 14**2).expand(frames, 1, h, w)
+    at = torch.stack([x - turn * t for t in range(frames)])[:, None]
+    waves = [torch.sin(a * at + b * y) for a, b in ((0.9, 0.4), (-0.5, 1.1), (0.3, -0.8))]
+    texture = torch.cat(waves, 1)
+    motion = torch.zeros(frames, 2, h, w)
+    motion[:, :1] = torch.where(disc, -turn, pan)
+    view = {
+        "albedo": (texture * 0.4 + 0.5).where(disc, 0.0),
+        "normal": torch.nn.functional.normalize(texture + 2, dim=1).where(disc, 0.0),
+        "depth": torch.where(disc, 4.0, torch.inf),
+        "motion": motion,
+    }
+    light = torch.zeros(frames, 3, h, w)
+    header = replace(clean(frames=1).header, frames=frames, reference_spp=(1,) * frames)
+    found = check_motion(Footage(header, view, {}, light, light))
+    assert found.verdict is Verdict.PASS, found.found

@@ -19,14 +19,13 @@ from rich.console import Console
 from rich.progress import Progress
 
 from rlbench import paths
-from rlbench.clips import Header, write_frame, write_header
-from rlbench.provenance import machine
+from rlbench.clips import write_frame, write_header
 from rlbench.render import rounds, sight
 from rlbench.render.cycles import passes
 from rlbench.render.cycles.opened import Found, opened
 from rlbench.render.cycles.order import Parameters, Picture, order, seed
 from rlbench.render.cycles.process import run
-from rlbench.render.job import POOLS, Job
+from rlbench.render.job import Job
 from rlbench.render.own import Wish, job_of, told
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
@@ -154,7 +153,10 @@ def _render(shoot: Shoot) -> None:
         task = bar.add_task(job.name, total=paths_left)
         for spp in _frames(shoot):
             bar.advance(task, spp * area)
-    write_header(job.folder, _header(shoot))
+    version = f"Blender {shoot.found.blender}, {job.scene.depth - 2} bounces, light tree"
+    seconds = _seconds(shoot.work)
+    sample_ms = seconds * 1e3 if np.isfinite(seconds) else float("nan")
+    write_header(job.folder, job.header("cycles", version, sample_ms, stratified=True))
     shutil.rmtree(shoot.work)
 
 
@@ -254,32 +256,3 @@ def _time(work: Path, seconds: float) -> None:
 def _seconds(work: Path) -> float:
     note = work / "seconds.txt"
     return float(note.read_text()) if note.is_file() else float("inf")
-
-
-def _header(shoot: Shoot) -> Header:
-    job, plan, scene = shoot.job, shoot.job.preset, shoot.job.scene
-    seconds = _seconds(shoot.work)
-    return Header(
-        name=job.name,
-        scene=scene.name,
-        preset=plan.name,
-        sampler="cycles",
-        sampler_version=f"Blender {shoot.found.blender}, {scene.depth - 2} bounces, light tree",
-        height=plan.size[0],
-        width=plan.size[1],
-        frames=plan.frames,
-        exposure=scene.exposure,
-        pool_spp=plan.pool_spp,
-        reference_spp=tuple(map(job.spent, range(plan.frames))),
-        stratified=True,
-        noise_ceiling_db=tuple(
-            rounds.stored_ceiling_db(job.folder, index, *plan.size, scene.exposure)
-            for index in range(plan.frames)
-        ),
-        buffers=job.buffers,
-        pools=POOLS,
-        static=scene.static,
-        licence=scene.licence,
-        sample_ms=seconds * 1e3 if np.isfinite(seconds) else float("nan"),
-        device=machine().cpu,
-    )
