@@ -229,7 +229,7 @@ def test_the_command_fails_where_a_check_does(footage, tmp_path):
 
 def test_an_object_before_nothing_is_judged_by_itself():
     """A disc that turns before a void, as an orbit around it shows it: what is behind moves on."""
-    frames, h, w, turn, pan = 3, 64, 96, 0.2, 0.55  # pixels a frame: of the disc, and behind it
+    frames, h, w, turn, pan = 3, 64, 96, 0.1, 1.1  # pixels a frame: of the disc, and behind it
     y, x = torch.meshgrid(torch.arange(h) - 31.3, torch.arange(w) - 47.6, indexing="ij")
     disc = (x.square() + y.square() < 14**2).expand(frames, 1, h, w)
     at = torch.stack([x - turn * t for t in range(frames)])[:, None]
