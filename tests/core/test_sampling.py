@@ -71,6 +71,18 @@ def test_floor_and_cap_hold(wish):
 
 
 @settings(deadline=None)
+@given(wishes(), st.randoms(use_true_random=False))
+def test_counts_move_with_their_pixels_up_to_rounding(wish, draw):
+    density, cost, low, high = wish
+    order = list(range(len(density)))
+    draw.shuffle(order)
+    moved = spent([density[i] for i in order], cost, [low[i] for i in order], high)
+    counts = spent(density, cost, low, high)
+    # each is its share rounded down or up, and who is rounded up depends on the place
+    assert all(abs(moved[at] - counts[i]) <= 1 for at, i in enumerate(order))
+
+
+@settings(deadline=None)
 @given(wishes(), st.floats(2**-20, 2**20))
 def test_scale_does_not_matter(wish, scale):
     density, cost, low, high = wish

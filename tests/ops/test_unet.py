@@ -26,6 +26,7 @@ NAMES = [*ENCODER, *DECODER, "dec_conv0"]
     [
         (3, BASE, 914_627),
         (6, BASE, 917_219),
+        (7, BASE, 918_083),
         (9, BASE, 919_811),  # in half precision, the size of OIDN's own file
         (10, BASE, 920_675),
         (32, BASE, 939_683),
