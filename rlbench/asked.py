@@ -93,27 +93,6 @@ def seeds(text: str | None) -> tuple[int, ...] | None:
     return tuple(found)
 
 
-def generated(preset: str, chosen: tuple[int, ...] | None = None) -> list[Path]:
-    """The clip folders to train on: a preset's, or generated ones of the seeds chosen.
-
-    What is missing is rendered now. Raises AskedError where the preset holds scored scenes, or
-    where there are too few clips to keep one for validation.
-    """
-    from rlbench.render.presets import PRESETS
-
-    if chosen is not None:
-        if len(chosen) < 2:
-            raise AskedError(f"--seeds {chosen[0]} is one clip; at least 2 are needed, 1 validates")
-        return rendered(None, preset, chosen=chosen)
-    if preset in PRESETS and (scored := PRESETS[preset].scenes):
-        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scenes)
-        raise AskedError(
-            f"preset '{preset}' has scenes that methods are scored on ({', '.join(scored)}), so "
-            f"nothing may be trained on it; there is: {fit}"
-        )
-    return rendered(None, preset)
-
-
 def own_scene(
     scene: Path | None,
     scenes: list[str] | None,

@@ -158,11 +158,16 @@ def train(
     half: Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")] = False,
     seed: int = 0,
     device: Device = "auto",
-    preset: Preset = "train",
+    preset: Annotated[str | None, typer.Option(help="default train; mini with --holdout")] = None,
     seeds: Seeds = None,
+    holdout: Annotated[
+        str | None, typer.Option(help="train on the scored scenes but this one")
+    ] = None,
     plugin: Plugins = None,
 ) -> None:
     """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
+
+    With --holdout it is the papers' protocol instead: all scored scenes but one, the one to score.
 
     Examples:
 
@@ -171,9 +176,11 @@ def train(
       rlbench train -m ours --minutes 30 --device cuda
 
       rlbench train -m ours --seeds 0:48
+
+      rlbench train -m ntas --holdout hall --preset standard
     """
     _use(plugin)
-    from rlbench import registry, show
+    from rlbench import registry, show, trainset
     from rlbench.training import Plan
     from rlbench.training import train as fit
 
@@ -181,18 +188,16 @@ def train(
     learning = [name for name in names if registry.learns(name)]
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    folders = asked.generated(preset, asked.seeds(seeds)) if learning else []
-    validate = folders[:: max(len(folders) // 2, 2)][:2]
+    chosen = trainset.chosen(preset, asked.seeds(seeds), holdout) if learning else trainset.NONE
     plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
     command = shlex.join(["rlbench", *sys.argv[1:]])
     for name in learning:
-        place = out / name.replace("/", "-")
-        train_on = [folder for folder in folders if folder not in validate]
+        place = out / (name.replace("/", "-") + (f"-without-{holdout}" if holdout else ""))
         with show.training(name, frames) as tell:
             fit(
                 name,
-                train_on,
-                validate,
+                chosen.train,
+                chosen.validate,
                 place,
                 plan,
                 str(asked.device(device)),

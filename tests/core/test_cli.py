@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import asked, table
+from rlbench import asked, table, trainset
 from rlbench.cli import app
 from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
@@ -172,14 +172,36 @@ def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
 
     monkeypatch.setattr("rlbench.render.record.ensure", ensure)
     rlbench("render", "--preset", "train", "--seeds", "0:48")
-    asked.generated("train", (30, 31))
-    asked.generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    trainset.generated("train", (30, 31))
+    trainset.generated("mini", (30, 31))  # generated scenes, as large as those of mini
     whole = tuple(range(48))
     assert wanted == [
         ("train", None, whole),
         ("train", None, (30, 31)),
         ("mini", None, (30, 31)),
     ]
+
+
+def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
+    def ensure(plan, scenes, seeds, engine):
+        return [Path(plan.name, str(name)) for name in scenes or seeds]
+
+    monkeypatch.setattr("rlbench.render.record.ensure", ensure)
+    held = trainset.chosen("standard", None, "hall")
+    assert held.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
+    assert held.validate == [Path("train", "0"), Path("train", "14")]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--holdout", "attic"), "preset 'mini' has no such scene; it has: city, temple, hall,"),
+        (("--holdout", "hall", "--preset", "train"), "takes a preset with scenes that are scored"),
+        (("--holdout", "hall", "--seeds", "0:9"), "--holdout trains on those scored"),
+    ],
+)
+def test_what_cannot_be_held_out_is_told(words, told):
+    assert told in rlbench("train", "-m", "oidn", *words, code=2)
 
 
 def test_one_clip_is_too_few_to_train_on():

@@ -1,0 +1,71 @@
+"""Which clips a training sees and which validate it: generated ones, or all scenes but one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from rlbench.asked import AskedError, rendered
+
+VALIDATING = (0, 14)  # seeds of generated scenes, where it is not these that are trained on
+
+
+class TrainSet(NamedTuple):
+    """Clip folders; no clip is in both."""
+
+    train: list[Path]
+    validate: list[Path]
+
+
+NONE = TrainSet([], [])  # of a training in which nothing learns
+
+
+def chosen(preset: str | None, seeds: tuple[int, ...] | None, without: str | None) -> TrainSet:
+    """What --preset, --seeds and --holdout ask for together. Raises AskedError."""
+    if without is None:
+        return generated(preset or "train", seeds)
+    if seeds is not None:
+        raise AskedError("--seeds are of generated scenes; --holdout trains on those scored")
+    return holdout(without, preset or "mini")
+
+
+def generated(preset: str, seeds: tuple[int, ...] | None = None) -> TrainSet:
+    """Generated scenes, a preset's or those of some seeds; the first and the middle validate.
+
+    Clips that are missing are rendered now. Raises AskedError where the preset holds scored scenes,
+    or where there are too few clips to keep one for validation.
+    """
+    from rlbench.render.presets import PRESETS
+
+    if seeds is not None and len(seeds) < 2:
+        raise AskedError(f"--seeds {seeds[0]} is one clip; at least 2 are needed, 1 validates")
+    if seeds is None and preset in PRESETS and (scored := PRESETS[preset].scenes):
+        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scenes)
+        raise AskedError(
+            f"preset '{preset}' has scenes that methods are scored on ({', '.join(scored)}), so "
+            f"nothing may be trained on it; there is: {fit}"
+        )
+    folders = rendered(None, preset, chosen=seeds)
+    validate = folders[:: max(len(folders) // 2, 2)][:2]
+    return TrainSet([folder for folder in folders if folder not in validate], validate)
+
+
+def holdout(scene: str, preset: str) -> TrainSet:
+    """All scenes of a preset but one, which is to be scored: leave-one-scene-out.
+
+    As Scardigli et al. 2023 evaluate. Two generated scenes validate, so that nothing of the
+    scene held out decides anything. Clips that are missing are rendered now. Raises AskedError
+    where the preset has no such scene.
+    """
+    from rlbench.render.presets import PRESETS
+
+    known = PRESETS[preset].scenes if preset in PRESETS else ()
+    if known and scene not in known:
+        raise AskedError(
+            f"--holdout {scene}: preset '{preset}' has no such scene; it has: {', '.join(known)}"
+        )
+    if not known:
+        fit = ", ".join(name for name, plan in PRESETS.items() if plan.scenes)
+        raise AskedError(f"--holdout takes a preset with scenes that are scored: --preset {fit}")
+    folders = rendered([name for name in known if name != scene], preset)
+    return TrainSet(folders, rendered(None, "train", chosen=VALIDATING))
