@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rlbench import registry
+from rlbench import provenance, registry
 from rlbench.frames import Clip, Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
 from rlbench.method import Method
@@ -27,7 +27,14 @@ METHODS = [
     if not registry.broken("methods", family)
     for name in registry.family(family).names()
 ]
-every_method = pytest.mark.parametrize("name", METHODS)
+LACKS = {name: provenance.missing(registry.variant(name).packages) for name in METHODS}
+every_method = pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.skipif(bool(absent), reason=f"needs {absent}"))
+        for name, absent in LACKS.items()
+    ],
+)
 
 
 @cache
