@@ -137,8 +137,12 @@ class Names:
 
     @cached_property
     def weights(self) -> dict[str, str]:
-        """Hash of each method's weights; empty where it has none."""
-        return {name: self._weights(name) for name in self.request.methods}
+        """Hash of each method's weights, and versions of packages that bring them; or empty."""
+        brought = {n: registry.variant(n).packages for n in self.request.methods}
+        return {
+            name: ", ".join(filter(None, (self._weights(name), provenance.releases(packages))))
+            for name, packages in brought.items()
+        }
 
     def _weights(self, name: str) -> str:
         if not registry.variant(name).learned:

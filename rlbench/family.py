@@ -47,6 +47,7 @@ class Variant:
     traits: Traits
     learned: bool = True  # does it need trained weights?
     borrows: str | None = None  # the variant whose weights it uses, if not its own
+    packages: tuple[str, ...] = ()  # distributions that make its images; measured anew with others
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,16 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
 
 
+def releases(packages: Iterable[str]) -> str:
+    """The packages and their versions, `pyoidn 2.5.1.0`; of one that is not installed, "none"."""
+    return ", ".join(f"{name} {_version(name)}" for name in packages)
+
+
+def missing(packages: Iterable[str]) -> list[str]:
+    """Those of the packages that are not installed."""
+    return [name for name in packages if _version(name) == "none"]
+
+
 def commit(folder: Path = Path(__file__).parent) -> str:
     """The commit of the checkout that tracks this code, 12 hex digits, with "+" if it was changed.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from rlbench import provenance
 from rlbench.family import Family, Variant
 from rlbench.plugins import (
     GROUPS,
@@ -97,13 +98,16 @@ def variant(name: str) -> Variant:
 def method(name: str, device: torch.device | str = "cpu", weights: str | None = None) -> Method:
     """The method `family` or `family/variant` on a device, with shipped, given or random weights.
 
-    Raises PluginError if its traits are not those that its family declares.
+    Raises PluginError if a package that it needs is not installed, or if its traits are not those
+    that its family declares.
     """
     import torch
 
     from rlbench.method import Method
 
     declared = variant(name)
+    if absent := " ".join(provenance.missing(declared.packages)):
+        raise PluginError(f"'{name}' needs {absent}, which is not here: pip install {absent}")
     build = resolve(family(name).build)
     built = build(name.partition("/")[2], torch.device(device), weights)
     if not isinstance(built, Method):

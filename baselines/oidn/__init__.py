@@ -2,16 +2,16 @@
 
 from rlbench.family import Family, Traits, Variant
 
+TRAITS = Traits(needs=frozenset({"albedo", "normal"}), spp=(1.0, 8.0))
+
 FAMILY = Family(
     name="oidn",
     title="Open Image Denoise, retrained",
     paper="Áfra 2019, Intel Open Image Denoise",
     licence="Apache-2.0 (reimplemented; the weights are ours)",
     variants={
-        "": Variant(
-            "How far does a plain U-Net get on uniform samples, without memory?",
-            Traits(needs=frozenset({"albedo", "normal"}), spp=(1.0, 8.0)),
-        ),
+        "": Variant("How far does a plain U-Net get on uniform samples, without memory?", TRAITS),
+        "small": Variant("Is a third of the parameters enough?", TRAITS),
     },
     build="baselines.oidn.method:build",
     train="baselines.oidn.train:trainer",

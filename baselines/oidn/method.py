@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.oidn import FAMILY
+from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import Size, View
 from rlbench.ops.exposure import autoexposure
@@ -59,7 +59,7 @@ class Oidn:
     """
 
     network: nn.Module  # 9 channels to 3, in transfer space
-    traits: Traits = FAMILY.variants[""].traits
+    traits: Traits = TRAITS
     expose: Expose = field(default=autoexposure)  # noisy image to exposure
     develop: Develop = field(default=develop)  # network's output and exposure to image
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -55,8 +56,12 @@ def test_the_network_has_oidns_size(variant, parameters):
     assert sum(p.numel() for p in network.parameters()) == parameters
 
 
+def test_small_differs_in_its_widths_alone():
+    assert replace(VARIANTS["small"], widths=VARIANTS[""].widths) == VARIANTS[""]
+
+
 def test_every_variant_of_the_family_can_be_built():
-    assert set(FAMILY.variants) <= set(VARIANTS)
+    assert set(FAMILY.variants) == set(VARIANTS)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (21, 35)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -218,6 +219,35 @@ def test_a_method_whose_code_is_not_there_does_not_stop_the_others(clip_folder, 
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
     assert done == Done(measured=1, refused=1)
     assert "ModuleNotFoundError: No module named 'nowhere'" in reasons(tmp_path / "r")
+
+
+def packaged(path: Path, package: str) -> Path:
+    """A plugin whose images are made by another package."""
+    plugin = write_plugin(path, "odd")
+    told = f"learned=False, packages=({package!r},)"
+    plugin.write_text(plugin.read_text().replace("learned=False", told))
+    return plugin
+
+
+def test_a_package_that_is_not_installed_is_a_reason_with_what_to_do(clip_folder, tmp_path):
+    registry.use_plugin(packaged(tmp_path / "odd.py", "nowhere-at-all"))
+    done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
+    assert done == Done(measured=1, refused=1)
+    reason = (
+        "PluginError: 'odd' needs nowhere-at-all, which is not here: pip install nowhere-at-all"
+    )
+    assert reason in reasons(tmp_path / "r")
+
+
+def test_another_version_of_a_package_that_makes_the_images_is_measured_anew(
+    clip_folder, tmp_path, monkeypatch
+):
+    registry.use_plugin(packaged(tmp_path / "odd.py", "numpy"))
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(known=1)
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: f"99.{len(name)}")
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1, replaced=1)
+    assert set(table.read(tmp_path / "r").weights) == {"numpy 99.5"}
 
 
 def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):

@@ -1,0 +1,107 @@
+"""Intel's library through pyoidn: one filter for one image size, with Intel's weights or others."""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+IMAGES = ("color", "albedo", "normal", "output")
+
+
+class LibraryError(RuntimeError):
+    """What the library itself reports."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the library's ray-tracing filter is set, for HDR colour with albedo and normal."""
+
+    quality: str = "high"  # high, balanced, fast
+    clean: bool = False  # albedo and normal are claimed to be free of noise
+    weights: bytes = b""  # a TZA file to use in place of Intel's
+
+
+class Filter:
+    """The filter for images of one size on so many threads of this processor.
+
+    Not for two threads of a program at once: the images that the library reads lie in here.
+    """
+
+    def __init__(self, settings: Settings, h: int, w: int, threads: int) -> None:
+        """Build the library's network. Raises LibraryError, e.g. for weights that are no TZA."""
+        import pyoidn  # an extra; what only lists methods does not need it
+
+        self._images = {name: np.zeros((h, w, 3), np.float32) for name in IMAGES}
+        self._weights = settings.weights  # the library does not copy them
+        self._device = pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU)
+        weakref.finalize(self, self._device.release)
+        self._device.set_int("numThreads", threads)
+        self._device.set_bool("setAffinity", False)  # as torch, which pins no thread either
+        self._device.commit()
+        self._check()
+
+        self._filter = pyoidn.Filter(self._device, pyoidn.OIDN_FILTER_TYPE_RT)
+        weakref.finalize(self, self._filter.release)
+        for name, image in self._images.items():
+            self._filter.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
+        self._filter.set_bool("hdr", True)
+        self._filter.set_bool("cleanAux", settings.clean)
+        self._filter.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{settings.quality.upper()}"))
+        if self._weights:
+            _give_weights(self._filter, self._weights)
+        self._filter.commit()
+        self._check()
+
+    def __call__(
+        self,
+        colour: Float[Tensor, "3 h w"],
+        albedo: Float[Tensor, "3 h w"],
+        normal: Float[Tensor, "3 h w"],
+    ) -> Float[Tensor, "3 h w"]:
+        """The denoised image, linear radiance, on the device of `colour`.
+
+        `colour` is linear radiance, albedo in [0, 1], normals in [-1, 1]. The library exposes the
+        image itself. Tensors of another device are copied to the processor and back.
+        """
+        for name, image in zip(IMAGES, (colour, albedo, normal), strict=False):
+            torch.from_numpy(self._images[name]).copy_(image.movedim(0, 2))
+        self._filter.execute()
+        self._check()
+        output = torch.from_numpy(self._images["output"])
+        return output.movedim(2, 0).to(colour.device, copy=True).contiguous()
+
+    def _check(self) -> None:
+        if told := self._device.get_error():
+            raise LibraryError(f"Open Image Denoise: {told}")
+
+
+def version() -> str:
+    """Version of the library that pyoidn brings, as in "2.5.1"."""
+    import pyoidn
+
+    with pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU) as device:
+        return ".".join(
+            str(device.get_int(f"version{part}")) for part in ("Major", "Minor", "Patch")
+        )
+
+
+def _give_weights(filter_: Any, weights: bytes) -> None:
+    """Set the filter's parameter "weights", for which pyoidn has no call; the bytes are shared."""
+    from pyoidn import capi
+
+    folder = Path(capi.__file__).parent / "oidn"
+    name = capi.wrap_dylib("OpenImageDenoise")
+    (path,) = (p for p in (folder / "lib" / name, folder / "bin" / name) if p.exists())
+    give = ctypes.CDLL(str(path)).oidnSetSharedFilterData  # the library that pyoidn has loaded
+    give.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_size_t)
+    give.restype = None
+    handle = int(capi.oidn_ffi.cast("uintptr_t", filter_._filter))
+    give(handle, b"weights", weights, len(weights))
