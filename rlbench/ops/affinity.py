@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 STRIP = 2**15  # pixels taken at a time on a CPU, so that features and sums stay in its cache
+FARTHEST = -60.0  # log weight below which none goes: subnormal floats would be ten times slower
 
 
 def alike(
@@ -25,7 +26,7 @@ def alike(
     Neighbours are the pixels of the image at (p_x + i dilation, p_y + j dilation) with
     |i|, |j| <= side // 2, side odd; what lies beyond the border does not count. With a channel of
     ones in `source` the sum of weights comes out beside the weighted sums. Features f of any
-    range, sharpness a >= 0.
+    range, sharpness a >= 0. Weights below exp(-60) are exp(-60).
 
     The kernels are those of Isik et al. 2021, Interactive Monte Carlo Denoising using Affinity of
     Neural Features. Needs the memory of a few images, forward as well as backward, where unfolding
@@ -102,7 +103,7 @@ class _Alike(torch.autograd.Function):
         for p, q in _pairs(source, taps):
             distance = _difference(features, others, p, q).square_().sum(1, keepdim=True)
             for here, there in _ways(others, p, q):
-                weight = (sharpness[..., here] * distance).neg_().exp_()
+                weight = _weight(sharpness[..., here], distance)
                 total[..., here].addcmul_(weight, source[..., there])
         return total
 
@@ -119,7 +120,7 @@ class _Alike(torch.autograd.Function):
             distance = difference.square().sum(1, keepdim=True)
             steep = torch.zeros_like(distance)
             for here, there in _ways(others, p, q):
-                weight = (sharpness[..., here] * distance).neg_().exp_()
+                weight = _weight(sharpness[..., here], distance)
                 by_source[..., there].addcmul_(weight, slope[..., here])
                 rise = (slope[..., here] * source[..., there]).sum(1, keepdim=True).mul_(weight)
                 by_sharpness[..., here].addcmul_(rise, distance, value=-1)
@@ -139,6 +140,10 @@ def _pairs(like: Tensor, taps: tuple[int, ...]) -> Iterator[tuple[slice, slice]]
             first, end = max(start, -tap), min(start + strip, length, length - tap)
             if first < end:
                 yield slice(first, end), slice(first + tap, end + tap)
+
+
+def _weight(sharpness: Tensor, distance: Tensor) -> Tensor:
+    return torch.mul(sharpness, distance).neg_().clamp_min_(FARTHEST).exp_()
 
 
 def _difference(features: Tensor, others: Tensor | None, p: slice, q: slice) -> Tensor:
