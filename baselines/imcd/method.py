@@ -90,11 +90,7 @@ class Imcd:
     ) -> tuple[Float[Tensor, "n 3 h w"], State, Kernels]:
         """The same with the kernels that the image was filtered by."""
         reflectance = _reflectance(view)
-        clean = samples.radiance.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
-        noisy = clean.sum(1) / samples.counts.clamp_min(1) / reflectance
-        colours = torch.log1p(clean / reflectance[:, None])
-        seen = torch.cat((view.normal, view.albedo, squash_depth(view.depth)), 1)
-        now = self.networks.encoder(colours, seen, samples.filled)
+        noisy, now = self._seen(view, samples, reflectance)
 
         # move memory here; where there is none, it is what is seen now
         moved, valid = _moved(view, state)
@@ -110,11 +106,23 @@ class Imcd:
             state = state.detach()
         return image * reflectance, state, kernels
 
+    def _seen(
+        self, view: View, samples: Samples, reflectance: Tensor
+    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
+        """Mean light of the samples, and the mean of their embeddings e_t."""
+        clean = samples.radiance.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
+        light = clean / reflectance[:, None]
+        shape = torch.cat((view.normal, view.albedo, squash_depth(view.depth)), 1)
+        embedding = self.networks.encoder(light.log1p(), shape, samples.filled)
+        return light.sum(1) / samples.counts.clamp_min(1), embedding
+
 
 def _moved(view: View, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
-    """The state as seen from this frame, zero where it is not valid."""
+    """The state as seen from this frame, and where it is valid; zero where it is not."""
+    if state.age == 0:
+        return state, torch.zeros_like(state.light[:, :1], dtype=torch.bool)
     moved, valid = reproject(torch.cat(state[:4], 1), view.motion)
-    valid = valid & torch.isfinite(moved).all(1, keepdim=True) & (state.age > 0)
+    valid = valid & torch.isfinite(moved).all(1, keepdim=True)
     parts = moved.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State(*parts, age=state.age), valid
 
@@ -134,4 +142,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
         shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
         load_into(networks, Path(weights) if weights else shipped)
     networks.to(device).eval().requires_grad_(False)
+    networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

@@ -125,7 +125,7 @@ class UNet(nn.Module):
         level = self.dec4(_join(bottom, eighth))
         level = self.dec3(_join(level, quarter))
         level = self.dec2(_join(level, half))
-        level = F.relu(self.dec1(_join(level, full)))
+        level = F.relu(self.dec1(_join(level, full)), inplace=True)
         raw: Tensor = self.last(level)
         return raw
 
@@ -133,7 +133,7 @@ class UNet(nn.Module):
 def _pair(inputs: int, middle: int, outputs: int) -> nn.Sequential:
     first = nn.Conv2d(inputs, middle, 3, padding=1)
     second = nn.Conv2d(middle, outputs, 3, padding=1)
-    return nn.Sequential(first, nn.ReLU(), second, nn.ReLU())
+    return nn.Sequential(first, nn.ReLU(inplace=True), second, nn.ReLU(inplace=True))
 
 
 def _join(coarse: Tensor, skip: Tensor) -> Tensor:
