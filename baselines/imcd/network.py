@@ -90,7 +90,7 @@ class Encoder(nn.Module):
     def embed(self, sample: Float[Tensor, "n 10 h w"]) -> Float[Tensor, "n 32 h w"]:
         """One sample of each pixel by itself."""
         for layer in (self.first, self.second, self.third):
-            sample = F.leaky_relu(layer(sample), SLOPE)
+            sample = F.leaky_relu(layer(sample), SLOPE, inplace=True)
         return sample
 
 

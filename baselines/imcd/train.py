@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -39,14 +40,11 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     networks.draw(seed)
     networks.to(device)
     method = Imcd(networks, traits=FAMILY.variants[variant].traits)
-
-    def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        return _losses(method, clip, spp)
-
-    return Trainer(method, networks, losses, SPP)
+    return Trainer(method, networks, partial(losses, method), SPP)
 
 
-def _losses(method: Imcd, clip: Clip, spp: float) -> Iterator[Tensor]:
+def losses(method: Imcd, clip: Clip, spp: float) -> Iterator[Float[Tensor, ""]]:
+    """One loss for each `bptt` frames: the mean of theirs; see `trainer`."""
     watched = Strained(method)
     terms: list[Tensor] = []  # of the frames since the last yield
     before: tuple[Tensor, Tensor] | None = None  # image and reference of the last frame
