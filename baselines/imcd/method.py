@@ -44,7 +44,7 @@ class State(NamedTuple):
 
     def detach(self) -> State:
         """The same without its past's graph."""
-        return State(*(image.detach() for image in self[:4]), self.age)
+        return State._make((*(image.detach() for image in self[:4]), self.age))
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Imcd:
         """Nothing is remembered."""
         weight = next(self.networks.parameters())
         empty = [torch.zeros(size.n, c, size.h, size.w, device=weight.device) for c in CHANNELS]
-        return State(*empty, age=0)
+        return State._make((*empty, 0))
 
     def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
@@ -124,7 +124,7 @@ def _moved(view: View, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
     moved, valid = reproject(torch.cat(state[:4], 1), view.motion)
     valid = valid & torch.isfinite(moved).all(1, keepdim=True)
     parts = moved.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
-    return State(*parts, age=state.age), valid
+    return State._make((*parts, state.age)), valid
 
 
 def _reflectance(view: View) -> Float[Tensor, "n 3 h w"]:

@@ -56,7 +56,7 @@ class Networks(nn.Module):
         parts = (PASSES * FEATURES, PASSES, PASSES, 1, 1)
         features, sharpness, centre, past_sharpness, keep = raw.split_with_sizes(parts, 1)
         return Kernels(
-            features.unflatten(1, (PASSES, FEATURES)),
+            features.view(-1, PASSES, FEATURES, *raw.shape[-2:]),
             sharpness.square().unsqueeze(2),
             centre.sigmoid().unsqueeze(2),
             past_sharpness.square(),

@@ -75,7 +75,7 @@ def _sum(
     ]
     taps = _shifts(side, dilation, w + reach, others is None)
     total: Tensor = _Alike.apply(*flat, taps)  # type: ignore[no-untyped-call]
-    return total.unflatten(2, (h, w + reach))[..., :w]
+    return total.view(*total.shape[:2], h, w + reach)[..., :w]
 
 
 def _shifts(side: int, dilation: int, row: int, mutual: bool) -> tuple[int, ...]:
