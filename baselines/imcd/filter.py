@@ -18,7 +18,11 @@ NONE = 1e-10  # added to sums of weights, eq. 6 and 8
 
 @dataclass(frozen=True)
 class Windows:
-    """Sides of the windows that are averaged over."""
+    """Sides of the windows that are averaged over.
+
+    11 as one reimplementation of Isik et al. 2021 has it; another has 7, to save memory, which
+    here does not grow with them. The paper's own could not be verified.
+    """
 
     spatial: int = 11  # taps, odd
     temporal: int = 11  # taps, odd

@@ -65,7 +65,10 @@ class Networks(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Three 1x1 convolutions on each sample, and the mean over those that were bought."""
+    """Three 1x1 convolutions on each sample, and the mean over those that were bought.
+
+    Each is followed by LeakyReLU, of slope 0.01 as one reimplementation of Isik et al. 2021 has it.
+    """
 
     def __init__(self) -> None:
         """10 channels in, 32 out; 2,464 parameters."""
@@ -97,7 +100,8 @@ class Encoder(nn.Module):
 class UNet(nn.Module):
     """Five levels of pairs of 3x3 convolutions, 64 channels in and 32 out; 938,944 parameters.
 
-    Widths are those of two reimplementations of Isik et al. 2021 that agree. Ours: ReLU.
+    Widths, and bilinear steps up, are those of a reimplementation of Isik et al. 2021; a second
+    agrees on the widths. Ours: ReLU.
     """
 
     def __init__(self) -> None:

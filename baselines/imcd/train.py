@@ -34,7 +34,8 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     Ours, for it could not be verified: the space, linear radiance with albedo, not clamped. SMAPE
     is relative by itself, so that it needs no transfer to weigh dark and bright alike, and in
     radiance it is blind to where albedo makes up for light. Ours too: its epsilon of 0.01, whole
-    budgets from 1 to 8, and that all frames of each `bptt` count.
+    budgets from 1 to 8, and that all frames of each `bptt` count. The schedule is the one that
+    all methods here share.
     """
     networks = Networks()
     networks.draw(seed)
