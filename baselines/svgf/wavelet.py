@@ -1,0 +1,107 @@
+"""Averages over neighbours that edges of depth, normal and luminance stop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rlbench.ops.flat import Flat, ahead
+
+SPLINE = (3 / 8, 1 / 4, 1 / 16)  # B3, by distance in steps
+SQUARINGS = 7  # cosines enter with the power 128 = 2^7
+
+
+class Tap(NamedTuple):
+    """A neighbour; its opposite has the same weight."""
+
+    down: int  # pixels
+    right: int  # pixels
+    weight: float
+
+
+def box(reach: int) -> list[Tap]:
+    """All neighbours within `reach`, alike; the pixel itself weighs 1."""
+    return [Tap(y, x, 1.0) for y, x in ahead(reach)]
+
+
+def holes(step: int) -> list[Tap]:
+    """The 5 x 5 B3 spline with `step` - 1 holes between taps, divided by its central weight."""
+    kernel = [weight / SPLINE[0] for weight in SPLINE]
+    return [Tap(y * step, x * step, kernel[abs(y)] * kernel[abs(x)]) for y, x in ahead(2)]
+
+
+@dataclass(frozen=True)
+class Edges:
+    """What stops a filter, in a row: all of it but luminance, which changes from pass to pass."""
+
+    normal: Float[Tensor, "3 row"]  # unit length; zero where there is no surface
+    depth: Float[Tensor, "1 row"]  # finite everywhere
+    decay: Float[Tensor, "1 row"]  # of log weight, per depth and over distance in pixels; <= 0
+
+
+class Sums(NamedTuple):
+    """Over a pixel and its neighbours, in a row."""
+
+    values: Float[Tensor, "c row"]  # of weight * value
+    variance: Float[Tensor, "1 row"]  # of weight^2 * variance
+    weight: Float[Tensor, "1 row"]  # of weight, >= 1
+
+
+def spread(
+    flat: Flat,
+    taps: Sequence[Tap],
+    edges: Edges,
+    light: tuple[Float[Tensor, "1 row"], Float[Tensor, "1 row"]],
+    values: Float[Tensor, "c row"],
+    variance: Float[Tensor, "1 row"],
+) -> Sums:
+    """Sums over neighbours; the weight from q to p is kernel * w_z * w_n * w_l (Schied 2017, 4.4).
+
+    w_z = exp(decay_p |z_p - z_q| / |p - q|), w_n = max(0, n_p n_q)^128 and w_l = exp(keen_p
+    |l_p - l_q|), with `light` = (l, keen), keen <= 0. What two neighbours are to each other but for
+    decay and keen is the same both ways, and computed once.
+    """
+    sums = Sums(values.clone(), variance.clone(), torch.ones_like(variance))
+    for start, stop in flat.pieces(variance):
+        scratch = torch.empty(5, stop - start, device=values.device, dtype=values.dtype)
+        for tap in taps:
+            away = flat.offset(tap.down, tap.right)
+            here, there = slice(start, stop), slice(start + away, stop + away)
+            _exchange(here, there, tap, edges, light, values, variance, sums, scratch)
+    return sums
+
+
+def _exchange(
+    here: slice,
+    there: slice,
+    tap: Tap,
+    edges: Edges,
+    light: tuple[Tensor, Tensor],
+    values: Tensor,
+    variance: Tensor,
+    sums: Sums,
+    scratch: Float[Tensor, "5 piece"],
+) -> None:
+    """Add to each of two slices what the other has for it."""
+    alike, depths, lights, weight = scratch[:4].split(1)
+    normal, depth, (bright, keen) = edges.normal, edges.depth, light
+    torch.mul(normal[:1, here], normal[:1, there], out=alike)
+    alike.addcmul_(normal[1:2, here], normal[1:2, there])
+    alike.addcmul_(normal[2:, here], normal[2:, there]).clamp_min_(0)
+    for _ in range(SQUARINGS):
+        alike.mul_(alike)
+    torch.sub(depth[:, here], depth[:, there], out=depths).abs_()
+    torch.sub(bright[:, here], bright[:, there], out=lights).abs_()
+    near = (tap.down**2 + tap.right**2) ** -0.5
+    for to, source in ((here, there), (there, here)):
+        torch.mul(lights, keen[:, to], out=weight)
+        weight.addcmul_(depths, edges.decay[:, to], value=near).exp_().mul_(alike)
+        sums.values[:, to].addcmul_(values[:, source], weight, value=tap.weight)
+        sums.weight[:, to].add_(weight, alpha=tap.weight)
+        weight.mul_(weight)
+        sums.variance[:, to].addcmul_(variance[:, source], weight, value=tap.weight**2)
