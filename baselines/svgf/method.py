@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -22,6 +23,7 @@ SHORT = 4.0  # frames; the variance of a shorter history is estimated in space
 REACH = 3  # pixels, of that estimate
 FLATTEST = 1e-4  # least change of depth from pixel to pixel, as a share of depth
 TINY = 1e-10  # added to variance before the root (Falcor)
+LOG2E = 1 / math.log(2)  # exp(x) is 2^(LOG2E x)
 
 
 @dataclass(frozen=True)
@@ -85,14 +87,14 @@ class Svgf:
         solid = surface(view.albedo, view.depth)
         light = torch.where(solid, sane(noisy) / shade, 0.0)
         depth = torch.where(solid, view.depth, 0.0)
-        normal = torch.where(solid, F.normalize(view.normal, dim=1), 0.0)
+        normal = torch.where(solid, unit(view.normal), 0.0)
         flat = self._flat(Size(len(noisy), *noisy.shape[2:]))
 
         recalled = find(flat, state, view.motion, depth, normal)
         keep = (self.config.keep_light, self.config.keep_moments)
         mean = accumulate(light, noisy.isfinite().all(1, keepdim=True), recalled, keep)
 
-        decay = -1 / (self.config.sigma_depth * gradient(depth, solid).clamp_min(1e-8))
+        decay = -LOG2E / (self.config.sigma_depth * gradient(depth, solid).clamp_min(1e-8))
         edges = Edges(*(flat.lay(each) for each in (normal, depth, decay)))
         filtered, remembered = self._filtered(flat, edges, mean, solid)
         image = torch.where(solid, flat.lift(filtered) * shade, sane(noisy))
@@ -108,7 +110,7 @@ class Svgf:
         light, variance = _estimated(flat, edges, mean, solid, sigma)
         remembered = light
         for index in range(self.config.passes):
-            keen = (_blurred(flat, variance) + TINY).rsqrt() / -sigma
+            keen = (_blurred(flat, variance) + TINY).rsqrt() * (-LOG2E / sigma)
             bright = luminance(light[None])[0]
             sums = spread(flat, holes(2**index), edges, (bright, keen), light, variance)
             light, variance = sums.values / sums.weight, sums.variance / sums.weight.square()
@@ -134,6 +136,12 @@ def gradient(
     return torch.maximum(total, FLATTEST * depth)
 
 
+def unit(normal: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """The same directions, of length 1: stored in half floats they are not quite; zero stays."""
+    x, y, z = normal.unbind(1)
+    return normal * (x * x + y * y + z * z).clamp_min(1e-12).rsqrt()[:, None]
+
+
 def _estimated(
     flat: Flat, edges: Edges, mean: Mean, solid: Bool[Tensor, "n 1 h w"], sigma: float
 ) -> tuple[Float[Tensor, "3 row"], Float[Tensor, "1 row"]]:
@@ -144,7 +152,7 @@ def _estimated(
         return light, variance
     bright = luminance(light[None])[0]
     values = torch.cat((light, flat.lay(mean.moments)))
-    keen = torch.full_like(bright, -1 / sigma)
+    keen = torch.full_like(bright, -LOG2E / sigma)
     sums = spread(flat, box(REACH), edges, (bright, keen), values, variance)
     near, first, second = (sums.values / sums.weight).split((3, 1, 1))
     boost = flat.lay(SHORT / mean.length)
