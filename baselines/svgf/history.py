@@ -38,20 +38,19 @@ class Mean(NamedTuple):
     @property
     def variance(self) -> Float[Tensor, "n 1 h w"]:
         """Of luminance, over time."""
-        first, second = self.moments.split(1, dim=1)
-        return (second - first.square()).clamp_min(0)
+        return (self.moments[:, 1:] - self.moments[:, :1].square()).clamp_min(0)
 
 
 def nothing(flat: Flat, device: torch.device) -> Past:
     """The memory before the first frame."""
     empty = flat.lay(torch.zeros(flat.n, 10, flat.h, flat.w, device=device))
-    return Past(*empty.split((6, 1, 3)))
+    return Past(empty[:6], empty[6:7], empty[7:])
 
 
-def luminance(light: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
+def luminance(light: Float[Tensor, "n 3 *size"]) -> Float[Tensor, "n 1 *size"]:
     """Relative luminance of linear sRGB."""
-    red, green, blue = (weight * light[:, i] for i, weight in enumerate(LUMINANCE))
-    return (red + green + blue)[:, None]
+    red, green, blue = LUMINANCE
+    return red * light[:, :1] + green * light[:, 1:2] + blue * light[:, 2:]
 
 
 def find(
@@ -97,7 +96,7 @@ def accumulate(
     `keep` is the least weight of this frame in colour and in moments; while the history is
     short all its frames weigh the same. Where `known` is false this frame says nothing.
     """
-    old_light, old_moments, old_length = past.split((3, 2, 1), dim=1)
+    old_light, old_moments, old_length = past[:, :3], past[:, 3:5], past[:, 5:]
     length = (old_length + 1).clamp_max(LONGEST)
     told = known | (old_length == 0)
     of_light, of_moments = (torch.where(told, (1 / length).clamp_min(k), 0.0) for k in keep)

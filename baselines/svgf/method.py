@@ -12,11 +12,12 @@ from torch.nn import functional as F
 
 from baselines.svgf import FAMILY
 from baselines.svgf.history import Mean, Past, accumulate, find, luminance, nothing
-from baselines.svgf.wavelet import Edges, box, holes, spread
+from baselines.svgf.wavelet import Edges, spread
 from rlbench.family import Traits
 from rlbench.frames import Size, View
 from rlbench.ops.demodulate import reflectance, sane, surface
 from rlbench.ops.flat import Flat
+from rlbench.ops.taps import box, holes
 from rlbench.sampling import Samples
 
 SHORT = 4.0  # frames; the variance of a shorter history is estimated in space
@@ -56,9 +57,9 @@ class Svgf:
     the variance as the measure for luminance, filtered along; the output of the first is what the
     next frame remembers as colour. Background, and what emits without reflecting, passes through.
 
-    Taken from public implementations, not from the paper: the three sigmas, the moments' window
-    and its sigma, the gradient of depth times distance, limits of lengths and weights (Falcor's SVGF
-    pass); 0.2 as the weight of a new frame is not verified. Differs from the paper: direct and
+    Taken from public implementations, not from the paper: the three sigmas, the 7 x 7 window and
+    its weights, the gradient of depth times distance, limits of lengths and weights (Falcor's SVGF
+    pass); that a new frame weighs 0.2 or more is not verified. Differs from the paper: direct and
     indirect light are one layer; no mesh ids are compared; tone mapping and temporal antialiasing
     are left to others. Ours: taps of the history agree at 10 % of depth and a cosine of 0.9, and
     its length is averaged like the rest; the gradient of depth is, for each axis, the lesser of two
@@ -127,7 +128,7 @@ def gradient(
     depth: Float[Tensor, "n 1 h w"], solid: Bool[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 1 h w"]:
     """How much depth changes from pixel to pixel, right plus down, within one surface."""
-    total = FLATTEST * depth * 0
+    total = torch.zeros_like(depth)
     height = depth.where(solid, torch.inf)
     for before, after, axis in (((1, 0, 0, 0), (0, 1, 0, 0), 3), ((0, 0, 1, 0), (0, 0, 0, 1), 2)):
         step = height.diff(dim=axis).abs()
@@ -154,11 +155,12 @@ def _estimated(
     values = torch.cat((light, flat.lay(mean.moments)))
     keen = torch.full_like(bright, -LOG2E / sigma)
     sums = spread(flat, box(REACH), edges, (bright, keen), values, variance)
-    near, first, second = (sums.values / sums.weight).split((3, 1, 1))
+    mean_near = sums.values / sums.weight
+    first, second = mean_near[3:4], mean_near[4:]
     boost = flat.lay(SHORT / mean.length)
     wide = (second - first.square()).clamp_min(0) * boost
     young = flat.lay(short.float()) > 0
-    return torch.where(young, near, light), torch.where(young, wide, variance)
+    return torch.where(young, mean_near[:3], light), torch.where(young, wide, variance)
 
 
 def _blurred(flat: Flat, variance: Float[Tensor, "1 row"]) -> Float[Tensor, "1 row"]:

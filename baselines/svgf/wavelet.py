@@ -10,29 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.ops.flat import Flat, ahead
+from rlbench.ops.flat import Flat
+from rlbench.ops.taps import Tap
 
-SPLINE = (3 / 8, 1 / 4, 1 / 16)  # B3, by distance in steps
 SQUARINGS = 7  # cosines enter with the power 128 = 2^7
-
-
-class Tap(NamedTuple):
-    """A neighbour; its opposite has the same weight."""
-
-    down: int  # pixels
-    right: int  # pixels
-    weight: float
-
-
-def box(reach: int) -> list[Tap]:
-    """All neighbours within `reach`, alike; the pixel itself weighs 1."""
-    return [Tap(y, x, 1.0) for y, x in ahead(reach)]
-
-
-def holes(step: int) -> list[Tap]:
-    """The 5 x 5 B3 spline with `step` - 1 holes between taps, divided by its central weight."""
-    kernel = [weight / SPLINE[0] for weight in SPLINE]
-    return [Tap(y * step, x * step, kernel[abs(y)] * kernel[abs(x)]) for y, x in ahead(2)]
 
 
 @dataclass(frozen=True)

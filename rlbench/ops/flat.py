@@ -37,10 +37,10 @@ class Flat:
         """Places from a pixel to another, both at most `margin` pixels away."""
         return down * self.pitch + right
 
-    def lay(self, image: Float[Tensor, "n c h w"]) -> Float[Tensor, "c row"]:
-        """The images in a row; what is empty is zero."""
+    def lay(self, image: Float[Tensor, "n c h w"], empty: float = 0.0) -> Float[Tensor, "c row"]:
+        """The images in a row, with `empty` in the margins."""
         m = self.margin
-        return F.pad(image, (0, m, m, m)).transpose(0, 1).reshape(image.shape[1], -1)
+        return F.pad(image, (0, m, m, m), value=empty).transpose(0, 1).reshape(image.shape[1], -1)
 
     def lift(self, row: Float[Tensor, "c row"]) -> Float[Tensor, "n c h w"]:
         """The images again."""
@@ -68,9 +68,3 @@ class Flat:
         start, end = ahead, row.shape[-1] - ahead - self.margin
         size = PIECE if row.device.type == "cpu" else end - start
         return ((at, min(at + size, end)) for at in range(start, end, size))
-
-
-def ahead(reach: int) -> list[tuple[int, int]]:
-    """One of each pair of opposite neighbours, (down, right), within `reach` pixels."""
-    square = [(y, x) for y in range(reach + 1) for x in range(-reach, reach + 1)]
-    return [place for place in square if place > (0, 0)]
