@@ -50,7 +50,7 @@ def spread(
     """
     sums = Sums(values.clone(), variance.clone(), torch.ones_like(variance))
     for start, stop in flat.pieces(variance):
-        scratch = torch.empty(5, stop - start, device=values.device, dtype=values.dtype)
+        scratch = torch.empty(4, stop - start, device=values.device, dtype=values.dtype)
         for tap in taps:
             away = flat.offset(tap.down, tap.right)
             here, there = slice(start, stop), slice(start + away, stop + away)
@@ -67,10 +67,10 @@ def _exchange(
     values: Tensor,
     variance: Tensor,
     sums: Sums,
-    scratch: Float[Tensor, "5 piece"],
+    scratch: Float[Tensor, "4 piece"],
 ) -> None:
     """Add to each of two slices what the other has for it."""
-    alike, depths, lights, weight = scratch[:4].split(1)
+    alike, depths, lights, weight = (scratch[i : i + 1] for i in range(4))
     normal, depth, (bright, keen) = edges.normal, edges.depth, light
     torch.mul(normal[:1, here], normal[:1, there], out=alike)
     alike.addcmul_(normal[1:2, here], normal[1:2, there])
