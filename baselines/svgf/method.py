@@ -61,11 +61,14 @@ class Svgf:
     its weights, the gradient of depth times distance, limits of lengths and weights (Falcor's SVGF
     pass); that a new frame weighs 0.2 or more is not verified. Differs from the paper: direct and
     indirect light are one layer; no mesh ids are compared; tone mapping and temporal antialiasing
-    are left to others. Ours: taps of the history agree at 10 % of depth and a cosine of 0.9, and
-    its length is averaged like the rest; the gradient of depth is, for each axis, the lesser of two
-    one-sided differences, so that silhouettes have none, and at least 1e-4 of depth, so that
-    rounding does not stop the filter on what faces the camera; albedo is multiplied back as it was
-    divided, 0.001 or more. A pixel whose mean is not finite keeps its history, or is black.
+    are left to others. No view holds emission: what emits and also reflects is filtered as if it
+    were lit, and a lamp of low albedo spreads over what it lies on, more from frame to frame.
+
+    Ours: taps of the history agree at 10 % of depth and a cosine of 0.9, and its length is averaged
+    like the rest; the gradient of depth is, for each axis, the lesser of two one-sided differences,
+    so that silhouettes have none, and at least 1e-4 of depth, so that rounding does not stop the
+    filter on what faces the camera; albedo is multiplied back as it was divided, 0.001 or more. A
+    pixel whose mean is not finite keeps its history, or is black.
     """
 
     config: Config = BASE
@@ -97,31 +100,35 @@ class Svgf:
 
         decay = -LOG2E / (self.config.sigma_depth * gradient(depth, solid).clamp_min(1e-8))
         edges = Edges(*(flat.lay(each) for each in (normal, depth, decay)))
-        filtered, remembered = self._filtered(flat, edges, mean, solid)
+        start = _estimated(flat, edges, mean, solid, self.config.sigma_light)
+        filtered, remembered = wavelet(flat, edges, *start, self.config)
         image = torch.where(solid, flat.lift(filtered) * shade, sane(noisy))
 
         rest = torch.cat((mean.moments, mean.length.where(solid, 0.0)), 1)
         return image, Past(torch.cat((remembered, flat.lay(rest))), edges.depth, edges.normal)
 
-    def _filtered(
-        self, flat: Flat, edges: Edges, mean: Mean, solid: Bool[Tensor, "n 1 h w"]
-    ) -> tuple[Float[Tensor, "3 row"], Float[Tensor, "3 row"]]:
-        """Irradiance after the last pass of the wavelet, and after the one that is remembered."""
-        sigma = self.config.sigma_light
-        light, variance = _estimated(flat, edges, mean, solid, sigma)
-        remembered = light
-        for index in range(self.config.passes):
-            keen = (_blurred(flat, variance) + TINY).rsqrt() * (-LOG2E / sigma)
-            bright = luminance(light[None])[0]
-            sums = spread(flat, holes(2**index), edges, (bright, keen), light, variance)
-            light, variance = sums.values / sums.weight, sums.variance / sums.weight.square()
-            if index == self.config.feedback:
-                remembered = light
-        return light, remembered
-
     def _flat(self, size: Size) -> Flat:
         """A margin for the widest pass."""
         return Flat(*size, margin=max(REACH, 2**self.config.passes))
+
+
+def wavelet(
+    flat: Flat,
+    edges: Edges,
+    light: Float[Tensor, "3 row"],
+    variance: Float[Tensor, "1 row"],
+    config: Config,
+) -> tuple[Float[Tensor, "3 row"], Float[Tensor, "3 row"]]:
+    """Irradiance after the last pass, and after the one that is remembered."""
+    remembered = light
+    for index in range(config.passes):
+        keen = (_blurred(flat, variance) + TINY).rsqrt() * (-LOG2E / config.sigma_light)
+        bright = luminance(light[None])[0]
+        sums = spread(flat, holes(2**index), edges, (bright, keen), light, variance)
+        light, variance = sums.values / sums.weight, sums.variance / sums.weight.square()
+        if index == config.feedback:
+            remembered = light
+    return light, remembered
 
 
 def gradient(
