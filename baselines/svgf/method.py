@@ -98,7 +98,8 @@ class Svgf:
         keep = (self.config.keep_light, self.config.keep_moments)
         mean = accumulate(light, noisy.isfinite().all(1, keepdim=True), recalled, keep)
 
-        decay = -LOG2E / (self.config.sigma_depth * gradient(depth, solid).clamp_min(1e-8))
+        slope = torch.where(solid, gradient(depth, solid), 1.0)
+        decay = -LOG2E / (self.config.sigma_depth * slope)
         edges = Edges(*(flat.lay(each) for each in (normal, depth, decay)))
         start = _estimated(flat, edges, mean, solid, self.config.sigma_light)
         filtered, remembered = wavelet(flat, edges, *start, self.config)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -47,9 +47,7 @@ class Flat:
         images = row.view(row.shape[0], self.n, -1, self.pitch).transpose(0, 1)
         return images[:, :, self.margin : self.margin + self.h, : self.w]
 
-    def places(
-        self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]
-    ) -> Float[Tensor, "n h w"]:
+    def places(self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]) -> Int[Tensor, "n h w"]:
         """Where the row holds whole positions; those far outside lead to an empty place.
 
         From there one pixel in each direction is empty too. Needs a margin of 3 or more.
