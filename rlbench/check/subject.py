@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rlbench import registry
+from rlbench import provenance, registry
 from rlbench.check import worlds
 from rlbench.check.finding import Finding
 from rlbench.check.watched import Watched
@@ -66,6 +66,8 @@ class Subject:
             return f"it buys from a '{self.traits.pool}' pool, of those installed here: {have}"
         if why := registry.broken("pools", self.traits.pool):
             return f"its pool '{self.traits.pool}' cannot be had here: {why}"
+        if lacking := " ".join(provenance.missing(registry.variant(self.name).packages)):
+            return f"it needs {lacking}, which is not here: pip install {lacking}"
         if unknown := self.traits.needs - set(VIEWS):
             return f"it reads {', '.join(sorted(unknown))}, which no clip of format v1 has"
         try:

@@ -1,0 +1,23 @@
+"""EAW: blur one frame in five passes, less across edges (Dammertz 2010)."""
+
+from __future__ import annotations
+
+from rlbench.family import Family, Traits, Variant
+
+TRAITS = Traits(needs=frozenset({"albedo", "normal", "depth"}), spp=(1.0, 8.0))
+
+FAMILY = Family(
+    name="eaw",
+    title="Edge-avoiding a-trous wavelets",
+    paper=(
+        "Dammertz, Sewtz, Hanika, Lensch 2010, "
+        "Edge-Avoiding A-Trous Wavelet Transform for fast Global Illumination Filtering"
+    ),
+    licence="Apache-2.0",
+    variants={
+        "": Variant(
+            "How far does one get without learning and without memory?", TRAITS, learned=False
+        ),
+    },
+    build="baselines.eaw.method:build",
+)

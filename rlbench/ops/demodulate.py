@@ -1,0 +1,32 @@
+"""Light without the texture that reflects it: what classical filters blur."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rlbench.ops.transfer import HALF_MAX
+
+DARKEST = 1e-3  # albedo is taken to be at least this (Falcor's SVGF pass)
+
+
+def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
+    return albedo.clamp(DARKEST, 1)
+
+
+def surface(
+    albedo: Float[Tensor, "n 3 h w"], depth: Float[Tensor, "n 1 h w"]
+) -> Bool[Tensor, "n 1 h w"]:
+    """Where something reflects light: not the background, and not where albedo is black.
+
+    What reflects nothing shows only the light that it emits.
+    """
+    return depth.isfinite() & (albedo > 0).any(1, keepdim=True)
+
+
+def sane(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """Radiance that can be squared: in [0, 65504], and 0 where a channel is not finite."""
+    known = radiance.isfinite().all(1, keepdim=True)
+    return torch.where(known, radiance, 0.0).clamp(0, HALF_MAX)

@@ -1,0 +1,105 @@
+"""Classical filters at 720 x 720, beside the same written plainly: pytest --benchmark-only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import kornia
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.eaw.method import Config, Eaw, smooth
+from baselines.svgf.method import BASE, LOG2E, build, gradient, wavelet
+from baselines.svgf.wavelet import Edges
+from rlbench.frames import Frame, Size
+from rlbench.ops.flat import Flat
+from rlbench.procedural import procedural
+from rlbench.sampling import Samples
+from tests.benchmarks import plain_filters as plain
+
+SIDE = 720
+WIDTHS = (Config.light, Config.normal, Config.depth)
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    """Of the closed-form world, with one sample a pixel."""
+    return procedural(1, Size(1, SIDE, SIDE), frames=2, pool_spp=1).frames[1]
+
+
+@pytest.mark.parametrize("name", ["ours", "plain"])
+@pytest.mark.benchmark(group="SVGF, five passes, 720x720")
+def test_passes_of_svgf(benchmark: Any, frame: Frame, name: str) -> None:
+    light, normal, depth = _guides(frame)
+    variance, slope = light[:, :1].square(), gradient(depth, depth > 0)
+    flat = Flat(1, SIDE, SIDE, margin=32)
+    light_row, variance_row = flat.lay(light), flat.lay(variance)
+    edges = Edges(flat.lay(normal), flat.lay(depth), flat.lay(-LOG2E / slope))
+    filters: dict[str, Callable[[], Tensor]] = {
+        "ours": lambda: flat.lift(wavelet(flat, edges, light_row, variance_row, BASE)[0]),
+        "plain": lambda: plain.svgf_passes(light, variance, normal, depth, slope),
+    }
+    _equal(_timed(benchmark, filters[name]), filters["plain"]())
+
+
+@pytest.mark.parametrize("name", ["ours", "plain"])
+@pytest.mark.benchmark(group="EAW, one pass, 720x720")
+def test_pass_of_eaw(benchmark: Any, frame: Frame, name: str) -> None:
+    light, normal, depth = _guides(frame)
+    flat = Flat(1, SIDE, SIDE, margin=32)
+    row, scales = flat.lay(light), [(LOG2E / width) ** 0.5 for width in WIDTHS]
+    guides = (light.log1p() * scales[0], normal * scales[1], depth.log() * scales[2])
+    guide = torch.cat([flat.lay(each, empty=1e4) for each in guides])
+    filters: dict[str, Callable[[], Tensor]] = {
+        "ours": lambda: flat.lift(smooth(flat, 1, guide, row)),
+        "plain": lambda: plain.eaw_pass(light, normal, depth, 1, WIDTHS),
+    }
+    _equal(_timed(benchmark, filters[name]), filters["plain"]())
+
+
+@pytest.mark.benchmark(group="EAW, one pass, 720x720")
+def test_pass_of_kornia(benchmark: Any, frame: Frame) -> None:
+    """Its joint bilateral filter of 5 x 5 pixels, guided by normals alone."""
+    light, normal, _ = _guides(frame)
+    image = _timed(
+        benchmark,
+        lambda: kornia.filters.joint_bilateral_blur(light, normal, 5, 0.3, (1.0, 1.0)),
+    )
+    assert image.shape == light.shape
+
+
+@pytest.mark.parametrize("name", ["svgf", "eaw"])
+@pytest.mark.benchmark(group="classical filters, whole frame, 720x720")
+def test_frame(benchmark: Any, frame: Frame, name: str) -> None:
+    method = build("", torch.device("cpu"), None) if name == "svgf" else Eaw()
+    counts = torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64)
+    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    view = frame.view.only(method.traits.needs)
+    with torch.inference_mode():
+        _, state = method.denoise(view, samples, method.start(Size(1, SIDE, SIDE)))
+    image = _timed(benchmark, lambda: method.denoise(view, samples, state)[0])
+    assert torch.isfinite(image).all()
+
+
+def _guides(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
+    """Irradiance, normal and depth, with a wall instead of sky."""
+    view = frame.view
+    radiance = frame.pool.take(frame.pool.empty(), torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
+    sky = view.depth.isinf()
+    forward = torch.tensor([0.0, -1.0, 0.0]).view(1, 3, 1, 1)
+    normal = torch.where(sky, forward, view.normal)
+    return radiance[:, 0], normal, torch.where(sky, 100.0, view.depth)
+
+
+def _timed(benchmark: Any, run: Callable[[], Tensor]) -> Tensor:
+    with torch.inference_mode():
+        image: Tensor = benchmark.pedantic(run, rounds=3, warmup_rounds=1)
+    return image
+
+
+def _equal(found: Tensor, expected: Tensor) -> None:
+    """In all but a few pixels: plain `exp` and powers of 2 differ in their last bit."""
+    apart = (found - expected).abs() > 1e-3 * expected.abs() + 1e-4
+    assert float(apart.float().mean()) < 1e-3

@@ -1,0 +1,47 @@
+"""Light without texture: what divides, what passes through, and what cannot be squared."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from rlbench.ops.demodulate import reflectance, sane, surface
+
+
+def pixel(*values: float) -> torch.Tensor:
+    return torch.tensor(values).view(1, -1, 1, 1)
+
+
+def test_what_is_divided_by_is_never_zero():
+    found = reflectance(pixel(0.0, 0.5, 2.0))
+    assert torch.equal(found, pixel(1e-3, 0.5, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("albedo", "depth", "expected"),
+    [
+        ((0.5, 0.5, 0.5), 3.0, True),
+        ((0.0, 0.1, 0.0), 3.0, True),
+        ((0.0, 0.0, 0.0), 3.0, False),
+        ((0.5, 0.5, 0.5), math.inf, False),
+    ],
+    ids=["grey", "green", "lamp", "background"],
+)
+def test_a_surface_has_a_depth_and_reflects_something(albedo, depth, expected):
+    assert bool(surface(pixel(*albedo), pixel(depth))) is expected
+
+
+@pytest.mark.parametrize(
+    ("radiance", "expected"),
+    [
+        ((1.0, 2.0, 3.0), (1.0, 2.0, 3.0)),
+        ((-1.0, 2.0, 1e30), (0.0, 2.0, 65504.0)),
+        ((math.nan, 2.0, 3.0), (0.0, 0.0, 0.0)),
+        ((math.inf, 2.0, 3.0), (0.0, 0.0, 0.0)),
+    ],
+    ids=["usual", "out of range", "nan", "infinite"],
+)
+def test_radiance_becomes_finite_and_a_broken_pixel_black(radiance, expected):
+    assert torch.equal(sane(pixel(*radiance)), pixel(*expected))
