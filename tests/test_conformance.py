@@ -201,7 +201,7 @@ class Watched:
         return self.method.start(size)
 
     def plan(self, view: View, samples: Samples, state):
-        if samples.counts.any():
+        if len(self.densities) % len(self.traits.passes):  # not the first pass of its frame
             self.counts.append(samples.counts)
         self.densities.append(self.method.plan(self._watch(view), samples, state))
         return self.densities[-1]

@@ -14,6 +14,7 @@ from baselines.ntas import FAMILY
 from baselines.ntas.network import Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
+from rlbench.ops.density import exponential
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
@@ -22,7 +23,6 @@ from rlbench.weights import load_into
 MISSING = -1.0  # what a network sees where there is no history
 DARK = 0.01  # added to albedo before dividing by it
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
-LOWEST = -30.0  # log density below which a pixel is at its floor in any case
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Ntas:
         """Density in (0, 1], 1 where it is largest: exp(x - max x) of the sampler's map x."""
         seen = _seen(view, *_history(view, state))
         wish: Tensor = self.networks.sampler(seen)
-        return (wish - wish.amax((2, 3), keepdim=True)).clamp_min(LOWEST).exp()
+        return exponential(wish)
 
     def denoise(
         self, view: View, samples: Samples, state: State

@@ -9,11 +9,11 @@ from torch import Tensor, nn
 from baselines.ntas import TRAITS
 from baselines.ntas.method import Ntas, State, build
 from baselines.ntas.network import Networks
-from baselines.ntas.train import Surrogate, shares, teach, trainer
+from baselines.ntas.train import trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
-from rlbench.run import run_clip, unroll
-from rlbench.sampling import Samples, StoredPool, spend
+from rlbench.run import run_clip
+from rlbench.sampling import Samples, StoredPool
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)
@@ -162,53 +162,6 @@ def test_a_bad_sample_leaves_the_image_finite(method: Ntas, bad: float) -> None:
     image, _ = method.denoise(frame.view, samples, method.start(SIZE))
     assert torch.isfinite(image).all()
     assert (image >= 0).all()
-
-
-def test_shares_are_what_spend_rounds() -> None:
-    density = (4 * drawn(1, 1, 20, 20)).exp() / 55
-    counts = spend(density, 2 * 400, torch.ones(1, 1, 20, 20, dtype=torch.int64), 8, keys=(0,))
-    due = shares(density, 2.0, 1, 8)
-    assert float(due.mean()) == pytest.approx(2.0, rel=1e-5)  # float32 sum of 400
-    assert ((due - counts).abs() < 1 + 1e-4).all()
-
-
-def test_shares_have_the_gradient_of_finite_differences() -> None:
-    density = drawn(2, 1, 3, 4).double().mul(3).exp().div(25).requires_grad_()
-    # the multiplier is bisected to 1e-8, which the step of 1e-4 turns into 1e-4
-    assert torch.autograd.gradcheck(
-        lambda d: shares(d, 2.5, 1, 8), density, eps=1e-4, atol=1e-3, rtol=1e-3
-    )
-
-
-def test_shares_at_the_floor_have_no_gradient() -> None:
-    density = drawn(1, 1, 4, 4).requires_grad_()
-    shares(density, 1.0, 1, 8).square().sum().backward()
-    assert torch.equal(density.grad, torch.zeros_like(density))
-
-
-def test_teaching_changes_no_value() -> None:
-    clip = small_clip(3)
-    method = build("", CPU, "random")
-    taught = Surrogate(method, (frame.reference.mean for frame in clip), 2.0)
-    plain = [shown.image for shown in unroll(method, clip, 2.0)]
-    lesson = [shown.image for shown in unroll(taught, clip, 2.0)]
-    assert all(torch.equal(a, b) for a, b in zip(plain, lesson, strict=True))
-
-
-@pytest.mark.parametrize("count", [1, 2, 4])
-def test_the_surrogate_is_twice_the_derivative_of_the_squared_error(count: int) -> None:
-    """For the mean of s normal samples of variance v: E[2 (I - T) (T - I) / s] = -2 v / s^2."""
-    deviation, pixels = 0.5, 200_000
-    generator = torch.Generator().manual_seed(count)
-    radiance = 1 + deviation * torch.randn(1, 8, 3, 1, pixels, generator=generator)
-    counts = torch.full((1, 1, 1, pixels), count)
-    samples = Samples(radiance.where(Samples(radiance, counts).filled, 0.0), counts)
-    due = counts.float().requires_grad_()
-    truth = torch.ones(1, 3, 1, pixels)
-    (teach(samples, due, truth).mean - truth).square().mean(1).sum().backward()
-    expected = -2 * deviation**2 / count**2
-    error = due.grad.std() / pixels**0.5
-    assert abs(due.grad.mean() - expected) < 4 * error
 
 
 def test_one_step_reaches_every_parameter_of_both_networks() -> None:
