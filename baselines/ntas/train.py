@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from baselines.ntas import FAMILY
-from baselines.ntas.method import Ntas
+from baselines.ntas.method import VARIANTS, Ntas
 from baselines.ntas.network import Networks
 from rlbench.frames import Clip
 from rlbench.ops.transfer import log_forward
@@ -27,10 +27,11 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     in log transfer, weights 1 and 1. Hasselgren et al. 2020 take the last frames of a sequence,
     here it is all frames of each `bptt`; their transfer is not known to us.
     """
-    networks = Networks()
+    config = VARIANTS[variant]
+    networks = Networks(config.denoiser)
     networks.draw(seed)
     networks.to(device)
-    method = Ntas(networks, traits=FAMILY.variants[variant].traits)
+    method = Ntas(networks, config, FAMILY.variants[variant].traits)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         return _losses(method, clip, spp)
