@@ -22,6 +22,7 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("Does a first sample per pixel tell where the others should go?", TRAITS),
+        "gamma": Variant("Does the map learn better from a smooth model of the samples?", TRAITS),
     },
     build="baselines.dasr.method:build",
     train="baselines.dasr.train:trainer",

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.dasr import FAMILY
+from baselines.dasr.gamma import gamma
 from baselines.dasr.losses import relative
 from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
@@ -25,6 +26,7 @@ STAGES = (  # share of the training by which a stage ends, and the networks that
 )
 TEACH: dict[str, Teach] = {
     "": pull,
+    "gamma": gamma,  # does the map learn better from a smooth model of the samples?
 }
 
 
