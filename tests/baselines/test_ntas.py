@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor, nn
 
 from baselines.ntas import TRAITS
-from baselines.ntas.method import Ntas, State, build
+from baselines.ntas.method import VARIANTS, Ntas, State, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import trainer
 from rlbench.frames import Frame, Reference, Size, View
@@ -164,8 +166,9 @@ def test_a_bad_sample_leaves_the_image_finite(method: Ntas, bad: float) -> None:
     assert (image >= 0).all()
 
 
-def test_one_step_reaches_every_parameter_of_both_networks() -> None:
-    made = trainer("", CPU, seed=0)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_one_step_reaches_every_parameter_of_both_networks(variant: str) -> None:
+    made = trainer(variant, CPU, seed=0)
     next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
     silent = [
         name
@@ -185,8 +188,9 @@ def test_there_is_one_loss_for_each_two_frames(frames: int, losses: int) -> None
     assert count == losses
 
 
-def test_a_few_steps_bring_the_loss_down() -> None:
-    made = trainer("", CPU, seed=0)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_few_steps_bring_the_loss_down(variant: str) -> None:
+    made = trainer(variant, CPU, seed=0)
     optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
     clip, means = small_clip(2, Size(1, 32, 32)), []
     for _ in range(12):
@@ -220,6 +224,34 @@ def test_half_precision_gives_the_same_image_but_for_rounding(method: Ntas) -> N
     assert state.light.dtype == torch.float32
     # bfloat16 has 8 bits, so logits of order one are off by 1/256, and weights by as much
     torch.testing.assert_close(half, image, rtol=3e-2, atol=0)
+
+
+def test_direct_differs_from_its_base_in_the_denoiser_alone() -> None:
+    assert replace(VARIANTS["direct"], denoiser=VARIANTS[""].denoiser) == VARIANTS[""]
+
+
+def test_direct_has_a_u_net_of_three_colours() -> None:
+    # 920,675 with 10 channels in; 3 more enter the first convolution and the last but two
+    denoiser = build("direct", CPU, "random").networks.denoiser
+    assert sum(p.numel() for p in denoiser.parameters()) == 920_675 + 3 * (32 + 64) * 9
+
+
+def test_direct_says_light_between_nothing_and_the_largest_half() -> None:
+    networks = build("direct", CPU, "random").networks
+    nn.init.normal_(
+        networks.denoiser.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
+    )
+    light = drawn(1, 3, 16, 16)
+    valid = torch.ones(1, 1, 16, 16, dtype=torch.bool)
+    said = networks.denoiser(drawn(1, 13, 16, 16), light, light, valid)
+    assert said.min() == 0
+    assert float(said.max()) == pytest.approx(65504, rel=1e-4)  # exp of 15 in float32
+
+
+def test_every_colour_of_direct_learns_from_the_start() -> None:
+    made = trainer("direct", CPU, seed=0)
+    next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
+    assert (made.networks.denoiser.unet.dec_conv0.bias.grad != 0).all()
 
 
 def test_seeds_decide_the_weights() -> None:
