@@ -10,13 +10,17 @@ from dataclasses import dataclass
 class Traits:
     """What a method asks of the bench; the bench reads, traces and buys no more than this.
 
-    Raises ValueError for passes that do not rise to the whole budget.
+    A pilot is a part of the budget: with one of 1 spp and a budget of 4, the method is asked where
+    the other 3 go, and at a budget of 1 nothing is left to ask for. `passes` count it in, as they
+    do each other. Raises ValueError for a pilot below zero, and for passes that do not rise to the
+    whole budget.
     """
 
     needs: frozenset[str] = frozenset()  # view buffers it reads: albedo, normal, depth, motion
     pool: str = "path"  # the kind of sample pool it buys from
     adapts: bool = False  # does `plan` ever differ from a constant?
     temporal: bool = False  # does `state` carry anything between frames?
+    pilot: float = 0.0  # samples per pixel, evenly spread, bought before the method is first asked
     passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
     fresh: bool = False  # are samples of earlier passes, which chose where to sample, left out?
     floor: int = 0  # samples that every pixel gets, whatever the density
@@ -25,6 +29,8 @@ class Traits:
 
     def __post_init__(self) -> None:
         """Refuse passes by which less than the budget would be bought, or less than before."""
+        if not self.pilot >= 0:
+            raise ValueError(f"the pilot is {self.pilot} samples per pixel; it is 0 or more")
         rising = all(a < b for a, b in zip((0.0, *self.passes), self.passes, strict=False))
         if not rising or self.passes[-1:] != (1.0,):
             raise ValueError(

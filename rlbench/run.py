@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rlbench.frames import Clip, Frame
 from rlbench.method import Method, planned
-from rlbench.sampling import Samples, buy, nothing
+from rlbench.sampling import Samples, buy, evenly
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,12 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
     state = method.start(clip.size)
     for frame in clip:
         view = frame.view.only(traits.needs)
-        samples = nothing(frame.pool)
+        samples = evenly(frame.pool, min(traits.pilot, spp))
         for share in traits.passes:
-            density, pilot = planned(method, view, samples, state), samples
+            density, before = planned(method, view, samples, state), samples
             limits = (traits.floor, traits.cap, traits.fresh)
-            samples = buy(frame.pool, pilot, density, spp * share, *limits)
-        kept = samples.after(pilot) if traits.fresh else samples
+            samples = buy(frame.pool, before, density, spp * share, *limits)
+        kept = samples.after(before) if traits.fresh else samples
         image, state = method.denoise(view, kept, state)
         yield Shown(frame, samples, image)
 

@@ -105,6 +105,14 @@ def nothing(pool: Pool) -> Samples:
     return pool.empty()
 
 
+def evenly(pool: Pool, spp: float) -> Samples:
+    """The samples of a frame before its method is asked: `spp` per pixel, evenly; often none."""
+    bought = nothing(pool)
+    if spp == 0:
+        return bought
+    return buy(pool, bought, torch.ones_like(bought.counts, dtype=torch.float32), spp)
+
+
 def buy(
     pool: Pool,
     samples: Samples,

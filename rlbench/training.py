@@ -39,6 +39,7 @@ class Trainer:
     spp: tuple[float, ...]  # budgets, one drawn for each sequence
     peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
     shares: Mapping[str, float] = field(default_factory=dict)  # of it, by child of `networks`
+    told: Callable[[float], None] = lambda done: None  # before each sequence, share of frames seen
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,7 @@ def _sequence(
     generator = torch.Generator().manual_seed(plan.seed * 7_919 + progress.draws)
     spp = trainer.spp[int(torch.randint(len(trainer.spp), (), generator=generator))]
     trainer.networks.train()
+    trainer.told(progress.seen / plan.frames)
     losses = trainer.losses(clip, spp)
     total, count = 0.0, 0
     while True:

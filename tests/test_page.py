@@ -121,6 +121,38 @@ def test_a_density_that_is_no_number_is_told_as_such():
         list(run_clip(Broken(), procedural(size=SIZE), 1.0))
 
 
+def test_a_pilot_is_bought_before_the_method_is_asked():
+    assert diary(Traits(pilot=1.0), 4.0, frames=1) == [
+        ("start", 99, None),
+        ("plan", 99, 0),
+        ("denoise", 396, 0),
+    ]
+
+
+@pytest.mark.parametrize("spp", [0.5, 1.0])
+def test_a_small_budget_is_all_pilot_and_evenly_spread(spp):
+    (shown,) = run_clip(
+        Peaked(Traits(adapts=True, pilot=1.0)), procedural(size=SIZE, frames=1), spp
+    )
+    counts = shown.samples.counts
+    assert int(counts.sum()) == round(spp * 99)
+    assert int(counts.max()) == 1
+
+
+def test_what_a_method_asks_for_after_a_pilot_keeps_the_pilot():
+    (shown,) = run_clip(
+        Peaked(Traits(adapts=True, pilot=2.0)), procedural(size=SIZE, frames=1), 3.0
+    )
+    assert int(shown.samples.counts.min()) == 2
+    assert int(shown.samples.counts.sum()) == 297
+
+
+@pytest.mark.parametrize("pilot", [-1.0, float("nan")])
+def test_a_pilot_of_less_than_nothing_is_refused(pilot):
+    with pytest.raises(ValueError, match="it is 0 or more"):
+        Traits(pilot=pilot)
+
+
 @pytest.mark.parametrize("passes", [(), (0.5,), (0.5, 0.5, 1.0), (1.0, 0.5), (0.0, 1.0), (2.0,)])
 def test_passes_that_do_not_rise_to_the_whole_budget_are_refused(passes):
     with pytest.raises(ValueError, match="must rise from above 0 to 1.0"):

@@ -22,6 +22,7 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("How far do predicted kernels and a map from the last frame get?", TRAITS),
+        "direct": Variant("Are kernels needed, or does a colour per pixel do as well?", TRAITS),
     },
     build="baselines.ntas.method:build",
     train="baselines.ntas.train:trainer",

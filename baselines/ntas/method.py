@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +12,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.ntas import FAMILY
-from baselines.ntas.network import Networks
+from baselines.ntas.network import Denoiser, Direct, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
+from rlbench.ops.density import exponential
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
@@ -22,14 +24,21 @@ from rlbench.weights import load_into
 MISSING = -1.0  # what a network sees where there is no history
 DARK = 0.01  # added to albedo before dividing by it
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
-LOWEST = -30.0  # log density below which a pixel is at its floor in any case
 
 
 @dataclass(frozen=True)
 class Config:
     """What of NTAS is a choice."""
 
+    denoiser: Callable[[], Denoiser | Direct] = Denoiser  # makes the second network
     bptt: int = 2  # frames that training differentiates through, >= 1
+
+
+BASE = Config()
+VARIANTS = {
+    "": BASE,
+    "direct": replace(BASE, denoiser=Direct),  # are kernels needed?
+}
 
 
 class State(NamedTuple):
@@ -54,10 +63,14 @@ class Ntas:
     frame and the last image is shown to the networks with the albedo of this frame. Of the means
     of samples those that are NaN or negative enter as 0, those above 65504 as 65504, as OIDN has
     it; history that is not finite is missing.
+
+    Variant `direct` is NTAS as it was compared by Scardigli et al. 2023: their release has a U-Net
+    that says colours in place of kernels, which is not Hasselgren's. Of that it keeps the loss (L1
+    of the image and of its change) and the ReLU on what is said; for the rest see `network.Direct`.
     """
 
     networks: Networks
-    config: Config = Config()
+    config: Config = BASE
     traits: Traits = FAMILY.variants[""].traits
 
     def start(self, size: Size) -> State:
@@ -69,7 +82,7 @@ class Ntas:
         """Density in (0, 1], 1 where it is largest: exp(x - max x) of the sampler's map x."""
         seen = _seen(view, *_history(view, state))
         wish: Tensor = self.networks.sampler(seen)
-        return (wish - wish.amax((2, 3), keepdim=True)).clamp_min(LOWEST).exp()
+        return exponential(wish)
 
     def denoise(
         self, view: View, samples: Samples, state: State
@@ -106,11 +119,12 @@ def _reflectance(view: View) -> Float[Tensor, "n 3 h w"]:
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
     """NTAS with shipped weights, those of a file, or random ones."""
-    networks = Networks()
+    config = VARIANTS[variant]
+    networks = Networks(config.denoiser)
     if weights == "random":
         networks.draw(seed=0)
     else:
         shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
         load_into(networks, Path(weights) if weights else shipped)
     networks.to(device).eval().requires_grad_(False)
-    return Ntas(networks, traits=FAMILY.variants[variant].traits)
+    return Ntas(networks, config, FAMILY.variants[variant].traits)

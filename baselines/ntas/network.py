@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -10,6 +13,7 @@ from torch.nn import functional as F
 from rlbench.ops.initialise import initialise
 from rlbench.ops.kernels import gather
 from rlbench.ops.pad import crop, pad
+from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
 from rlbench.ops.unet import BASE, STRIDE, UNet
 
 VIEW = 7  # normal, albedo, depth
@@ -17,17 +21,21 @@ COLOUR = 3
 TAPS = 25  # 5x5
 COARSEST = 4  # halvings of the coarsest level that is filtered
 FAINT = 0.1  # share of He's weights that the last layers start with
+MIDDLE = 0.5  # log_forward of light of 0.11
+BRIGHTEST = math.log1p(LOG_SCALE * HALF_MAX) / math.log1p(
+    LOG_SCALE
+)  # log_forward of the largest half
 SATURATED = 30.0  # a log weight above this one leaves nothing of the others in float32
 
 
 class Networks(nn.Module):
     """Sampler and denoiser, trained and stored together."""
 
-    def __init__(self) -> None:
-        """Weights are the U-Net's; for seeded ones see `draw`."""
+    def __init__(self, denoiser: Callable[[], Denoiser | Direct] | None = None) -> None:
+        """Weights are the U-Net's; for seeded ones see `draw`. `denoiser` makes the second one."""
         super().__init__()
         self.sampler = Sampler()
-        self.denoiser = Denoiser()
+        self.denoiser = (denoiser or Denoiser)()
 
     def draw(self, seed: int) -> None:
         """Seeded weights, faint in the last layers: map and kernels start near uniform."""
@@ -103,6 +111,39 @@ class Denoiser(nn.Module):
         past = pad(torch.cat((history * valid, valid.to(history.dtype)), 1), STRIDE)
         output = _blend(_filter(taps, past_taps, pyramid[0], past), output, share)
         return crop(output, *light.shape[-2:])
+
+
+class Direct(nn.Module):
+    """A U-Net from what `Denoiser` sees to the light itself, colour by colour, without kernels.
+
+    In place of kernels Scardigli et al. 2023 have a U-Net that says colours, in their release:
+    convolutions of 48 to 96 channels, six poolings, two layers without padding at the end, a ReLU
+    on what it says, at half resolution, enlarged to 2x2 pixels and cropped. Differs from it: the
+    U-Net is that of the sampler and of the kernels here, so that only what is said differs;
+    it speaks at full resolution; what it says is `log_forward(light)`, where theirs are colours
+    of the display, and light is free of albedo. Ours: it says how far light is from 0.5 in log
+    transfer, so that no colour starts where the ReLU has no slope.
+    """
+
+    def __init__(self) -> None:
+        """13 channels in, 3 out."""
+        super().__init__()
+        self.unet = UNet(COLOUR + VIEW + COLOUR, COLOUR)
+
+    def last_layers(self) -> list[nn.Module]:
+        """The layer that colours come from."""
+        return [self.unet.dec_conv0]
+
+    def forward(
+        self,
+        seen: Float[Tensor, "n 13 h w"],
+        light: Float[Tensor, "n 3 h w"],
+        history: Float[Tensor, "n 3 h w"],
+        valid: Bool[Tensor, "n 1 h w"],
+    ) -> Float[Tensor, "n 3 h w"]:
+        """Light, linear, in [0, 65504]; samples and history enter by `seen` alone."""
+        said = self.unet(pad(seen, STRIDE)).float() + MIDDLE
+        return log_inverse(crop(said, *light.shape[-2:]).clamp(0, BRIGHTEST))
 
 
 def _filter(

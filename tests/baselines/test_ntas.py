@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor, nn
 
 from baselines.ntas import TRAITS
-from baselines.ntas.method import Ntas, State, build
+from baselines.ntas.method import VARIANTS, Ntas, State, build
 from baselines.ntas.network import Networks
-from baselines.ntas.train import Surrogate, shares, teach, trainer
+from baselines.ntas.train import trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
-from rlbench.run import run_clip, unroll
-from rlbench.sampling import Samples, StoredPool, spend
+from rlbench.run import run_clip
+from rlbench.sampling import Samples, StoredPool
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)
@@ -164,55 +166,9 @@ def test_a_bad_sample_leaves_the_image_finite(method: Ntas, bad: float) -> None:
     assert (image >= 0).all()
 
 
-def test_shares_are_what_spend_rounds() -> None:
-    density = (4 * drawn(1, 1, 20, 20)).exp() / 55
-    counts = spend(density, 2 * 400, torch.ones(1, 1, 20, 20, dtype=torch.int64), 8, keys=(0,))
-    due = shares(density, 2.0, 1, 8)
-    assert float(due.mean()) == pytest.approx(2.0, rel=1e-5)  # float32 sum of 400
-    assert ((due - counts).abs() < 1 + 1e-4).all()
-
-
-def test_shares_have_the_gradient_of_finite_differences() -> None:
-    density = drawn(2, 1, 3, 4).double().mul(3).exp().div(25).requires_grad_()
-    # the multiplier is bisected to 1e-8, which the step of 1e-4 turns into 1e-4
-    assert torch.autograd.gradcheck(
-        lambda d: shares(d, 2.5, 1, 8), density, eps=1e-4, atol=1e-3, rtol=1e-3
-    )
-
-
-def test_shares_at_the_floor_have_no_gradient() -> None:
-    density = drawn(1, 1, 4, 4).requires_grad_()
-    shares(density, 1.0, 1, 8).square().sum().backward()
-    assert torch.equal(density.grad, torch.zeros_like(density))
-
-
-def test_teaching_changes_no_value() -> None:
-    clip = small_clip(3)
-    method = build("", CPU, "random")
-    taught = Surrogate(method, (frame.reference.mean for frame in clip), 2.0)
-    plain = [shown.image for shown in unroll(method, clip, 2.0)]
-    lesson = [shown.image for shown in unroll(taught, clip, 2.0)]
-    assert all(torch.equal(a, b) for a, b in zip(plain, lesson, strict=True))
-
-
-@pytest.mark.parametrize("count", [1, 2, 4])
-def test_the_surrogate_is_twice_the_derivative_of_the_squared_error(count: int) -> None:
-    """For the mean of s normal samples of variance v: E[2 (I - T) (T - I) / s] = -2 v / s^2."""
-    deviation, pixels = 0.5, 200_000
-    generator = torch.Generator().manual_seed(count)
-    radiance = 1 + deviation * torch.randn(1, 8, 3, 1, pixels, generator=generator)
-    counts = torch.full((1, 1, 1, pixels), count)
-    samples = Samples(radiance.where(Samples(radiance, counts).filled, 0.0), counts)
-    due = counts.float().requires_grad_()
-    truth = torch.ones(1, 3, 1, pixels)
-    (teach(samples, due, truth).mean - truth).square().mean(1).sum().backward()
-    expected = -2 * deviation**2 / count**2
-    error = due.grad.std() / pixels**0.5
-    assert abs(due.grad.mean() - expected) < 4 * error
-
-
-def test_one_step_reaches_every_parameter_of_both_networks() -> None:
-    made = trainer("", CPU, seed=0)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_one_step_reaches_every_parameter_of_both_networks(variant: str) -> None:
+    made = trainer(variant, CPU, seed=0)
     next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
     silent = [
         name
@@ -232,8 +188,9 @@ def test_there_is_one_loss_for_each_two_frames(frames: int, losses: int) -> None
     assert count == losses
 
 
-def test_a_few_steps_bring_the_loss_down() -> None:
-    made = trainer("", CPU, seed=0)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_few_steps_bring_the_loss_down(variant: str) -> None:
+    made = trainer(variant, CPU, seed=0)
     optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
     clip, means = small_clip(2, Size(1, 32, 32)), []
     for _ in range(12):
@@ -267,6 +224,34 @@ def test_half_precision_gives_the_same_image_but_for_rounding(method: Ntas) -> N
     assert state.light.dtype == torch.float32
     # bfloat16 has 8 bits, so logits of order one are off by 1/256, and weights by as much
     torch.testing.assert_close(half, image, rtol=3e-2, atol=0)
+
+
+def test_direct_differs_from_its_base_in_the_denoiser_alone() -> None:
+    assert replace(VARIANTS["direct"], denoiser=VARIANTS[""].denoiser) == VARIANTS[""]
+
+
+def test_direct_has_a_u_net_of_three_colours() -> None:
+    # 920,675 with 10 channels in; 3 more enter the first convolution and the last but two
+    denoiser = build("direct", CPU, "random").networks.denoiser
+    assert sum(p.numel() for p in denoiser.parameters()) == 920_675 + 3 * (32 + 64) * 9
+
+
+def test_direct_says_light_between_nothing_and_the_largest_half() -> None:
+    networks = build("direct", CPU, "random").networks
+    nn.init.normal_(
+        networks.denoiser.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
+    )
+    light = drawn(1, 3, 16, 16)
+    valid = torch.ones(1, 1, 16, 16, dtype=torch.bool)
+    said = networks.denoiser(drawn(1, 13, 16, 16), light, light, valid)
+    assert said.min() == 0
+    assert float(said.max()) == pytest.approx(65504, rel=1e-4)  # exp of 15 in float32
+
+
+def test_every_colour_of_direct_learns_from_the_start() -> None:
+    made = trainer("direct", CPU, seed=0)
+    next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
+    assert (made.networks.denoiser.unet.dec_conv0.bias.grad != 0).all()
 
 
 def test_seeds_decide_the_weights() -> None:
