@@ -31,9 +31,8 @@ class Source(Protocol):
     def header(self) -> Header:
         """What the clip says of itself."""
 
-    @property
-    def digest(self) -> str:
-        """Hash of its content."""
+    def content(self, pool: str) -> str:
+        """Hash of its content, with the samples of one pool, or none where it lacks that pool."""
 
     @property
     def priced(self) -> str:
@@ -54,10 +53,11 @@ class Stored:
         """What clip.toml says."""
         return read_header(self.folder)
 
-    @cached_property
-    def digest(self) -> str:
-        """Hash of the folder's content."""
-        return open_clip(self.folder, needs=frozenset(), slots=1, pool=self.header.pools[0]).digest
+    def content(self, pool: str) -> str:
+        """Hash of the folder's content with the samples of `pool`."""
+        there = pool if pool in self.header.pools else self.header.pools[0]
+        found = open_clip(self.folder, needs=frozenset(), slots=1, pool=there).digest
+        return found if there == pool else f"{found} without {pool}"
 
     @property
     def priced(self) -> str:
@@ -74,10 +74,9 @@ class Stored:
 class Live(Stored):
     """A clip folder whose samples are traced when they are bought."""
 
-    @cached_property
-    def digest(self) -> str:
+    def content(self, pool: str) -> str:
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
-        told = f"{Stored(self.folder).digest} live {activate()} {provenance.machine().cpu}"
+        told = f"{super().content(pool)} live {activate()} {provenance.machine().cpu}"
         return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
 
     @property
