@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 class PoolKind:
     """A way of drawing samples. `name` is what traits and clip.toml say.
 
-    `make` names a function, as `module:name`, that takes (stage, numbers), where the range `numbers`
-    tells chains apart, and returns `Chains`; it is imported when samples are first traced, and
-    empty for what the renderer draws by itself.
+    `make` names a function, as `module:name`, that takes (stage, numbers), where the range
+    `numbers` tells chains apart, and returns `Chains`; it is imported when samples are first
+    traced, and empty for what the renderer draws by itself.
     """
 
     name: str

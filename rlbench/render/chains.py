@@ -37,8 +37,9 @@ from rlbench.render.studio import SEED
 from rlbench.render.tracer import LANES
 from rlbench.render.wavefront import Wavefront
 
-WARM_UP = 3  # frames before a time is taken: with kernels, and with something remembered
-ROUNDS = WARM_UP + 7
+WARM_UP = 2  # frames before a time is taken: with kernels, and with something remembered
+ROUNDS = WARM_UP + 3
+TOGETHER = 4  # samples of each pixel in a frame whose time is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,26 +153,27 @@ def chains(tracer: Wavefront, kind: PoolKind, count: int) -> Callable[[], Float[
 
 
 def dearer(tracer: Wavefront, kind: PoolKind) -> float:
-    """Time of one full frame of one chain, shadow rays and all, over that of one sample of paths.
+    """Time of a sample, shadow rays and all, over that of a path, each of several in one frame.
 
     The median over pairs that were taken one right after the other, so that it says the same
-    whatever else the machine has to do.
+    whatever else the machine has to do; and of several at once, as starting a kernel takes the
+    interpreter's time, which is not the sampler's.
     """
-    pool = chains(tracer, kind, 1)
-    pairs = [(_timed(pool), _timed(lambda: tracer.stack(1, "pilot"))) for _ in range(ROUNDS)]
+    pool = chains(tracer, kind, TOGETHER)
+    pairs = [(_timed(pool), _timed(lambda: tracer.stack(TOGETHER, "pilot"))) for _ in range(ROUNDS)]
     return statistics.median(ours / theirs for ours, theirs in pairs[WARM_UP:])
 
 
 def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
-    """Median milliseconds of one sample per pixel of a pool, after a warm-up.
+    """Milliseconds of one sample per pixel of a pool: what a path takes, times `dearer`.
 
     Raises LookupError where this machine cannot trace it.
     """
     kind: Any = registry.load("pools", pool)
     if llvm.activate().startswith("scalar"):
         raise LookupError(f"pool '{pool}' is traced with LLVM or CUDA alone: see `rlbench doctor`")
-    once = chains(Wavefront(scene, height, width), kind, 1)
-    return 1e3 * statistics.median([_timed(once) for _ in range(ROUNDS)][WARM_UP:])
+    tracer = Wavefront(scene, height, width)
+    return tracer.sample_ms() * dearer(tracer, kind)
 
 
 def _timed(work: Callable[[], object]) -> float:
