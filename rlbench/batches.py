@@ -75,6 +75,7 @@ class Batches:
     length: int  # frames of a sequence
     seed: int
     device: str = "cpu"
+    pool: str = "path"
 
     def __post_init__(self) -> None:
         """Refuse to draw from nothing."""
@@ -90,7 +91,8 @@ class Batches:
 
     def _part(self, generator: torch.Generator) -> list[Frame]:
         folder = self.folders[_integer(generator, len(self.folders))]
-        clip = open_clip(folder, seed=_integer(generator, 2**31), device=self.device)
+        order = _integer(generator, 2**31)
+        clip = open_clip(folder, pool=self.pool, seed=order, device=self.device)
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
                 f"crops of {self.crop} x {self.crop} asked for, clip '{clip.name}' has "

@@ -26,7 +26,6 @@ from rlbench.latency import Timing
 from rlbench.method import Method
 from rlbench.ready import Ready
 from rlbench.run import Shown, run_clip
-from rlbench.source import Source
 from rlbench.table import WHOLE_CLIP, Row
 from rlbench.times import Times
 
@@ -131,7 +130,7 @@ class _Bench:
         ]
         bought = sum(row.spp_realised for row in rows) / len(rows)
         times = self.times.of(cell, method, clip)
-        return rows + self._timing(replace(blank, spp_realised=bought), times, cell.clip)
+        return rows + self._timing(replace(blank, spp_realised=bought), times, cell)
 
     def _elsewhere(self) -> str:
         """The device that scores are of, where the results are of another one."""
@@ -154,8 +153,8 @@ class _Bench:
             told = (metric.name, score, metric.unit, metric.better, metric.convention, note)
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 
-    def _timing(self, blank: Row, times: Timing, clip: Source) -> list[Row]:
-        price = self.times.cost(clip)
+    def _timing(self, blank: Row, times: Timing, cell: Cell) -> list[Row]:
+        price = self.times.cost(cell)
         told = f"{times.inference.n} frames after {latency.WARM_UP} of warm-up"
         rows = []
         for part in ("plan", "denoise", "buy", "inference"):

@@ -83,7 +83,13 @@ class Names:
     def of(self, cell: Cell) -> str:
         """What the cell is, and after the last space a hash of its content."""
         content = (
-            *(cell.method, cell.clip.digest, cell.spp, cell.seed, self.device),
+            *(
+                cell.method,
+                cell.clip.content(self.pools[cell.method]),
+                cell.spp,
+                cell.seed,
+                self.device,
+            ),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
             *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
         )
@@ -126,6 +132,11 @@ class Names:
         known = registry.entries("metrics")
         modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
         return f"{list(known)} {provenance.code_hash(set().union(*modules), core=MEASURE)}"
+
+    @cached_property
+    def pools(self) -> dict[str, str]:
+        """The pool that each method buys from."""
+        return {name: registry.variant(name).traits.pool for name in self.request.methods}
 
     @cached_property
     def code(self) -> dict[str, str]:

@@ -131,7 +131,7 @@ def open_clip(
         raise ClipError(f"clip {folder} has no pool '{pool}'; it has: {', '.join(header.pools)}")
     if slots < 1:
         raise ClipError(f"asked for {slots} samples of clip {folder}; at least 1 must be readable")
-    arrays = Decoded(folder, header, clip_digest(folder, header))
+    arrays = Decoded(folder, header, clip_digest(folder, header, pool))
     return StoredClip(arrays, needs, min(slots, header.pool_spp), pool, seed, torch.device(device))
 
 

@@ -81,27 +81,45 @@ def profile(name: str) -> Profile:
     return read
 
 
-def measured(header: Header, here: str) -> Cost:
-    """What the clip's renderer wrote if it was `here`, else what this machine's path tracer takes.
+def published(profile: Profile, header: Header, pool: str) -> Cost:
+    """What a profile says of a clip's path tracer, and of another pool as many times that as here.
+
+    As many times, that is, as the clip's renderer has measured; without that it is not known.
+    """
+    found = profile.cost(header.scene, header.height, header.width)
+    if pool == "path":
+        return found
+    dearer = header.sample_ms_of(pool) / header.sample_ms_of("path")
+    if not math.isfinite(dearer):
+        why = f"the profile knows path samples alone, and the clip no cost of its {pool} pool"
+        return Cost(math.nan, found.convention, why)
+    told = f"a {pool} sample is {dearer:.3g} path samples, as measured on '{header.device}'"
+    return Cost(found.sample_ms * dearer, found.convention, told)
+
+
+def measured(header: Header, here: str, pool: str = "path") -> Cost:
+    """What the clip's renderer wrote if it was `here`, else what this machine's tracer takes.
 
     The tracer is asked once for each scene, size and code, and its answer kept in the cache.
     """
-    convention = f"path tracer, measured on {here}"
-    if header.device == here and math.isfinite(header.sample_ms):
-        return Cost(header.sample_ms, convention)
+    convention, known_ms = f"path tracer, measured on {here}", header.sample_ms_of(pool)
+    told = "" if pool == "path" else f"a sample of the {pool} pool, with all of its shadow rays"
+    if header.device == here and math.isfinite(known_ms):
+        return Cost(known_ms, convention, told)
     file = paths.cache() / "sample_ms.json"
     known = json.loads(file.read_text()) if file.is_file() else {}
     key = f"{header.scene} {header.width}x{header.height} {here} {_code(header.scene)}"
+    key += f" {pool}" * (pool != "path")
     if key not in known:
         try:
-            known[key] = _trace(header)
+            known[key] = _trace(header, pool)
         except Exception as error:  # a scene or a tracer that is not there is a reason, not an end
             why = f"{type(error).__name__}: {error}"
             note = f"rendered on '{header.device}', not here, and not traceable here: {why}"
             return Cost(math.nan, convention, note)
         with paths.replacing(file) as temporary:
             temporary.write_text(json.dumps(known, indent=1))
-    return Cost(known[key], convention)
+    return Cost(known[key], convention, told)
 
 
 def _code(scene: str) -> str:
@@ -113,9 +131,12 @@ def _code(scene: str) -> str:
     return provenance.code_hash(modules, core=["rlbench.render"])
 
 
-def _trace(header: Header) -> float:
+def _trace(header: Header, pool: str) -> float:
     """Milliseconds of one sample per pixel of the scene, traced now."""
     scene = registry.load("scenes", header.scene)()
+    from rlbench.render.chains import trace_ms
     from rlbench.render.trace import sample_ms
 
+    if pool != "path":
+        return float(trace_ms(scene, header.height, header.width, pool))
     return float(sample_ms(scene, header.height, header.width))

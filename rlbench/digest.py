@@ -13,22 +13,24 @@ from rlbench.header import ClipError, Header
 Stamp = tuple[int, int, str]  # bytes, mtime in ns, sha256 of one file
 
 
-def clip_digest(folder: Path, header: Header) -> str:
-    """Hash of the files' bytes and of the header fields on which pixels depend, 32 hex digits.
+def clip_digest(folder: Path, header: Header, pool: str) -> str:
+    """Hash of what a clip with the samples of `pool` is made of, 32 hex digits.
+
+    That is the files' bytes, without other pools, and the header fields on which pixels depend.
 
     The time of a sample and the machine that traced it do not count. A file whose size and time
     of change are as remembered is not read again. Raises ClipError where a frame's file is missing.
     """
     remembered = _remembered(folder)
     stamps = {}
-    for kind in kinds(header.pools):
+    for kind in kinds([pool]):
         for index in range(header.frames):
             path = exr_path(folder, kind, index)
             stamps[path.name] = _stamp(path, remembered.get(path.name))
-    if stamps != remembered:
+    if (now := remembered | stamps) != remembered:
         with paths.replacing(_memory(folder)) as temporary:
-            temporary.write_text(json.dumps(stamps))
-    told = json.dumps([header.pixels, {name: stamp[2] for name, stamp in stamps.items()}])
+            temporary.write_text(json.dumps(now))
+    told = json.dumps([header.pixels(pool), {name: stamp[2] for name, stamp in stamps.items()}])
     return hashlib.sha256(told.encode()).hexdigest()[:32]
 
 

@@ -71,18 +71,32 @@ def write_frame(
         planes |= _planes(name, image, np.float16 if name.startswith(HALF) else np.float32)
     write_exr(exr_path(folder, "view", index), planes)
     for pool, samples in pools.items():
-        precision = np.float32 if _beyond_half(samples) else np.float16
-        planes = {}
-        for slot, image in enumerate(samples):
-            planes |= _planes(f"s{slot}", image, precision)
-        write_exr(exr_path(folder, f"pool.{pool}", index), planes)
+        _write_pool(folder, index, pool, samples)
     for kind, image in (("referenceA", a), ("referenceB", b)):
         write_exr(exr_path(folder, kind, index), _planes("rgb", image, np.float32))
+
+
+def write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> None:
+    """Write the file of one pool [s h w 3] of a frame that is there, as `write_frame` does."""
+    name = f"pool.{pool}"
+    if np.ndim(samples) != 4 or np.shape(samples)[-1] != 3:
+        raise ClipError(f"frame {index}: {name} has shape {np.shape(samples)}, expected s h w 3")
+    if count := int(not_finite(name, samples).sum()):
+        raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")
+    _write_pool(folder, index, pool, samples)
 
 
 def has_frame(folder: Path, index: int, pools: Iterable[str] = ("path",)) -> bool:
     """Whether every file of a frame with these pools is there, so it need not be traced again."""
     return all(exr_path(folder, kind, index).is_file() for kind in kinds(pools))
+
+
+def _write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> None:
+    precision = np.float32 if _beyond_half(samples) else np.float16
+    planes: dict[str, NDArray[Any]] = {}
+    for slot, image in enumerate(samples):
+        planes |= _planes(f"s{slot}", image, precision)
+    write_exr(exr_path(folder, f"pool.{pool}", index), planes)
 
 
 def not_finite(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:

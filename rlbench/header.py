@@ -64,6 +64,7 @@ class Header:
     cuts: tuple[int, ...] = ()  # frames where another shot begins; all motion leads outside there
     licence: str = ""  # of the pixels
     sample_ms: float = math.nan  # time of one full-frame 1-spp trace, or nan
+    pools_ms: tuple[float, ...] = ()  # the same of each pool, where there are several
     device: str = ""  # where it was traced
 
     def __post_init__(self) -> None:
@@ -100,12 +101,20 @@ class Header:
                 f"{self.frames - 1}, of a clip that is not static"
             )
 
-    @property
-    def pixels(self) -> dict[str, Any]:
-        """The fields on which a frame's tensors depend: what a content hash must cover."""
+    def sample_ms_of(self, pool: str) -> float:
+        """Time of one full-frame sample per pixel of a pool, in milliseconds; nan if unknown."""
+        known = dict(zip(self.pools, self.pools_ms or (self.sample_ms,), strict=False))
+        return known.get(pool, math.nan)
+
+    def pixels(self, pool: str) -> dict[str, Any]:
+        """The fields on which a frame's tensors depend, with the samples of one pool.
+
+        What a content hash must cover: that of one pool stays as it is when another is added.
+        """
         kept = ("version", "name", "scene", "height", "width", "frames", "exposure", "pool_spp")
         lacks = ("lacks",) if self.lacks else ()  # as it was, where nothing is lacking
-        return {k: getattr(self, k) for k in (*kept, "buffers", "pools", "static", *lacks)}
+        held = {k: getattr(self, k) for k in (*kept, "buffers", "pools", "static", *lacks)}
+        return held | {"pools": (pool,)}
 
 
 def write_header(folder: Path, header: Header) -> None:

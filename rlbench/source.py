@@ -13,7 +13,7 @@ from typing import Protocol
 
 import torch
 
-from rlbench import provenance
+from rlbench import provenance, registry
 from rlbench.clips import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
@@ -31,9 +31,8 @@ class Source(Protocol):
     def header(self) -> Header:
         """What the clip says of itself."""
 
-    @property
-    def digest(self) -> str:
-        """Hash of its content."""
+    def content(self, pool: str) -> str:
+        """Hash of its content, with the samples of one pool, or none where it lacks that pool."""
 
     @property
     def priced(self) -> str:
@@ -54,10 +53,11 @@ class Stored:
         """What clip.toml says."""
         return read_header(self.folder)
 
-    @cached_property
-    def digest(self) -> str:
-        """Hash of the folder's content."""
-        return open_clip(self.folder, needs=frozenset(), slots=1, pool=self.header.pools[0]).digest
+    def content(self, pool: str) -> str:
+        """Hash of the folder's content with the samples of `pool`."""
+        there = pool if pool in self.header.pools else self.header.pools[0]
+        found = open_clip(self.folder, needs=frozenset(), slots=1, pool=there).digest
+        return found if there == pool else f"{found} without {pool}"
 
     @property
     def priced(self) -> str:
@@ -74,10 +74,9 @@ class Stored:
 class Live(Stored):
     """A clip folder whose samples are traced when they are bought."""
 
-    @cached_property
-    def digest(self) -> str:
+    def content(self, pool: str) -> str:
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
-        told = f"{Stored(self.folder).digest} live {activate()} {provenance.machine().cpu}"
+        told = f"{super().content(pool)} live {activate()} {provenance.machine().cpu}"
         return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
 
     @property
@@ -152,12 +151,23 @@ def affordable(traits: Traits, spp: float, stored: int) -> int:
     return most if traits.adapts else min(most, max(1, traits.floor, math.ceil(spp)))
 
 
+def _hint(pool: str) -> str:
+    """How a clip comes by a pool that a plugin traces."""
+    if pool not in registry.names("pools") or not registry.load("pools", pool).make:
+        return ""
+    return (
+        "; `rlbench render` adds it to clips of presets that have it, where Mitsuba traces with "
+        "LLVM or CUDA (see `rlbench doctor`)"
+    )
+
+
 def unusable(header: Header, traits: Traits, spp: float) -> str | None:
     """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
     if refused := traits.refuses(spp):
         return refused
     if traits.pool not in header.pools:
-        return f"buys from a '{traits.pool}' pool, the clip has: {', '.join(header.pools)}"
+        have = ", ".join(header.pools)
+        return f"buys from a '{traits.pool}' pool, the clip has: {have}{_hint(traits.pool)}"
     absent = traits.needs - set(header.buffers) - ({"motion"} if header.static else set())
     if absent:
         have = ", ".join(header.buffers) or "none"

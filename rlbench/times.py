@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from rlbench import cost, latency, provenance
+from rlbench import cost, latency, provenance, registry
 from rlbench.cells import Cell
 from rlbench.cost import Cost, Profile
 from rlbench.engine import Engine, Share, Tell
@@ -17,7 +17,6 @@ from rlbench.frames import Clip
 from rlbench.latency import Timing
 from rlbench.method import Method
 from rlbench.ready import Ready
-from rlbench.source import Source
 
 Key = tuple[object, ...]
 
@@ -29,7 +28,7 @@ class Times:
     ready: Ready
     profile: Profile | None  # None where samples are charged by what this machine takes
     _known: dict[Key, Timing] = field(default_factory=dict, repr=False)
-    _costs: dict[str, Cost] = field(default_factory=dict, repr=False)
+    _costs: dict[tuple[str, str], Cost] = field(default_factory=dict, repr=False)
 
     def __call__(self, cell: Cell, tell: Tell) -> Timing:
         """Times of a cell, taken now: work for an engine."""
@@ -56,7 +55,7 @@ class Times:
                 self._known[self.key(outcome.job)] = outcome.result()
             timed(outcome.job)
         for cell in able:
-            self.cost(cell.clip)
+            self.cost(cell)
         return errors
 
     def key(self, cell: Cell) -> Key:
@@ -72,16 +71,17 @@ class Times:
             self._known[key] = self._taken(cell, method, clip)
         return self._known[key]
 
-    def cost(self, clip: Source) -> Cost:
-        """What a sample of a clip costs, measured now unless it is known."""
-        header = clip.header
-        if header.name not in self._costs:
-            self._costs[header.name] = (
-                self.profile.cost(header.scene, header.height, header.width)
+    def cost(self, cell: Cell) -> Cost:
+        """What a sample of a cell's clip and pool costs, measured now unless it is known."""
+        header, pool = cell.clip.header, registry.variant(cell.method).traits.pool
+        key = (header.name, pool)
+        if key not in self._costs:
+            self._costs[key] = (
+                cost.published(self.profile, header, pool)
                 if self.profile
-                else cost.measured(header, provenance.machine().cpu)
+                else cost.measured(header, provenance.machine().cpu, pool)
             )
-        return self._costs[header.name]
+        return self._costs[key]
 
     def _taken(self, cell: Cell, method: Method, clip: Clip) -> Timing:
         return latency.time_method(method, clip, cell.spp, self.ready.request.repeats)

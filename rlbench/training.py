@@ -104,10 +104,12 @@ def train(
     """
     trainer: Trainer = registry.trainer(name, device, plan.seed)
     trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device)
+    pool = trainer.method.traits.pool
+    batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device, pool)
     average = copy.deepcopy(trainer.networks)
     optimizer = torch.optim.Adam(_groups(trainer), trainer.peak)
-    data = [f"{clip.name} {clip.digest[:12]}" for clip in map(open_clip, train_on)]
+    opened = [open_clip(folder, pool=pool) for folder in train_on]
+    data = [f"{clip.name} {clip.digest[:12]}" for clip in opened]
     asked = {**asdict(plan), "data": data}
     progress, kept = Progress(plan=asked), out / "checkpoint.safetensors"
     if kept.exists():
@@ -199,7 +201,8 @@ def _validate(trainer: Trainer, average: nn.Module, folders: Sequence[Path], dev
     scores: list[float] = []
     for folder in folders:
         for spp in (1.0, 4.0):
-            clip = open_clip(folder, trainer.method.traits.needs, device=device)
+            traits = trainer.method.traits
+            clip = open_clip(folder, traits.needs, pool=traits.pool, device=device)
             for shown in run_clip(trainer.method, clip, spp):
                 reference = shown.frame.reference
                 scores += psnr(shown.image, reference.a, reference.b).tolist()

@@ -31,13 +31,17 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     are not permuted; and crops below 176 pixels use the scales that fit.
     """
     network = UNet(INPUTS, widths=VARIANTS[variant].widths, seed=seed).to(device)
-    method = Oidn(network)
+    return learning(Oidn(network))
+
+
+def learning(method: Oidn) -> Trainer:
+    """How a U-Net learns from the pool that the method's traits name."""
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
             yield _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
 
-    return Trainer(method, network, losses, BUDGETS, PEAK)
+    return Trainer(method, method.network, losses, BUDGETS, PEAK)
 
 
 def _loss(method: Oidn, still: MemoryClip, spp: float) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench import registry
 from rlbench.exr import read_exr
 from rlbench.folder import channels, exr_path, images
 from rlbench.header import Header, read_header
@@ -58,6 +59,9 @@ class Footage:
 def read_footage(folder: Path, frames: int = 8) -> Footage:
     """The first `frames` frames of a finished clip (0: all), read past the checks of `open_clip`.
 
+    Pools whose samples hang together, as those of ReSTIR do, are left out: what is proved here of
+    samples is not true of them.
+
     Raises ClipError where the folder is not a finished clip, or lacks a file or a channel.
     """
     header = read_header(folder)
@@ -72,10 +76,15 @@ def read_footage(folder: Path, frames: int = 8) -> Footage:
 
     view = {name: read("view", [name]) for name in header.buffers}
     pools = {}
-    for kind in header.pools:
+    for kind in filter(_independent, header.pools):
         planes = read(f"pool.{kind}", images(header, f"pool.{kind}"))
         pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
     return Footage(header, view, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"]))
+
+
+def _independent(pool: str) -> bool:
+    known = pool in registry.names("pools")
+    return not known or bool(registry.load("pools", pool).independent)
 
 
 def _sound(image: Tensor, positive: float = 0.0) -> Tensor:

@@ -167,7 +167,10 @@ def open_live(stored: StoredClip) -> LiveClip:
     Raises ClipError as `scene_of` does, and for a pool other than `path`.
     """
     if stored.pool not in POOLS:
-        raise ClipError(f"no live pool '{stored.pool}'; samples are traced for: {', '.join(POOLS)}")
+        raise ClipError(
+            f"no live pool '{stored.pool}', whose samples hang on those of earlier frames and of "
+            f"neighbours; use --pool stored. Samples are traced for: {', '.join(POOLS)}"
+        )
     return LiveClip(stored, _tracer(stored.arrays.folder, stored.digest))
 
 

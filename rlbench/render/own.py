@@ -16,7 +16,7 @@ from numpy import ndarray as Array
 from rlbench import paths
 from rlbench.engine import LOCAL, Engine
 from rlbench.render import flight, llvm, sight
-from rlbench.render.job import Job
+from rlbench.render.job import POOLS, Job
 from rlbench.render.opened import Opened, opened
 from rlbench.render.presets import Preset
 from rlbench.render.record import finish
@@ -99,7 +99,8 @@ def ensure_own(
 def job_of(wish: Wish, found: Opened, preset: Preset) -> tuple[Job, Route]:
     """What is to be rendered of an opened scene, before it was looked at. Raises SceneError."""
     route = _route(wish, found)
-    plan = replace(preset, frames=_frames(wish, route, preset), size=_size(wish, found, preset))
+    size = _size(wish, found, preset)
+    plan = replace(preset, frames=_frames(wish, route, preset), size=size, pools=POOLS)
     name = re.sub(r"[^\w.-]+", "-", f"{found.name}-{route.kind}")
     folder = wish.out or paths.clips() / f"{FOLDER}{preset.name}" / name
     if folder.exists() and not folder.is_dir():

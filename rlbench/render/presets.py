@@ -10,6 +10,7 @@ from typing import Literal
 from rlbench.header import EXTRAS
 
 FOUR = ("city", "temple", "hall", "ripples")
+BOTH = ("path", "restir")  # pools, by entry point of the group rlbench.pools
 GENERATED = "generated"  # clips of rlbench.scenes.generator are named generated-<seed>
 
 
@@ -33,6 +34,7 @@ class Preset:
     cap: float = math.inf  # brightest that a sample may be, times display white
     ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
     rounds: int = 1  # of `reference_spp` each, at most, until it does not
+    pools: tuple[str, ...] = ("path",)  # others are of plugins, and added where they can be traced
     extras: tuple[str, ...] = ()  # view buffers beside those that every clip has
 
     @property
@@ -65,9 +67,11 @@ class Preset:
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city")),
-        Preset("mini", "the first command: about 3 minutes on two cores", (192, 192), 8, 64),
-        # noise at 33 dB lowers a score of 23 dB by 0.4 dB, for every method alike; not mse_debiased
+        Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city"), pools=BOTH),
+        Preset(
+            "mini", "the first command: about 4 minutes on two cores", (192, 192), 8, 64, pools=BOTH
+        ),
+        # 33 dB adds 0.4 dB to an error of 23 dB, for all methods alike; not to mse_debiased
         Preset(
             "standard",
             "a workstation: all takes",
@@ -77,10 +81,20 @@ PRESETS = {
             takes="all",
             ceiling_db=33.0,
             rounds=12,
+            pools=BOTH,
         ),
         # of each scene one take, as in the paper: a clip is 10^10 paths, three hours of two cores
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
-        Preset("train", "training: generated scenes", (160, 160), 5, 64, (), tuple(range(28))),
+        Preset(
+            "train",
+            "training: generated scenes",
+            (160, 160),
+            5,
+            64,
+            (),
+            tuple(range(28)),
+            pools=BOTH,
+        ),
     )
 }
 

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rlbench import paths, registry
 from rlbench.clips import Header, write_header
 from rlbench.engine import LOCAL, Engine, Tell
-from rlbench.render import llvm
+from rlbench.render import chains, llvm
 from rlbench.render.job import Job
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
@@ -61,10 +61,16 @@ def ensure(
 
 
 def finish(jobs: list[Job], progress: Progress | None = None, engine: Engine = LOCAL) -> list[Path]:
-    """The folders of clips of one preset, after rendering what is missing of them."""
+    """The folders of clips of one preset, after rendering what is missing of them.
+
+    Pools beside the path tracer's come last, here, whatever the engine: their frames hang together.
+    """
     if unfinished := [job for job in jobs if not job.finished]:
         with _shown(progress, engine) as bar:
             _render_all(unfinished, bar, engine)
+    if lacking := chains.lacking(jobs):
+        with _shown(progress, LOCAL) as bar:
+            chains.add_all(lacking, bar)
     return [job.folder for job in jobs]
 
 
@@ -93,6 +99,8 @@ def render(job: Job, traced: Tell = lambda samples: None, engine: Engine = LOCAL
     cannot be traced does not stop the others; its error is raised when they are done.
     """
     _raise_first(_together([job], traced, engine))
+    for lack in chains.lacking([job]):
+        chains.add(lack)
 
 
 def _takes(name: str, chosen: Preset) -> dict[str, Scene]:

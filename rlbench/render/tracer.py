@@ -154,7 +154,7 @@ class Tracer(ABC):
             times.append(1e3 * (clock.perf_counter() - start) / spp)
         return statistics.median(times)
 
-    def _capped(self, radiance: Float[Array, "*shape 3"]) -> Float[Array, "*shape 3"]:
+    def capped(self, radiance: Float[Array, "*shape 3"]) -> Float[Array, "*shape 3"]:
         """Samples dimmed to the cap; without a cap, untouched."""
         if self.cap == math.inf:
             return radiance

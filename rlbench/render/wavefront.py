@@ -36,14 +36,13 @@ class Wavefront(Tracer):
         if len(pixels) == 1:  # one lane would be a scalar to Dr.Jit, and so another kernel
             return self.trace(np.repeat(pixels, 2), np.repeat(samples, 2), stream)[:1]
         pixel, sample = load.upload(mi.UInt32, pixels), load.upload(mi.UInt32, samples)
-        salt = [dr.opaque(mi.UInt32, k) for k in sampler.key(stream, self.time, self.seed)]
-        numbers = sampler.keyed(pixel, sample, salt)
+        numbers = self.numbers(pixel, sample, stream)
         jitter = numbers.next_2d()
         row = pixel // self._columns
         x, y = mi.Float(pixel - row * self._columns) + jitter.x, mi.Float(row) + jitter.y
-        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self._rays(x, y))
+        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self.rays(x, y))
         dr.eval(radiance)  # at once, or reading the channels traces every path three times
-        return self._capped(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
+        return self.capped(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
 
     def each(
         self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
@@ -52,7 +51,7 @@ class Wavefront(Tracer):
         import drjit as dr
         import mitsuba as mi
 
-        found = look(self._rays(*(load.upload(mi.Float, film[:, axis]) for axis in range(2))))
+        found = look(self.rays(*(load.upload(mi.Float, film[:, axis]) for axis in range(2))))
         dr.eval(*found)
         return [np.broadcast_to(quantity.numpy(), len(film)) for quantity in found]
 
@@ -67,7 +66,16 @@ class Wavefront(Tracer):
         number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
         return dr.gather(mi.UInt32, self._places, number, hit.is_valid())
 
-    def _rays(self, x: Any, y: Any) -> Any:
+    def numbers(self, pixels: Any, samples: Any, stream: str) -> Any:
+        """The sampler of a wavefront with these pixels and samples (mi.UInt32) at this time."""
+        import drjit as dr
+        import mitsuba as mi
+
+        salt = [dr.opaque(mi.UInt32, k) for k in sampler.key(stream, self.time, self.seed)]
+        return sampler.keyed(pixels, samples, salt)
+
+    def rays(self, x: Any, y: Any) -> Any:
+        """The camera's rays through film positions (mi.Float), as in `each`."""
         import drjit as dr
         import mitsuba as mi
 

@@ -60,7 +60,7 @@ class Whole(Tracer):
 
     def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
         images = [self._image(first + s, 1, stream) for s in range(count)]
-        return self._capped(np.stack(images))
+        return self.capped(np.stack(images))
 
     def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
         if self.cap < math.inf:  # each sample has to be seen

@@ -240,11 +240,11 @@ def test_a_header_lacks_only_what_the_format_knows():
 
 
 def test_what_a_clip_lacks_is_part_of_its_content():
-    assert _header(lacks=("halves",)).pixels != _header().pixels
+    assert _header(lacks=("halves",)).pixels("path") != _header().pixels("path")
 
 
 def test_a_clip_that_lacks_nothing_keeps_its_digest():
-    assert "lacks" not in _header().pixels
+    assert "lacks" not in _header().pixels("path")
 
 
 def test_fireflies_are_imported_whole(tmp_path):

@@ -1,0 +1,44 @@
+"""ReSTIR DI: many lights for few shadow rays, by reuse of what neighbours and the past found.
+
+The pool draws the samples; `restir` shows their mean, and `restir+oidn` denoises it.
+"""
+
+from rlbench.family import Family, Traits, Variant
+from rlbench.pools import PoolKind
+
+POOL = PoolKind(
+    name="restir",
+    title="ReSTIR DI with path-traced indirect light, one chain of reservoirs an image",
+    make="baselines.restir.chains:biased",
+    independent=False,
+)
+
+FAMILY = Family(
+    name="restir",
+    title="ReSTIR DI, biased, with path-traced indirect light",
+    paper="Bitterli et al. 2020, Spatiotemporal reservoir resampling for real-time ray tracing",
+    licence="Apache-2.0",
+    variants={
+        "": Variant(
+            "How far do better direct-light samples get, without a denoiser?",
+            Traits(pool=POOL.name),
+            learned=False,
+        ),
+    },
+    build="baselines.restir.method:build",
+)
+
+DENOISED = Family(
+    name="restir+oidn",
+    title="ReSTIR DI, denoised by Open Image Denoise, retrained on it",
+    paper="Bitterli et al. 2020 and Áfra 2019",
+    licence="Apache-2.0 (reimplemented; the weights are ours)",
+    variants={
+        "": Variant(
+            "Does a plain U-Net gain from better direct-light samples, correlated as they are?",
+            Traits(needs=frozenset({"albedo", "normal"}), pool=POOL.name, spp=(1.0, 8.0)),
+        ),
+    },
+    build="baselines.restir.method:denoised",
+    train="baselines.restir.train:trainer",
+)

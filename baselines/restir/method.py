@@ -1,0 +1,31 @@
+"""What is shown of the samples of the ReSTIR pool: their mean, or OIDN on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from baselines.mean import Mean
+from baselines.oidn.method import INPUTS, Oidn
+from baselines.restir import DENOISED, FAMILY
+from rlbench.ops.unet import UNet
+from rlbench.weights import load_into
+
+
+def build(variant: str, device: torch.device, weights: str | None) -> Mean:
+    """The mean of what was bought: S samples per pixel are S chains of reservoirs."""
+    return Mean(FAMILY.variants[variant].traits)
+
+
+def denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
+    """OIDN as in `baselines.oidn`, with weights that were trained on this pool.
+
+    Its noise is correlated between neighbours, who share samples, unlike that of paths.
+    """
+    network = UNet(INPUTS)
+    if weights != "random":
+        shipped = Path(__file__).parent / "cards" / DENOISED.weights(variant)
+        load_into(network, Path(weights) if weights else shipped)
+    network.to(device).eval().requires_grad_(False)
+    return Oidn(network, DENOISED.variants[variant].traits)

@@ -1,0 +1,129 @@
+"""Pools of chains, added to clips that are there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rlbench.clips import open_clip, read_header, verify
+from rlbench.family import Traits
+from rlbench.render import chains
+from rlbench.render.job import Job
+from rlbench.render.llvm import activate
+from rlbench.render.presets import Preset
+from rlbench.render.record import finish, render
+from rlbench.source import unusable
+from tests.render.worlds import room
+
+PLAN = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
+BOTH = replace(PLAN, pools=("path", "restir"))
+
+
+def job(folder, plan=BOTH, scene=None):
+    return Job("room", scene or room(), plan, folder)
+
+
+def contents(folder, pattern="*.exr"):
+    return {file.name: file.read_bytes() for file in sorted(folder.glob(pattern))}
+
+
+@pytest.fixture
+def plain(llvm, tmp_path):
+    """A clip with the path tracer's pool alone."""
+    render(job(tmp_path / "plain", PLAN))
+    return tmp_path / "plain"
+
+
+@pytest.fixture
+def clip(plain):
+    """The same with a pool of chains, added later."""
+    finish([job(plain)])
+    return plain
+
+
+class Killed(BaseException):
+    """What ends a rendering in the middle."""
+
+
+def killer(after):
+    calls = iter(range(after))
+
+    def traced():
+        if next(calls, None) is None:
+            raise Killed
+
+    return traced
+
+
+def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
+    before = {file: file.stat().st_mtime_ns for file in plain.glob("*.exr")}
+    digest = open_clip(plain).digest
+    finish([job(plain)])
+    assert before == {file: file.stat().st_mtime_ns for file in before}
+    assert open_clip(plain).digest == digest
+    assert read_header(plain).pools == ("path", "restir")
+    assert verify(plain) == []
+
+
+def test_a_clip_of_both_is_that_to_which_one_was_added(clip, tmp_path):
+    render(job(tmp_path / "both"))
+    assert contents(tmp_path / "both") == contents(clip)
+
+
+def test_samples_of_each_pool_have_a_digest_of_their_own(clip):
+    assert open_clip(clip, pool="restir").digest != open_clip(clip).digest
+
+
+def test_a_finished_pool_is_not_traced_again(clip):
+    assert chains.lacking([job(clip)]) == []
+
+
+@pytest.mark.parametrize("cuts", [(), (2,)], ids=["one shot", "a cut"])
+@pytest.mark.parametrize("after", [1, 3])
+def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, cuts, after):
+    scene = replace(room(), cuts=cuts)
+    whole, again = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
+    finish([whole])
+    finish([replace(again, preset=PLAN)])
+    (lack,) = chains.lacking([again])
+    with pytest.raises(Killed):
+        chains.add(lack, killer(after))
+    assert read_header(again.folder).pools == ("path",)
+    assert len(contents(again.folder, "pool.restir.*.exr")) == after + 1
+    finish([again])
+    assert contents(again.folder) == contents(whole.folder)
+
+
+def test_a_lost_file_is_traced_again_and_the_others_are_left_alone(clip):
+    before = contents(clip)
+    kept = (clip / "pool.restir.0000.exr").stat().st_mtime_ns
+    (clip / "pool.restir.0002.exr").unlink()
+    finish([job(clip)])
+    assert contents(clip) == before
+    assert (clip / "pool.restir.0000.exr").stat().st_mtime_ns == kept
+
+
+def test_a_pool_of_another_recipe_is_replaced(clip):
+    (lack,) = [
+        chains.Lack(job(clip), replace(kind, recipe=kind.recipe + 1))
+        for kind in [chains.registry.load("pools", "restir")]
+    ]
+    assert lack.missing == [0, 1, 2, 3]
+    lack.claim()
+    assert read_header(clip).pools == ("path",)
+    assert contents(clip, "pool.restir.*.exr") == {}
+
+
+def test_the_header_says_what_a_sample_of_each_pool_costs(clip):
+    header = read_header(clip)
+    assert header.sample_ms_of("path") == header.sample_ms
+    assert header.sample_ms_of("restir") > 0
+    assert np.isnan(header.sample_ms_of("unheard"))
+
+
+def test_without_wavefronts_there_is_no_pool_and_a_method_that_needs_it_says_so(plain):
+    activate("scalar_rgb")
+    finish([job(plain)])
+    header = read_header(plain)
+    assert header.pools == ("path",)
+    assert "'restir' pool, the clip has: path" in unusable(header, Traits(pool="restir"), 1.0)
