@@ -191,4 +191,4 @@ def test_a_cap_bounds_what_is_due() -> None:
 
     clip = procedural(3, SIZE, frames=1)
     list(unroll(Surrogate(capped, iter(clip), 2.8, teach), clip, 2.8))
-    assert float(due[0].max()) == 3
+    assert due[0].max().item() == 3
