@@ -23,6 +23,7 @@ from rlbench.run import run_clip
 
 WARM_UP = 0.15  # share of the training in which the learning rate rises
 START, END = 1 / 25, 1e-4  # learning rate at the first and at the last step, of the peak
+SETTLED = 0.1  # dB: a validation curve that rose by less between its last two points is flat
 
 
 class TrainingError(RuntimeError):
@@ -82,6 +83,17 @@ class Progress:
     seconds: float = 0.0
     curve: list[tuple[int, float]] = field(default_factory=list)  # frames, validation PSNR
     plan: dict[str, Any] = field(default_factory=dict)  # that it follows
+
+    def note(self, frames: int) -> str:
+        """What whoever uses the weights should know: was it cut short of `frames`, or too short?"""
+        if self.seen < frames:
+            return f"stopped at {self.seen} of {frames} frames"
+        if len(self.curve) < 2:
+            return ""
+        (before, low), (_, high) = self.curve[-2:]
+        if high - low < SETTLED:
+            return ""
+        return f"not yet flat: validation rose by {high - low:.2f} dB after {before} frames"
 
 
 def train(
@@ -234,7 +246,6 @@ def _ship(
     device: str,
     command: str,
 ) -> None:
-    finished = progress.seen >= plan.frames
     card = weights.Card(
         name=name,
         data=tuple(progress.plan["data"]),
@@ -247,7 +258,7 @@ def _ship(
         commit=provenance.commit(),
         plan=json.dumps({**asdict(plan), "peak": peak}),
         curve=tuple(progress.curve),
-        note="" if finished else f"stopped at {progress.seen} of {plan.frames} frames",
+        note=progress.note(plan.frames),
     )
     weights.save(average, _weights(name, out), card)
 

@@ -11,7 +11,7 @@ from rlbench.batches import Augmentation, BatchError, Batches
 from rlbench.frames import Size
 from rlbench.ops.warp import reproject
 from rlbench.procedural import procedural
-from rlbench.training import Plan, TrainingError, train
+from rlbench.training import Plan, Progress, TrainingError, train
 from rlbench.weights import digest, read_card
 from tests.conftest import write_noise
 
@@ -125,6 +125,22 @@ def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
     trained(tmp_path / "run", clip)
     with pytest.raises(TrainingError, match="other"):
         trained(tmp_path / "run", other)
+
+
+@pytest.mark.parametrize(
+    ("seen", "curve", "note"),
+    [
+        (500, [], "stopped at 500 of 3000 frames"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.5)], "rose by 0.50 dB after 2000 frames"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.05)], ""),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 23.0)], ""),
+        (1000, [(1000, 20.0)], "stopped"),
+    ],
+)
+def test_a_card_tells_of_a_training_that_was_too_short(seen, curve, note):
+    told = Progress(seen=seen, curve=curve).note(3000)
+    assert note in told
+    assert bool(told) == bool(note)
 
 
 def test_a_training_that_is_done_keeps_its_card(tmp_path):
