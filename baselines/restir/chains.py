@@ -33,6 +33,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from baselines.restir.indirect import indirect
 from baselines.restir.reservoir import Reservoir, Stream, empty
 from baselines.restir.reuse import Others, merge
 from baselines.restir.surface import Surface
@@ -230,30 +231,11 @@ class Restir:
         value, point = surface.light(kept.place, kept.weight > 0)
         seen = surface.sees(point, kept.weight > 0)
         direct = dr.select(seen, value * kept.weight, mi.Color3f(0))
-        return direct + self._rest(surface) if self.indirect else direct
-
-    def _rest(self, surface: Surface) -> Any:
-        """Emission seen at once, and light that comes by other surfaces."""
-        import drjit as dr
-        import mitsuba as mi
-
-        scene, hit = surface.scene, surface.hit
-        shine = hit.emitter(scene).eval(hit)
-        if self.stage.depth < 2:
-            return shine
-        numbers = self._numbers(7)
-        valid = hit.is_valid()
-        sample, weight = surface.bsdf.sample(
-            mi.BSDFContext(), hit, numbers.next_1d(), numbers.next_2d(), valid
-        )
-        valid &= dr.any(weight != 0)
-        onward = mi.RayDifferential3f(hit.spawn_ray(hit.to_world(sample.wo)))
-        light, _, _ = self._path.sample(scene, numbers, onward, active=valid)
-        mirror = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        met = scene.ray_intersect(onward, valid & ~mirror)
-        lamp = met.emitter(scene).eval(met, valid & ~mirror)
-        rest = dr.select(mirror, light, dr.maximum(light - lamp, 0))
-        return shine + dr.select(valid, weight * rest, 0)
+        if not self.indirect:
+            return direct
+        emitted = surface.hit.emitter(surface.scene).eval(surface.hit)
+        onward = indirect(surface, self._path, self._numbers(7)) if self.stage.depth > 1 else 0
+        return direct + emitted + onward
 
     def _numbers(self, number: int) -> Any:
         return self.stage.numbers(self._pixel, self._first + self._chain + ROOM * number)

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import gc
 import math
-import statistics
-import time as clock
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,8 +35,6 @@ from rlbench.render.studio import SEED
 from rlbench.render.tracer import LANES
 from rlbench.render.wavefront import Wavefront
 
-WARM_UP = 2  # frames before a time is taken: with kernels, and with something remembered
-ROUNDS = WARM_UP + 3
 TOGETHER = 4  # samples of each pixel in a frame whose time is taken
 
 
@@ -155,13 +151,9 @@ def chains(tracer: Wavefront, kind: PoolKind, count: int) -> Callable[[], Float[
 def dearer(tracer: Wavefront, kind: PoolKind) -> float:
     """Time of a sample, shadow rays and all, over that of a path, each of several in one frame.
 
-    The median over pairs that were taken one right after the other, so that it says the same
-    whatever else the machine has to do; and of several at once, as starting a kernel takes the
-    interpreter's time, which is not the sampler's.
+    Of several, as starting a kernel takes the interpreter's time, which is not the sampler's.
     """
-    pool = chains(tracer, kind, TOGETHER)
-    pairs = [(_timed(pool), _timed(lambda: tracer.stack(TOGETHER, "pilot"))) for _ in range(ROUNDS)]
-    return statistics.median(ours / theirs for ours, theirs in pairs[WARM_UP:])
+    return tracer.dearer(chains(tracer, kind, TOGETHER), TOGETHER)
 
 
 def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
@@ -174,12 +166,6 @@ def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
         raise LookupError(f"pool '{pool}' is traced with LLVM or CUDA alone: see `rlbench doctor`")
     tracer = Wavefront(scene, height, width)
     return tracer.sample_ms() * dearer(tracer, kind)
-
-
-def _timed(work: Callable[[], object]) -> float:
-    start = clock.perf_counter()
-    work()
-    return clock.perf_counter() - start
 
 
 def _with(header: Header, pool: str, taken: float) -> Header:

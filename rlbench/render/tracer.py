@@ -154,6 +154,21 @@ class Tracer(ABC):
             times.append(1e3 * (clock.perf_counter() - start) / spp)
         return statistics.median(times)
 
+    def dearer(self, work: Callable[[], object], spp: int, warm_up: int = 2) -> float:
+        """Time of `work` over that of `spp` samples per pixel.
+
+        The median over three pairs that are taken one right after the other, so that it says the
+        same whatever else the machine has to do.
+        """
+
+        def timed(work: Callable[[], object]) -> float:
+            start = clock.perf_counter()
+            work()
+            return clock.perf_counter() - start
+
+        pairs = [(timed(work), timed(lambda: self.stack(spp, "pilot"))) for _ in range(warm_up + 3)]
+        return statistics.median(theirs / paths for theirs, paths in pairs[warm_up:])
+
     def capped(self, radiance: Float[Array, "*shape 3"]) -> Float[Array, "*shape 3"]:
         """Samples dimmed to the cap; without a cap, untouched."""
         if self.cap == math.inf:

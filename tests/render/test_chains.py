@@ -78,6 +78,7 @@ def test_a_finished_pool_is_not_traced_again(clip):
     assert chains.lacking([job(clip)]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cuts", [(), (2,)], ids=["one shot", "a cut"])
 @pytest.mark.parametrize("after", [1, 3])
 def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, cuts, after):
