@@ -14,7 +14,8 @@ Ours, where the paper is silent or Mitsuba differs:
 - Every chain has its own camera rays, jittered in the pixel, and its own reservoirs: S chains make
   S samples per pixel.
 - Geometry is alike where normals differ by less than 25 degrees, and distances by less than a
-  tenth; the last frame's distance is compared as it was then.
+  tenth; the last frame's distance is compared as it was then. Both must have the same BSDF:
+  without that, 1 / M let a bright lobe's weights grow from frame to frame without bound.
 - Light that arrives from other surfaces, as well as what mirrors and glass show, is the path
   tracer's own: a continuation by the BSDF, from which light that meets a lamp at once is taken off
   where the lobe was not a mirror, for that is what the reservoirs give. So a pixel that shows only
