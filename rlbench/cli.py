@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +10,8 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
-from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, Seeds, lint, render
+from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, lint, render
+from rlbench.cli_methods import Device, Methods, Plugins, check, train, use
 from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
@@ -42,14 +41,7 @@ app = typer.Typer(
     "A first look:  rlbench run --methods ours,ntas && rlbench report all",
 )
 
-Methods = Annotated[
-    list[str], typer.Option("--methods", "-m", help="names a,b; all; family/*; may be repeated")
-]
-Plugins = Annotated[
-    list[Path] | None, typer.Option("--plugin", help="a Python file with FAMILY or METHODS")
-]
 Results = Annotated[Path, typer.Option(help="folder of the results table")]
-Device = Annotated[str, typer.Option(help="auto, cpu, cuda, or a torch device")]
 
 
 @app.command()
@@ -96,7 +88,7 @@ def run(
 
       rlbench run -m all --preset standard --engine ray --ray-address auto
     """
-    _use(plugin)
+    use(plugin)
     from rlbench import registry, show
     from rlbench.bench import measure
     from rlbench.cells import Request
@@ -135,7 +127,7 @@ def list_(
 
       rlbench list methods --json
     """
-    _use(plugin)
+    use(plugin)
     from rlbench import listing, show
 
     found = listing.listed(kind)
@@ -147,90 +139,8 @@ app.command("import")(import_)
 app.command()(lint)
 
 
-@app.command()
-def train(
-    methods: Methods = ["all"],  # noqa: B006
-    out: Annotated[Path, typer.Option(help="weights, checkpoints and logs")] = Path("runs"),
-    minutes: Annotated[float, typer.Option(help="stop after so many, for each method")] = 1e9,
-    frames: Annotated[int, typer.Option(help="crops to see, for each method")] = 12_000,
-    batch: Annotated[int, typer.Option(help="crops advanced together")] = 1,
-    crop: Annotated[int, typer.Option(help="side of a crop, pixels")] = 128,
-    half: Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")] = False,
-    seed: int = 0,
-    device: Device = "auto",
-    preset: Annotated[str | None, typer.Option(help="default train; mini with --holdout")] = None,
-    seeds: Seeds = None,
-    holdout: Annotated[
-        str | None, typer.Option(help="train on the scored scenes but this one")
-    ] = None,
-    plugin: Plugins = None,
-) -> None:
-    """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
-
-    With --holdout it is the papers' protocol instead: all scored scenes but one, the one to score.
-
-    Examples:
-
-      rlbench train --methods ours,ntas
-
-      rlbench train -m ours --minutes 30 --device cuda
-
-      rlbench train -m ours --seeds 0:48
-
-      rlbench train -m ntas --holdout hall --preset standard
-    """
-    _use(plugin)
-    from rlbench import registry, show, trainset
-    from rlbench.training import Plan
-    from rlbench.training import train as fit
-
-    names = registry.expand(asked.split(methods))
-    learning = [name for name in names if registry.learns(name)]
-    for name in set(names) - set(learning):
-        typer.echo(f"{name} has nothing to train")
-    chosen = trainset.chosen(preset, asked.seeds(seeds), holdout) if learning else trainset.NONE
-    plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
-    command = shlex.join(["rlbench", *sys.argv[1:]])
-    for name in learning:
-        place = out / (name.replace("/", "-") + (f"-without-{holdout}" if holdout else ""))
-        with show.training(name, frames) as tell:
-            fit(
-                name,
-                chosen.train,
-                chosen.validate,
-                place,
-                plan,
-                str(asked.device(device)),
-                minutes,
-                command,
-                tell,
-            )
-        typer.echo(f"{name}: {place}")
-
-
-@app.command()
-def check(
-    methods: Annotated[list[str], typer.Argument(help="names a,b; family/*; all with variants")],
-    plugin: Plugins = None,
-    device: Device = "cpu",
-) -> None:
-    """Check that a method does what every method must, on a world whose truth is known.
-
-    A tick list: what holds, what fails and what would do, and what does not apply (-). Weights are
-    random, so nothing is said of quality. Exit code 1 if a claim fails.
-
-    Examples:
-
-      rlbench check ours
-
-      rlbench check bright --plugin bright.py
-
-      rlbench check all
-    """
-    _use(plugin)
-    from rlbench.check.tell import check as examine
-
-    raise typer.Exit(0 if examine(asked.split(methods), asked.device(device)) else 1)
+app.command()(train)
+app.command()(check)
 
 
 @app.command()
@@ -306,7 +216,7 @@ def doctor(plugin: Plugins = None) -> None:
 
       rlbench doctor
     """
-    _use(plugin)
+    use(plugin)
     from rlbench import show
     from rlbench.doctor import examine
 
@@ -316,10 +226,3 @@ def doctor(plugin: Plugins = None) -> None:
 def _expected(error: Exception) -> bool:
     """Is it of our own types, so that its message says all there is to say?"""
     return type(error).__module__.partition(".")[0] in OURS
-
-
-def _use(plugins: list[Path] | None) -> None:
-    from rlbench import registry
-
-    for path in plugins or []:
-        registry.use_plugin(path)

@@ -308,7 +308,7 @@ FAULTS = {
     "a state with a graph": Fault(
         "graph", RemembersGraph, replace(SOUND, needs=frozenset({"albedo", "motion"}))
     ),
-    "buys half": Fault("budget", Sound, Careless(SOUND.needs, "path", True, True, (0.5,))),
+    "buys half": Fault("budget", Sound, Careless(SOUND.needs, "path", True, True, passes=(0.5,))),
     "a cap below its range": Fault("spread", Sound, replace(SOUND, cap=4)),
     "a floor above its range": Fault("runs", Sound, replace(SOUND, floor=1)),
     "divides by what it bought": Fault("nothing", NeedsOne),
