@@ -101,7 +101,9 @@ def listed(found: dict[str, list[dict[str, Any]]]) -> None:
     for kind, rows in found.items():
         fine = [row for row in rows if "broken" not in row]
         columns = COLUMNS.get(kind) or tuple(fine[0] if fine else ("name",))
-        shown = Table(*columns, title=kind, title_justify="left")
+        shown = Table(title=kind, title_justify="left")
+        for column in columns:
+            shown.add_column(column, no_wrap=column == "name")  # names are there to be copied
         for row in fine:
             shown.add_row(*(_told(row[column]) for column in columns))
         console.print(shown)
