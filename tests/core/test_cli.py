@@ -113,7 +113,7 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--methods", "foo"), "error: 'foo' is not a method; there are: dasr, eaw, imcd, mean, ntas"),
+        (("--methods", "foo"), "error: 'foo' is not a method; there are: dasr, eaw, imcd, mean"),
         (("--methods", "mean/A9"), "error: 'mean' has no variant 'A9'; it has: mean"),
         (("--spp", "one"), "error: --spp takes numbers such as 0.5,1,2 and was given 'one'"),
         (("--spp", "-1"), "error: --spp takes numbers"),
