@@ -11,19 +11,17 @@ SPP := 1000
 .PHONY: demo docs contact test test-all format clean
 
 demo: .venv/run.stamp
-	$(BIN)/rlbench render --preset mini
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
 	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
 	@echo
 	@echo "Pareto plot and tables: $(REPORT)/"
 
-# what the README shows: every method, those of extras too
+# what the README shows: every row of every method, those of extras too
 docs: .venv/dev.stamp
-	$(BIN)/rlbench render --preset mini
-	$(BIN)/rlbench run --methods all --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
-	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
-	mkdir -p docs
-	cp $(REPORT)/pareto.png $(REPORT)/summary.md docs/
+	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
+	$(BIN)/rlbench report summary --results $(RESULTS) --out docs
+	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs --methods all
+	rm -f docs/summary.csv docs/summary.tex docs/pareto.csv docs/pareto.pdf docs/pareto.svg
 
 # one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
 contact: .venv/run.stamp

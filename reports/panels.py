@@ -93,7 +93,11 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
         if curve.min() < bottom - margin
     ]
     if outside:
-        axes.set_title("below: " + ", ".join(outside), loc="right", fontsize=10, color=style.FAINT)
+        told = "below: " + ", ".join(outside)
+        axes.text(
+            0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5,
+            color=style.FAINT, zorder=4,
+        )  # fmt: skip
 
 
 def _beaten(axes: Axes, best: pd.DataFrame, better: str) -> None:

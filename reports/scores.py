@@ -111,9 +111,10 @@ def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     timed = table[table["metric"].isin(TIMES)]
     parts = timed.pivot_table("value", CELL, "metric").reindex(columns=TIMES).reset_index()
     sampled = table[table["metric"] == "sample_ms"]
-    clips: pd.Series[float] = sampled.groupby(["scene", "clip"])["value"].mean()
-    cost = clips.groupby("scene").mean().rename("sample_ms").reset_index()
-    found = found.merge(parts, on=CELL, how="left").merge(cost, on="scene", how="left")
+    # of the method's own pool: a sample of another kind has another price
+    clips: pd.Series[float] = sampled.groupby(["method", "scene", "clip"])["value"].mean()
+    cost = clips.groupby(["method", "scene"]).mean().rename("sample_ms").reset_index()
+    found = found.merge(parts, on=CELL, how="left").merge(cost, on=["method", "scene"], how="left")
     found["sampling_ms"] = found["spp_realised"] * found["sample_ms"]
     found["total_ms"] = found["plan_ms"] + found["denoise_ms"] + found["sampling_ms"]
     return found

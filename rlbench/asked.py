@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,14 +56,18 @@ def clips(
     preset: str,
     pool: str = "stored",
     engine: Engine | None = None,
+    kinds: Collection[str] | None = None,
 ) -> tuple[Stored, ...]:
-    """The clips of one's own folders, or those of a preset, rendered if need be."""
+    """The clips of one's own folders, or those of a preset, rendered if need be.
+
+    `kinds` of sample pools are those that are wanted of a preset's; None is all of them.
+    """
     from rlbench.source import POOLS, below, pooled
 
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        made = rendered(scenes, preset, engine=engine)
+        made = rendered(scenes, preset, engine=engine, kinds=kinds)
         return tuple(pooled(folder, pool) for folder in made)
     found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
@@ -171,11 +176,12 @@ def rendered(
     chosen: tuple[int, ...] | None = None,
     views: list[str] | None = None,
     engine: Engine | None = None,
+    kinds: Collection[str] | None = None,
 ) -> list[Path]:
     """The clip folders of a preset, or of it with a radiance cap, or with more view buffers.
 
-    Missing ones are rendered now. Scenes, takes of them, and seeds of generated scenes replace
-    those of the preset.
+    Missing ones are rendered now, with those `kinds` of sample pools of the preset's, or all.
+    Scenes, takes of them, and seeds of generated scenes replace those of the preset.
     """
     from rlbench import registry
     from rlbench.engine import LOCAL
@@ -190,4 +196,5 @@ def rendered(
     plan = PRESETS[preset]
     plan = plan if cap is None else plan.capped(cap)
     plan = plan.showing(split(views)) if views else plan
+    plan = plan if kinds is None else plan.selling(kinds)
     return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

@@ -94,10 +94,12 @@ def run(
     from rlbench.cells import Request
     from rlbench.cluster import opened
 
+    names = tuple(registry.expand(asked.split(methods)))
+    kinds = {registry.variant(name).traits.pool for name in names}
     with opened(engine, ray_address) as workers:
         request = Request(
-            methods=tuple(registry.expand(asked.split(methods))),
-            clips=asked.clips(clips, scenes, preset, pool, workers),
+            methods=names,
+            clips=asked.clips(clips, scenes, preset, pool, workers, kinds),
             spp=asked.numbers("--spp", spp, float),
             seeds=asked.numbers("--seed", seed, int),
             device=asked.device(device),
@@ -148,6 +150,9 @@ def report(
     name: Annotated[str, typer.Argument(help="a report's name, or all")] = "all",
     results: Results = Path("results"),
     out: Annotated[Path, typer.Option(help="folder to write to")] = Path("results/report"),
+    methods: Annotated[
+        list[str] | None, typer.Option("--methods", "-m", help="names a,b; default every row")
+    ] = None,
 ) -> None:
     """Write reports from a results table; of all, those that can be written, and why others not.
 
@@ -155,11 +160,13 @@ def report(
 
       rlbench report all
 
-      rlbench report pareto --results results/ --out figures/
+      rlbench report pareto --results results/ --out figures/ --methods ours,ntas
     """
     from rlbench import registry, table
 
     rows, failed = table.read(results), []
+    if wanted := asked.split(methods or []):
+        rows = rows[rows["method"].isin(registry.expand(wanted))]
     for each in registry.names("reports") if name == "all" else [name]:
         try:
             for file in registry.load("reports", each)(rows, out):

@@ -69,7 +69,10 @@ def train(
     learning = [name for name in names if registry.learns(name)]
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    chosen = trainset.chosen(preset, asked.seeds(seeds), holdout) if learning else trainset.NONE
+    kinds = {registry.variant(name).traits.pool for name in learning}
+    chosen = trainset.NONE
+    if learning:
+        chosen = trainset.chosen(preset, asked.seeds(seeds), holdout, kinds)
     plan = Plan(frames=frames, batch=batch, crop=crop, seed=seed, half=half)
     command = shlex.join(["rlbench", *sys.argv[1:]])
     for name in learning:

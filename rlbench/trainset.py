@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,16 +21,26 @@ class TrainSet(NamedTuple):
 NONE = TrainSet([], [])  # of a training in which nothing learns
 
 
-def chosen(preset: str | None, seeds: tuple[int, ...] | None, without: str | None) -> TrainSet:
-    """What --preset, --seeds and --holdout ask for together. Raises AskedError."""
+def chosen(
+    preset: str | None,
+    seeds: tuple[int, ...] | None,
+    without: str | None,
+    kinds: Collection[str] | None = None,
+) -> TrainSet:
+    """What --preset, --seeds and --holdout ask for together, with those kinds of sample pools.
+
+    Raises AskedError.
+    """
     if without is None:
-        return generated(preset or "train", seeds)
+        return generated(preset or "train", seeds, kinds)
     if seeds is not None:
         raise AskedError("--seeds are of generated scenes; --holdout trains on those scored")
-    return holdout(without, preset or "mini")
+    return holdout(without, preset or "mini", kinds)
 
 
-def generated(preset: str, seeds: tuple[int, ...] | None = None) -> TrainSet:
+def generated(
+    preset: str, seeds: tuple[int, ...] | None = None, kinds: Collection[str] | None = None
+) -> TrainSet:
     """Generated scenes, a preset's or those of some seeds; the first and the middle validate.
 
     Clips that are missing are rendered now. Raises AskedError where the preset holds scored scenes,
@@ -45,12 +56,12 @@ def generated(preset: str, seeds: tuple[int, ...] | None = None) -> TrainSet:
             f"preset '{preset}' has scenes that methods are scored on ({', '.join(scored)}), so "
             f"nothing may be trained on it; there is: {fit}"
         )
-    folders = rendered(None, preset, chosen=seeds)
+    folders = rendered(None, preset, chosen=seeds, kinds=kinds)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     return TrainSet([folder for folder in folders if folder not in validate], validate)
 
 
-def holdout(scene: str, preset: str) -> TrainSet:
+def holdout(scene: str, preset: str, kinds: Collection[str] | None = None) -> TrainSet:
     """All scenes of a preset but one, which is to be scored: leave-one-scene-out.
 
     As Scardigli et al. 2023 evaluate. Two generated scenes validate, so that nothing of the
@@ -67,5 +78,5 @@ def holdout(scene: str, preset: str) -> TrainSet:
     if not known:
         fit = ", ".join(name for name, plan in PRESETS.items() if plan.scenes)
         raise AskedError(f"--holdout takes a preset with scenes that are scored: --preset {fit}")
-    folders = rendered([name for name in known if name != scene], preset)
-    return TrainSet(folders, rendered(None, "train", chosen=VALIDATING))
+    folders = rendered([name for name in known if name != scene], preset, kinds=kinds)
+    return TrainSet(folders, rendered(None, "train", chosen=VALIDATING, kinds=kinds))

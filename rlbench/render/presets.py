@@ -63,6 +63,10 @@ class Preset:
             )
         return replace(self, name=f"{self.name}-views", extras=chosen)
 
+    def selling(self, kinds: Collection[str]) -> Preset:
+        """The same, under its name, with no pools but these kinds and the path tracer's."""
+        return replace(self, pools=tuple(p for p in self.pools if p == "path" or p in kinds))
+
 
 PRESETS = {
     preset.name: preset

@@ -91,7 +91,7 @@ def test_what_lies_below_the_window_is_named(figure):
     axes = figure.axes[0]
     top = 29.9 + 3 * 1.15 + sum(SCENES.values()) / 4
     assert axes.get_ylim()[0] == pytest.approx(top - WINDOW * 1.07)
-    assert axes.get_title(loc="right") == "below: mean from 13.0"
+    assert [text.get_text() for text in axes.texts] == ["below: mean from 13.0"]
 
 
 def test_no_two_titles_of_a_panel_touch(figure):

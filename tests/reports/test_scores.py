@@ -103,6 +103,13 @@ def test_the_machine_that_rendered_is_not_a_device_of_the_methods():
     assert list(scores.by_device(frame_of(made))) == ["NVIDIA RTX 2080 Ti"]
 
 
+def test_samples_of_another_pool_have_their_own_price():
+    dear = [replace(r, value=3 * r.value) if r.metric == "sample_ms" else r for r in rows(["ntas"])]
+    alone, beside = (scores.points(frame_of(made)) for made in (dear, rows(["ours"]) + dear))
+    beside = beside[beside["method"] == "ntas"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(beside, alone)
+
+
 def test_two_costs_per_sample_are_refused():
     mixed = frame_of(rows(["ours"]) + rows(["ntas"], profile="this machine"))
     with pytest.raises(scores.ReportError, match="2 sources: profile paper-2080ti, this machine"):
