@@ -32,7 +32,7 @@ def outcome(results, scenes, methods, spp, subset) -> regress.Outcome:
 
 
 def test_psnr_on_one_scene_is_what_was_committed(kept_cache, tmp_path):
-    methods = ("mean", "oidn", "ntas", "ours")
+    methods = ("mean", "eaw", "svgf", "oidn", "dasr", "ntas", "imcd", "ours")
     found = outcome(tmp_path / "results", ("city",), methods, (1.0, 4.0), subset=True)
     assert found.passed, found.text()
     assert found.of("same"), found.text()  # something was compared
