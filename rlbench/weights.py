@@ -81,6 +81,17 @@ def save(module: nn.Module, path: Path, card: Card) -> Card:
     return card
 
 
+def equip(module: nn.Module, asked: str | None, shipped: Path, device: torch.device | str) -> None:
+    """Make a network ready to run, with the weights that a family's `build` is asked for.
+
+    `asked` is the path of a file, or None for those `shipped`, or "random" for those it has. Raises
+    WeightsError as `load_into` does.
+    """
+    if asked != "random":
+        load_into(module, Path(asked) if asked else shipped)
+    module.to(device).eval().requires_grad_(False)
+
+
 def load_into(module: nn.Module, path: Path) -> Card:
     """Put the weights at `path` into `module`, in its own dtype and device; returns their card.
 

@@ -17,8 +17,9 @@ from rlbench.frames import Size, View
 from rlbench.ops.density import exponential
 from rlbench.ops.transfer import squash_depth
 from rlbench.sampling import Samples
-from rlbench.weights import load_into
+from rlbench.weights import equip
 
+CARDS = Path(__file__).parent / "cards"
 LARGEST = 1e5  # radiance above this is cut
 ALBEDO = (0.45, 0.45)  # mean and deviation that albedo is normalised by
 NORMAL = 0.45  # deviation that normals are divided by
@@ -78,8 +79,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Dasr:
     networks = Networks()
     if weights == "random":
         networks.draw(seed=0)
-    else:
-        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
-        load_into(networks, Path(weights) if weights else shipped)
-    networks.to(device).eval().requires_grad_(False)
+    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Dasr(networks, FAMILY.variants[variant].traits)

@@ -18,8 +18,9 @@ from rlbench.frames import Size, View
 from rlbench.ops.transfer import squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
-from rlbench.weights import load_into
+from rlbench.weights import equip
 
+CARDS = Path(__file__).parent / "cards"
 DARK = 0.01  # added to albedo before dividing by it
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state, in its order
@@ -141,9 +142,6 @@ def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
     networks = Networks()
     if weights == "random":
         networks.draw(seed=0)
-    else:
-        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
-        load_into(networks, Path(weights) if weights else shipped)
-    networks.to(device).eval().requires_grad_(False)
+    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
     networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

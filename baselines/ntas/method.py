@@ -19,8 +19,9 @@ from rlbench.ops.density import exponential
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
-from rlbench.weights import load_into
+from rlbench.weights import equip
 
+CARDS = Path(__file__).parent / "cards"
 MISSING = -1.0  # what a network sees where there is no history
 DARK = 0.01  # added to albedo before dividing by it
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
@@ -123,8 +124,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
     networks = Networks(config.denoiser)
     if weights == "random":
         networks.draw(seed=0)
-    else:
-        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
-        load_into(networks, Path(weights) if weights else shipped)
-    networks.to(device).eval().requires_grad_(False)
+    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ntas(networks, config, FAMILY.variants[variant].traits)

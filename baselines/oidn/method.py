@@ -18,8 +18,9 @@ from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
 from rlbench.sampling import Samples
-from rlbench.weights import load_into
+from rlbench.weights import equip
 
+CARDS = Path(__file__).parent / "cards"
 INPUTS = 9  # colour, albedo, normal
 
 Expose = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 1 1 1"]]
@@ -87,8 +88,5 @@ class Oidn:
 def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
     """OIDN with our weights, those of a file, or `"random"` ones."""
     network = UNet(INPUTS, widths=VARIANTS[variant].widths)
-    if weights != "random":
-        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
-        load_into(network, Path(weights) if weights else shipped)
-    network.to(device).eval().requires_grad_(False)
+    equip(network, weights, CARDS / FAMILY.weights(variant), device)
     return Oidn(network)

@@ -10,7 +10,9 @@ from baselines.mean import Mean
 from baselines.oidn.method import INPUTS, Oidn
 from baselines.restir import DENOISED, FAMILY
 from rlbench.ops.unet import UNet
-from rlbench.weights import load_into
+from rlbench.weights import equip
+
+CARDS = Path(__file__).parent / "cards"
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Mean:
@@ -24,8 +26,5 @@ def denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
     Its noise is correlated between neighbours, who share samples, unlike that of paths.
     """
     network = UNet(INPUTS)
-    if weights != "random":
-        shipped = Path(__file__).parent / "cards" / DENOISED.weights(variant)
-        load_into(network, Path(weights) if weights else shipped)
-    network.to(device).eval().requires_grad_(False)
+    equip(network, weights, CARDS / DENOISED.weights(variant), device)
     return Oidn(network, DENOISED.variants[variant].traits)

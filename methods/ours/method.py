@@ -21,8 +21,9 @@ from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import log_forward, log_inverse, squash_depth
 from rlbench.ops.warp import recall
 from rlbench.sampling import Samples
-from rlbench.weights import load_into
+from rlbench.weights import equip
 
+CARDS = Path(__file__).parent / "cards"
 MISSING = -1.0  # a sample that was not bought, a state that is not there
 MULTIPLE = 16  # sides that the denoiser can halve four times
 
@@ -103,8 +104,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
     networks = Networks(config)
     if weights == "random":
         initialise(networks)
-    else:
-        shipped = Path(__file__).parent / "cards" / FAMILY.weights(variant)
-        load_into(networks, Path(weights) if weights else shipped)
-    networks.to(device).eval().requires_grad_(False)
+    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ours(config, FAMILY.variants[variant].traits, networks)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -280,7 +281,9 @@ def test_two_clips_of_one_name_are_refused(tmp_path):
 
 
 def test_an_unknown_method_stops_the_run_before_it_begins(clip_folder, tmp_path):
-    with pytest.raises(registry.PluginError, match="'foo' is not a method; there are: mean"):
+    there = ", ".join(registry.names("methods"))
+    told = re.escape(f"'foo' is not a method; there are: {there}")
+    with pytest.raises(registry.PluginError, match=told):
         measure(request(clip_folder, "mean", "foo"), tmp_path / "r")
     assert not (tmp_path / "r").exists()
 
