@@ -26,7 +26,7 @@ def test_an_unknown_group_lists_those_that_exist():
 
 
 def test_an_unknown_method_lists_those_that_exist():
-    with pytest.raises(PluginError, match="'foo' is not a method; there are: mean, ntas, oidn"):
+    with pytest.raises(PluginError, match="'foo' is not a method; there are: dasr, eaw, imcd"):
         registry.method("foo")
 
 
