@@ -1,0 +1,30 @@
+"""A frame of ReSTIR chains beside as many paths: what `restir` pays for a sample."""
+
+from __future__ import annotations
+
+import pytest
+
+from baselines.restir import POOL
+from rlbench.render.chains import chains
+from rlbench.render.llvm import activate
+from rlbench.render.record import named
+from rlbench.render.trace import open_tracer
+
+SIDE = 192
+COUNT = 4  # samples per pixel
+ROUNDS = 5
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    if activate().startswith("scalar"):
+        pytest.skip("chains are traced with LLVM or CUDA alone")
+    return open_tracer(named("hall"), SIDE, SIDE)
+
+
+@pytest.mark.benchmark(group=f"{COUNT} samples per pixel, hall")
+@pytest.mark.parametrize("what", ["chains", "paths"])
+def test_samples(benchmark, tracer, what):
+    pool = chains(tracer, POOL, COUNT)
+    frame = pool if what == "chains" else lambda: tracer.stack(COUNT, "pilot")
+    benchmark.pedantic(frame, rounds=ROUNDS, warmup_rounds=2)
