@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from itertools import islice
@@ -47,6 +47,7 @@ class Stored:
     """A clip folder, format v1."""
 
     folder: Path
+    _known: dict[str, str] = field(default_factory=dict, compare=False, repr=False)  # by pool
 
     @cached_property
     def header(self) -> Header:
@@ -55,9 +56,11 @@ class Stored:
 
     def content(self, pool: str) -> str:
         """Hash of the folder's content with the samples of `pool`."""
-        there = pool if pool in self.header.pools else self.header.pools[0]
-        found = open_clip(self.folder, needs=frozenset(), slots=1, pool=there).digest
-        return found if there == pool else f"{found} without {pool}"
+        if pool not in self._known:  # every cell asks, and each answer looks at every file
+            there = pool if pool in self.header.pools else self.header.pools[0]
+            found = open_clip(self.folder, needs=frozenset(), slots=1, pool=there).digest
+            self._known[pool] = found if there == pool else f"{found} without {pool}"
+        return self._known[pool]
 
     @property
     def priced(self) -> str:

@@ -15,13 +15,13 @@ from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
+from rlbench.ops.demodulate import raised
 from rlbench.ops.transfer import squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"
-DARK = 0.01  # added to albedo before dividing by it
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state, in its order
 
@@ -93,7 +93,7 @@ class Imcd:
         self, view: View, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State, Kernels]:
         """The same with the kernels that the image was filtered by."""
-        reflectance = _reflectance(view)
+        reflectance = raised(view.albedo)
         noisy, now = self._seen(view, samples, reflectance)
 
         # move memory here; where there is none, it is what is seen now
@@ -129,12 +129,6 @@ def _moved(view: View, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
     valid = valid & torch.isfinite(moved).all(1, keepdim=True)
     parts = moved.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
-
-
-def _reflectance(view: View) -> Float[Tensor, "n 3 h w"]:
-    """What light is multiplied by to give radiance, in [0.01, 1.01]."""
-    black = (view.albedo <= 0).all(1, keepdim=True)
-    return torch.where(black, 1.0, view.albedo) + DARK
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Imcd:

@@ -15,6 +15,7 @@ from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, Direct, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
+from rlbench.ops.demodulate import raised
 from rlbench.ops.density import exponential
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.ops.warp import reproject
@@ -23,7 +24,6 @@ from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"
 MISSING = -1.0  # what a network sees where there is no history
-DARK = 0.01  # added to albedo before dividing by it
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
 
 
@@ -91,7 +91,7 @@ class Ntas:
         """The image by kernels on samples and history; state is cut off each `bptt` frames."""
         noisy = samples.mean.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
         history, valid = _history(view, state)
-        reflectance = _reflectance(view)
+        reflectance = raised(view.albedo)
         seen = torch.cat((log_forward(noisy), _seen(view, history, valid)), 1)
         light = self.networks.denoiser(seen, noisy / reflectance, history, valid)
         age = state.age + 1
@@ -108,14 +108,8 @@ def _history(view: View, state: State) -> tuple[Float[Tensor, "n 3 h w"], Bool[T
 
 def _seen(view: View, history: Tensor, valid: Tensor) -> Float[Tensor, "n 10 h w"]:
     """What both networks see: normal, albedo, depth and the last image."""
-    last = log_forward(history * _reflectance(view)).where(valid, MISSING)
+    last = log_forward(history * raised(view.albedo)).where(valid, MISSING)
     return torch.cat((view.normal, view.albedo, squash_depth(view.depth), last), 1)
-
-
-def _reflectance(view: View) -> Float[Tensor, "n 3 h w"]:
-    """What light is multiplied by to give radiance, in [0.01, 1.01]."""
-    black = (view.albedo <= 0).all(1, keepdim=True)
-    return torch.where(black, 1.0, view.albedo) + DARK
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ntas:

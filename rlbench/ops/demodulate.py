@@ -1,4 +1,4 @@
-"""Light without the texture that reflects it: what classical filters blur."""
+"""Light without the texture that reflects it: what filters blur, classical and learned ones."""
 
 from __future__ import annotations
 
@@ -9,11 +9,21 @@ from torch import Tensor
 from rlbench.ops.transfer import HALF_MAX
 
 DARKEST = 1e-3  # albedo is taken to be at least this (Falcor's SVGF pass)
+DARK = 0.01  # added to albedo where a network divides by it
 
 
 def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
     return albedo.clamp(DARKEST, 1)
+
+
+def raised(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """What networks have light multiplied by to give radiance, in [0.01, 1.01].
+
+    That is albedo + 0.01, and 1.01 where albedo is black, as it is for lights and sky.
+    """
+    black = (albedo <= 0).all(1, keepdim=True)
+    return torch.where(black, 1.0, albedo) + DARK
 
 
 def surface(
