@@ -11,6 +11,10 @@ TRAITS = Traits(
     temporal=True,
 )
 
+UNIFORM = replace(TRAITS, adapts=False)
+STILL = replace(TRAITS, needs=TRAITS.needs - {"motion"}, temporal=False)
+AT_LEAST_ONE = replace(TRAITS, floor=1, spp=(1.0, 8.0))  # the approximation divides by the count
+
 FAMILY = Family(
     name="ours",
     title="RL-based stateful neural adaptive sampling and denoising",
@@ -19,14 +23,25 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("Do learned sampling and a latent state pay?", TRAITS),
-        "A2": Variant(
-            "Is planning worth its time? (uniform sampling)", replace(TRAITS, adapts=False)
-        ),
+        "paper": Variant("What does the paper's own recipe reach, from random weights?", TRAITS),
+        "A1": Variant("Does learning beat the gradient's approximation?", AT_LEAST_ONE),
+        "A2": Variant("Is planning worth its time? (uniform sampling)", UNIFORM),
+        "B1": Variant("Does the state pay? (only the sampler remembers, samples)", TRAITS),
+        "B2": Variant("Does any memory pay? (every frame by itself)", STILL),
+        "C": Variant("Do single samples pay? (their mean enters the encoder)", TRAITS),
+        "C+count": Variant("Is it the samples, or their number? (their mean and count)", TRAITS),
+        "small": Variant("Are smaller networks enough? (all three)", TRAITS),
         "flat": Variant(
             "What does the map itself give? (weights of ours, sampled uniformly)",
-            replace(TRAITS, adapts=False),
+            UNIFORM,
             borrows="",
         ),
+        "sampler-small": Variant("Is a sampler of one level enough?", TRAITS),
+        "sampler-large": Variant("Does a sampler of the first U-Net's size pay?", TRAITS),
+        "encoder-small": Variant("Does the encoder need its neighbours? (1x1 kernels)", TRAITS),
+        "encoder-large": Variant("Do two more layers in the encoder pay?", TRAITS),
+        "denoiser-small": Variant("Is OIDN's fast network enough?", TRAITS),
+        "denoiser-large": Variant("Does a denoiser of twice the width pay?", TRAITS),
     },
     build="methods.ours.method:build",
     train="methods.ours.train:trainer",

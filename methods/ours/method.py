@@ -1,8 +1,8 @@
-"""One frame of the proposed method: plan from the warped state, encode what was bought, denoise."""
+"""One frame of the proposed method: plan from what is remembered, encode what was bought, denoise."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,14 +12,17 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from methods.ours import FAMILY
-from methods.ours.network import Networks
-from methods.ours.variants import VARIANTS, Config
+from methods.ours.light import Light, alike, filled, gathered, measured, told
+from methods.ours.network import VIEW, Networks
+from methods.ours.variants import SAMPLES, VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import Size, View
+from rlbench.ops.demodulate import sane
+from rlbench.ops.exposure import autoexposure
 from rlbench.ops.initialise import initialise
 from rlbench.ops.pad import crop, pad
-from rlbench.ops.transfer import log_forward, log_inverse, squash_depth
-from rlbench.ops.warp import recall
+from rlbench.ops.transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
+from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
 from rlbench.weights import equip
 
@@ -29,20 +32,35 @@ MULTIPLE = 16  # sides that the denoiser can halve four times
 
 
 class Memory(NamedTuple):
-    """The latent state, and how many frames it has lived."""
+    """What one frame leaves for the next; of no frames it has age 0 and is empty."""
 
-    latent: Float[Tensor, "n c h w"]  # in [-1, 1]; MISSING everywhere before the first frame
-    age: int
+    state: Float[Tensor, "n c h w"]  # latent, or samples; MISSING everywhere before the first frame
+    light: Light | None  # gathered so far; None where the variant gathers none
+    shown: Float[Tensor, "n 10 h w"]  # the last image, linear radiance, and the last view
+    age: int  # frames
+
+
+class Known(NamedTuple):
+    """What is known of a frame before it is sampled."""
+
+    seen: Float[Tensor, "n c h w"]  # by the networks
+    light: Light | None  # gathered before, moved here; without weight where it is from outside
 
 
 @dataclass(frozen=True)
 class Ours:
     """Scardigli et al. 2023: sampler on the warped state, encoder of raw samples, denoiser.
 
-    Differs from the paper: the density is the action above the lower end of its range (x + 1, x in
-    [-1, 1]) and not above the frame's least action, which is an outlier of half a million values;
-    networks see linear radiance through a logarithm where the authors' data was 8-bit sRGB; a state
-    that comes from outside the image is marked by an exact mask, not by a magic zero.
+    Differs from the paper, in `ours/paper` too: the density is the action above the lower end of
+    its range (x + 1, x in [-1, 1]) and not above the frame's least action, which is an outlier of
+    half a million values; networks see linear radiance through a logarithm where the authors' data
+    was 8-bit sRGB; a state that comes from outside the image is marked by an exact mask, not by a
+    magic zero.
+
+    Differs in all but `ours/paper`: beside the state there is light, gathered over frames, of which
+    the encoder says how far it is trusted; the denoiser reads colour, albedo and normal in the way
+    of Open Image Denoise (Afra 2019), and then the state, and starts from Intel's weights. Sampler
+    and encoder also see that light and the last image.
     """
 
     config: Config
@@ -51,9 +69,12 @@ class Ours:
 
     def start(self, size: Size) -> Memory:
         """No memory: the sentinel everywhere."""
-        device = next(self.networks.parameters()).device
-        shape = (size.n, self.config.latent, size.h, size.w)
-        return Memory(torch.full(shape, MISSING, device=device), 0)
+        n, h, w = size
+        channels = {"state": self.config.latent, "samples": SAMPLES[self.config.samples]}
+        nothing = torch.zeros(n, 15, h, w, device=next(self.networks.parameters()).device)
+        state = nothing.new_full((n, channels.get(self.config.remembers, 0), h, w), MISSING)
+        light = Light(*nothing[:, :5].split((3, 1, 1), dim=1)) if self.config.gathers else None
+        return Memory(state, light, nothing[:, 5:], 0)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """How far each pixel's action lies above the lowest one, in [0, 2]."""
@@ -64,38 +85,95 @@ class Ours:
     def act(self, view: View, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action, in [-1, 1]."""
         assert self.networks.sampler is not None
-        known = self._known(view, state)
-        h, w = known.shape[-2:]
-        action: Tensor = self.networks.sampler(pad(known, MULTIPLE))
+        seen = self.known(view, state).seen
+        h, w = seen.shape[-2:]
+        action: Tensor = self.networks.sampler(pad(seen, MULTIPLE))
         return crop(action, h, w).float()
 
     def denoise(
         self, view: View, samples: Samples, state: Memory
     ) -> tuple[Float[Tensor, "n 3 h w"], Memory]:
-        """The image in linear radiance, and the encoded state."""
-        seen = torch.cat((self._values(samples), self._known(view, state)), dim=1)
-        h, w = seen.shape[-2:]
-        latent = self.networks.encoder(pad(seen, MULTIPLE))
-        value = crop(self.networks.denoiser(latent), h, w).float()
-        value = value if self.networks.training else value.clamp_min(0)
-        return log_inverse(value), Memory(crop(latent, h, w).float(), state.age + 1)
+        """The image in linear radiance, and what is left for the next frame."""
+        samples = replace(samples, radiance=sane(samples.radiance))
+        known, values = self.known(view, state), self._values(samples)
+        latent, trust = self._encode(view, values, known)
+        if self.config.light == "none":
+            image, light = log_inverse(self._paint(latent)), None
+        else:
+            light = measured(samples)
+            if known.light is not None:
+                light = gathered(known.light, light, trust)
+            image = self._develop(view, filled(light, view.albedo), latent)
+        kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
+        left, shown = kept[self.config.remembers], torch.cat((image, _seen(view)), dim=1)
+        return image, Memory(left, light if self.config.gathers else None, shown, state.age + 1)
+
+    def known(self, view: View, state: Memory) -> Known:
+        """What is remembered, moved to where it is now, beside the view."""
+        seen = _seen(view)
+        if self.config.remembers == "nothing":
+            return Known(seen, None)
+        history = state.state
+        if state.light is not None:
+            history = torch.cat((history, *state.light, state.shown), dim=1)
+        history = history if state.age % self.config.bptt else history.detach()
+        moved, valid = reproject(history, view.motion)
+        width = state.state.shape[1]
+        remembered = moved[:, :width].where(valid, MISSING)
+        if state.light is None:
+            return Known(torch.cat((seen, remembered), dim=1), None)
+        mean, square, weight, image, before = moved[:, width:].split((3, 1, 1, 3, VIEW), dim=1)
+        same = alike(seen, before)
+        light = Light(mean, square, (weight * same).where(valid, 0.0))
+        gained = torch.cat((log_forward(image), told(light), same), dim=1).where(valid, MISSING)
+        return Known(torch.cat((seen, remembered, gained), dim=1), light)
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
-        """Each sample by itself in log transfer, MISSING in slots that are empty or not stored."""
+        """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
         values = log_forward(samples.radiance).where(samples.filled, MISSING)  # n s 3 h w
-        short = self.config.slots - values.shape[1]
-        return F.pad(values, (0,) * 7 + (short,), value=MISSING).flatten(1, 2)
+        if self.config.samples == "single":
+            short = self.config.slots - values.shape[1]
+            return F.pad(values, (0,) * 7 + (short,), value=MISSING).flatten(1, 2)
+        mean = log_forward(samples.mean).where(samples.counts > 0, MISSING)
+        if self.config.samples == "mean":
+            return mean
+        return torch.cat((mean, samples.counts / self.config.slots), dim=1)
 
-    def _known(self, view: View, state: Memory) -> Float[Tensor, "n c h w"]:
-        """What is known before sampling: normal, albedo, depth, and the state moved here."""
-        latent = state.latent if state.age % self.config.bptt else state.latent.detach()
-        history = recall(latent, view.motion, MISSING)
-        return torch.cat((view.normal, view.albedo, squash_depth(view.depth), history), dim=1)
+    def _encode(
+        self, view: View, values: Float[Tensor, "n c h w"], known: Known
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
+        """The new state and how far light gathered before is trusted, in [0, 1]."""
+        if self.networks.encoder is None:
+            return torch.cat((values, _seen(view)), dim=1), torch.zeros_like(view.depth)
+        seen = torch.cat((values, known.seen), dim=1)
+        h, w = seen.shape[-2:]
+        encoded = crop(self.networks.encoder(pad(seen, MULTIPLE)), h, w).float()
+        latent, rest = encoded[:, : self.config.latent], encoded[:, self.config.latent :]
+        return latent, (1 + rest) / 2
+
+    def _develop(
+        self, view: View, colour: Float[Tensor, "n 3 h w"], latent: Float[Tensor, "n s h w"]
+    ) -> Float[Tensor, "n 3 h w"]:
+        """The image that Intel's network makes of a colour, with the state beside it."""
+        exposure = autoexposure(colour.detach())
+        albedo, normal = view.albedo.clamp(0, 1), view.normal.clamp(-1, 1) / 2 + 0.5
+        shown = torch.cat((pu_forward(colour * exposure), albedo, normal, latent), dim=1)
+        return pu_inverse(self._paint(shown).clamp_max(1)) / exposure
+
+    def _paint(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 3 h w"]:
+        """What the denoiser says, in its transfer space; below zero only while it trains."""
+        h, w = shown.shape[-2:]
+        value = crop(self.networks.denoiser(pad(shown, MULTIPLE)), h, w).float()
+        return value if self.networks.training else value.clamp_min(0)
 
 
 def density(action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
     """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
     return 1 + action.clamp(-1, 1)
+
+
+def _seen(view: View) -> Float[Tensor, "n 7 h w"]:
+    return torch.cat((view.normal, view.albedo, squash_depth(view.depth)), dim=1)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ours:
@@ -106,3 +184,4 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
         initialise(networks)
     equip(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ours(config, FAMILY.variants[variant].traits, networks)
+

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from methods.ours.variants import Config
+from methods.ours.variants import SAMPLES, Config
 from rlbench.ops.unet import UNet
 
-AUX = 7  # normal 3, albedo 3, depth 1
+VIEW = 7  # normal 3, albedo 3, depth 1
+SHOWN = 9  # what Intel's network reads: colour 3, albedo 3, normal 3
+TOLD = 9  # of light gathered before: the last image 3, mean 3, spread, weight, likeness 1
+SPREAD = 6  # which of these is the spread
 
 
 class Sampler(nn.Module):
@@ -22,7 +27,7 @@ class Sampler(nn.Module):
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
         """Build with `inputs` channels and a width for each level, finest first."""
         super().__init__()
-        pairs = list(zip(widths, widths[1:], strict=False))
+        pairs = list(pairwise(widths))
         self.tail = nn.Conv2d(inputs, widths[0], 3, padding=1)
         self.down = nn.ModuleList(_block(a, b) for a, b in pairs)
         self.pool = nn.MaxPool2d(2)
@@ -38,7 +43,7 @@ class Sampler(nn.Module):
         nn.init.zeros_(self.last.bias)
 
     def forward(self, known: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 1 h w"]:
-        """The mean action; sides must divide by 4."""
+        """The mean action; sides must divide by two for each level but two."""
         x = self.tail(known)
         skips = []
         for depth, block in enumerate(self.down):
@@ -50,21 +55,23 @@ class Sampler(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Samples, view and warped state to the new state, bounded by tanh.
+    """Samples, view and what is remembered to the new state, bounded by tanh.
 
-    Kernels are 3x3 as in the paper's text, the input has 63 channels as in its memory count and in
+    Kernels are 3x3 as in the paper's text, samples and view enter as in its memory count and in
     the release: 24 samples, 7 view, 32 state.
     """
 
-    def __init__(self, inputs: int, latent: int) -> None:
-        """Build with `inputs` channels in and `latent` out."""
+    def __init__(self, inputs: int, hidden: tuple[int, ...], outputs: int, kernel: int) -> None:
+        """Build with `inputs` channels in, some `hidden` ones between, and `outputs` out."""
         super().__init__()
-        self.first = nn.Conv2d(inputs, 64, 3, padding=1)
-        self.second = nn.Conv2d(64, latent, 3, padding=1)
+        widths = pairwise((inputs, *hidden, outputs))
+        self.layers = nn.ModuleList(nn.Conv2d(a, b, kernel, padding=kernel // 2) for a, b in widths)
 
     def forward(self, seen: Float[Tensor, "n c h w"]) -> Float[Tensor, "n s h w"]:
         """The new state, in [-1, 1]."""
-        return torch.tanh(self.second(torch.relu(self.first(seen))))
+        for layer in self.layers[:-1]:
+            seen = torch.relu(layer(seen))
+        return torch.tanh(self.layers[-1](seen))
 
 
 class Networks(nn.Module):
@@ -73,10 +80,18 @@ class Networks(nn.Module):
     def __init__(self, config: Config) -> None:
         """Build the networks of `config`; weights are whatever torch's default generator gives."""
         super().__init__()
-        known = AUX + config.latent
+        values = SAMPLES[config.samples]
+        remembered = {"state": config.latent, "samples": values, "nothing": 0}[config.remembers]
+        known = VIEW + remembered + TOLD * config.gathers
         self.sampler = Sampler(known, config.sampler) if config.sampler else None
-        self.encoder = Encoder(3 * config.slots + known, config.latent)
-        self.denoiser = UNet(config.latent)
+        self.encoder, state = None, VIEW + values
+        if config.encoder:
+            # one channel more says how far light gathered before is trusted
+            outputs = config.latent + config.gathers
+            self.encoder = Encoder(known + values, config.encoder, outputs, config.kernel)
+            state = config.latent
+        shown = 0 if config.light == "none" else SHOWN
+        self.denoiser = UNet(shown + state, widths=config.denoiser)
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:

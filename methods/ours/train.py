@@ -73,7 +73,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     """Networks with seeded weights and a uniform sampler, and the losses that train them."""
     config = VARIANTS[variant]
     networks = Networks(config)
-    start(networks, seed)
+    start(networks, config, seed)
     networks.to(device)
     method = Ours(config, FAMILY.variants[variant].traits, networks)
     policy = Policy()

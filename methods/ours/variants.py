@@ -3,6 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
+
+from rlbench.ops.unet import BASE as NORMAL
+from rlbench.ops.unet import FAST, Widths
+
+DOUBLE = Widths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
+SAMPLES = {"single": 24, "mean": 3, "mean and count": 4}  # channels of 8 samples, or of their mean
+
+Remembered = Literal["state", "samples", "nothing"]
+Light = Literal["gathered", "frame", "none"]
 
 
 @dataclass(frozen=True)
@@ -10,15 +20,40 @@ class Config:
     """What makes a variant. Channel counts follow from these (methods/ours/network.py)."""
 
     slots: int = 8  # individual samples the encoder sees, per pixel
+    samples: str = "single"  # how it sees them: a key of SAMPLES
     latent: int = 32  # channels of the state
+    remembers: Remembered = "state"  # what of a frame the next one gets; samples: the sampler alone
+    light: Light = "gathered"  # colour that the denoiser begins from: over frames, or one frame's
     sampler: tuple[int, ...] = (4, 8, 16, 32)  # widths of the sampler's levels; empty: uniform
+    encoder: tuple[int, ...] = (64,)  # widths of its hidden layers; empty: no encoder
+    kernel: int = 3  # side of the encoder's kernels
+    denoiser: Widths = NORMAL
     bptt: int = 1  # frames through which gradients flow
+    learner: str = "ppo-pixel"  # how the sampler learns (methods/ours/policy)
     flat: bool = False  # is the sampler's map ignored?
+
+    @property
+    def gathers(self) -> bool:
+        """Is light remembered from frame to frame?"""
+        return self.light == "gathered"
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
+    "paper": replace(BASE, light="none"),  # the denoiser reads the state alone
+    "A1": replace(BASE, learner="surrogate"),  # a gradient's approximation in place of learning
     "A2": replace(BASE, sampler=()),  # is planning worth its time?
+    "B1": replace(BASE, encoder=(), remembers="samples", light="frame"),  # no state
+    "B2": replace(BASE, encoder=(), remembers="nothing", light="frame"),  # and no feedback
+    "C": replace(BASE, samples="mean"),  # samples averaged before the encoder
+    "C+count": replace(BASE, samples="mean and count"),
+    "small": replace(BASE, sampler=(1, 2), kernel=1, denoiser=FAST),
     "flat": replace(BASE, flat=True),  # what does the map give, all else equal?
+    "sampler-small": replace(BASE, sampler=(1, 2)),
+    "sampler-large": replace(BASE, sampler=(64, 128, 256, 512, 1024)),
+    "encoder-small": replace(BASE, kernel=1),
+    "encoder-large": replace(BASE, encoder=(64, 64, 64)),
+    "denoiser-small": replace(BASE, denoiser=FAST),
+    "denoiser-large": replace(BASE, denoiser=DOUBLE),
 }

@@ -36,7 +36,7 @@ def surface(
     return depth.isfinite() & (albedo > 0).any(1, keepdim=True)
 
 
-def sane(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+def sane(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
     """Radiance that can be squared: in [0, 65504], and 0 where a channel is not finite."""
-    known = radiance.isfinite().all(1, keepdim=True)
+    known = radiance.isfinite().all(-3, keepdim=True)
     return torch.where(known, radiance, 0.0).clamp(0, HALF_MAX)

@@ -1,0 +1,91 @@
+"""Light gathered over frames: a running mean of all samples that a pixel got, and its spread."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from rlbench.ops.demodulate import raised
+from rlbench.ops.exposure import LUMINANCE
+from rlbench.ops.pad import crop, pad
+from rlbench.ops.transfer import log_forward
+from rlbench.sampling import Samples
+
+LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
+UNLIKE = 2.0  # how fast trust falls with a difference of normal and albedo, summed
+FARTHER = 5.0  # and with a relative difference of depth
+MUCH = 16.0  # samples that a weight is compared with where networks see it
+
+
+class Light(NamedTuple):
+    """What is known of a pixel's light, as if `weight` samples had been averaged."""
+
+    mean: Float[Tensor, "n 3 h w"]  # linear radiance; 0 where there is no weight
+    square: Float[Tensor, "n 1 h w"]  # of the luminance
+    weight: Float[Tensor, "n 1 h w"]  # samples
+
+
+def measured(samples: Samples) -> Light:
+    """The light of the samples of one frame, which are finite."""
+    weight = samples.counts.to(samples.radiance.dtype)
+    square = _luminance(samples.radiance).square().sum(1) / weight.clamp_min(1)
+    return Light(samples.mean, square, weight)
+
+
+def gathered(old: Light, new: Light, trust: Float[Tensor, "n 1 h w"]) -> Light:
+    """Both together; of the old weight only the share `trust` (in [0, 1]) is kept."""
+    held = old.weight * trust
+    weight = held + new.weight
+    share = held / weight.clamp_min(1e-6)
+    mean, square = (torch.lerp(b, a, share) for a, b in zip(old[:2], new[:2], strict=True))
+    return Light(mean, square, weight)
+
+
+def alike(
+    seen: Float[Tensor, "n 7 h w"], before: Float[Tensor, "n 7 h w"]
+) -> Float[Tensor, "n 1 h w"]:
+    """How much normal, albedo and depth (1 / (1 + z)) are those of the last frame, in [0, 1]."""
+    surface = (seen[:, :6] - before[:, :6]).abs().sum(1, keepdim=True)
+    depth = (seen[:, 6:] - before[:, 6:]).abs() / (seen[:, 6:] + 1e-3)
+    return torch.exp(-UNLIKE * surface - FARTHER * depth)
+
+
+def told(light: Light) -> Float[Tensor, "n 5 h w"]:
+    """What networks see of it: colour in log transfer, relative spread and weight in [0, 1)."""
+    bright = _luminance(light.mean)
+    spread = (light.square - bright.square()).clamp_min(0).sqrt()
+    relative = spread / (spread + bright + 1e-3)
+    return torch.cat((log_forward(light.mean), relative, light.weight / (light.weight + MUCH)), 1)
+
+
+def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """Its colour, and where there is no weight that of the neighbourhood, textured by albedo.
+
+    A pyramid of weighted means of light without albedo; a hole takes the finest level that has any.
+    """
+    h, w = albedo.shape[-2:]
+    texture = raised(albedo.clamp(0, 1))
+    each = torch.cat((light.mean / texture * light.weight, light.weight), 1)
+    levels = [pad(each, 2**LEVELS)]
+    for _ in range(LEVELS):
+        levels.append(F.avg_pool2d(levels[-1], 2))
+    levels.append(levels[-1].mean((2, 3), keepdim=True))
+    below = _mean(levels.pop())
+    for level in reversed(levels[1:]):
+        rough = F.interpolate(below, size=level.shape[-2:], mode="bilinear")
+        below = torch.where(level[:, 3:] > 0, _mean(level), rough)
+    rough = crop(F.interpolate(below, scale_factor=2.0, mode="bilinear"), h, w)
+    return torch.where(light.weight > 0, light.mean, rough * texture)
+
+
+def _mean(level: Tensor) -> Tensor:
+    return level[:, :3] / level[:, 3:].clamp_min(1e-6)
+
+
+def _luminance(radiance: Tensor) -> Tensor:
+    weights = radiance.new_tensor(LUMINANCE).view(3, 1, 1)
+    return (radiance * weights).sum(-3, keepdim=True)
