@@ -8,10 +8,11 @@ FAMILY = Family(
     name="oidn",
     title="Open Image Denoise, retrained",
     paper="Áfra 2019, Intel Open Image Denoise",
-    licence="Apache-2.0 (reimplemented; the weights are ours)",
+    licence="Apache-2.0 (reimplemented; the weights are ours, of `tuned` from Intel's)",
     variants={
         "": Variant("How far does a plain U-Net get on uniform samples, without memory?", TRAITS),
         "small": Variant("Is a third of the parameters enough?", TRAITS),
+        "tuned": Variant("What do our clips add to Intel's weights?", TRAITS),
     },
     build="baselines.oidn.method:build",
     train="baselines.oidn.train:trainer",

@@ -32,11 +32,13 @@ class Config:
     """What tells the variants apart."""
 
     widths: Widths = BASE  # channels of each convolution
+    intel: bool = False  # does training start from Intel's weights?
 
 
 VARIANTS = {
     "": Config(),
     "small": Config(widths=FAST),  # is a third of the parameters enough?
+    "tuned": Config(intel=True),  # what do our clips add to Intel's weights?
 }
 
 
@@ -55,8 +57,9 @@ class Oidn:
     """Afra 2019, Open Image Denoise: its ray-tracing filter for HDR with albedo and normal.
 
     The U-Net, the transfer function and the exposure are those of its training toolkit. The weights
-    are ours, trained on the frames that every other method here is trained on. Differs from OIDN:
-    borders are repeated, not zero, up to a multiple of 16.
+    are ours, trained on the frames that every other method here is trained on; those of
+    `oidn/tuned` start from Intel's. Differs from OIDN: borders are repeated, not zero, up to a
+    multiple of 16.
     """
 
     network: nn.Module  # 9 channels to 3, in transfer space

@@ -19,6 +19,7 @@ from rlbench.run import unroll
 from rlbench.training import Trainer
 
 PEAK = 1e-3  # learning rate
+TUNING = 1e-4  # the same, where training starts from Intel's weights
 BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
 
 
@@ -28,20 +29,26 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
     reference are compared in transfer space, where display white at an exposure of 1 lies at 0.319.
     Differs from it in what all methods here share: crops, schedule, averaged weights; normals
-    are not permuted; and crops below 176 pixels use the scales that fit.
+    are not permuted; and crops below 176 pixels use the scales that fit. Raises LibraryError where
+    Intel's weights are wanted and the extra `oidn` is not installed.
     """
-    network = UNet(INPUTS, widths=VARIANTS[variant].widths, seed=seed).to(device)
-    return learning(Oidn(network))
+    config = VARIANTS[variant]
+    network = UNet(INPUTS, widths=config.widths, seed=seed)
+    if config.intel:
+        from baselines.oidn_intel.networks import network as intels
+
+        network.load_state_dict(intels(config.widths).state_dict())
+    return learning(Oidn(network.to(device)), TUNING if config.intel else PEAK)
 
 
-def learning(method: Oidn) -> Trainer:
+def learning(method: Oidn, peak: float = PEAK) -> Trainer:
     """How a U-Net learns from the pool that the method's traits name."""
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
             yield _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
 
-    return Trainer(method, method.network, losses, BUDGETS, PEAK)
+    return Trainer(method, method.network, losses, BUDGETS, peak)
 
 
 def _loss(method: Oidn, still: MemoryClip, spp: float) -> Tensor:

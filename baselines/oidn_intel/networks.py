@@ -24,9 +24,13 @@ ALIKE = 0.05  # relative difference; other networks differ by far more
 
 
 def inside() -> list[Mapping[str, tza.Array]]:
-    """All networks that are built into the library that pyoidn brings."""
-    import pyoidn  # an extra
-
+    """All networks that are built into the library that pyoidn brings. Raises LibraryError."""
+    try:
+        import pyoidn  # an extra
+    except ImportError as error:
+        raise LibraryError(
+            "Intel's weights are in pyoidn, which is not installed: pip install pyoidn"
+        ) from error
     core = min(Path(pyoidn.__file__).parent.glob("oidn/*/*OpenImageDenoise_core*"))
     held, magic = core.read_bytes(), struct.pack("<HBB", tza.MAGIC, *tza.VERSION)
     begins = [i for i in range(0, len(held), tza.ALIGNED) if held.startswith(magic, i)]
@@ -38,7 +42,7 @@ def network(widths: Widths = BASE) -> UNet:
     """Intel's network of a size, for HDR colour with albedo and normal; do not train it in place.
 
     Several have that size: it is the one whose image of some noise is the library's. Raises
-    LibraryError where none is, and ImportError where the extra `oidn` is not installed.
+    LibraryError where none is, or where the extra `oidn` is not installed.
     """
     made = UNet(INPUTS, widths=widths).eval().requires_grad_(False)
     wanted = {name: tuple(tensor.shape) for name, tensor in made.state_dict().items()}

@@ -57,7 +57,7 @@ def alike(
 def told(light: Light) -> Float[Tensor, "n 5 h w"]:
     """What networks see of it: colour in log transfer, relative spread and weight in [0, 1)."""
     bright = _luminance(light.mean)
-    spread = (light.square - bright.square()).clamp_min(0).sqrt()
+    spread = (light.square - bright.square()).clamp_min(1e-8).sqrt()
     relative = spread / (spread + bright + 1e-3)
     return torch.cat((log_forward(light.mean), relative, light.weight / (light.weight + MUCH)), 1)
 

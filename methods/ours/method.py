@@ -45,6 +45,8 @@ class Known(NamedTuple):
 
     seen: Float[Tensor, "n c h w"]  # by the networks
     light: Light | None  # gathered before, moved here; without weight where it is from outside
+    image: Float[Tensor, "n 3 h w"] | None = None  # the last one, in log transfer
+    same: Float[Tensor, "n 1 h w"] | None = None  # how much what was there is what is here
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class Ours:
 
     Differs in all but `ours/paper`: beside the state there is light, gathered over frames, of which
     the encoder says how far it is trusted; the denoiser reads colour, albedo and normal in the way
-    of Open Image Denoise (Afra 2019), and then the state, and starts from Intel's weights. Sampler
-    and encoder also see that light and the last image.
+    of Open Image Denoise (Afra 2019), and then the state, starts from Intel's weights, and says how
+    much of the last image is kept. Sampler and encoder also see that light and that image.
     """
 
     config: Config
@@ -103,7 +105,7 @@ class Ours:
             light = measured(samples)
             if known.light is not None:
                 light = gathered(known.light, light, trust)
-            image = self._develop(view, filled(light, view.albedo), latent)
+            image = self._develop(view, filled(light, view.albedo), latent, known)
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
         left, shown = kept[self.config.remembers], torch.cat((image, _seen(view)), dim=1)
         return image, Memory(left, light if self.config.gathers else None, shown, state.age + 1)
@@ -123,10 +125,10 @@ class Ours:
         if state.light is None:
             return Known(torch.cat((seen, remembered), dim=1), None)
         mean, square, weight, image, before = moved[:, width:].split((3, 1, 1, 3, VIEW), dim=1)
-        same = alike(seen, before)
-        light = Light(mean, square, (weight * same).where(valid, 0.0))
-        gained = torch.cat((log_forward(image), told(light), same), dim=1).where(valid, MISSING)
-        return Known(torch.cat((seen, remembered, gained), dim=1), light)
+        same, image = alike(seen, before).where(valid, 0.0), log_forward(image)
+        light = Light(mean, square, weight * same)
+        gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
+        return Known(torch.cat((seen, remembered, gained), dim=1), light, image, same)
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
@@ -152,19 +154,30 @@ class Ours:
         return latent, (1 + rest) / 2
 
     def _develop(
-        self, view: View, colour: Float[Tensor, "n 3 h w"], latent: Float[Tensor, "n s h w"]
+        self,
+        view: View,
+        colour: Float[Tensor, "n 3 h w"],
+        latent: Float[Tensor, "n s h w"],
+        known: Known,
     ) -> Float[Tensor, "n 3 h w"]:
-        """The image that Intel's network makes of a colour, with the state beside it."""
+        """The image that Intel's network makes of a colour and the state, and of the last image."""
         exposure = autoexposure(colour.detach())
         albedo, normal = view.albedo.clamp(0, 1), view.normal.clamp(-1, 1) / 2 + 0.5
         shown = torch.cat((pu_forward(colour * exposure), albedo, normal, latent), dim=1)
-        return pu_inverse(self._paint(shown).clamp_max(1)) / exposure
+        value = self._paint(shown)
+        image = pu_inverse(value[:, :3].clamp_max(1)) / exposure
+        if known.image is None or known.same is None:
+            return image
+        kept = value[:, 3:].sigmoid() * known.same
+        return log_inverse(torch.lerp(log_forward(image), known.image, kept))
 
-    def _paint(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 3 h w"]:
-        """What the denoiser says, in its transfer space; below zero only while it trains."""
+    def _paint(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
+        """What the denoiser says, in its transfer space; colour below zero only while it trains."""
         h, w = shown.shape[-2:]
         value = crop(self.networks.denoiser(pad(shown, MULTIPLE)), h, w).float()
-        return value if self.networks.training else value.clamp_min(0)
+        if self.networks.training:
+            return value
+        return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)
 
 
 def density(action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:

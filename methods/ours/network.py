@@ -91,7 +91,8 @@ class Networks(nn.Module):
             self.encoder = Encoder(known + values, config.encoder, outputs, config.kernel)
             state = config.latent
         shown = 0 if config.light == "none" else SHOWN
-        self.denoiser = UNet(shown + state, widths=config.denoiser)
+        # as for light, so for the last image
+        self.denoiser = UNet(shown + state, 3 + config.gathers, config.denoiser)
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:

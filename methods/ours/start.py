@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from methods.ours.network import SPREAD, VIEW, Encoder, Networks, Sampler
+from methods.ours.network import SPREAD, TOLD, VIEW, Encoder, Networks, Sampler
 from methods.ours.variants import SAMPLES, Config
 from rlbench.ops.initialise import initialise
 from rlbench.ops.unet import BASE, FAST, UNet
@@ -17,7 +17,8 @@ LINEAR = 0.5  # where tanh is nearly a line
 
 SLOTS = ((0,), (1,), (2, 3), (4, 5, 6, 7))  # of samples, by channels 0-2, 3-5, 6-8, 9-11 of state
 SEEN = 12  # the state's first channel for normal, albedo and depth
-TRUST = 0.7  # in light gathered before
+GAINED = SEEN + VIEW  # and for what was gathered before
+TRUST, KEPT = 0.7, 0.3  # shares of light gathered before, and of the last image
 
 NOTICED = 20.0  # gain of contrasts, which are about a tenth
 LOST = 0.6  # a value that lies below minus this is not there
@@ -33,7 +34,7 @@ def start(networks: Networks, config: Config, seed: int) -> None:
     value of the view; what is left of both stays random. Where the denoiser reads colour, it starts
     with Intel's weights, to which the state says nothing yet: the first image is that of Open Image
     Denoise. Where not, its last three layers are wired to the first slot, averaged over 3x3 twice.
-    Raises ImportError where Intel's weights are wanted and the extra `oidn` is not installed.
+    Raises LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
     """
     initialise(networks, seed)
     if networks.sampler is not None:
@@ -51,8 +52,12 @@ def _pass_on(encoder: Encoder, config: Config) -> None:
     first, last = encoder.layers[0], encoder.layers[-1]
     values = SAMPLES[config.samples]
     slots = [group for group in SLOTS if 3 * max(group) + 3 <= values]
-    for layer in encoder.layers[:-1]:
-        for channel in range(values + VIEW):
+    before = TOLD * config.gathers
+    hidden = values + VIEW + before
+    for channel in range(hidden):
+        skipped = config.latent if channel >= values + VIEW else 0
+        _wire(first, channel, {channel + skipped: 1.0})
+        for layer in encoder.layers[1:-1]:
             _wire(layer, channel, {channel: 1.0})
     _bias(first)[values : values + 3] = 1  # normals are signed, hidden units are not
     for group, members in enumerate(slots):
@@ -62,6 +67,8 @@ def _pass_on(encoder: Encoder, config: Config) -> None:
     for channel in range(VIEW):
         _wire(last, SEEN + channel, {values + channel: LINEAR})
     _bias(last)[SEEN : SEEN + 3] = -LINEAR
+    for channel in range(before):
+        _wire(last, GAINED + channel, {values + VIEW + channel: LINEAR})
     if config.gathers:
         last.weight[config.latent :] *= FAINT
         _bias(last)[config.latent :] = math.atanh(2 * TRUST - 1)
@@ -81,8 +88,10 @@ def _adopt(denoiser: UNet) -> None:
     theirs = network(denoiser.widths).state_dict()
     for name, weight in denoiser.state_dict().items():
         weight.zero_()
-        known = weight if weight.dim() == 1 else weight[:, : theirs[name].shape[1]]
-        known.copy_(theirs[name])  # the state comes last
+        known = weight[: len(theirs[name])]  # what is kept of the last image is said last
+        known = known if weight.dim() == 1 else known[:, : theirs[name].shape[1]]
+        known.copy_(theirs[name])  # the state is read last
+    _bias(denoiser.dec_conv0)[3:] = math.log(KEPT / (1 - KEPT))
 
 
 def _show_contrast(sampler: Sampler, config: Config) -> None:

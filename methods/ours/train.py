@@ -28,6 +28,8 @@ from rlbench.training import Trainer
 
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
+TUNING = 1e-4  # the rate where the denoiser starts from Intel's weights
+TUNED = {"sampler": 9.0}  # shares of that one
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 
 
@@ -88,7 +90,9 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
                 loss = loss + policy.weight * _sampler_loss(explorer, shown.frame, spp)
             yield loss
 
-    return Trainer(method, networks, losses, BUDGETS, PEAK, SHARES)
+    if config.light == "none":
+        return Trainer(method, networks, losses, BUDGETS, PEAK, SHARES)
+    return Trainer(method, networks, losses, BUDGETS, TUNING, TUNED)
 
 
 def _sampler_loss(explorer: Explorer, frame: Frame, spp: float) -> Tensor:
