@@ -120,6 +120,7 @@ class Ours:
             history = torch.cat((history, *state.light, state.shown), dim=1)
         history = history if state.age % self.config.bptt else history.detach()
         moved, valid = reproject(history, view.motion)
+        valid = valid & (state.age > 0)
         width = state.state.shape[1]
         remembered = moved[:, :width].where(valid, MISSING)
         if state.light is None:
