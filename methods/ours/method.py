@@ -1,4 +1,4 @@
-"""One frame of the proposed method: plan from what is remembered, encode what was bought, denoise."""
+"""One frame of the proposed method: plan by what is remembered, encode what was bought, denoise."""
 
 from __future__ import annotations
 
@@ -21,13 +21,21 @@ from rlbench.ops.demodulate import sane
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.initialise import initialise
 from rlbench.ops.pad import crop, pad
-from rlbench.ops.transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
+from rlbench.ops.transfer import (
+    LOG_SCALE,
+    log_forward,
+    log_inverse,
+    pu_forward,
+    pu_inverse,
+    squash_depth,
+)
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"
 MISSING = -1.0  # a sample that was not bought, a state that is not there
+BELOW = -0.5 / LOG_SCALE  # least radiance while it trains; log transfer is defined above twice it
 MULTIPLE = 16  # sides that the denoiser can halve four times
 
 
@@ -166,7 +174,7 @@ class Ours:
         albedo, normal = view.albedo.clamp(0, 1), view.normal.clamp(-1, 1) / 2 + 0.5
         shown = torch.cat((pu_forward(colour * exposure), albedo, normal, latent), dim=1)
         value = self._paint(shown)
-        image = pu_inverse(value[:, :3].clamp_max(1)) / exposure
+        image = (pu_inverse(value[:, :3].clamp_max(1)) / exposure).clamp_min(BELOW)
         if known.image is None or known.same is None:
             return image
         kept = value[:, 3:].sigmoid() * known.same
@@ -198,4 +206,3 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
         initialise(networks)
     equip(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ours(config, FAMILY.variants[variant].traits, networks)
-

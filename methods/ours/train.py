@@ -28,8 +28,8 @@ from rlbench.training import Trainer
 
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
-TUNING = 1e-4  # the rate where the denoiser starts from Intel's weights
-TUNED = {"sampler": 9.0}  # shares of that one
+TUNING = 4e-5  # the rate where the denoiser starts from Intel's weights
+TUNED = {"encoder": 2.0, "sampler": 25.0}  # shares of that one
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, replace
 
 import pytest
 import torch
 from torch import Tensor, nn
 
+from baselines.oidn.method import Oidn
 from methods.ours import FAMILY
 from methods.ours.method import Ours, build, density
 from methods.ours.network import Encoder, Networks, Sampler
@@ -17,7 +19,8 @@ from methods.ours.variants import BASE, VARIANTS
 from rlbench.frames import Size
 from rlbench.ops.initialise import initialise
 from rlbench.procedural import procedural
-from rlbench.sampling import spend
+from rlbench.run import run_clip
+from rlbench.sampling import Samples, spend
 from tests.methods.known_optimum import KnownOptimum
 
 CPU = torch.device("cpu")
@@ -30,20 +33,124 @@ def parameters(network: nn.Module) -> int:
 @pytest.mark.parametrize(
     ("network", "count"),
     [
-        (Sampler(39, BASE.sampler), 31_101),
-        (Encoder(63, 32), 54_816),
-        (Networks(BASE).denoiser, 939_683),
+        (Networks(VARIANTS["paper"]).sampler, 31_101),
+        (Networks(VARIANTS["paper"]).encoder, 54_816),
+        (Networks(VARIANTS["paper"]).denoiser, 939_683),
+        (Encoder(63, (64,), 32, 1), 6_176),  # 1x1 kernels, as in the release
+        (Sampler(39, VARIANTS["small"].sampler), 486 - 19),  # the release has two outputs
     ],
-    ids=["sampler", "encoder", "denoiser"],
+    ids=["sampler", "encoder", "denoiser", "small encoder", "small sampler"],
 )
 def test_parameter_counts_are_those_of_the_fact_sheet(network, count):
     assert parameters(network) == count
 
 
-@pytest.mark.parametrize(("variant", "fields"), [("A2", {"sampler"}), ("flat", {"flat"})])
+@pytest.mark.parametrize(
+    ("variant", "fields"),
+    [
+        ("", set()),
+        ("paper", {"light"}),
+        ("A1", {"learner"}),
+        ("A2", {"sampler"}),
+        ("B1", {"encoder", "remembers", "light"}),
+        ("B2", {"encoder", "remembers", "light"}),
+        ("C", {"samples"}),
+        ("C+count", {"samples"}),
+        ("small", {"sampler", "kernel", "denoiser"}),
+        ("flat", {"flat"}),
+        ("sampler-small", {"sampler"}),
+        ("sampler-large", {"sampler"}),
+        ("encoder-small", {"kernel"}),
+        ("encoder-large", {"encoder"}),
+        ("denoiser-small", {"denoiser"}),
+        ("denoiser-large", {"denoiser"}),
+    ],
+)
 def test_a_variant_changes_only_what_its_row_claims(variant, fields):
     base, other = asdict(BASE), asdict(VARIANTS[variant])
     assert {name for name in base if base[name] != other[name]} == fields
+
+
+def test_the_table_and_the_family_name_the_same_variants():
+    assert list(VARIANTS) == list(FAMILY.variants)
+
+
+@pytest.mark.parametrize("variant", [v for v in VARIANTS if v not in ("paper", "denoiser-large")])
+def test_training_starts_with_the_image_of_open_image_denoise(variant):
+    """In the first frame nothing is gathered yet, and the state says nothing yet."""
+    pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
+    from baselines.oidn_intel.networks import network
+
+    method = trainer(variant, CPU, seed=0).method
+    method.networks.eval()
+    clip = procedural(seed=3, size=Size(1, 48, 64), frames=1)
+    (shown,) = run_clip(replace(method, config=replace(method.config, flat=True)), clip, 2.0)
+    intels = Oidn(network(VARIANTS[variant].denoiser))
+    theirs, _ = intels.denoise(shown.frame.view, shown.samples, None)
+    # sums in another order, and the exposure is of the same image
+    torch.testing.assert_close(shown.image, theirs, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(("variant", "channels"), [("C", 3), ("C+count", 4)])
+def test_a_mean_that_enters_the_encoder_is_of_the_samples_that_were_bought(variant, channels):
+    clip = procedural(seed=3, size=Size(1, 16, 24), frames=1)
+    (frame,) = clip
+    counts = torch.arange(16 * 24).view(1, 1, 16, 24) % 9
+    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    values = build(variant, CPU, "random")._values(samples)
+    assert values.shape[1] == channels
+    for x, y in ((0, 0), (3, 2), (8, 5), (23, 15)):
+        n = int(counts[0, 0, y, x])
+        taken = frame.pool.radiance[0, :n, :, y, x]
+        mean = torch.log1p(64 * taken.mean(0)) / math.log(65) if n else torch.full((3,), -1.0)
+        torch.testing.assert_close(values[0, :3, y, x], mean)
+        assert channels == 3 or values[0, 3, y, x] == n / 8
+
+
+@pytest.mark.parametrize("variant", ["B1", "B2"])
+def test_without_a_state_the_image_is_of_this_frame_alone(variant):
+    method = build(variant, CPU, "random")
+    clip = procedural(seed=3, size=Size(1, 32, 32), frames=2)
+    first, second = clip
+    counts = torch.full((1, 1, 32, 32), 2)
+    samples = [Samples(f.pool.take(f.pool.empty(), counts), counts) for f in (first, second)]
+    _, left = method.denoise(first.view, samples[0], method.start(clip.size))
+    alone, _ = method.denoise(second.view, samples[1], method.start(clip.size))
+    after, _ = method.denoise(second.view, samples[1], left)
+    assert torch.equal(alone, after)
+
+
+def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
+    clip = procedural(seed=3, size=Size(1, 32, 32), frames=2)
+    first, second = clip
+    counts = torch.full((1, 1, 32, 32), 2)
+    samples = Samples(first.pool.take(first.pool.empty(), counts), counts)
+    for variant, moves in (("B1", True), ("B2", False)):
+        method = build(variant, CPU, "random")
+        view = second.view.only(method.traits.needs)
+        _, left = method.denoise(first.view, samples, method.start(clip.size))
+        plans = [method.plan(view, samples, state) for state in (left, method.start(clip.size))]
+        assert (not torch.equal(*plans)) == moves
+
+
+def test_light_of_another_surface_is_worth_little():
+    method = build("", CPU, "random")
+    clip = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    (frame,) = clip
+    counts = torch.full((1, 1, 32, 32), 2)
+    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    _, left = method.denoise(frame.view, samples, method.start(clip.size))
+    view = replace(frame.view, static=True)
+    known = method.known(view, left)
+    assert known.same is not None
+    assert torch.equal(known.same, torch.ones_like(known.same))
+    turned = left.shown.clone()
+    turned[:, 3:6] *= -1  # normals
+    known = method.known(view, left._replace(shown=turned))
+    assert known.light is not None
+    solid = frame.view.depth.isfinite()
+    assert known.light.weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
+    assert (known.light.weight[~solid] == 2).all()
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -59,16 +166,20 @@ def test_an_untrained_sampler_is_uniform():
     assert wish.unique().numel() == 1
 
 
-def test_the_samplers_last_layer_is_shown_where_the_last_frames_samples_were_noisy():
-    method = trainer("", CPU, seed=0).method
+@pytest.mark.parametrize("variant", ["", "paper", "B1"])
+def test_the_samplers_last_layer_is_shown_where_the_last_frame_was_rough(variant):
+    """What it is shown of the last frame: its image, its state, or its samples."""
+    method = trainer(variant, CPU, seed=0).method
     shown: list[Tensor] = []
     method.networks.sampler.head.register_forward_hook(lambda layer, x, out: shown.append(out))
     clip = procedural(seed=1, size=Size(1, 64, 64), frames=1)
-    frame = next(iter(clip))
-    state = method.start(clip.size)
-    noise = torch.rand(1, 1, 64, 32, generator=torch.Generator().manual_seed(0))
-    state.latent[:] = 0.1
-    state.latent[:, :3, :, 32:] += 0.2 * (noise - 0.5)
+    (frame,) = clip
+    noise = torch.rand(1, 1, 64, 32, generator=torch.Generator().manual_seed(0)) - 0.5
+    state = method.start(clip.size)._replace(age=1)
+    state.state[:] = 0.1
+    state.state[:, :3, :, 32:] += 0.2 * noise
+    state.shown[:, :3] = 0.5
+    state.shown[:, :3, :, 32:] += noise
     with torch.no_grad():
         method.act(replace(frame.view, static=True), state)
     contrast = shown[0][0, 0]
@@ -93,16 +204,17 @@ def test_the_state_carries_no_gradient_between_frames_at_bptt_one():
     method = made.method
     assert isinstance(method, Ours)
     _, memory = method.denoise(frame.view, frame.pool.empty(), method.start(clip.size))
-    assert memory.latent.requires_grad
-    memory.latent.retain_grad()
+    assert memory.state.requires_grad
+    memory.state.retain_grad()
     image, _ = method.denoise(frame.view, frame.pool.empty(), memory)
     image.sum().backward()
-    assert memory.latent.grad is None
+    assert memory.state.grad is None
 
 
 def test_the_first_frame_has_no_state():
     memory = build("", CPU, "random").start(Size(1, 8, 9))
-    assert (memory.latent == -1).all()
+    assert (memory.state == -1).all()
+    assert not memory.light.weight.any()
 
 
 @pytest.mark.parametrize("seed", [0, 1])
