@@ -138,9 +138,7 @@ class Moment:
         return self.mode.error(self.field.sigma, self.field.truth, counts)
 
 
-def greedy(
-    sigma: Float[Tensor, "n 1 h w"], cost: int, cap: int = STORED
-) -> Int[Tensor, "n 1 h w"]:
+def greedy(sigma: Float[Tensor, "n 1 h w"], cost: int, cap: int = STORED) -> Int[Tensor, "n 1 h w"]:
     """The best whole counts of the direct mode: the `cost` largest gains of each image.
 
     Gains sigma^2 / ((n + 1/2) (n + 3/2)) fall with every sample, so greed is exact.
