@@ -92,12 +92,13 @@ def shares(
 
     Pixels strictly within the bounds share, in proportion to density, what the others leave; so k
     is differentiated too. Where `spp` is the mean of `low` there are none, and no gradient.
-    Density in [0, 1], 1 where it is largest; below exp(-30) a pixel may be left at `low`; low > 0.
+    Density in [0, 1], 1 where it is largest; below exp(-30) a pixel may be left at `low`.
     """
     least, low = int(low.min()), low.to(density.dtype)
     with torch.no_grad():
-        below = torch.full_like(density[:, :, :1, :1], math.log(least))
-        above = below + math.log(high / least) - LOWEST
+        first = least or spp / 1000  # a multiplier at which the mean is at most `spp`
+        below = torch.full_like(density[:, :, :1, :1], math.log(first))
+        above = below + math.log(high / first) - LOWEST
         for _ in range(BISECTIONS):
             middle = (below + above) / 2
             over = _clip(density, middle, low, high).mean((2, 3), keepdim=True) > spp

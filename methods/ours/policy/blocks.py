@@ -38,6 +38,7 @@ class Policy:
     every: int = 2  # frames between updates of the sampler
     block: int = 8  # pixels: side of a block
     margin: int = 4  # pixels around a block whose error is credited to it
+    priced: float = 1.0  # share of the price that is charged; 0 shows what it is for
     most: float = 3.0  # deviations that an advantage is cut at
     weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
 
@@ -78,9 +79,12 @@ class Policy:
         """
         worse = self._blocks(drawn.errors - drawn.errors.mean(0), drawn.corner, self.margin)
         more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
-        price = -(worse * more).sum() / more.square().sum().clamp_min(1e-8)
-        advantage = -(worse + price * more)
-        advantage = advantage / advantage.square().mean().sqrt().clamp_min(1e-8)
+        image = (0, 2, 3, 4)  # each has a price of its own
+        slope = (worse * more).sum(image, keepdim=True)
+        price = -slope / more.square().sum(image, keepdim=True).clamp_min(1e-8)
+        advantage = -(worse + self.priced * price * more)
+        size = advantage.square().mean(image, keepdim=True).sqrt().clamp_min(1e-8)
+        advantage = advantage / size
         advantage = advantage.clamp(-self.most, self.most)
         away = self._blocks(drawn.actions - mean, drawn.corner) / self.block**2 / self.spread
         drift = mean.mean((1, 2, 3)).square().mean()

@@ -1,0 +1,184 @@
+"""Who finds a known optimum? Every way to train the sampler, on the same frames, at one command.
+
+Command: python -m methods.ours.compare --out docs; goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from rich.progress import Progress
+from torch import nn
+
+from methods.ours.known_optimum import MODES, Mode, Moment
+from methods.ours.exam import Exam, Scenes
+from methods.ours.moving import CHANNELS, scenes
+from methods.ours.network import Sampler
+from methods.ours.policy import Learner, Policy, Situation, appo, learner
+from methods.ours.policy.ppo_pixel import PpoPixel
+from methods.ours.variants import BASE
+from rlbench.ops.initialise import initialise
+
+PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
+POINTS = 8  # scores along a training
+COLUMNS = ("learner", "mode", "seed", "frames", "seconds", "score")
+TABLE = "known_optimum.csv"
+
+Tell = Callable[[int, float, float], None]  # frames, seconds of CPU, score
+
+
+class Truth:
+    """The upper reference: the gradient of the expected error, which nobody has in practice."""
+
+    floor = 0
+    network = None
+
+    def loss(self, situation: Situation, generator: torch.Generator) -> torch.Tensor:
+        """The exact expected error of the relaxed counts."""
+        assert isinstance(situation, Moment)
+        return situation.expected(situation.relaxed(situation.act())).mean()
+
+
+def ppo(priced: float) -> Callable[[Mode], Learner]:
+    """Single pixels, whose errors are credited as far as the mode spreads them."""
+    return lambda mode: PpoPixel(Policy(block=1, margin=mode.reach, priced=priced))
+
+
+TORCH: dict[str, Callable[[Mode], Learner]] = {
+    "true gradient": lambda mode: Truth(),
+    "ppo-pixel": ppo(1.0),
+    "critic": lambda mode: learner("critic", CHANNELS),
+    "surrogate": lambda mode: learner("surrogate", CHANNELS),
+    "gamma": lambda mode: learner("gamma", CHANNELS),
+    "ppo-pixel, no price": ppo(0.0),
+}
+RLLIB: dict[str, Callable[[Mode], appo.Appo]] = {
+    "rllib-appo": lambda mode: appo.Appo(reach=mode.reach),
+    "rllib-appo, joint ratio": lambda mode: appo.Appo(joint=True),
+}
+
+
+def network(seed: int) -> Sampler:
+    """The sampler of `ours`, with seeded weights and a uniform density."""
+    made = Sampler(CHANNELS, BASE.sampler)
+    initialise(made, seed)
+    made.start_uniform()
+    return made
+
+
+def by_torch(name: str, mode: Mode, seed: int, frames: int, exam: Exam, tell: Tell) -> None:
+    """One training, one frame a step."""
+    sampler, way = network(seed), TORCH[name](mode)
+    trained = nn.ModuleList(part for part in (sampler, way.network) if part is not None)
+    optimizer = torch.optim.Adam(trained.parameters(), PEAK)
+    generator = torch.Generator().manual_seed(seed)
+    seconds, every = 0.0, max(frames // POINTS, 1)
+    for seen, field in zip(range(1, frames + 1), scenes(seed, n=1), strict=False):
+        began = time.process_time()
+        for group in optimizer.param_groups:
+            group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
+        loss = way.loss(Moment(field, mode, sampler, floor=way.floor), generator)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        seconds += time.process_time() - began
+        if seen % every == 0:
+            tell(seen, seconds, exam.score(sampler, way.floor))
+
+
+def by_rllib(name: str, mode: Mode, seed: int, frames: int, exam: Exam, tell: Tell) -> None:
+    """One training in Ray's own loop; seconds are those of this process, without its start."""
+    began: list[float] = []
+    away = 0.0  # seconds spent on scores
+
+    def report(seen: int, sampler: nn.Module) -> None:
+        nonlocal away
+        now = time.process_time()
+        tell(seen, now - began[0] - away, exam.score(sampler, 0))
+        away += time.process_time() - now
+
+    def world() -> Scenes:
+        began.append(time.process_time())
+        return Scenes(mode, seed)
+
+    appo.train(
+        world, lambda: network(seed), frames, RLLIB[name](mode), seed, frames // POINTS, report
+    )
+
+
+def compare(out: Path, frames: int, seeds: list[int], names: list[str], modes: list[str]) -> None:
+    """Fill the table with what it lacks; a training that is in it is not run again."""
+    out.mkdir(parents=True, exist_ok=True)
+    table = out / TABLE
+    rows = _read(table)
+    wanted = [(name, mode, seed) for seed in seeds for mode in modes for name in names]
+    done = {(row["learner"], row["mode"], int(row["seed"])) for row in rows}
+    todo = [cell for cell in wanted if cell not in done]
+    exams = {mode: Exam.of(MODES[mode]) for mode in {cell[1] for cell in todo}}
+    with Progress() as progress:
+        task = progress.add_task("trainings", total=len(todo) * frames)
+        for at, (name, mode, seed) in enumerate(todo):
+            progress.update(task, description=f"{name}, {mode}, seed {seed}", completed=at * frames)
+            fresh: list[dict[str, str]] = []
+
+            def tell(seen: int, seconds: float, score: float) -> None:
+                values = (name, mode, seed, seen, f"{seconds:.1f}", f"{score:.4f}")  # noqa: B023
+                fresh.append(dict(zip(COLUMNS, map(str, values), strict=True)))  # noqa: B023
+                progress.update(task, completed=at * frames + seen)  # noqa: B023
+
+            run = by_torch if name in TORCH else by_rllib
+            run(name, MODES[mode], seed, frames, exams[mode], tell)
+            rows += fresh
+            _write(table, rows)
+
+
+def _read(table: Path) -> list[dict[str, str]]:
+    if not table.exists():
+        return []
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _write(table: Path, rows: list[dict[str, str]]) -> None:
+    part = table.with_suffix(".part")
+    with part.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    os.replace(part, table)
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m methods.ours.compare",
+        description="Train the sampler of `ours` in every way on a problem whose best allocation "
+        "is known, and write the share of the optimal error reduction that each reaches to "
+        f"OUT/{TABLE}. Goes on where it was stopped. The figure: python -m reports.known_optimum.",
+        epilog="example: python -m methods.ours.compare --out /tmp/try --frames 500 --seeds 0 "
+        '--learners "surrogate;ppo-pixel"',
+    )
+    every = [*TORCH, *RLLIB]
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of the table")
+    parser.add_argument("--frames", type=int, default=3000, help="that each training sees")
+    parser.add_argument("--seeds", default="0,1,2", help="of weights, scenes and draws")
+    parser.add_argument("--learners", default=";".join(every), help="some of these, between ;")
+    parser.add_argument("--modes", default=",".join(MODES), help="some of these")
+    asked = parser.parse_args()
+    names, modes = asked.learners.split(";"), asked.modes.split(",")
+    for kind, given, known in (("learner", names, every), ("mode", modes, list(MODES))):
+        for name in given:
+            if name not in known:
+                parser.error(f"'{name}' is no {kind}; there is: {', '.join(known)}")
+    torch.set_num_threads(1)
+    compare(asked.out, asked.frames, [int(s) for s in asked.seeds.split(",")], names, modes)
+
+
+if __name__ == "__main__":
+    main()

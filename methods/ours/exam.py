@@ -1,0 +1,116 @@
+"""Judging a sampler on scenes that no training saw: its share of the optimal reduction of error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from methods.ours.known_optimum import Mode, Moment, greedy
+from methods.ours.moving import CHANNELS, STORED, Field, scenes
+from methods.ours.policy.world import Outcome
+from rlbench.sampling import spend
+from rlbench.surrogate import shares
+
+UNSEEN = 10**6  # seed of the scenes that are judged on
+APART = 7  # frames between two that are judged
+STEPS, RATE = 150, 0.1  # of the descent to the best counts where none are known in closed form
+FAINT = 0.02  # log density of the least noisy pixels where the descent starts from deviations
+
+
+@dataclass(frozen=True)
+class Exam:
+    """Frames, their expected errors under uniform sampling, and under the best counts known."""
+
+    mode: Mode
+    fields: tuple[Field, ...]
+    uniform: tuple[Float[Tensor, " n"], ...]  # mean error of each image
+    best: tuple[Float[Tensor, " n"], ...]
+
+    @classmethod
+    def of(cls, mode: Mode, frames: int = 2, n: int = 8, side: int = 48) -> Exam:
+        """So many frames of n scenes each."""
+        stream = scenes(UNSEEN, n, side)
+        fields = [field for at, field in zip(range(frames * APART), stream, strict=False)]
+        fields = fields[::APART]
+        moments = [_moment(field, mode) for field in fields]
+        uniform = [m.expected(torch.full_like(m.field.sigma, m.spp)) for m in moments]
+        best = [m.expected(best_counts(m).float()) for m in moments]
+        images = [tuple(each.mean((1, 2, 3)) for each in maps) for maps in (uniform, best)]
+        return cls(mode, tuple(fields), *images)
+
+    @torch.no_grad()
+    def score(self, sampler: Callable[[Tensor], Tensor], floor: int = 0) -> float:
+        """(error of uniform - error of the map) / (error of uniform - least error), mean of images.
+
+        0 for uniform sampling, 1 for the best counts known, below 0 for worse than uniform. Errors
+        are expectations, so that no noise of samples is in it.
+        """
+        reached = []
+        for field, uniform, best in zip(self.fields, self.uniform, self.best, strict=True):
+            moment = Moment(field, self.mode, sampler, floor=floor)
+            error = moment.expected(moment.buy(moment.act()).float()).mean((1, 2, 3))
+            reached.append((uniform - error) / (uniform - best))
+        return float(torch.cat(reached).mean())
+
+
+def best_counts(moment: Moment) -> Int[Tensor, "n 1 h w"]:
+    """The best whole counts: exact where pixels are independent, else the best that were found.
+
+    The error of coupled pixels has many minima. A density for each pixel descends on the exact
+    expected error, from uniform and from a start that follows deviations; the better one of each
+    image counts. So scores are shares of what is known to be possible, and a score above 1 would be
+    news.
+    """
+    sigma, spp = moment.field.sigma, moment.spp
+    _, _, h, w = sigma.shape
+    if moment.mode.reach == 0:
+        return greedy(sigma, spp * h * w)
+    starts = (torch.zeros_like(sigma), (sigma / sigma.amax((2, 3), keepdim=True)).clamp_min(FAINT))
+    found = [_descend(moment, starts[0]), _descend(moment, starts[1].log())]
+    first, second = (moment.expected(n.float()).mean((1, 2, 3), keepdim=True) for n in found)
+    return torch.where(first <= second, *found)
+
+
+def _descend(moment: Moment, start: Tensor) -> Tensor:
+    free = start.clone().requires_grad_()
+    nothing = torch.zeros(start.shape, dtype=torch.int64)
+    optimizer = torch.optim.Adam([free], RATE)
+    for _ in range(STEPS):
+        density = (free - free.detach().amax((2, 3), keepdim=True)).exp()
+        due = shares(density, moment.spp, nothing, STORED)
+        optimizer.zero_grad()
+        moment.expected(due).mean().backward()
+        optimizer.step()
+    pixels = start[0].numel()
+    return spend(density.detach(), moment.spp * pixels, nothing, STORED, moment.field.keys)
+
+
+def _moment(field: Field, mode: Mode) -> Moment:
+    return Moment(field, mode, lambda seen: torch.zeros_like(seen[:, :1]))
+
+
+class Scenes:
+    """The task as a world of reinforcement learning: one scene at a time, episodes of 20 frames."""
+
+    def __init__(self, mode: Mode, seed: int, side: int = 48) -> None:
+        """From the scenes of a seed."""
+        self.mode, self.shape = mode, (CHANNELS, side, side)
+        self._stream = scenes(seed, 1, side)
+        self._field = next(self._stream)
+
+    def reset(self) -> Float[Tensor, "1 c h w"]:
+        """The first frame of the next episode, which a step to the last has already drawn."""
+        while self._field.index:
+            self._field = next(self._stream)
+        return self._field.seen
+
+    def step(self, action: Float[Tensor, "1 1 h w"]) -> Outcome:
+        """Realised errors of the frame's image, and the next frame."""
+        trial = _moment(self._field, self.mode).attempt(action.unsqueeze(0))
+        self._field = next(self._stream)
+        over = self._field.index == 0
+        return Outcome(trial.errors[0], trial.counts[0], self._field.seen, over)

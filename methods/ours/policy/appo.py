@@ -1,0 +1,72 @@
+"""The paper's own tool: APPO of Ray RLlib around a world, in one process or on many machines."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from torch import nn
+
+from methods.ours.policy.world import World
+
+NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
+QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",  # Ray reports what it is used for unless told not to
+    "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
+    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
+    "RAY_enable_metrics_collection": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_raylet_start_wait_time_s": "180",  # seconds; a busy machine needs more than the usual 30
+}
+
+
+class MissingError(RuntimeError):
+    """An extra is not installed."""
+
+
+@dataclass(frozen=True)
+class Appo:
+    """How RLlib is asked to learn.
+
+    Clip range, length of fragments and of gradients as in the release of Scardigli et al. 2023.
+    """
+
+    joint: bool = False  # the literal recipe: one ratio for all pixels, one reward a frame
+    rate: float = 1e-3  # learning rate at the start; it falls linearly
+    spread: float = 0.3  # deviation of the action
+    reach: int = 0  # pixels around one whose errors are credited to it
+    priced: float = 1.0  # share of the price of samples that is charged
+    clip: float = 0.15
+    fragment: int = 4  # frames of an update
+    runners: int = 0  # processes that act; 0: this one
+
+
+def train(
+    world: Callable[[], World],
+    sampler: Callable[[], nn.Module],
+    frames: int,
+    settings: Appo = Appo(),  # noqa: B008  (frozen)
+    seed: int = 0,
+    every: int = 500,
+    report: Callable[[int, nn.Module], None] = lambda frames, sampler: None,
+) -> nn.Module:
+    """A sampler trained by APPO for about `frames` frames; `report` is told every so many.
+
+    Starting Ray takes some ten seconds; it is stopped again, unless it was running. Raises
+    MissingError where an extra is not installed.
+    """
+    if missing := [name for name in NEEDED if not _installed(name)]:
+        raise MissingError(
+            f"rllib-appo needs {', '.join(missing)}, which cannot be imported here; "
+            'pip install "rlbench[train]", or train by: ppo-pixel, critic, surrogate, gamma'
+        )
+    os.environ.update({name: os.environ.get(name, value) for name, value in QUIET.items()})
+    from methods.ours.policy import rllib
+
+    return rllib.train(world, sampler, frames, settings, seed, every, report)
+
+
+def _installed(name: str) -> bool:
+    return importlib.util.find_spec(name) is not None
