@@ -82,7 +82,7 @@ class Networks(nn.Module):
         super().__init__()
         values = SAMPLES[config.samples]
         remembered = {"state": config.latent, "samples": values, "nothing": 0}[config.remembers]
-        known = VIEW + remembered + TOLD * config.gathers
+        self.known = known = VIEW + remembered + TOLD * config.gathers
         self.sampler = Sampler(known, config.sampler) if config.sampler else None
         self.encoder, state = None, VIEW + values
         if config.encoder:

@@ -1,4 +1,4 @@
-"""Training `ours`: encoder and denoiser by backpropagation, the sampler by policy gradient.
+"""Training `ours`: encoder and denoiser by backpropagation, the sampler by its learner.
 
 Command: rlbench train --methods ours
 """
@@ -10,20 +10,21 @@ from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from methods.ours import FAMILY
 from methods.ours.method import Memory, Ours, density
 from methods.ours.network import Networks
-from methods.ours.policy import Draws, Policy
+from methods.ours.policy import Learner, Policy, learner
 from methods.ours.start import start
+from methods.ours.turn import Turn
 from methods.ours.variants import VARIANTS
 from rlbench.family import Traits
-from rlbench.frames import Clip, Frame, Size, View
+from rlbench.frames import Clip, Size, View
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.sampling import Samples, buy, nothing
+from rlbench.sampling import Samples
 from rlbench.training import Trainer
 
 PEAK = 3e-4  # learning rate
@@ -31,6 +32,8 @@ SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder
 TUNING = 4e-5  # the rate where the denoiser starts from Intel's weights
 TUNED = {"encoder": 2.0, "sampler": 25.0}  # shares of that one
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
+EVERY = 2  # frames between steps of the sampler
+WEIGHT = 0.1  # of the learner's loss beside the image's; matters for clipping only
 
 
 @dataclass
@@ -72,43 +75,30 @@ class Explorer:
 
 
 def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
-    """Networks with seeded weights and a uniform sampler, and the losses that train them."""
-    config = VARIANTS[variant]
+    """Networks with seeded weights and a uniform sampler, and the losses that train them.
+
+    Raises LibraryError where training starts from Intel's weights and the extra `oidn` is missing.
+    """
+    config, traits = VARIANTS[variant], FAMILY.variants[variant].traits
     networks = Networks(config)
     start(networks, config, seed)
     networks.to(device)
-    method = Ours(config, FAMILY.variants[variant].traits, networks)
-    policy = Policy()
-    explorer = Explorer(method, policy, torch.Generator())
+    method = Ours(config, traits, networks)
+    learns = learner(config.learner, networks.known)
+    aside = learns.network.to(device) if learns.network is not None else None
+    explorer = Explorer(method, Policy(), torch.Generator())
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         explorer.generator.manual_seed(next(iter(clip)).pool.keys[0])
         explorer.noisy = bool(torch.randint(2, (), generator=explorer.generator))
         for shown in unroll(explorer, clip, spp):
             loss = mixed(log_forward(shown.image), log_forward(shown.frame.reference.mean))
-            if networks.sampler is not None and shown.frame.index % policy.every == 0:
-                loss = loss + policy.weight * _sampler_loss(explorer, shown.frame, spp)
+            if networks.sampler is not None and shown.frame.index % EVERY == 0:
+                turn = Turn(method, shown.frame, *explorer.asked[-1], spp)
+                loss = loss + WEIGHT * learns.loss(turn, explorer.generator)
             yield loss
 
+    budgets = tuple(spp for spp in BUDGETS if traits.refuses(spp) is None)
     if config.light == "none":
-        return Trainer(method, networks, losses, BUDGETS, PEAK, SHARES)
-    return Trainer(method, networks, losses, BUDGETS, TUNING, TUNED)
-
-
-def _sampler_loss(explorer: Explorer, frame: Frame, spp: float) -> Tensor:
-    """The policy's loss for one frame: several draws from the state that the frame began with."""
-    method, policy = explorer.method, explorer.policy
-    view, state = explorer.asked[-1]
-    truth = log_forward(frame.reference.mean).clamp(0, 1)
-    errors, counts = [], []
-    mean, corner = method.act(view, state), policy.corner(explorer.generator)
-    actions = policy.tries(mean, corner, explorer.generator)
-    with torch.no_grad():
-        for action in actions:
-            samples = buy(frame.pool, nothing(frame.pool), density(action), spp)
-            image, _ = method.denoise(view, samples, state)
-            error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
-            errors.append(error)
-            counts.append(samples.counts.float())
-    drawn = Draws(actions, torch.stack(errors), torch.stack(counts), corner)
-    return policy.loss(mean, drawn)
+        return Trainer(method, networks, losses, budgets, PEAK, SHARES)
+    return Trainer(method, networks, losses, budgets, TUNING, TUNED)

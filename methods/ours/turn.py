@@ -1,0 +1,72 @@
+"""One frame in which the sampler of `ours` has to act, with its denoiser behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from methods.ours.method import Memory, Ours, density
+from methods.ours.policy import Trial
+from rlbench.frames import Frame, View
+from rlbench.ops.losses import mixed
+from rlbench.ops.transfer import log_forward
+from rlbench.sampling import Samples, buy, nothing
+from rlbench.surrogate import Teach, shares
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A situation (methods/ours/policy/learner.py): the frame, what was remembered, the budget."""
+
+    method: Ours
+    frame: Frame
+    view: View  # with what the method declared
+    state: Memory
+    spp: float
+
+    @property
+    def seen(self) -> Float[Tensor, "n c h w"]:
+        """What the sampler sees."""
+        with torch.no_grad():
+            return self.method.known(self.view, self.state).seen
+
+    def act(self) -> Float[Tensor, "n 1 h w"]:
+        """The sampler's mean action."""
+        return self.method.act(self.view, self.state)
+
+    def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+        """Samples a pixel that are due, before rounding."""
+        wish = density(action)
+        low = torch.full_like(wish, self.method.traits.floor)
+        return shares(wish / wish.detach().amax((2, 3), keepdim=True), self.spp, low, self._cap())
+
+    @torch.no_grad()
+    def attempt(self, actions: Float[Tensor, "k n 1 h w"]) -> Trial:
+        """Squared errors in log transfer, and counts."""
+        truth = log_forward(self.frame.reference.mean).clamp(0, 1)
+        errors, counts = [], []
+        for action in actions:
+            samples = self._buy(action)
+            image, _ = self.method.denoise(self.view, samples, self.state)
+            error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
+            errors.append(error)
+            counts.append(samples.counts.float())
+        return Trial(torch.stack(errors), torch.stack(counts))
+
+    def slope(self, teach: Teach) -> Float[Tensor, ""]:
+        """The loss of the mean action's image, with a gradient to the action through samples."""
+        action = self.act()
+        samples = teach(self._buy(action.detach()), self.relaxed(action), self.frame)
+        image, _ = self.method.denoise(self.view, samples, self.state)
+        return mixed(log_forward(image), log_forward(self.frame.reference.mean))
+
+    def _buy(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
+        pool, floor = self.frame.pool, self.method.traits.floor
+        return buy(pool, nothing(pool), density(action), self.spp, floor, self._cap())
+
+    def _cap(self) -> int:
+        cap = self.method.traits.cap
+        return self.frame.pool.cap if cap is None else min(cap, self.frame.pool.cap)
