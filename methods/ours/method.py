@@ -83,7 +83,9 @@ class Ours:
         channels = {"state": self.config.latent, "samples": SAMPLES[self.config.samples]}
         nothing = torch.zeros(n, 15, h, w, device=next(self.networks.parameters()).device)
         state = nothing.new_full((n, channels.get(self.config.remembers, 0), h, w), MISSING)
-        light = Light(*nothing[:, :5].split((3, 1, 1), dim=1)) if self.config.gathers else None
+        light = (
+            Light(*torch.split(nothing[:, :5], [3, 1, 1], dim=1)) if self.config.gathers else None
+        )
         return Memory(state, light, nothing[:, 5:], 0)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
@@ -133,7 +135,9 @@ class Ours:
         remembered = moved[:, :width].where(valid, MISSING)
         if state.light is None:
             return Known(torch.cat((seen, remembered), dim=1), None)
-        mean, square, weight, image, before = moved[:, width:].split((3, 1, 1, 3, VIEW), dim=1)
+        mean, square, weight, image, before = torch.split(
+            moved[:, width:], [3, 1, 1, 3, VIEW], dim=1
+        )
         same, image = alike(seen, before).where(valid, 0.0), log_forward(image)
         light = Light(mean, square, weight * same)
         gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)

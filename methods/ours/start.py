@@ -49,7 +49,7 @@ def start(networks: Networks, config: Config, seed: int) -> None:
 
 
 def _pass_on(encoder: Encoder, config: Config) -> None:
-    first, last = encoder.layers[0], encoder.layers[-1]
+    first, *between, last = _convolutions(encoder.layers)
     values = SAMPLES[config.samples]
     slots = [group for group in SLOTS if 3 * max(group) + 3 <= values]
     before = TOLD * config.gathers
@@ -57,7 +57,7 @@ def _pass_on(encoder: Encoder, config: Config) -> None:
     for channel in range(hidden):
         skipped = config.latent if channel >= values + VIEW else 0
         _wire(first, channel, {channel + skipped: 1.0})
-        for layer in encoder.layers[1:-1]:
+        for layer in between:
             _wire(layer, channel, {channel: 1.0})
     _bias(first)[values : values + 3] = 1  # normals are signed, hidden units are not
     for group, members in enumerate(slots):
@@ -138,15 +138,14 @@ def _convolutions(block: nn.Module) -> list[nn.Conv2d]:
     return [layer for layer in block.children() if isinstance(layer, nn.Conv2d)]
 
 
-def _bias(layer: nn.Module) -> Tensor:
-    assert isinstance(layer.bias, Tensor)
+def _bias(layer: nn.Conv2d) -> Tensor:
+    assert layer.bias is not None
     return layer.bias
 
 
-def _wire(layer: nn.Module, to: int, sources: dict[int, float], box: bool = False) -> None:
+def _wire(layer: nn.Conv2d, to: int, sources: dict[int, float], box: bool = False) -> None:
     """Make output `to` of a convolution a weighted sum of inputs, or of their means in its box."""
     weight = layer.weight
-    assert isinstance(weight, Tensor)
     side = weight.shape[-1]
     weight[to] *= FAINT
     for source, gain in sources.items():

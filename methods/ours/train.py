@@ -85,7 +85,6 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     networks.to(device)
     method = Ours(config, traits, networks)
     learns = learner(config.learner, networks.known)
-    aside = learns.network.to(device) if learns.network is not None else None
     explorer = Explorer(method, Policy(), torch.Generator())
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
