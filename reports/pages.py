@@ -1,4 +1,4 @@
-"""Pages: sections of tables and lists, written as Markdown, as LaTeX and as a CSV of all numbers."""
+"""Pages: sections of tables and lists as Markdown and LaTeX, and a CSV of all their numbers."""
 
 from __future__ import annotations
 
