@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -87,11 +88,11 @@ def _change_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
 
 
 def _wide(
-    found: pd.DataFrame, show: Callable[[pd.Series], str]
+    found: pd.DataFrame, show: Callable[[Mapping[Hashable, Any]], str]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and lines of a table with a column for each budget."""
     budgets = sorted(set(found["spp"]))
-    cells = {(row["method"], row["spp"]): show(row) for _, row in found.iterrows()}
+    cells = {(row["method"], row["spp"]): show(row) for row in found.to_dict("records")}
     lines = [
         (method, *(cells.get((method, spp), "-") for spp in budgets))
         for method in sorted(set(found["method"]))
@@ -100,12 +101,13 @@ def _wide(
 
 
 def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, list[str]]:
+    rows: list[dict[str, Any]] = [dict(row) for _, row in found.iterrows()]
     odd = [
-        f"{row.method} at {row.spp:g} spp: {row.alone} scores without a partner, {row.pairs} pairs"
-        for row in found.itertuples()
-        if row.alone
+        "{method} at {spp:g} spp: {alone} scores without a partner, {pairs} pairs".format(**row)
+        for row in rows
+        if row["alone"]
     ]
-    held = {(row.method, row.spp) for row in found.itertuples()}
+    held = {(row["method"], row["spp"]) for row in rows}
     absent = [
         f"{method} at {spp:g} spp: not scored, or {family} is not"
         for method in sorted(set(found["method"]))

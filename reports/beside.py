@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 13.0, 6.6  # inches; the caption comes on top of the height
 WINDOW = 13.0  # dB below the best that a panel shows
-MARKER = {"*": 11.0}  # points across; a star looks smaller than the others, which have 7.5
+LETTERS = 138  # of a line of the caption
+MARKER, STAR = 7.5, 11.0  # points across; a star of the same width looks smaller
 LABEL, LINE = 10.5, 0.205  # points of a label's letters, inches between two labels
 LOG_FROM = 4.0  # what spans more than this factor stands on a logarithmic axis
 
@@ -43,6 +45,7 @@ def draw(here: pd.DataFrame, theirs: pd.DataFrame, axis: Axis, caption: str) -> 
     one colour and marker in both panels, and its name at the right of its last point.
     """
     looks = style.looks([*here["method"], *theirs["method"]])
+    caption = "\n".join(fill(line, LETTERS) for line in caption.splitlines())
     room = 0.68 + 0.2 * (caption.count("\n") + 1)  # inches
     figure = Figure(figsize=(WIDTH, HEIGHT + room))
     left, right = figure.subplots(
@@ -99,7 +102,7 @@ def _curves(axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], axis
         look, curve = looks[str(method)], curve.sort_values("spp")
         x, y = curve[axis.column], curve["value"]
         axes.plot(
-            x, y, c=look.color, ls=look.dash, lw=1.6, marker=look.marker, ms=MARKER.get(look.marker, 7.5),
+            x, y, c=look.color, ls=look.dash, lw=1.6, marker=look.marker, ms=_size(look),
             mfc=look.color, mec="white", mew=0.7, zorder=3,
         )  # fmt: skip
         ends.append((str(method), float(x.iloc[-1]), float(y.iloc[-1])))
@@ -113,8 +116,8 @@ def _points(axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], axis
         x, y = curve[axis.column], curve["value"]
         axes.plot(x, y, c=look.color, ls=":", lw=1.4, zorder=2)
         axes.plot(
-            x, y, c=look.color, ls="", marker=look.marker, ms=MARKER.get(look.marker, 7.5), mfc="white", mec=look.color,
-            mew=1.6, zorder=3,
+            x, y, c=look.color, ls="", marker=look.marker, ms=_size(look), mfc="white",
+            mec=look.color, mew=1.6, zorder=3,
         )  # fmt: skip
         ends.append((str(method), float(x.iloc[-1]), float(y.iloc[-1])))
     _names(axes, ends, looks, ".1f", hollow=True)
@@ -131,7 +134,7 @@ def _names(
     if not ends:
         return
     low, high = axes.get_ylim()
-    step = (high - low) * LINE / (axes.get_position().height * axes.figure.get_figheight())
+    step = (high - low) * LINE / (0.93 * HEIGHT)  # of which the panels take so much
     ends = sorted(ends, key=lambda end: end[2])
     heights = apart([max(low, value) for _, _, value in ends], step, low, high)
     for (method, x, value), height in zip(ends, heights, strict=True):
@@ -145,13 +148,17 @@ def _names(
         )  # fmt: skip
         axes.plot(
             [1.04], [height], transform=axes.get_yaxis_transform(), clip_on=False, ls="",
-            marker=look.marker, ms=MARKER.get(look.marker, 7.5) - 1, c=look.color, mfc="white" if hollow else look.color,
-            mec=look.color,
+            marker=look.marker, ms=_size(look) - 1, c=look.color, mec=look.color,
+            mfc="white" if hollow else look.color,
         )  # fmt: skip
         axes.text(
             1.062, height, f"{method} {value:{form}}", transform=axes.get_yaxis_transform(),
             va="center", fontsize=LABEL, color=look.color,
         )  # fmt: skip
+
+
+def _size(look: style.Look) -> float:
+    return STAR if look.marker == "*" else MARKER
 
 
 def apart(heights: list[float], step: float, low: float, high: float) -> list[float]:

@@ -66,19 +66,18 @@ def stated(paper: Published) -> pd.DataFrame:
 
 def _captions(table: pd.DataFrame, device: str) -> dict[str, str]:
     paper = published()
-    conditions = paper.conditions.replace(", mean", ",\nmean")
     told = (
         f"Left: PSNR, {scores.about(table, METRIC, 'convention')}; mean over scenes.\n"
-        f"Right: {paper.title}, Table 1; {conditions}; "
+        f"Right: {paper.title}, Table 1; {paper.conditions}; "
         "dotted: from its text.\n"
         "The two panels share a scale, not a zero: their values cannot be compared, their orders "
         "can."
     )
     budgets = ", ".join(f"{spp:g}" for spp in sorted(set(table["spp"])))
     times = (
-        f"\nPoints of a curve, from left to right: {budgets} spp, where it was run. Time here: plan "
-        f"+ denoise (p50) on {device or 'a device not named'}\n+ samples bought per pixel x time "
-        f"of one sample per pixel ({_cost(scores.profile(table))}); theirs: inference + spp x "
+        f"\nPoints of a curve, from left to right: {budgets} spp, where it was run. Time here: "
+        f"plan + denoise (p50) on {device or 'a device not named'} + samples bought per pixel x "
+        f"time of one sample per pixel ({_cost(scores.profile(table))}); theirs: inference + spp x "
         f"{paper.sample_ms:g} ms."
     )
     return {"spp": told, "time": told + times}

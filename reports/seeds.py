@@ -98,7 +98,7 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
             f"{row['least']:.2f} to {row['most']:.2f}",
             f"{paper.deviation_db:g}" if names.row(row["series"]) == paper.deviation_row else "-",
         )
-        for _, row in found.iterrows()
+        for row in found.to_dict("records")
     )
     head = ("trainings of", "spp", "number", "mean", "deviation", "range", "paper")
     caption = (

@@ -77,4 +77,5 @@ def deviation(values: Sequence[float], level: float = LEVEL) -> Deviation:
 def _signs(values: Sequence[float]) -> NDArray[np.float64]:
     """Sign of each difference of two numbers."""
     numbers = np.asarray(values, float)
-    return np.sign(numbers[:, None] - numbers[None, :])
+    signs: NDArray[np.float64] = np.sign(numbers[:, None] - numbers[None, :])
+    return signs

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -16,6 +18,7 @@ from rlbench.table import LacksError
 
 BASE = "ours"  # the row that all others are held against, as the paper does
 METRIC = "psnr"
+Record = Mapping[Hashable, Any]  # a row of `compared`
 WARNING = (
     "Columns of the paper and of this table cannot be compared with each other, only their orders: "
     "other scenes, another resolution and device, and samples that are not display-referred."
@@ -59,20 +62,20 @@ def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataF
     shots = scores.shots(table, METRIC).merge(means[["method", "spp"]], on=["method", "spp"])
     parts = {key: part for key, part in shots.groupby(["method", "spp"])}
     made = []
-    for row in means.itertuples():
-        gap = UNKNOWN
-        if row.method != BASE and (BASE, row.spp) in parts:
-            gap = interval(paired(parts[row.method, row.spp], parts[BASE, row.spp]), seed, draws)
+    for row in means.to_dict("records"):
+        method, spp, gap = row["method"], row["spp"], UNKNOWN
+        if method != BASE and (BASE, spp) in parts:
+            gap = interval(paired(parts[method, spp], parts[BASE, spp]), seed, draws)
         made.append(
             {
-                "method": row.method,
-                "spp": row.spp,
-                METRIC: row.value,
+                "method": method,
+                "spp": spp,
+                METRIC: row["value"],
                 "difference": gap.mean,
                 "low": gap.low,
                 "high": gap.high,
-                "inference_ms": row.plan_ms + row.denoise_ms,
-                **_stated(str(row.method), float(row.spp)),
+                "inference_ms": row["plan_ms"] + row["denoise_ms"],
+                **_stated(method, spp),
             }
         )
     return pd.DataFrame(made)
@@ -96,7 +99,7 @@ def _stated(method: str, spp: float) -> dict[str, object]:
 
 def _grid(table: pd.DataFrame, found: pd.DataFrame, alike: Agreement, device: str) -> Grid:
     at, budgets = published().spp, sorted(set(found["spp"]))
-    cells = {(row["method"], row["spp"]): row for _, row in found.iterrows()}
+    cells = {(row["method"], row["spp"]): row for row in found.to_dict("records")}
     base = published().of(BASE)
     body = []
     for method in _order(found):
@@ -149,11 +152,11 @@ def _order(found: pd.DataFrame) -> list[str]:
     return [row for row in listed if row in there] + sorted(there - set(listed))
 
 
-def _number(row: pd.Series | None, column: str, form: str) -> str:
+def _number(row: Record | None, column: str, form: str) -> str:
     return "-" if row is None or pd.isna(row[column]) else format(row[column], form)
 
 
-def _gap(row: pd.Series | None) -> str:
+def _gap(row: Record | None) -> str:
     if row is None or pd.isna(row["difference"]):
         return "-"
     return gap_text(row["difference"], row["low"], row["high"])
