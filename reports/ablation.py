@@ -110,7 +110,7 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, l
     held = {(row["method"], row["spp"]) for row in rows}
     absent = [
         f"{method} at {spp:g} spp: not scored, or {family} is not"
-        for method in sorted(set(found["method"]))
+        for method in variants.of(table)[family]
         for spp in sorted(set(variants.scored(table)["spp"]))
         if (method, spp) not in held
     ]

@@ -30,7 +30,7 @@ def write(table: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
         here, theirs = measured(rows), stated(published())
         told = _others(rows, here)
         with mpl.rc_context(style.RC):
-            for axis, caption in _captions(rows, device).items():
+            for axis, caption in _captions(rows, here, device).items():
                 figure = beside.draw(here, theirs, beside.AXES[axis], caption + told)
                 written += style.save(figure, folder, f"{name}-{axis}{suffix}")
         file = folder / f"{name}-pareto{suffix}.csv"
@@ -64,7 +64,7 @@ def stated(paper: Published) -> pd.DataFrame:
     return pd.DataFrame(made, columns=[*COLUMNS, "derived"])
 
 
-def _captions(table: pd.DataFrame, device: str) -> dict[str, str]:
+def _captions(table: pd.DataFrame, here: pd.DataFrame, device: str) -> dict[str, str]:
     paper = published()
     told = (
         f"Left: PSNR, {scores.about(table, METRIC, 'convention')}; mean over scenes.\n"
@@ -73,7 +73,7 @@ def _captions(table: pd.DataFrame, device: str) -> dict[str, str]:
         "The two panels share a scale, not a zero: their values cannot be compared, their orders "
         "can."
     )
-    budgets = ", ".join(f"{spp:g}" for spp in sorted(set(table["spp"])))
+    budgets = ", ".join(f"{spp:g}" for spp in sorted(set(here["spp"])))
     times = (
         f"\nPoints of a curve, from left to right: {budgets} spp, where it was run. Time here: "
         f"plan + denoise (p50) on {device or 'a device not named'} + samples bought per pixel x "
@@ -88,11 +88,13 @@ def _cost(profile: str) -> str:
     author = published().title.partition(",")[0]
     if author in profile:
         return f"{profile.partition(',')[0]}, published, {profile.rpartition(', ')[2]}"
-    return profile or "not measured"
+    return f"{profile or 'not measured'}; rlbench run --cost paper-2080ti charges the published one"
 
 
 def _others(table: pd.DataFrame, here: pd.DataFrame) -> str:
-    """The rows that are measured and not drawn, as a line of the caption."""
+    """The rows that are measured and not drawn, as lines of the caption."""
     scored = table[(table["metric"] == METRIC) & table["value"].notna()]
     left = sorted({names.row(m) for m in scored["method"]} - set(here["method"]))
-    return f"\nMeasured, not in the paper: {', '.join(left)}." if left else ""
+    untimed = sorted(set(here.loc[here["total_ms"].isna(), "method"]))
+    told = {"Measured, but not in the paper or not on every scene": left, "Without a time": untimed}
+    return "".join(f"\n{what}: {', '.join(which)}." for what, which in told.items() if which)

@@ -13,6 +13,9 @@ from rlbench.table import LacksError
 FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has some
 METRIC = "psnr"
 PAIR = ("scene", "clip", "frame", "seed")  # at one budget
+COLUMNS = (
+    "method", "spp", "difference", "low", "high", "total_ms", "pairs", "alone", "clips",
+)  # fmt: skip
 
 
 def of(table: pd.DataFrame) -> dict[str, list[str]]:
@@ -84,7 +87,7 @@ def differences(
                     "clips": gap.clips,
                 }
             )
-    return pd.DataFrame(made)
+    return pd.DataFrame(made, columns=list(COLUMNS))
 
 
 def changes(table: pd.DataFrame, method: str, family: str) -> str:
