@@ -44,12 +44,10 @@ def write(
 
 def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
     base = published().of(family)
-    head, body = _wide(
-        found, lambda row: gap_text(row["difference"], row["low"], row["high"], ".2f")
-    )
-    if base:
+    head, body = _wide(found, lambda row: gap_text(row["difference"], row["low"], row["high"]))
+    stated = {line[0]: published().of(line[0]) for line in body}
+    if base and any(stated.values()):
         head = (*head, f"paper, {published().spp:g} spp")
-        stated = {line[0]: published().of(line[0]) for line in body}
         body = [
             (*line, f"{s.psnr_db - base.psnr_db:+.1f}" if (s := stated[line[0]]) else "-")
             for line in body
@@ -57,10 +55,10 @@ def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
     caption = (
         f"PSNR in dB ({scores.about(table, METRIC, 'convention')}) of each variant less that of "
         f"{family}, paired by scene, clip, frame, budget and seed; mean over scenes. In brackets: "
-        "95 % interval, resampled by clip; bold where it excludes zero. Each row was trained once: "
-        "the interval is that of the clips, not of the training."
+        "95 % interval, resampled by clip; bold where it excludes zero. "
+        "The interval is that of the clips; another training would differ too."
     )
-    if base:
+    if base and any(stated.values()):
         caption += f" Paper: difference in {published().source}, {published().title}."
     return Grid(f"PSNR less that of {family}", caption, head, tuple(body))
 

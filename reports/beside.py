@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 13.0, 6.6  # inches; the caption comes on top of the height
 WINDOW = 13.0  # dB below the best that a panel shows
-LETTERS = 138  # of a line of the caption
+LETTERS = 148  # of a line of the caption
 MARKER, STAR = 7.5, 11.0  # points across; a star of the same width looks smaller
 LABEL, LINE = 10.5, 0.205  # points of a label's letters, inches between two labels
 LOG_FROM = 4.0  # what spans more than this factor stands on a logarithmic axis

@@ -296,7 +296,7 @@ def test_reports_are_written_where_asked(clip_folder, tmp_path):
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 
-def test_a_report_of_rows_that_are_not_there_stops_all_others_from_nothing(clip_folder, tmp_path):
+def test_report_all_goes_on_without_reports_whose_rows_are_not_there(clip_folder, tmp_path):
     words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
     rlbench(
         "run",
