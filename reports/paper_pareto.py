@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import pandas as pd
@@ -10,6 +11,9 @@ import pandas as pd
 from reports import beside, names, scores, style
 from reports.published import Published, published
 from rlbench.table import LacksError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 METRIC = "psnr"
 COLUMNS = ["method", "spp", "value", "total_ms"]
@@ -27,17 +31,25 @@ def write(table: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
     for device, rows in parts.items():
         scores.check(rows)
         suffix = "" if len(parts) == 1 else f"-{style.slug(device)}"
-        here, theirs = measured(rows), stated(published())
-        told = _others(rows, here)
-        with mpl.rc_context(style.RC):
-            for axis, caption in _captions(rows, here, device).items():
-                figure = beside.draw(here, theirs, beside.AXES[axis], caption + told)
+        for axis, figure in figures(rows, device).items():
+            with mpl.rc_context(style.RC):
                 written += style.save(figure, folder, f"{name}-{axis}{suffix}")
         file = folder / f"{name}-pareto{suffix}.csv"
-        both = {"here": here, "paper": theirs}
+        both = {"here": measured(rows), "paper": stated(published())}
         pd.concat([part.assign(source=of) for of, part in both.items()]).to_csv(file, index=False)
         written.append(file)
     return written
+
+
+def figures(table: pd.DataFrame, device: str) -> dict[str, Figure]:
+    """The figures of one device's rows: against samples per pixel, `spp`, and against `time`."""
+    here, theirs = measured(table), stated(published())
+    told = _others(table, here)
+    with mpl.rc_context(style.RC):
+        return {
+            axis: beside.draw(here, theirs, beside.AXES[axis], caption + told)
+            for axis, caption in _captions(table, here, device).items()
+        }
 
 
 def measured(table: pd.DataFrame) -> pd.DataFrame:
