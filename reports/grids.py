@@ -25,6 +25,15 @@ class Grid:
     body: tuple[tuple[str, ...], ...]
 
 
+def gap_text(mean: float, low: float, high: float, form: str = ".2f") -> str:
+    """A difference with its interval in brackets, if that is known; bold where it excludes zero."""
+    text = format(mean, f"+{form}")
+    if low != low:
+        return text
+    text += f" [{low:+{form}}, {high:+{form}}]"
+    return Bold(text) if low > 0 or high < 0 else text
+
+
 def markdown(grid: Grid) -> str:
     """The table as GitHub shows it, its title a heading and its caption a paragraph."""
     rule = ["---", *["---:"] * (len(grid.head) - 1)]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
+
+SHOT = ("scene", "clip", "frame")
 
 DRAWS = 10_000  # bootstrap samples: the ends of a 95 % interval are then stable to about 1 %
 LEVEL = 0.95
@@ -29,13 +32,16 @@ class Interval:
         return self.low <= 0 <= self.high
 
 
-def paired(method: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+UNKNOWN = Interval(math.nan, math.nan, math.nan, 0)
+
+
+def paired(method: pd.DataFrame, other: pd.DataFrame, by: Sequence[str] = SHOT) -> pd.DataFrame:
     """Scores of `method` less those of `other`, frame by frame.
 
-    Both have the columns scene, clip, frame and value; so has the result. Frames that only one of
-    them has are left out.
+    Both have the columns `by` and value; so has the result. Frames that only one of them has are
+    left out.
     """
-    on = ["scene", "clip", "frame"]
+    on = list(by)
     both = method[[*on, "value"]].merge(other[[*on, "value"]], on=on, validate="one_to_one")
     return both[on].assign(value=both["value_x"] - both["value_y"])
 
@@ -54,7 +60,7 @@ def interval(
     clips = values.groupby(["scene", "clip"], as_index=False)["value"].mean()
     count = len(clips)
     if not count:
-        return Interval(math.nan, math.nan, math.nan, 0)
+        return UNKNOWN
     score = clips["value"].to_numpy(float)
     weight = 1 / clips.groupby("scene")["value"].transform("size").to_numpy(float)
     mean = float(np.average(score, weights=weight))

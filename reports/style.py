@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from reports.names import family as family_of
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -63,7 +65,7 @@ def looks(methods: Iterable[str]) -> dict[str, Look]:
     Families of the list above keep their colour in every figure; strangers get spare ones by name.
     """
     names = sorted(set(methods))
-    families = list(dict.fromkeys(name.partition("/")[0] for name in names))
+    families = list(dict.fromkeys(map(family_of, names)))
     strangers = [family for family in families if family not in COLOURS]
     free = [color for color in SPARE if color not in {COLOURS.get(f) for f in families}]
     spare = {family: free[i % len(free)] for i, family in enumerate(strangers)}
@@ -71,7 +73,7 @@ def looks(methods: Iterable[str]) -> dict[str, Look]:
     found = {}
     for family in families:
         place = known.index(family) if family in COLOURS else len(known) + strangers.index(family)
-        variants = [name for name in names if name.partition("/")[0] == family]
+        variants = [name for name in names if family_of(name) == family]
         for i, name in enumerate(variants):
             color = COLOURS.get(family) or spare[family]
             marker, dash = MARKERS[(place + i) % len(MARKERS)], DASHES[i % len(DASHES)]

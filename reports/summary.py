@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports import scores
-from reports.grids import Bold, Grid, latex, markdown
+from reports import pages, scores
+from reports.grids import Bold, Grid
 from reports.ranking import EVERY, ranking
 from reports.statistics import DRAWS
 
@@ -31,25 +31,14 @@ def write(
     `seed` and `draws` are those of the bootstrap. Raises ReportError where rows would be averaged
     that must not be.
     """
-    pages, ranked, floats = [f"# {_heading(table)}\n"], [], []
+    sections = []
     for device, rows in scores.by_device(table).items():
         scores.check(rows)
         ranks = [ranking(rows, metric, seed, draws) for metric in scores.metrics(rows)]
         grids = [*_score_grids(rows, ranks), *_time_grids(rows, device), *_scene_grids(rows, ranks)]
-        pages += [f"## {device or 'Device not named'}\n", *map(markdown, grids), _lists(rows)]
-        ranked += [rank.assign(device=device) for rank in ranks]
-        floats += [f"% {device}\n", *map(latex, grids)]
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.{kind}" for kind in ("md", "csv", "tex")]
-    files[0].write_text("\n".join(pages), encoding="utf-8")
-    pd.concat(ranked or [pd.DataFrame()]).to_csv(files[1], index=False)
-    files[2].write_text("\n".join(floats), encoding="utf-8")
-    return files
-
-
-def _heading(table: pd.DataFrame) -> str:
-    runs = ", ".join(sorted(set(table["run"])))
-    return f"Summary of {runs or 'no run'}"
+        records = pd.concat(ranks or [pd.DataFrame()])
+        sections.append(pages.Section(device, grids, records, _lists(rows)))
+    return pages.write(folder, name, f"Summary of {pages.runs(table)}", sections)
 
 
 def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:
@@ -126,17 +115,11 @@ def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
     return [Grid("time of a frame [ms], mean over scenes", caption, head, body)]
 
 
-def _lists(table: pd.DataFrame) -> str:
-    """What is missing, and notes on what is not, as lists."""
+def _lists(table: pd.DataFrame) -> dict[str, list[str]]:
+    """What is missing, and notes on what is not."""
     missing = [line for metric in scores.metrics(table) for line in scores.gaps(table, metric)]
-    parts = {
+    return {
         "Not run": scores.reasons(table),
         "Left out of the means": missing,
         "Remarks": scores.remarks(table),
     }
-    sections = [
-        f"### {title}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
-        for title, lines in parts.items()
-        if lines
-    ]
-    return "\n".join(sections)

@@ -23,6 +23,10 @@ class TableError(ValueError):
     """Rows that cannot be stored, or a folder that holds no results."""
 
 
+class LacksError(TableError):
+    """A sound table without the rows that one report is of; `report all` goes on without it."""
+
+
 @dataclass(frozen=True)
 class Row:
     """One number; what could not be measured is a row with value nan and a note that says why."""

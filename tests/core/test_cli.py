@@ -296,6 +296,23 @@ def test_reports_are_written_where_asked(clip_folder, tmp_path):
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 
+def test_report_all_goes_on_without_reports_whose_rows_are_not_there(clip_folder, tmp_path):
+    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+    rlbench(
+        "run",
+        "-m",
+        "mean",
+        "--clips",
+        clip_folder,
+        "--out",
+        tmp_path / "r",
+        "--cost",
+        "paper-2080ti",
+    )
+    assert "ablation was not written: no family has its default" in rlbench("report", "all", *words)
+    assert "error: ablation was not written" in rlbench("report", "ablation", *words, code=2)
+
+
 @pytest.mark.parametrize("report", ["summary", "pareto"])
 def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
     for scene in ("city", "temple", "foyer"):

@@ -1,0 +1,124 @@
+"""The ablation table: each variant of a family held against the family's default, pair by pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from reports import names, pages, scores, variants
+from reports.grids import Grid, gap_text
+from reports.published import published
+from reports.statistics import DRAWS
+from reports.variants import METRIC
+
+
+def write(
+    table: pd.DataFrame,
+    folder: Path,
+    name: str = "ablation",
+    family: str = "",
+    seed: int = 0,
+    draws: int = DRAWS,
+) -> list[Path]:
+    """`name`.md, .csv and .tex of one family: `family`, or ours, or that of most variants.
+
+    Raises LacksError if the family has no variant here besides its default, and ReportError where
+    rows would be averaged that must not be.
+    """
+    family = variants.chosen(table, family)
+    sections = []
+    for device, rows in scores.by_device(table).items():
+        rows = rows[rows["method"].map(names.family) == family]
+        if not variants.of(rows).get(family):
+            continue
+        scores.check(rows)
+        found = variants.differences(rows, family, seed, draws)
+        grids = [_score_grid(rows, found, family), _time_grid(rows, found, family, device)]
+        grids.append(_change_grid(rows, found, family))
+        sections.append(pages.Section(device, grids, found, _lists(rows, found, family)))
+    return pages.write(folder, name, f"Ablations of {family}, {pages.runs(table)}", sections)
+
+
+def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
+    base = published().of(family)
+    head, body = _wide(found, lambda row: gap_text(row["difference"], row["low"], row["high"]))
+    stated = {line[0]: published().of(line[0]) for line in body}
+    if base and any(stated.values()):
+        head = (*head, f"paper, {published().spp:g} spp")
+        body = [
+            (*line, f"{s.psnr_db - base.psnr_db:+.1f}" if (s := stated[line[0]]) else "-")
+            for line in body
+        ]
+    caption = (
+        f"PSNR in dB ({scores.about(table, METRIC, 'convention')}) of each variant less that of "
+        f"{family}, paired by scene, clip, frame, budget and seed; mean over scenes. In brackets: "
+        "95 % interval, resampled by clip; bold where it excludes zero. "
+        "The interval is that of the clips; another training would differ too."
+    )
+    if base and any(stated.values()):
+        caption += f" Paper: difference in {published().source}, {published().title}."
+    return Grid(f"PSNR less that of {family}", caption, head, tuple(body))
+
+
+def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: str) -> Grid:
+    head, body = _wide(
+        found, lambda row: "-" if pd.isna(row["total_ms"]) else f"{row['total_ms']:+.1f}"
+    )
+    caption = (
+        f"Whole frame in ms (plan + denoise, p50, + samples) less that of {family}, mean over "
+        f"scenes, on {device or 'a device not named'}; cost of a sample: "
+        f"{scores.profile(table) or 'not measured'}."
+    )
+    return Grid(f"Frame time less that of {family}", caption, head, tuple(body))
+
+
+def _change_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
+    head, body = _wide(found, lambda row: str(row["pairs"]))
+    lines = tuple((*line, variants.changes(table, line[0], family)) for line in body)
+    caption = (
+        f"Settings are those that {family} and its variants wrote into the results, default -> "
+        "variant; rlbench list methods says which question each answers. Numbers: pairs of scores."
+    )
+    return Grid("What each changes, and pairs", caption, (*head, "settings"), lines)
+
+
+def _wide(
+    found: pd.DataFrame, show: Callable[[Mapping[Hashable, Any]], str]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and lines of a table with a column for each budget."""
+    budgets = sorted(set(found["spp"]))
+    cells = {(row["method"], row["spp"]): show(row) for row in found.to_dict("records")}
+    lines = [
+        (method, *(cells.get((method, spp), "-") for spp in budgets))
+        for method in sorted(set(found["method"]))
+    ]
+    return ("variant", *(f"{spp:g} spp" for spp in budgets)), lines
+
+
+def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, list[str]]:
+    rows: list[dict[str, Any]] = [dict(row) for _, row in found.iterrows()]
+    odd = [
+        "{method} at {spp:g} spp: {alone} scores without a partner, {pairs} pairs".format(**row)
+        for row in rows
+        if row["alone"]
+    ]
+    held = {(row["method"], row["spp"]) for row in rows}
+    absent = [
+        f"{method} at {spp:g} spp: not scored, or {family} is not"
+        for method in variants.of(table)[family]
+        for spp in sorted(set(variants.scored(table)["spp"]))
+        if (method, spp) not in held
+    ]
+    shown = set(found["method"])
+    stated = [s for s in published().table if names.family(s.row) == family and s.row != family]
+    return {
+        "Scores without a partner": odd,
+        "Not compared": absent,
+        "Variants of the paper that are not here": [
+            f"{s.name}, here {s.row}" for s in stated if s.row not in shown
+        ],
+        "Not run": scores.reasons(table[table["metric"] == METRIC]),
+    }

@@ -1,0 +1,121 @@
+"""How much a row's score depends on the seed of its training, beside what the paper states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from reports import names, pages, scores
+from reports.grids import Grid
+from reports.published import published
+from reports.spread import deviation
+from rlbench.table import LacksError
+
+METRIC = "psnr"
+
+
+def write(table: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
+    """`name`.md, .csv and .tex: for each row that was trained several times, a line a budget.
+
+    Trainings alike are rows whose names differ in the number at the end of their weights' name
+    alone: ours@seed0, ours@seed1, ... Raises LacksError without two of them, and ReportError where
+    two have the same weights.
+    """
+    sections = []
+    for device, rows in scores.by_device(table).items():
+        trained = rows[rows["method"].map(names.series) != ""]
+        found = deviations(trained)
+        if len(found):
+            scores.check(trained)
+            grid = _grid(trained, found, device)
+            sections.append(pages.Section(device, [grid], found, _lists(trained, found)))
+    if not sections:
+        have = sorted({method for method in table["method"] if names.weights(method)})
+        raise LacksError(
+            "no row was scored with two trainings; it takes rows such as ours@seed0 and ours@seed1,"
+            f" and rows of named weights are: {', '.join(have) or 'none'}"
+        )
+    return pages.write(folder, name, f"Seeds of training, {pages.runs(table)}", sections)
+
+
+def deviations(table: pd.DataFrame) -> pd.DataFrame:
+    """A row for each series of trainings and budget: the mean over scenes of each, their spread.
+
+    `deviation` is the standard deviation of n - 1, `low` and `high` its 95 % chi-square interval.
+    Trainings that lack a scene at a budget are left out of it, and a budget with fewer than two is.
+    """
+    _differ(table)
+    made = []
+    for series, trained in table.groupby(table["method"].map(names.series)):
+        means = scores.overall(scores.scene_means(trained, METRIC))
+        made += [{"series": series, **row} for row in _spread(means)]
+    return pd.DataFrame(made)
+
+
+def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
+    made = []
+    for spp, part in means.groupby("spp"):
+        if len(part) < 2:
+            continue
+        found = deviation(list(part["value"]))
+        made.append(
+            {
+                "spp": spp,
+                "mean": part["value"].mean(),
+                "deviation": found.value,
+                "low": found.low,
+                "high": found.high,
+                "least": part["value"].min(),
+                "most": part["value"].max(),
+                "trainings": found.count,
+            }
+        )
+    return made
+
+
+def _differ(table: pd.DataFrame) -> None:
+    """Raise ReportError where two trainings of a series are one: their weights are the same."""
+    known = table[(table["metric"] == METRIC) & table["value"].notna() & (table["weights"] != "")]
+    known = known.drop_duplicates(["method", "weights"])
+    for (_, weights), part in known.groupby([known["method"].map(names.series), "weights"]):
+        if len(part) > 1:
+            raise scores.ReportError(
+                f"{' and '.join(sorted(part['method']))} ran with the same weights ({weights}); "
+                "a deviation between trainings needs weights of different seeds"
+            )
+
+
+def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
+    paper = published()
+    body = tuple(
+        (
+            f"{row['series']}0, ...",
+            f"{row['spp']:g}",
+            f"{row['trainings']}",
+            f"{row['mean']:.2f}",
+            f"{row['deviation']:.3f} [{row['low']:.3f}, {row['high']:.3f}]",
+            f"{row['least']:.2f} to {row['most']:.2f}",
+            f"{paper.deviation_db:g}" if names.row(row["series"]) == paper.deviation_row else "-",
+        )
+        for row in found.to_dict("records")
+    )
+    head = ("trainings of", "spp", "number", "mean", "deviation", "range", "paper")
+    caption = (
+        f"PSNR in dB ({scores.about(table, METRIC, 'convention')}), mean over scenes, of trainings "
+        "that differ in their seed alone. Deviation: standard deviation (n - 1) and its 95 % "
+        "interval by chi-square, which takes the trainings to be normal. Paper: "
+        f"{paper.deviation_db:g} dB from {paper.trainings} trainings, budget not said "
+        f"({paper.title}). Scored on {device or 'a device not named'}."
+    )
+    return Grid("Deviation between seeds of training [dB]", caption, head, body)
+
+
+def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
+    shown = set(found["series"])
+    single = sorted({m for m in table["method"] if names.series(m) not in shown})
+    return {
+        "Trained once, so not shown": single,
+        "Left out of the means": scores.gaps(table, METRIC),
+        "Not run": scores.reasons(table[table["metric"] == METRIC]),
+    }

@@ -1,0 +1,120 @@
+"""Seeds of training: the spread of made-up trainings, beside the paper's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from conftest import SCENES, rows
+from scipy import stats
+
+from reports import scores, seeds
+from rlbench.table import LacksError, frame_of
+
+SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 2)
+
+
+def trained(shifts=SHIFTS, name="ours@seed", method="ours"):
+    return [
+        replace(r, method=f"{name}{i}", weights=f"{name}{i}", value=r.value + shift)
+        for i, shift in enumerate(shifts)
+        for r in rows([method])
+        if r.metric == "psnr"
+    ]
+
+
+def written(made, folder):
+    return [file.read_text() for file in seeds.write(frame_of(made), folder)]
+
+
+def lines(page):
+    found = [x for x in page.splitlines() if x.startswith("| ours") or x.startswith("| ntas")]
+    return [[cell.strip() for cell in x.split("|")[1:-1]] for x in found]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return seeds.deviations(frame_of(trained())).set_index("spp")
+
+
+def test_markdown_csv_and_latex_are_written(tmp_path):
+    files = seeds.write(frame_of(trained()), tmp_path)
+    assert [file.name for file in files] == ["seeds.md", "seeds.csv", "seeds.tex"]
+    assert len(pd.read_csv(files[1])) == 5
+
+
+@pytest.mark.parametrize("spp", [0.5, 4.0])
+def test_the_deviation_is_that_of_the_trainings_not_of_clips_or_frames(found, spp):
+    assert found.loc[spp, "deviation"] == pytest.approx(math.sqrt(0.03))
+
+
+def test_the_interval_is_that_of_chi_square(found):
+    ends = [math.sqrt(0.06 / stats.chi2(2).ppf(q)) for q in (0.975, 0.025)]
+    assert (found.loc[1, "low"], found.loc[1, "high"]) == pytest.approx(ends)
+
+
+def test_mean_and_range_are_over_the_trainings(found):
+    mean = 29.9 + sum(SCENES.values()) / 4
+    row = found.loc[1]
+    expected = (mean, mean - 0.2, mean + 0.1, 3)
+    assert (row["mean"], row["least"], row["most"], row["trainings"]) == pytest.approx(expected)
+
+
+def test_the_paper_s_deviation_stands_beside_that_of_ours_alone(tmp_path):
+    made = trained() + trained(name="ntas@seed", method="ntas")
+    found = lines(written(made, tmp_path)[0])
+    assert {(cells[0], cells[-1]) for cells in found} == {
+        ("ours@seed0, ...", "0.06"),
+        ("ntas@seed0, ...", "-"),
+    }
+
+
+def test_other_names_are_other_trainings(tmp_path):
+    made = trained() + trained((5.0, 5.0), name="ours@long")
+    found = lines(written(made, tmp_path)[0])
+    spreads = {cells[0]: cells[4].split()[0] for cells in found if cells[1] == "1"}
+    assert spreads == {"ours@seed0, ...": "0.173", "ours@long0, ...": "0.000"}
+
+
+def test_the_shipped_weights_are_no_seed(tmp_path):
+    made = trained() + rows(["ours"])
+    assert {cells[2] for cells in lines(written(made, tmp_path)[0])} == {"3"}
+
+
+def test_a_training_alone_is_told(tmp_path):
+    made = trained() + trained((0.0,), name="ntas@seed", method="ntas")
+    assert "### Trained once, so not shown\n\n- ntas@seed0" in written(made, tmp_path)[0]
+
+
+def test_a_training_that_lacks_a_scene_is_left_out_and_told(tmp_path):
+    made = [r for r in trained() if (r.method, r.scene) != ("ours@seed2", "hall")]
+    page = written(made, tmp_path)[0]
+    assert {cells[2] for cells in lines(page)} == {"2"}
+    assert "- ours@seed2 at 1 spp: no psnr on hall" in page
+
+
+def test_folds_of_a_crossvalidation_are_no_seeds(tmp_path):
+    """Each fold is scored on the scene that it was not trained on, so no two can be compared."""
+    folds = dict(zip(SCENES, range(4), strict=True))
+    made = [r for r in trained((0, 0, 0, 0), "ours@fold") if r.method[-1] == str(folds[r.scene])]
+    with pytest.raises(LacksError, match="no row was scored with two trainings"):
+        written(made, tmp_path)
+
+
+@pytest.mark.parametrize("made", [rows(["ours"]), trained((0.0,))])
+def test_a_table_without_two_trainings_is_refused(made, tmp_path):
+    with pytest.raises(LacksError, match="rows of named weights are: (none|ours@seed0)"):
+        written(made, tmp_path)
+
+
+def test_equal_weights_under_two_names_are_refused(tmp_path):
+    made = [replace(r, weights="same") for r in trained()]
+    with pytest.raises(scores.ReportError, match="ours@seed0 and .* ran with the same weights"):
+        written(made, tmp_path)
+
+
+def test_latex_escapes_what_it_must(tmp_path):
+    tex = written(trained(name="ours@s_"), tmp_path)[2]
+    assert r"ours@s\_0, ... & 0.5 & 3 &" in tex
