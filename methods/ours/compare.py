@@ -16,8 +16,8 @@ import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.known_optimum import MODES, Mode, Moment
 from methods.ours.exam import Exam, Scenes
+from methods.ours.known_optimum import MODES, Mode, Moment
 from methods.ours.moving import CHANNELS, scenes
 from methods.ours.network import Sampler
 from methods.ours.policy import Learner, Policy, Situation, appo, learner
