@@ -52,6 +52,9 @@ class Variant:
     question: str
     traits: Traits
     learned: bool = True  # does it need trained weights?
+    shipped: bool = (
+        True  # do they come with it? if not, `*` passes it over, and training makes them
+    )
     borrows: str | None = None  # the variant whose weights it uses, if not its own
     packages: tuple[str, ...] = ()  # distributions that make its images; measured anew with others
 

@@ -55,6 +55,7 @@ def _variant(variant: Variant) -> dict[str, Any]:
         "adapts": traits.adapts,
         "temporal": traits.temporal,
         "learned": variant.learned,
+        "shipped": variant.shipped,
     }
 
 

@@ -140,10 +140,11 @@ def metrics() -> dict[str, Any]:
     return {name: entry.load() for name, entry in entries("metrics").items()}
 
 
-def expand(patterns: Iterable[str]) -> list[str]:
+def expand(patterns: Iterable[str], trained: bool = True) -> list[str]:
     """Method names without repeats: `all` is every family, `family/*` all variants of one.
 
-    `all/*` is every variant of every family. Raises PluginError for a name that is not there.
+    `all/*` is every variant of every family. A variant without shipped weights has to be named,
+    unless `trained` is not asked for. Raises PluginError for a name that is not there.
     """
     found: dict[str, None] = {}
     for pattern in patterns:
@@ -151,8 +152,8 @@ def expand(patterns: Iterable[str]) -> list[str]:
         for each in names("methods") if key == "all" else [key]:
             full = f"{each}/{rest}" if rest else each
             for name in family(each).names() if rest == "*" else [full]:
-                variant(name)
-                found[name] = None
+                if variant(name).shipped or not trained or rest != "*":
+                    found[name] = None
     return list(found)
 
 

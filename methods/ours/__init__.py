@@ -26,22 +26,32 @@ FAMILY = Family(
         "paper": Variant("What does the paper's own recipe reach, from random weights?", TRAITS),
         "A1": Variant("Does learning beat the gradient's approximation?", AT_LEAST_ONE),
         "A2": Variant("Is planning worth its time? (uniform sampling)", UNIFORM),
-        "B1": Variant("Does the state pay? (only the sampler remembers, samples)", TRAITS),
+        "B1": Variant(
+            "Does the state pay? (only the sampler remembers, samples)", TRAITS, shipped=False
+        ),
         "B2": Variant("Does any memory pay? (every frame by itself)", STILL),
-        "C": Variant("Do single samples pay? (their mean enters the encoder)", TRAITS),
-        "C+count": Variant("Is it the samples, or their number? (their mean and count)", TRAITS),
-        "small": Variant("Are smaller networks enough? (all three)", TRAITS),
+        "C": Variant(
+            "Do single samples pay? (their mean enters the encoder)", TRAITS, shipped=False
+        ),
+        "C+count": Variant(
+            "Is it the samples, or their number? (their mean and count)", TRAITS, shipped=False
+        ),
+        "small": Variant("Are smaller networks enough? (all three)", TRAITS, shipped=False),
         "flat": Variant(
             "What does the map itself give? (weights of ours, sampled uniformly)",
             UNIFORM,
             borrows="",
         ),
-        "sampler-small": Variant("Is a sampler of one level enough?", TRAITS),
-        "sampler-large": Variant("Does a sampler of the first U-Net's size pay?", TRAITS),
-        "encoder-small": Variant("Does the encoder need its neighbours? (1x1 kernels)", TRAITS),
-        "encoder-large": Variant("Do two more layers in the encoder pay?", TRAITS),
-        "denoiser-small": Variant("Is OIDN's fast network enough?", TRAITS),
-        "denoiser-large": Variant("Does a denoiser of twice the width pay?", TRAITS),
+        "sampler-small": Variant("Is a sampler of one level enough?", TRAITS, shipped=False),
+        "sampler-large": Variant(
+            "Does a sampler of the first U-Net's size pay?", TRAITS, shipped=False
+        ),
+        "encoder-small": Variant(
+            "Does the encoder need its neighbours? (1x1 kernels)", TRAITS, shipped=False
+        ),
+        "encoder-large": Variant("Do two more layers in the encoder pay?", TRAITS, shipped=False),
+        "denoiser-small": Variant("Is OIDN's fast network enough?", TRAITS, shipped=False),
+        "denoiser-large": Variant("Does a denoiser of twice the width pay?", TRAITS, shipped=False),
     },
     build="methods.ours.method:build",
     train="methods.ours.train:trainer",

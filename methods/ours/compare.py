@@ -16,8 +16,8 @@ import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.known_optimum import MODES, Mode, Moment
 from methods.ours.exam import Exam, Scenes
+from methods.ours.known_optimum import MODES, Mode, Moment
 from methods.ours.moving import CHANNELS, scenes
 from methods.ours.network import Sampler
 from methods.ours.policy import Learner, Policy, Situation, appo, learner
@@ -26,6 +26,7 @@ from methods.ours.variants import BASE
 from rlbench.ops.initialise import initialise
 
 PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
+SCENES = 4  # frames of a step: of one, gradients are so noisy that the map's contrast swings
 POINTS = 8  # scores along a training
 COLUMNS = ("learner", "mode", "seed", "frames", "seconds", "score")
 TABLE = "known_optimum.csv"
@@ -72,14 +73,15 @@ def network(seed: int) -> Sampler:
     return made
 
 
-def by_torch(name: str, mode: Mode, seed: int, frames: int, exam: Exam, tell: Tell) -> None:
-    """One training, one frame a step."""
-    sampler, way = network(seed), TORCH[name](mode)
+def by_torch(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
+    """One training; a step for every SCENES frames."""
+    mode, sampler, way = exam.mode, network(seed), TORCH[name](exam.mode)
     trained = nn.ModuleList(part for part in (sampler, way.network) if part is not None)
     optimizer = torch.optim.Adam(trained.parameters(), PEAK)
     generator = torch.Generator().manual_seed(seed)
-    seconds, every = 0.0, max(frames // POINTS, 1)
-    for seen, field in zip(range(1, frames + 1), scenes(seed, n=1), strict=False):
+    seconds, every = 0.0, max(frames // POINTS, SCENES)
+    stream = scenes(seed, SCENES, exam.side)
+    for seen, field in zip(range(SCENES, frames + 1, SCENES), stream, strict=False):
         began = time.process_time()
         for group in optimizer.param_groups:
             group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
@@ -88,11 +90,11 @@ def by_torch(name: str, mode: Mode, seed: int, frames: int, exam: Exam, tell: Te
         loss.backward()
         optimizer.step()
         seconds += time.process_time() - began
-        if seen % every == 0:
+        if seen % every < SCENES:
             tell(seen, seconds, exam.score(sampler, way.floor))
 
 
-def by_rllib(name: str, mode: Mode, seed: int, frames: int, exam: Exam, tell: Tell) -> None:
+def by_rllib(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
     """One training in Ray's own loop; seconds are those of this process, without its start."""
     began: list[float] = []
     away = 0.0  # seconds spent on scores
@@ -105,22 +107,22 @@ def by_rllib(name: str, mode: Mode, seed: int, frames: int, exam: Exam, tell: Te
 
     def world() -> Scenes:
         began.append(time.process_time())
-        return Scenes(mode, seed)
+        return Scenes(exam.mode, seed, exam.side)
 
-    appo.train(
-        world, lambda: network(seed), frames, RLLIB[name](mode), seed, frames // POINTS, report
-    )
+    settings, every = RLLIB[name](exam.mode), frames // POINTS
+    appo.train(world, lambda: network(seed), frames, settings, seed, every, report)
 
 
-def compare(out: Path, frames: int, seeds: list[int], names: list[str], modes: list[str]) -> None:
+def compare(
+    table: Path, frames: int, side: int, seeds: list[int], names: list[str], modes: list[str]
+) -> None:
     """Fill the table with what it lacks; a training that is in it is not run again."""
-    out.mkdir(parents=True, exist_ok=True)
-    table = out / TABLE
+    table.parent.mkdir(parents=True, exist_ok=True)
     rows = _read(table)
     wanted = [(name, mode, seed) for seed in seeds for mode in modes for name in names]
     done = {(row["learner"], row["mode"], int(row["seed"])) for row in rows}
     todo = [cell for cell in wanted if cell not in done]
-    exams = {mode: Exam.of(MODES[mode]) for mode in {cell[1] for cell in todo}}
+    exams = {mode: Exam.of(MODES[mode], side=side) for mode in {cell[1] for cell in todo}}
     with Progress() as progress:
         task = progress.add_task("trainings", total=len(todo) * frames)
         for at, (name, mode, seed) in enumerate(todo):
@@ -133,7 +135,7 @@ def compare(out: Path, frames: int, seeds: list[int], names: list[str], modes: l
                 progress.update(task, completed=at * frames + seen)  # noqa: B023
 
             run = by_torch if name in TORCH else by_rllib
-            run(name, MODES[mode], seed, frames, exams[mode], tell)
+            run(name, exams[mode], seed, frames, tell)
             rows += fresh
             _write(table, rows)
 
@@ -167,6 +169,7 @@ def main() -> None:
     every = [*TORCH, *RLLIB]
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of the table")
     parser.add_argument("--frames", type=int, default=3000, help="that each training sees")
+    parser.add_argument("--side", type=int, default=48, help="of a frame, pixels; divides by 8")
     parser.add_argument("--seeds", default="0,1,2", help="of weights, scenes and draws")
     parser.add_argument("--learners", default=";".join(every), help="some of these, between ;")
     parser.add_argument("--modes", default=",".join(MODES), help="some of these")
@@ -177,7 +180,8 @@ def main() -> None:
             if name not in known:
                 parser.error(f"'{name}' is no {kind}; there is: {', '.join(known)}")
     torch.set_num_threads(1)
-    compare(asked.out, asked.frames, [int(s) for s in asked.seeds.split(",")], names, modes)
+    seeds = [int(seed) for seed in asked.seeds.split(",")]
+    compare(asked.out / TABLE, asked.frames, asked.side, seeds, names, modes)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from rlbench.surrogate import shares
 
 UNSEEN = 10**6  # seed of the scenes that are judged on
 APART = 7  # frames between two that are judged
-STEPS, RATE = 150, 0.1  # of the descent to the best counts where none are known in closed form
+STEPS, RATE = 100, 0.1  # of the descent to the best counts where none are known in closed form
 FAINT = 0.02  # log density of the least noisy pixels where the descent starts from deviations
 
 
@@ -31,7 +31,7 @@ class Exam:
     best: tuple[Float[Tensor, " n"], ...]
 
     @classmethod
-    def of(cls, mode: Mode, frames: int = 2, n: int = 8, side: int = 48) -> Exam:
+    def of(cls, mode: Mode, frames: int = 1, n: int = 8, side: int = 48) -> Exam:
         """So many frames of n scenes each."""
         stream = scenes(UNSEEN, n, side)
         fields = [field for at, field in zip(range(frames * APART), stream, strict=False)]
@@ -41,6 +41,11 @@ class Exam:
         best = [m.expected(best_counts(m).float()) for m in moments]
         images = [tuple(each.mean((1, 2, 3)) for each in maps) for maps in (uniform, best)]
         return cls(mode, tuple(fields), *images)
+
+    @property
+    def side(self) -> int:
+        """Rows and columns of a frame."""
+        return self.fields[0].sigma.shape[-1]
 
     @torch.no_grad()
     def score(self, sampler: Callable[[Tensor], Tensor], floor: int = 0) -> float:

@@ -117,9 +117,7 @@ class Moment:
     def slope(self, teach: Teach) -> Float[Tensor, ""]:
         """The image's squared error, of three colours that are taught alike."""
         action, field = self.act(), self.field
-        colours = field.stored.expand(-1, -1, 3, -1, -1)
-        truth = field.truth.expand(-1, 3, -1, -1)
-        pool = StoredPool(colours, field.keys)
+        truth, pool = field.truth.expand(-1, 3, -1, -1), self.pool
         frame = Frame(field.index, View({}), pool, Reference(truth, truth))
         counts = self.buy(action)
         bought = Samples(pool.take(pool.empty(), counts), counts)
@@ -127,6 +125,11 @@ class Moment:
         total, whole = taught.radiance.sum(1), counts.float()
         images = [self.show(total[:, c : c + 1], whole) for c in range(3)]
         return torch.stack([(image - field.truth).square().mean() for image in images]).mean()
+
+    @property
+    def pool(self) -> StoredPool:
+        """The stored samples, of three equal colours."""
+        return StoredPool(self.field.stored.expand(-1, -1, 3, -1, -1), self.field.keys)
 
     def show(self, total: Tensor, counts: Tensor) -> Tensor:
         """[n 1 h w] The image, from the sums of each pixel's samples."""

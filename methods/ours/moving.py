@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -32,6 +33,10 @@ class Field:
     prior: Float[Tensor, "n 1 h w"]  # a guess of the truth, of variance sigma^2 / PRIOR
     stored: Float[Tensor, "n s 1 h w"]  # independent samples, log-normal, of mean `truth`
     keys: tuple[int, ...]
+
+    def again(self, generator: torch.Generator) -> Field:
+        """The same frame, sampled anew."""
+        return replace(self, **_noise(self.truth, self.sigma, generator))
 
 
 def scenes(seed: int, n: int = 4, side: int = 48) -> Iterator[Field]:
@@ -79,14 +84,24 @@ def _episode(generator: torch.Generator, n: int, side: int) -> Iterator[Field]:
         latent = torch.tanh(torch.einsum("lk,nkhw->nlhw", mixing, hidden))
         latent = latent + HAZE * drawn(LATENT, side, side)
         sigma = NOISY * log_sigma.exp()
-        spread = (1 + (sigma / truth).square()).log().unsqueeze(1)  # of the logarithm, squared
-        noise = drawn(STORED, 1, side, side)
         yield Field(
             index=index,
             seen=torch.cat((shown[:, :7], latent), 1),
             truth=truth,
             sigma=sigma,
-            prior=truth + sigma * drawn(1, side, side) / PRIOR**0.5,
-            stored=truth.unsqueeze(1) * (spread.sqrt() * noise - spread / 2).exp(),
-            keys=tuple(torch.randint(2**31, (n,), generator=generator).tolist()),
+            **_noise(truth, sigma, generator),
         )
+
+
+def _noise(truth: Tensor, sigma: Tensor, generator: torch.Generator) -> dict[str, Any]:
+    """What is drawn around the truth: prior, stored samples, keys."""
+    n, _, h, w = truth.shape
+    spread = (1 + (sigma / truth).square()).log().unsqueeze(1)  # of the logarithm, squared
+    prior, stored = (
+        torch.randn(shape, generator=generator) for shape in ((n, 1, h, w), (n, STORED, 1, h, w))
+    )
+    return {
+        "prior": truth + sigma * prior / PRIOR**0.5,
+        "stored": truth.unsqueeze(1) * (spread.sqrt() * stored - spread / 2).exp(),
+        "keys": tuple(torch.randint(2**31, (n,), generator=generator).tolist()),
+    }

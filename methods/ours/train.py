@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from methods.ours import FAMILY
 from methods.ours.method import Memory, Ours, density
 from methods.ours.network import Networks
-from methods.ours.policy import Learner, Policy, learner
+from methods.ours.policy import Policy, learner
 from methods.ours.start import start
 from methods.ours.turn import Turn
 from methods.ours.variants import VARIANTS

@@ -37,7 +37,7 @@ def subjects(patterns: Iterable[str], device: torch.device) -> list[Subject]:
     """
     sound = [f"{n}/*" for n in registry.names("methods") if not registry.broken("methods", n)]
     named = [each for pattern in patterns for each in (sound if pattern == "all" else [pattern])]
-    return [Subject(name, device) for name in registry.expand(named)]
+    return [Subject(name, device) for name in registry.expand(named, trained=False)]
 
 
 def broken() -> dict[str, str]:

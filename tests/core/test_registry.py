@@ -123,6 +123,18 @@ def test_patterns_are_expanded_without_repeats(tmp_path, patterns, expected):
     assert registry.expand(patterns) == expected
 
 
+@pytest.mark.parametrize(
+    ("patterns", "trained", "expected"),
+    [
+        (["ours/*"], True, False),
+        (["ours/*"], False, True),
+        (["ours/denoiser-large"], True, True),
+    ],
+)
+def test_what_has_no_weights_yet_has_to_be_named(patterns, trained, expected):
+    assert ("ours/denoiser-large" in registry.expand(patterns, trained)) == expected
+
+
 def test_all_is_every_family_once():
     assert registry.expand(["all"]) == registry.names("methods")
 

@@ -79,14 +79,18 @@ class Policy:
         """
         worse = self._blocks(drawn.errors - drawn.errors.mean(0), drawn.corner, self.margin)
         more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
+        usual = self._blocks(drawn.counts.mean(0, keepdim=True), drawn.corner)
         image = (0, 2, 3, 4)  # each has a price of its own
-        slope = (worse * more).sum(image, keepdim=True)
-        price = -slope / more.square().sum(image, keepdim=True).clamp_min(1e-8)
+        slope = (usual * worse * more).sum(image, keepdim=True)
+        price = -slope / (usual * more.square()).sum(image, keepdim=True).clamp_min(1e-8)
         advantage = -(worse + self.priced * price * more)
         size = advantage.square().mean(image, keepdim=True).sqrt().clamp_min(1e-8)
-        advantage = advantage / size
-        advantage = advantage.clamp(-self.most, self.most)
-        away = self._blocks(drawn.actions - mean, drawn.corner) / self.block**2 / self.spread
+        advantage = (advantage / size).clamp(-self.most, self.most)
+        away = self._blocks(drawn.actions - mean.detach(), drawn.corner) / self.block**2
+        moved = self._blocks((mean - mean.detach()).unsqueeze(0), drawn.corner) / self.block**2
+        usual = usual / usual.square().sum(image, keepdim=True).sqrt().clamp_min(1e-8)
+        along = (moved * usual).sum(image, keepdim=True)
+        away = (away - (moved - self.priced * along * usual)) / self.spread
         drift = mean.mean((1, 2, 3)).square().mean()
         return (advantage * away.square()).mean() / 2 + drift
 

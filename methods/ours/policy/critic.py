@@ -31,15 +31,14 @@ class Past(NamedTuple):
 class ErrorMap(nn.Module):
     """Foretells each pixel's error from what the sampler saw and the counts of its surroundings.
 
-    What was seen is read once by 3x3 convolutions and says how noisy a pixel is; counts join as
-    1 / (n + 1/2), in which the error of a mean is a line, and pass two 3x3 convolutions.
+    What was seen is read by a 3x3 convolution and says how noisy a pixel is; counts join as
+    1 / (n + 1/2), in which the error of a mean is a line, and pass three more.
     """
 
-    def __init__(self, channels: int, width: int = 24) -> None:
+    def __init__(self, channels: int, width: int = 16) -> None:
         """Build for `channels` seen."""
         super().__init__()
         self.see = nn.Conv2d(channels, width, 3, padding=1)
-        self.know = nn.Conv2d(width, width, 3, padding=1)
         self.buy = nn.Conv2d(width + 2, width, 3, padding=1)
         self.mix = nn.Conv2d(width, width, 3, padding=1)
         self.tell = nn.Conv2d(width, 1, 3, padding=1)
@@ -48,7 +47,7 @@ class ErrorMap(nn.Module):
         self, seen: Float[Tensor, "n c h w"], counts: Float[Tensor, "n 1 h w"]
     ) -> Float[Tensor, "n 1 h w"]:
         """Expected error, in units of the mean error; > 0."""
-        x = F.relu(self.know(F.relu(self.see(seen))))
+        x = F.relu(self.see(seen))
         x = torch.cat((x, 1 / (counts + 0.5), counts / 4), 1)
         x = F.relu(self.mix(F.relu(self.buy(x))))
         return F.softplus(self.tell(x))
@@ -68,7 +67,7 @@ class Critic:
     policy: Policy = Policy(block=1, margin=0, draws=2)  # noqa: RUF009  (frozen)
     floor: int = 0
     keep: int = 32  # trials remembered
-    again: int = 4  # of them regressed on in each step, beside the new ones
+    again: int = 2  # of them regressed on in each step, beside the new ones
     scale: float = 0.0  # mean error of a pixel, followed
     past: deque[Past] = field(default_factory=deque)
 

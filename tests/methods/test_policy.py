@@ -1,0 +1,307 @@
+"""The policy optimisers: each on problems whose best answer is known."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from methods.ours import compare
+from methods.ours.exam import Exam, Scenes
+from methods.ours.known_optimum import MODES, Direct, Filter, Mode, Moment, density, greedy
+from methods.ours.moving import CHANNELS, FRAMES, scenes
+from methods.ours.policy import LEARNERS, Draws, Learner, Policy, appo, critic, learner
+from methods.ours.policy.gamma import gamma_each
+from methods.ours.policy.ppo_pixel import PpoPixel
+from methods.ours.policy.surrogate import pull_each
+from rlbench.frames import Frame, Reference, View
+from rlbench.sampling import Samples, spend
+
+SIDE = 24
+
+
+class Free(nn.Module):
+    """A sampler without a network: one action a pixel, whatever is seen."""
+
+    def __init__(self):
+        super().__init__()
+        self.free = nn.Parameter(torch.zeros(1, 1, SIDE, SIDE))
+
+    def forward(self, seen: Tensor) -> Tensor:
+        return torch.tanh(self.free)
+
+
+def pixels(priced: float = 1.0) -> PpoPixel:
+    return PpoPixel(Policy(block=1, margin=0, priced=priced))
+
+
+def moment(mode: Mode | None = None, **settings: int) -> Moment:
+    frame = next(scenes(0, n=1, side=SIDE))
+    return Moment(frame, mode or Direct(), Free(), **settings)
+
+
+def learned(way: Learner, steps: int = 200) -> float:
+    """Share of the optimal reduction of error of one frame, whose samples are new in every step."""
+    generator, first = torch.Generator().manual_seed(0), moment(floor=way.floor)
+    sampler = first.sampler
+    beside = list(way.network.parameters()) if way.network else []
+    rates = [{"params": sampler.parameters(), "lr": 0.05}, {"params": beside, "lr": 5e-3}]
+    optimizer = torch.optim.Adam(rates)
+    for _ in range(steps):
+        optimizer.zero_grad()
+        way.loss(replace(first, field=first.field.again(generator)), generator).backward()
+        optimizer.step()
+    return share(first, first.buy(sampler(first.seen)))
+
+
+def share(case: Moment, counts: Tensor) -> float:
+    best = greedy(case.field.sigma, case.spp * SIDE * SIDE)
+    uniform = torch.full_like(best, case.spp)
+    errors = [float(case.expected(n.float()).mean()) for n in (uniform, counts, best)]
+    return (errors[0] - errors[1]) / (errors[0] - errors[2])
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_every_learner_finds_a_known_optimum(name):
+    """A free action for each pixel, trained by the learner's loss alone, at 4 spp."""
+    assert learned(pixels() if name == "ppo-pixel" else learner(name, CHANNELS)) > 0.45
+
+
+def test_without_a_price_pixels_only_learn_that_more_is_better():
+    assert learned(pixels(priced=0.0)) < 0.3
+
+
+def test_a_uniform_map_scores_zero():
+    exam = Exam.of(Direct(), frames=1, n=2, side=16)
+    assert exam.score(lambda seen: torch.zeros_like(seen[:, :1])) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_random_map_scores_less_than_a_uniform_one():
+    exam, generator = Exam.of(Direct(), frames=1, n=2, side=16), torch.Generator().manual_seed(0)
+    assert exam.score(lambda seen: torch.rand(seen[:, :1].shape, generator=generator)) < -0.1
+
+
+def test_the_optimum_scores_one():
+    exam = Exam.of(Direct(), frames=1, n=2, side=16)
+    case = Moment(exam.fields[0], Direct(), Free())
+    best = greedy(case.field.sigma, 4 * 16 * 16)
+    reached = case.expected(best.float()).mean((1, 2, 3))
+    torch.testing.assert_close(reached, exam.best[0])
+
+
+@pytest.mark.parametrize("cost", [1, 4, 7])
+def test_greed_is_as_good_as_trying_everything(cost):
+    sigma = torch.rand(1, 1, 2, 2, generator=torch.Generator().manual_seed(cost)) + 0.1
+    tried = [
+        torch.tensor(n).view(1, 1, 2, 2)
+        for n in itertools.product(range(4), repeat=4)
+        if sum(n) == cost
+    ]
+    errors = [float(Direct().error(sigma, sigma, n).sum()) for n in tried]
+    found = greedy(sigma, cost, cap=3)
+    assert found.sum() == cost
+    assert float(Direct().error(sigma, sigma, found).sum()) == pytest.approx(min(errors))
+
+
+def test_greed_follows_deviation():
+    """n + 1/2 is proportional to sigma where rounding allows."""
+    sigma = torch.tensor([0.5, 1.5, 2.5, 3.5]).view(1, 1, 2, 2)
+    assert greedy(sigma, 6).flatten().tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("mode", MODES.values(), ids=MODES)
+def test_the_expected_error_is_the_mean_of_realised_errors(mode):
+    case, generator = moment(mode), torch.Generator().manual_seed(1)
+    action = torch.rand(1, 1, 1, SIDE, SIDE, generator=generator) * 2 - 1
+    fixed = case.field.keys
+    drawn = [replace(case.field.again(generator), keys=fixed) for _ in range(400)]
+    errors = torch.stack([replace(case, field=f).attempt(action).errors.mean() for f in drawn])
+    expected = case.expected(case.buy(action[0]).float()).mean()
+    # 4 standard errors of the mean
+    assert abs(errors.mean() - expected) < 4 * errors.std() / len(errors) ** 0.5
+
+
+def test_the_filter_has_the_error_of_a_slow_twin():
+    generator = torch.Generator().manual_seed(0)
+    sigma, truth = torch.rand(2, 1, 1, 6, 7, generator=generator)
+    counts = torch.randint(5, (1, 1, 6, 7), generator=generator).float()
+    line = (1, 4, 6, 4, 1)
+    slow = torch.zeros(6, 7)
+    for row, column in itertools.product(range(6), range(7)):
+        total = bias = variance = 0.0
+        for y, x in itertools.product(range(-2, 3), range(-2, 3)):
+            at = (0, 0, row + y, column + x)
+            if 0 <= at[2] < 6 and 0 <= at[3] < 7:
+                weight = line[y + 2] * line[x + 2] * float(counts[at] + 0.5)
+                total += weight
+                bias += weight * float(truth[at] - truth[0, 0, row, column])
+                variance += weight**2 * float(sigma[at]) ** 2 / float(counts[at] + 0.5)
+        slow[row, column] = (variance + bias**2) / total**2
+    torch.testing.assert_close(Filter().error(sigma, truth, counts)[0, 0], slow)
+
+
+def test_scenes_are_the_same_from_the_same_seed():
+    first, second = (next(scenes(3, n=1, side=16)) for _ in range(2))
+    assert torch.equal(first.stored, second.stored)
+    assert first.keys == second.keys
+
+
+def taught(teach, counts: Tensor, due: Tensor) -> tuple[Samples, Samples, Tensor]:
+    """Samples of a frame before and after they are taught, and the truth."""
+    field = next(scenes(0, n=1, side=4))
+    radiance = field.stored.expand(-1, -1, 3, -1, -1)
+    truth = field.truth.expand(-1, 3, -1, -1)
+    bought = Samples(radiance, counts)
+    bought = replace(bought, radiance=radiance.where(bought.filled, 0.0))
+    pool = Moment(field, Direct(), Free()).pool
+    frame = Frame(0, View({}), pool, Reference(truth, truth))
+    return bought, teach(bought, due, frame), truth
+
+
+@pytest.mark.parametrize("teach", [pull_each, gamma_each])
+def test_what_was_not_bought_stays_empty(teach):
+    counts = torch.arange(16).view(1, 1, 4, 4) % 5
+    bought, after, _ = taught(teach, counts, counts + 0.5)
+    assert torch.equal(after.counts, counts)
+    assert not after.radiance.where(~bought.filled, 0.0).any()
+
+
+def test_the_surrogate_shows_the_samples_as_they_are():
+    counts = torch.arange(16).view(1, 1, 4, 4) % 5
+    bought, after, _ = taught(pull_each, counts, counts + 0.5)
+    assert torch.equal(after.radiance, bought.radiance)
+
+
+def test_the_surrogates_gradient_is_that_of_a_slow_twin():
+    counts = torch.arange(16).view(1, 1, 4, 4) % 5
+    due = counts.float().requires_grad_()
+    bought, after, truth = taught(pull_each, counts, due)
+    weights = torch.rand(after.radiance.shape, generator=torch.Generator().manual_seed(0))
+    (weights * after.radiance).sum().backward()  # weights stand for the gradient of a loss
+    slow = torch.zeros(1, 1, 4, 4)
+    for row, column in itertools.product(range(4), range(4)):
+        n = int(counts[0, 0, row, column])
+        for slot, colour in itertools.product(range(n), range(3)):
+            at = (0, slot, colour, row, column)
+            away = truth[0, colour, row, column] - bought.radiance[at]
+            slow[0, 0, row, column] += weights[at] * away / n
+    torch.testing.assert_close(due.grad, slow)
+
+
+def test_the_gammas_mean_is_the_truth():
+    counts, due = torch.full((1, 1, 4, 4), 3), torch.full((1, 1, 4, 4), 1e7)
+    _, after, truth = taught(gamma_each, counts, due)  # ten million samples leave no noise
+    torch.testing.assert_close(after.mean, truth, rtol=1e-2, atol=0)
+
+
+def test_the_critics_regression_lowers_its_error():
+    case, generator = moment(), torch.Generator().manual_seed(0)
+    way = critic.learner(CHANNELS)
+    optimizer = torch.optim.Adam(way.network.parameters(), 5e-3)
+
+    def wrong() -> float:
+        with torch.no_grad():
+            return float(way.regression(list(way.past)))
+
+    way.loss(case, generator)
+    before = wrong()
+    for _ in range(40):
+        optimizer.zero_grad()
+        way.loss(case, generator).backward()
+        optimizer.step()
+    assert wrong() < 0.9 * before
+
+
+def test_the_critic_is_not_trained_by_what_it_foretells():
+    """Its weights get the regression's gradient alone, or it would learn to promise."""
+    case, generator = moment(), torch.Generator().manual_seed(0)
+    way = critic.learner(CHANNELS)
+    way.loss(case, generator).backward()
+    found = {name: p.grad.clone() for name, p in way.network.named_parameters()}
+    way.network.zero_grad()
+    way.regression(list(way.past)).backward()
+    wanted = {name: p.grad for name, p in way.network.named_parameters()}
+    torch.testing.assert_close(found, wanted)
+
+
+def test_relaxed_counts_cost_the_budget():
+    action = torch.rand(1, 1, SIDE, SIDE, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    due = moment(spp=2).relaxed(action)
+    assert float(due.mean()) == pytest.approx(2, rel=1e-4)
+    assert float(due.max()) <= 8
+
+
+@pytest.mark.parametrize("name", ["rllib-appo", "sarsa"])
+def test_an_unknown_learner_is_told_what_there_is(name):
+    with pytest.raises(LookupError, match=name):
+        learner(name, CHANNELS)
+
+
+def test_a_world_cuts_its_episodes_after_twenty_frames():
+    world = Scenes(Direct(), 0, side=8)
+    world.reset()
+    ends = [world.step(torch.zeros(1, 1, 8, 8)).over for _ in range(2 * FRAMES)]
+    assert [at + 1 for at, over in enumerate(ends) if over] == [FRAMES, 2 * FRAMES]
+
+
+def test_a_missing_extra_is_told_with_what_would_do(monkeypatch):
+    monkeypatch.setattr(appo, "NEEDED", ("no_such_package",))
+    with pytest.raises(appo.MissingError, match=r"no_such_package.*rlbench\[train\].*ppo-pixel"):
+        appo.train(lambda: Scenes(Direct(), 0), Free, frames=1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    importlib.util.find_spec("gymnasium") is None, reason="needs ray[rllib] and gymnasium"
+)
+def test_rllib_learns_by_single_pixels():
+    exam = Exam.of(Direct(), frames=1, n=4, side=SIDE)
+    world = lambda: Scenes(Direct(), 0, SIDE)  # noqa: E731
+    trained = appo.train(world, lambda: compare.network(0), 1500, appo.Appo(rate=2e-3))
+    assert exam.score(trained) > 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["true gradient", "ppo-pixel", "critic", "surrogate", "gamma"])
+def test_every_learner_trains_the_real_sampler(name):
+    """On moving scenes that it has not seen it beats uniform sampling clearly."""
+    scores: list[float] = []
+    exam = Exam.of(Direct(), frames=1, n=4, side=32)
+    compare.by_torch(name, exam, 0, 1200, lambda *told: scores.append(told[-1]))
+    assert scores[-1] > 0.4
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (3, 5)])
+def test_noise_is_the_same_all_over_a_block_and_differs_between_blocks(corner):
+    policy, mean = Policy(), torch.zeros(2, 1, 30, 41)
+    drawn = policy.explore(mean, corner, torch.Generator().manual_seed(0))
+    row, column = corner
+    whole = drawn[..., row : row + 24, column : column + 32].unfold(2, 8, 8).unfold(3, 8, 8)
+    assert whole.flatten(4).std(-1).max() < 1e-6
+    assert whole[..., 0, 0].unique().numel() == 2 * 3 * 4
+
+
+def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing():
+    """A quarter of the image is four times as noisy, but every error is spread over 9x9 pixels."""
+    generator = torch.Generator().manual_seed(0)
+    policy, spread = Policy(), torch.nn.AvgPool2d(9, 1, 4, count_include_pad=False)
+    sigma = torch.ones(1, 1, 48, 48)
+    sigma[..., 24:, 24:] = 4.0
+    free = torch.zeros_like(sigma, requires_grad=True)
+    optimizer = torch.optim.Adam([free], 0.03)
+    nothing, cost = torch.zeros(1, 1, 48, 48, dtype=torch.int64), 2 * 48 * 48
+    for step in range(150):
+        mean, corner = torch.tanh(free), policy.corner(generator)
+        actions = policy.tries(mean, corner, generator)
+        counts = torch.stack([spend(density(a), cost, nothing, 8, (step,)) for a in actions])
+        errors = spread((sigma.square() / (counts + 0.5)).flatten(0, 1)).unflatten(0, (-1, 1))
+        optimizer.zero_grad()
+        policy.loss(mean, Draws(actions, errors, counts.float(), corner)).backward()
+        optimizer.step()
+    found = torch.tanh(free.detach())
+    assert found[..., 28:, 28:].mean() > 0.5
+    assert found[..., :20, :20].mean() < 0
