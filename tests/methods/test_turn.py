@@ -1,0 +1,79 @@
+"""A turn of the sampler: budgets are exact, trials repeat, and slopes reach the sampler."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+import torch
+
+from methods.ours.policy import LEARNERS
+from methods.ours.policy.gamma import gamma_each
+from methods.ours.policy.surrogate import pull_each
+from methods.ours.train import trainer
+from methods.ours.turn import Turn
+from rlbench.frames import Size
+from rlbench.procedural import procedural
+from rlbench.run import unroll
+
+CPU = torch.device("cpu")
+SIZE = Size(1, 32, 48)
+
+
+@cache
+def turn(variant: str = "", spp: float = 2.0) -> Turn:
+    """The second frame of a clip, with a sampler that is not uniform."""
+    method = trainer(variant, CPU, seed=0).method
+    drawn = torch.Generator().manual_seed(0)
+    torch.nn.init.normal_(method.networks.sampler.last.weight, std=0.3, generator=drawn)
+    clip = procedural(seed=2, size=SIZE, frames=2)
+    first, second = clip
+    (shown,) = unroll(method, procedural(seed=2, size=SIZE, frames=1), spp)
+    _, state = method.denoise(first.view, shown.samples, method.start(SIZE))
+    return Turn(method, second, second.view, state, spp)
+
+
+@pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5), ("A1", 4.0)])
+def test_every_trial_costs_exactly_the_budget(variant, spp):
+    asked = turn(variant, spp)
+    actions = torch.rand(3, 1, 1, 32, 48, generator=torch.Generator().manual_seed(1)) * 2 - 1
+    trial = asked.attempt(actions)
+    assert trial.counts.sum((1, 2, 3, 4)).tolist() == [round(spp * 32 * 48)] * 3
+    assert trial.counts.min() >= asked.method.traits.floor
+    assert torch.equal(asked.attempt(actions).errors, trial.errors)
+
+
+@pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5)])
+def test_relaxed_counts_cost_the_budget_and_are_what_counts_are_rounded_from(variant, spp):
+    asked = turn(variant, spp)
+    action = asked.act().detach()
+    due, trial = asked.relaxed(action), asked.attempt(action[None])
+    assert float(due.mean()) == pytest.approx(spp, rel=1e-4)
+    assert (due - trial.counts[0]).abs().max() < 1.001  # rounded down or up
+
+
+@pytest.mark.parametrize("teach", [pull_each, gamma_each])
+def test_a_slope_reaches_the_sampler(teach):
+    asked = turn("A1", 2.0)
+    sampler = asked.method.networks.sampler
+    sampler.zero_grad()
+    asked.slope(teach).backward()
+    assert sampler.last.weight.grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name):
+    asked = turn("A1", 2.0)
+    sampler = asked.method.networks.sampler
+    sampler.zero_grad()
+    learns = LEARNERS[name](asked.method.networks.known)
+    learns.loss(asked, torch.Generator().manual_seed(0)).backward()
+    gradients = [p.grad for p in sampler.parameters() if p.grad is not None]
+    assert all(torch.isfinite(gradient).all() for gradient in gradients)
+    assert sampler.last.weight.grad.abs().max() > 0
+
+
+def test_what_the_critic_sees_is_what_the_sampler_sees():
+    asked = turn()
+    assert asked.seen.shape[1] == asked.method.networks.known
+    assert not asked.seen.requires_grad
