@@ -72,7 +72,7 @@ def _board(folder: Path, seen: int) -> Any:
     from torch.utils.tensorboard import SummaryWriter
 
     purge = {"purge_step": seen + 1} if folder.exists() else {}
-    return SummaryWriter(str(folder), **purge)  # type: ignore[no-untyped-call]
+    return SummaryWriter(str(folder), **purge)
 
 
 def _trim(log: Path, seen: int) -> None:

@@ -57,6 +57,9 @@ class Learner:
         self.optimizer = torch.optim.Adam(_groups(trainer), trainer.peak)
         self.before: dict[str, Tensor] = {}
         self._pairs = _pairs(self.average, self.networks)
+        self._learning = [("the networks", self.networks)]  # their gradients are clipped apart
+        if trainer.aside is not None:
+            self._learning.append(("aside", trainer.aside))
 
     def sequence(self, clip: Clip, spp: float, rate: float, done: float) -> float:
         """Take a step for every loss of one clip; returns the mean loss.
@@ -64,12 +67,9 @@ class Learner:
         `rate` is the learning rate as a share of the peak, `done` the share of the training that
         is over. Raises NotFiniteError before a step that would not be finite.
         """
-        modules = (self.networks, self.trainer.aside)
-        packed = checkpoint.packed(self.networks, self.optimizer, self.trainer.aside)
-        self.before = {name: tensor.detach().clone() for name, tensor in packed.items()}
-        for module in modules:
-            if module is not None:
-                module.train()
+        self._remember()
+        for _, module in self._learning:
+            module.train()
         for group in self.optimizer.param_groups:
             group["lr"] = self.trainer.peak * group["share"] * rate
         self.trainer.told(done)
@@ -78,14 +78,15 @@ class Learner:
         while (loss := self._forward(losses)) is not None:
             self._check("loss", loss, count)
             self._backward(loss)
-            for name, module in (("", self.networks), ("of aside ", self.trainer.aside)):
-                if module is not None:
-                    length = nn.utils.clip_grad_norm_(module.parameters(), self.norm)
-                    self._check(f"length of the gradient {name}".strip(), length, count)
-            self.optimizer.step()
+            self._clip(count)
+            self._step()
             self._follow()
             total, count = total + loss.item(), count + 1
         return total / max(count, 1)
+
+    def _remember(self) -> None:
+        packed = checkpoint.packed(self.networks, self.optimizer, self.trainer.aside)
+        self.before = {name: tensor.detach().clone() for name, tensor in packed.items()}
 
     def _forward(self, losses: Iterator[Tensor]) -> Tensor | None:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half):
@@ -94,6 +95,14 @@ class Learner:
     def _backward(self, loss: Tensor) -> None:
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
+
+    def _clip(self, step: int) -> None:
+        for name, module in self._learning:
+            length = nn.utils.clip_grad_norm_(module.parameters(), self.norm)
+            self._check(f"length of the gradient of {name}", length, step)
+
+    def _step(self) -> None:
+        self.optimizer.step()
 
     @torch.no_grad()
     def _follow(self) -> None:
@@ -108,11 +117,10 @@ class Learner:
     def _check(self, what: str, value: Tensor, step: int) -> None:
         if torch.isfinite(value):
             return
-        aside = self.trainer.aside
-        named = [*self.networks.named_parameters(), *(aside.named_parameters() if aside else ())]
         wrong = [
             name
-            for name, weight in named
+            for _, module in self._learning
+            for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
         raise NotFiniteError(NotFinite(what, float(value), step, tuple(wrong)))

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from rlbench import checkpoint, curves, postmortem, provenance, registry, validation, weights
-from rlbench.batches import Batches
+from rlbench.batches import Batches, one_of
 from rlbench.clips import open_clip
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.memory import MemoryClip
@@ -115,9 +115,7 @@ def _sequence(
     name: str, learner: Learner, clip: MemoryClip, plan: Plan, progress: Progress, out: Path
 ) -> tuple[float, int]:
     """Learn from the next draw; returns its mean loss and its number of frames."""
-    generator = torch.Generator().manual_seed(plan.seed * 7_919 + progress.draws)
-    budgets = plan.spp or learner.trainer.spp
-    spp = budgets[int(torch.randint(len(budgets), (), generator=generator))]
+    spp = one_of(plan.spp or learner.trainer.spp, plan.seed, progress.draws)
     rate, done = plan.rate(progress.seen), progress.seen / plan.frames
     try:
         loss = learner.sequence(clip, spp, rate, done)
