@@ -27,6 +27,7 @@ COMMANDS = (
     "import",
     "lint",
     "train",
+    "crossval",
     "check",
     "report",
     "regress",
