@@ -123,7 +123,7 @@ class Learner:
             for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
-        raise NotFiniteError(NotFinite(what, float(value), step, tuple(wrong)))
+        raise NotFiniteError(NotFinite(what, value.item(), step, tuple(wrong)))
 
 
 def _groups(trainer: Trainer) -> list[dict[str, Any]]:

@@ -51,19 +51,11 @@ def progress(request: Request) -> Iterator[Told]:
 
 @contextmanager
 def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
-    """A bar over the frames that a training sees, on the error stream, with the time that is left.
-
-    That is guessed from what is seen now: frames that a resumed training saw before do not count.
-    """
+    """A bar over the frames that a training sees, on the error stream, with the time that is left."""
     with _bar() as bar:
         task = bar.add_task(name, total=frames)
-        begun = False
 
         def tell(stands: Any, loss: float) -> None:
-            nonlocal begun
-            if not begun:
-                bar.reset(task, completed=stands.seen)
-                begun = True
             bar.update(task, completed=stands.seen, description=f"{name}, {lesson(stands, loss)}")
 
         yield tell
