@@ -51,7 +51,7 @@ def progress(request: Request) -> Iterator[Told]:
 
 @contextmanager
 def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
-    """A bar over the frames that a training sees, on the error stream, with the time that is left."""
+    """A bar over the frames that a training sees, on the error stream, and the time left."""
     with _bar() as bar:
         task = bar.add_task(name, total=frames)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import cProfile
 import pstats
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,7 +55,13 @@ class Profile(NamedTuple):
         return "\n".join(lines)
 
 
-def profile(name: str, folders: Sequence[Path], plan: Plan, device: str = "cpu") -> Profile:
+def profile(
+    name: str,
+    folders: Sequence[Path],
+    plan: Plan,
+    device: str = "cpu",
+    clock: Callable[[], float] = time.perf_counter,
+) -> Profile:
     """Train `name` for `plan.frames` and say what each part of it took, one after the other.
 
     Nothing is read ahead, so that what reading takes is seen; each draw was read once before, as
@@ -68,7 +75,7 @@ def profile(name: str, folders: Sequence[Path], plan: Plan, device: str = "cpu")
     draws = range(-(-plan.frames // (plan.batch * plan.length)))
     for index in draws:
         batches.draw(index)
-    seen, watched = 0, cProfile.Profile()
+    seen, watched = 0, cProfile.Profile(clock)
     for index in draws:
         spp = one_of(plan.spp or trainer.spp, plan.seed, index)
         watched.enable()
@@ -106,13 +113,15 @@ def main(words: Sequence[str] | None = None) -> str:
     parser.add_argument("--half", action="store_true", help="bfloat16 forward pass")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument("--busy", action="store_true", help="time of the processor, on one shared")
     parser.add_argument("--clips", type=Path, nargs="+", help="folders; default preset train's")
     asked = parser.parse_args(words)
     torch.set_num_threads(asked.threads)
     pool = registry.variant(asked.method).traits.pool
     folders = asked.clips or trainset.generated("train", kinds={pool}).train
     plan = Plan(frames=asked.frames, crop=asked.crop, half=asked.half)
-    return profile(asked.method, folders, plan, asked.device).text()
+    clock = time.process_time if asked.busy else time.perf_counter
+    return profile(asked.method, folders, plan, asked.device, clock).text()
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Ev
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
     "rlbench/latency.py",
     "rlbench/training.py",
+    "rlbench/training_profile.py",
     "rlbench/render/tracer.py",
     "rlbench/render/cycles/worker/worker.py",
 )
