@@ -56,6 +56,25 @@ def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_pa
     assert psnr["blur"] > psnr["mean"] + 1  # dB; the clip validates, so it was not trained on
 
 
+def test_learning_rates_are_tried_by_one_command(plugin, worlds, tmp_path):
+    words = ("--plugin", plugin, "--frames", 30, "--crop", 32, "--device", "cpu", "--range-test")
+    found = rlbench("train", "-m", "blur", *words, "--out", tmp_path / "runs")
+    assert "proposed" in found
+    files = {file.name for file in (tmp_path / "runs" / "blur-range").iterdir()}
+    assert files == {"range.csv", "range.png"}
+
+
+def test_a_training_is_started_anew_by_a_flag(plugin, worlds, tmp_path):
+    words = ("--plugin", plugin, "--frames", 3, "--crop", 32, "--device", "cpu")
+    words = ("train", "-m", "blur", *words, "--out", tmp_path / "runs", "--budget", "1,2")
+    rlbench(*words)
+    first = read_card(tmp_path / "runs" / "blur-1+2spp" / "blur.safetensors")
+    assert "blur-1+2spp.old-1" in rlbench(*words, "--fresh")
+    old = tmp_path / "runs" / "blur-1+2spp.old-1" / "blur.safetensors"
+    assert read_card(old) == first
+    assert read_card(tmp_path / "runs" / "blur-1+2spp" / "blur.safetensors").sha256 == first.sha256
+
+
 def test_every_file_that_the_page_links_is_there():
     linked = re.findall(r"\]\((\.\./[\w/.-]+)\)", PAGE.read_text())
     assert linked
