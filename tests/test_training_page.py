@@ -44,15 +44,16 @@ def test_the_example_is_thirty_lines_of_code():
 
 
 def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_path):
-    words = ("--plugin", plugin, "--frames", 300, "--crop", 32, "--device", "cpu")
+    words = ("--plugin", plugin, "--frames", 180, "--crop", 32, "--device", "cpu")
     assert "blur" in rlbench("train", "-m", "blur", *words, "--out", tmp_path / "runs")
     weights = tmp_path / "runs" / "blur" / "blur.safetensors"
-    assert read_card(weights).frames_seen == 300
+    assert read_card(weights).frames_seen == 180
     words = ("--plugin", plugin, "--clips", worlds[0], "--out", tmp_path / "r", "--spp", 1)
     rlbench("run", "-m", "blur", *words, "--weights", weights)
     rlbench("run", "-m", "mean", *words)
     rows = table.read(tmp_path / "r")
     psnr = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
+    print(psnr)
     assert psnr["blur"] > psnr["mean"] + 1  # dB; the clip validates, so it was not trained on
 
 
