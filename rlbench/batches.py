@@ -110,6 +110,12 @@ class Batches:
         return [turned.apply(clip.frame(i, window)) for i in chosen]
 
 
+def one_of(budgets: Sequence[float], seed: int, draw: int) -> float:
+    """The budget, in samples per pixel, of one draw of a training with that seed."""
+    generator = torch.Generator().manual_seed(seed * 7_919 + draw)
+    return budgets[_integer(generator, len(budgets))]
+
+
 def _stack(frames: Sequence[Frame]) -> Frame:
     names = frames[0].view.buffers
     pools = [frame.pool for frame in frames]

@@ -187,7 +187,7 @@ class _Bench:
         header = cell.clip.header
         return Row(
             run=self.names.run,
-            method=cell.method,
+            method=self.names.method(cell.method),
             clip=header.name,
             scene=header.scene,
             spp=cell.spp,

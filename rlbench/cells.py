@@ -11,7 +11,7 @@ from pathlib import Path
 
 import torch
 
-from rlbench import cost, latency, provenance, registry
+from rlbench import cost, latency, provenance, registry, table
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
@@ -40,6 +40,7 @@ class Request:
     weights: str | None = None  # None for the shipped ones, "random", or a path
     frames: int | None = None  # only the first frames of each clip, for trying out
     repeats: int = latency.REPEATS  # frames that each time is the distribution of
+    without: str = ""  # scene that `weights` were not trained on, in a cross-validation
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,12 @@ class Names:
     def title(self, cell: Cell) -> str:
         """What the cell is, without spaces at its end: at most one such cell is kept."""
         device = "-".join(self.device.split())
-        return f"{cell.method} {cell.clip.header.name} {cell.spp:g}spp seed{cell.seed} {device}"
+        told = f"{self.method(cell.method)} {cell.clip.header.name}"
+        return f"{told} {cell.spp:g}spp seed{cell.seed} {device}"
+
+    def method(self, name: str) -> str:
+        """What a method is called in the results: cross-validated, it is another row."""
+        return f"{name} (crossval)" if self.request.without else name
 
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""
@@ -161,7 +167,8 @@ class Names:
         if self.request.weights == "random":
             return "random"
         if self.request.weights:
-            return _hash(Path(self.request.weights))
+            fold = f"{table.FOLD}{self.request.without} " if self.request.without else ""
+            return fold + _hash(Path(self.request.weights))
         family = registry.family(name)
         beside = _found(registry.place, family.build)
         return _hash(Path(beside).parent / "cards" / family.weights(name.partition("/")[2]))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
-from torch import nn
+from torch import Tensor, nn
 
 
 def save(
@@ -19,17 +20,12 @@ def save(
     average: nn.Module,
     optimizer: torch.optim.Optimizer,
     progress: dict[str, Any],
+    aside: nn.Module | None = None,
 ) -> None:
     """Write all of it to one file, at once: a kill leaves the old file or the new one."""
-    tensors = {f"weights.{k}": v for k, v in networks.state_dict().items()}
+    tensors = packed(networks, optimizer, aside)
     tensors |= {f"average.{k}": v for k, v in average.state_dict().items()}
-    for index, moments in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    whole = {k: v.contiguous() for k, v in tensors.items()}
-    save_file(whole, partial, {"progress": json.dumps(progress)})
-    os.replace(partial, path)
+    write(path, tensors, progress)
 
 
 def load(
@@ -37,21 +33,61 @@ def load(
     networks: nn.Module,
     average: nn.Module,
     optimizer: torch.optim.Optimizer,
+    aside: nn.Module | None = None,
 ) -> dict[str, Any]:
     """Read it all back into place; returns the progress."""
-    with safe_open(path, "pt") as file:
-        progress: dict[str, Any] = json.loads(file.metadata()["progress"])
-        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    networks.load_state_dict(_under("weights.", tensors))
-    average.load_state_dict(_under("average.", tensors))
-    state = optimizer.state_dict()
-    moments: dict[int, dict[str, torch.Tensor]] = {}
-    for key, value in _under("optimizer.", tensors).items():
-        index, name = key.split(".", 1)
-        moments.setdefault(int(index), {})[name] = value
-    optimizer.load_state_dict({"state": moments, "param_groups": state["param_groups"]})
+    progress, tensors = read(path)
+    unpack(tensors, networks, optimizer, aside)
+    average.load_state_dict(under("average.", tensors))
     return progress
 
 
-def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def packed(
+    networks: nn.Module, optimizer: torch.optim.Optimizer, aside: nn.Module | None
+) -> dict[str, Tensor]:
+    """All tensors that the next step depends on, by name; they are not copied."""
+    tensors = {f"weights.{k}": v for k, v in networks.state_dict().items()}
+    if aside is not None:
+        tensors |= {f"aside.{k}": v for k, v in aside.state_dict().items()}
+    for index, moments in optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
+    return tensors
+
+
+def unpack(
+    tensors: Mapping[str, Tensor],
+    networks: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    aside: nn.Module | None,
+) -> None:
+    """Put tensors of `packed` back into place."""
+    networks.load_state_dict(under("weights.", tensors))
+    if aside is not None:
+        aside.load_state_dict(under("aside.", tensors))
+    moments: dict[int, dict[str, Tensor]] = {}
+    for key, value in under("optimizer.", tensors).items():
+        index, name = key.split(".", 1)
+        moments.setdefault(int(index), {})[name] = value
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": moments, "param_groups": groups})
+
+
+def write(path: Path, tensors: Mapping[str, Tensor], told: dict[str, Any]) -> None:
+    """A file of tensors with a few words, which is whole or not there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    whole = {k: v.contiguous() for k, v in tensors.items()}
+    save_file(whole, partial, {"progress": json.dumps(told)})
+    os.replace(partial, path)
+
+
+def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The words and the tensors of a file that `write` made."""
+    with safe_open(path, "pt") as file:
+        told: dict[str, Any] = json.loads(file.metadata()["progress"])
+        return told, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+
+
+def under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors whose names begin so, without that beginning."""
     return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}

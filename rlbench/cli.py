@@ -1,4 +1,4 @@
-"""The command line: run, list, render, import, lint, train, check, report, regress, doctor."""
+"""The command line: run, list, render, import, lint, train, crossval, check, report, doctor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from typer.core import TyperGroup
 
 from rlbench import asked
 from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, lint, render
-from rlbench.cli_methods import Device, Methods, Plugins, check, train, use
+from rlbench.cli_methods import Device, Methods, Plugins, check, use
+from rlbench.cli_training import crossval, train
 from rlbench.importing.command import import_
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
@@ -142,6 +143,7 @@ app.command()(lint)
 
 
 app.command()(train)
+app.command()(crossval)
 app.command()(check)
 
 

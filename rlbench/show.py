@@ -51,14 +51,21 @@ def progress(request: Request) -> Iterator[Told]:
 
 @contextmanager
 def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
-    """A bar over the frames that a training sees, on the error stream."""
+    """A bar over the frames that a training sees, on the error stream, and the time left."""
     with _bar() as bar:
         task = bar.add_task(name, total=frames)
 
         def tell(stands: Any, loss: float) -> None:
-            bar.update(task, completed=stands.seen, description=f"{name}, loss {loss:.4f}")
+            bar.update(task, completed=stands.seen, description=f"{name}, {lesson(stands, loss)}")
 
         yield tell
+
+
+def lesson(stands: Any, loss: float) -> str:
+    """How a training goes: its loss, the last validation, frames a second."""
+    told = [f"loss {loss:.4f}"]
+    told += [f"validation {stands.curve[-1][1]:.2f} dB"] if stands.curve else []
+    return ", ".join([*told, f"{stands.speed:.1f} frames/s"])
 
 
 def done(what: Done, out: Path) -> None:
@@ -72,11 +79,14 @@ def done(what: Done, out: Path) -> None:
     console.print(f"{told}; results are in {out}")
 
 
-def table(request: Request, out: Path) -> None:
-    """Mean PSNR and frame time of what was asked for, and why cells have no numbers."""
+def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
+    """Mean PSNR and frame time of what was asked for, and why cells have no numbers.
+
+    `methods` are their names in the results, where these are not those of the request.
+    """
     rows = results_table.read(out)
     names = [clip.header.name for clip in request.clips]
-    rows = rows[rows["method"].isin(request.methods) & rows["clip"].isin(names)]
+    rows = rows[rows["method"].isin(methods or request.methods) & rows["clip"].isin(names)]
     rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
     rows = rows[rows["device"] == Names(request).device]
     shown = Table(title=f"mean over {len(names)} clips")

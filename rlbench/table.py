@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
 SUFFIX = ".parquet"
+FOLD = "without "  # before the scene that weights of a cross-validation have not seen
 
 
 class TableError(ValueError):

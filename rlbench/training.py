@@ -2,98 +2,29 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
 
-from rlbench import checkpoint, provenance, registry, weights
-from rlbench.batches import Batches
+from rlbench import checkpoint, curves, postmortem, provenance, registry, validation, weights
+from rlbench.batches import Batches, one_of
 from rlbench.clips import open_clip
-from rlbench.frames import Clip
-from rlbench.method import Method
-from rlbench.run import run_clip
+from rlbench.learner import Learner, NotFiniteError
+from rlbench.memory import MemoryClip
+from rlbench.plan import Plan, Progress
+from rlbench.postmortem import replay
+from rlbench.prefetch import ahead
+from rlbench.trainer import Trainer, TrainingError
 
-WARM_UP = 0.15  # share of the training in which the learning rate rises
-START, END = 1 / 25, 1e-4  # learning rate at the first and at the last step, of the peak
-SETTLED = 0.1  # dB: a validation curve that rose by less between its last two points is flat
+__all__ = ["Plan", "Progress", "Trainer", "TrainingError", "check", "replay", "shipped", "train"]
 
-
-class TrainingError(RuntimeError):
-    """A training that cannot start or go on."""
-
-
-@dataclass(frozen=True)
-class Trainer:
-    """What is trained: made by the function that a family's `train` names."""
-
-    method: Method  # unrolled with gradients; state must be detached where `losses` yields
-    networks: nn.Module  # what is trained and saved
-    losses: Callable[[Clip, float], Iterator[Tensor]]  # one optimiser step for each that it yields
-    spp: tuple[float, ...]  # budgets, one drawn for each sequence
-    peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
-    shares: Mapping[str, float] = field(default_factory=dict)  # of it, by child of `networks`
-    told: Callable[[float], None] = lambda done: None  # before each sequence, share of frames seen
-
-
-@dataclass(frozen=True)
-class Plan:
-    """How long and on what; equal for all methods that are to be compared."""
-
-    frames: int = 12_000  # crops to see, each frame of each clip in a batch counts
-    batch: int = 1  # crops advanced together; on few frames, more steps are worth more
-    crop: int = 128  # side of a crop, pixels
-    length: int = 6  # frames of a sequence
-    average: float = 0.998  # decay of the averaged weights, which are the ones shipped
-    seed: int = 0
-    norm: float = 1.0  # gradients are clipped to this length
-    half: bool = False  # bfloat16 autocast of the forward pass
-    every: int = 1_000  # frames between validations and checkpoints
-
-    def rate(self, seen: int) -> float:
-        """One-cycle learning rate after `seen` frames, as a share of the peak.
-
-        It rises by a cosine, then falls by one.
-
-        Smith and Topin 2018, as in torch's OneCycleLR with pct_start 0.15, div_factor 25,
-        final_div_factor 400 (that is 1e4 / 25 from the start).
-        """
-        share = min(seen / self.frames, 1.0)
-        if share < WARM_UP:
-            low, high, along = START, 1.0, share / WARM_UP
-        else:
-            low, high, along = END, 1.0, 1 - (share - WARM_UP) / (1 - WARM_UP)
-        return low + (high - low) * (1 - math.cos(math.pi * along)) / 2
-
-
-@dataclass
-class Progress:
-    """Where a training stands; all that a resumed one needs beside the tensors."""
-
-    seen: int = 0  # frames
-    draws: int = 0  # sequences
-    steps: int = 0
-    seconds: float = 0.0
-    curve: list[tuple[int, float]] = field(default_factory=list)  # frames, validation PSNR
-    plan: dict[str, Any] = field(default_factory=dict)  # that it follows
-
-    def note(self, frames: int) -> str:
-        """What whoever uses the weights should know: was it cut short of `frames`, or too short?"""
-        if self.seen < frames:
-            return f"stopped at {self.seen} of {frames} frames"
-        if len(self.curve) < 2:
-            return ""
-        (before, low), (_, high) = self.curve[-2:]
-        if high - low < SETTLED:
-            return ""
-        return f"not yet flat: validation rose by {high - low:.2f} dB after {before} frames"
+CHECKPOINT = "checkpoint.safetensors"
 
 
 def train(
@@ -106,128 +37,111 @@ def train(
     minutes: float = math.inf,
     command: str = "",
     report: Callable[[Progress, float], None] = lambda progress, loss: None,
+    altered: bool = False,
 ) -> Progress:
     """Train method `name`, resuming what lies in `out`; writes weights and card when it is done.
 
-    `out` gets checkpoint.safetensors and log.jsonl while it runs, and NAME.safetensors with its
-    card NAME.toml at the end, or when `minutes` are over. A training that is done is left as it is.
-    Raises PluginError where there is nothing to train, TrainingError where a loss is not finite or
-    where the plan or the clips are others than those of the checkpoint.
+    `out` gets checkpoint.safetensors, log.jsonl and, where it is installed, curves for TensorBoard
+    while it runs, and NAME.safetensors with its card NAME.toml at the end, or when `minutes` are
+    over. A training that is done is left as it is. One that was killed goes on from its last
+    checkpoint, with weights that are bit by bit those of one that was not. A checkpoint of another
+    plan is refused, or gone on from where `altered`; the card then says what was changed, and when.
+    Raises PluginError where there is nothing to train, and TrainingError where the method cannot
+    take a budget, where plan or clips are others than those of the checkpoint, and where a loss or
+    a gradient is not finite: the sequence is then kept in a file, for `replay`.
     """
+    check(name, plan)
     trainer: Trainer = registry.trainer(name, device, plan.seed)
-    trainer.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
     pool = trainer.method.traits.pool
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device, pool)
-    average = copy.deepcopy(trainer.networks)
-    optimizer = torch.optim.Adam(_groups(trainer), trainer.peak)
-    opened = [open_clip(folder, pool=pool) for folder in train_on]
-    data = [f"{clip.name} {clip.digest[:12]}" for clip in opened]
-    asked = {**asdict(plan), "data": data}
-    progress, kept = Progress(plan=asked), out / "checkpoint.safetensors"
-    if kept.exists():
-        progress = Progress(**checkpoint.load(kept, trainer.networks, average, optimizer))
-        if progress.plan != asked:
-            raise TrainingError(
-                f"{kept} was trained by another plan: {progress.plan}, asked for {asked}; "
-                "ask for the same, or train into another folder"
-            )
-        if progress.seen >= plan.frames and _weights(name, out).exists():
-            return progress
+    budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
+    progress = _begin(learner, out, {**plan.told(), "data": _data(train_on, pool)}, altered)
+    if progress.seen >= plan.frames and shipped(name, out).exists():
+        return progress
     began, before = time.monotonic(), progress.seconds
-    while progress.seen < plan.frames and time.monotonic() - began < 60 * minutes:
-        due = progress.seen // plan.every
-        loss = _sequence(trainer, batches, optimizer, average, plan, progress)
-        progress.seconds = before + time.monotonic() - began
-        report(progress, loss)
-        if progress.seen // plan.every > due or progress.seen >= plan.frames:
-            progress.curve.append((progress.seen, _validate(trainer, average, validate_on, device)))
-            _log(out / "log.jsonl", progress, loss)
-            checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
-    checkpoint.save(kept, trainer.networks, average, optimizer, asdict(progress))
-    _ship(name, out, average, trainer.peak, plan, progress, device, command)
+    with ahead(batches) as draw, curves.told(out, progress.seen) as told:
+        while progress.seen < plan.frames and time.monotonic() - began < 60 * minutes:
+            due, started = progress.seen // plan.every, time.monotonic()
+            rate = plan.rate(progress.seen)
+            loss, frames = _sequence(name, learner, draw(progress.draws), plan, progress, out)
+            progress.seconds = before + time.monotonic() - began
+            progress.speed = frames / max(time.monotonic() - started, 1e-9)
+            told.sequence(progress, loss, trainer.peak * rate)
+            if progress.seen // plan.every > due or progress.seen >= plan.frames:
+                given = (trainer.method, learner.networks, learner.average)
+                found = validation.validate(*given, validate_on, budgets, device)
+                progress.curve.append((progress.seen, found.psnr))
+                told.validated(progress, loss, found)
+                _keep(learner, out, progress)
+            report(progress, loss)
+    _keep(learner, out, progress)
+    _ship(name, out, learner, plan, progress, device, command)
     return progress
 
 
-def _groups(trainer: Trainer) -> list[dict[str, Any]]:
-    """The parameters of each child network, and its share of the learning rate."""
-    children = trainer.networks.named_children()
-    pairs = [(list(child.parameters()), trainer.shares.get(name, 1.0)) for name, child in children]
-    return [{"params": parameters, "share": share} for parameters, share in pairs if parameters]
+def check(name: str, plan: Plan) -> None:
+    """Raise TrainingError where method `name` cannot be trained at a budget of the plan."""
+    traits = registry.variant(name).traits
+    for spp in plan.spp:
+        if why := traits.refuses(spp):
+            raise TrainingError(f"'{name}' cannot be trained at {spp:g} spp: {why}")
+
+
+def shipped(name: str, out: Path) -> Path:
+    """The weights file that a training of `name` into `out` ends with."""
+    family, _, variant = name.partition("/")
+    return out / f"{variant or family}.safetensors"
+
+
+def _begin(learner: Learner, out: Path, asked: dict[str, Any], altered: bool) -> Progress:
+    """Where the training stands: at the start, or where its checkpoint was."""
+    kept, trainer = out / CHECKPOINT, learner.trainer
+    if not kept.exists():
+        return Progress(plan=asked)
+    parts = (learner.networks, learner.average, learner.optimizer)
+    progress = Progress(**checkpoint.load(kept, *parts, trainer.aside))
+    learner.steps = progress.steps
+    if progress.plan != asked and not altered:
+        raise TrainingError(
+            f"{kept} was trained by another plan: {progress.plan}, asked for {asked}; "
+            "ask for the same, train into another folder, or go on all the same with --altered"
+        )
+    progress.follow(asked)
+    return progress
 
 
 def _sequence(
-    trainer: Trainer,
-    batches: Batches,
-    optimizer: torch.optim.Optimizer,
-    average: nn.Module,
-    plan: Plan,
-    progress: Progress,
-) -> float:
-    """Train on the next draw; returns its mean loss."""
-    clip = batches.draw(progress.draws)
-    generator = torch.Generator().manual_seed(plan.seed * 7_919 + progress.draws)
-    spp = trainer.spp[int(torch.randint(len(trainer.spp), (), generator=generator))]
-    trainer.networks.train()
-    trainer.told(progress.seen / plan.frames)
-    losses = trainer.losses(clip, spp)
-    total, count = 0.0, 0
-    while True:
-        with torch.autocast(torch.device(batches.device).type, torch.bfloat16, enabled=plan.half):
-            loss = next(losses, None)
-        if loss is None:
-            break
-        if not torch.isfinite(loss):
-            raise TrainingError(f"loss is {float(loss)} in draw {progress.draws} at {spp:g} spp")
-        for group in optimizer.param_groups:
-            group["lr"] = trainer.peak * group["share"] * plan.rate(progress.seen)
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(trainer.networks.parameters(), plan.norm)
-        optimizer.step()
-        _follow(
-            average,
-            trainer.networks,
-            min(plan.average, (1 + progress.steps) / (10 + progress.steps)),
-        )
-        progress.steps += 1
-        total, count = total + loss.item(), count + 1
-    progress.seen += len(clip) * clip.size.n
+    name: str, learner: Learner, clip: MemoryClip, plan: Plan, progress: Progress, out: Path
+) -> tuple[float, int]:
+    """Learn from the next draw; returns its mean loss and its number of frames."""
+    spp = one_of(plan.spp or learner.trainer.spp, plan.seed, progress.draws)
+    rate, done = plan.rate(progress.seen), progress.seen / plan.frames
+    try:
+        loss = learner.sequence(clip, spp, rate, done)
+    except NotFiniteError as error:
+        halted = postmortem.Sequence(name, clip, progress.draws, spp, rate, done)
+        file = postmortem.write(out, learner, plan, halted, error.found)
+        raise TrainingError(
+            f"'{name}' halted in draw {progress.draws} at {spp:g} spp: {error}; the sequence is in "
+            f"{file}, 'rlbench train --replay {file}' takes it again; the last checkpoint stands: "
+            "--altered goes on from it by another plan, such as --norm 0.1"
+        ) from error
+    frames = len(clip) * clip.size.n
+    progress.seen += frames
     progress.draws += 1
-    return total / max(count, 1)
+    progress.steps = learner.steps
+    return loss, frames
 
 
-@torch.no_grad()
-def _follow(average: nn.Module, networks: nn.Module, keep: float) -> None:
-    for slow, fast in zip(
-        average.state_dict().values(), networks.state_dict().values(), strict=True
-    ):
-        slow.lerp_(fast, 1 - keep)
+def _keep(learner: Learner, out: Path, progress: Progress) -> None:
+    parts = (learner.networks, learner.average, learner.optimizer)
+    checkpoint.save(out / CHECKPOINT, *parts, asdict(progress), learner.trainer.aside)
 
 
-def _validate(trainer: Trainer, average: nn.Module, folders: Sequence[Path], device: str) -> float:
-    """Mean PSNR of the averaged weights at each whole budget of 1 and 4 spp, all frames."""
-    psnr = registry.load("metrics", "psnr").score
-    trained = copy.deepcopy(trainer.networks.state_dict())
-    trainer.networks.load_state_dict(average.state_dict())
-    trainer.networks.eval()
-    scores: list[float] = []
-    for folder in folders:
-        for spp in (1.0, 4.0):
-            traits = trainer.method.traits
-            clip = open_clip(folder, traits.needs, pool=traits.pool, device=device)
-            for shown in run_clip(trainer.method, clip, spp):
-                reference = shown.frame.reference
-                scores += psnr(shown.image, reference.a, reference.b).tolist()
-    trainer.networks.load_state_dict(trained)
-    return sum(scores) / max(len(scores), 1)
-
-
-def _log(path: Path, progress: Progress, loss: float) -> None:
-    line: dict[str, Any] = {"seen": progress.seen, "loss": loss, "seconds": progress.seconds}
-    line["psnr"] = progress.curve[-1][1]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        file.write(json.dumps(line) + "\n")
+def _data(folders: Sequence[Path], pool: str) -> list[str]:
+    opened = [open_clip(folder, pool=pool) for folder in folders]
+    return [f"{clip.name} {clip.digest[:12]}" for clip in opened]
 
 
 def _device(device: str) -> str:
@@ -239,13 +153,14 @@ def _device(device: str) -> str:
 def _ship(
     name: str,
     out: Path,
-    average: nn.Module,
-    peak: float,
+    learner: Learner,
     plan: Plan,
     progress: Progress,
     device: str,
     command: str,
 ) -> None:
+    trainer = learner.trainer
+    budgets = {"spp": plan.spp or trainer.spp, "peak": trainer.peak}
     card = weights.Card(
         name=name,
         data=tuple(progress.plan["data"]),
@@ -256,13 +171,8 @@ def _ship(
         seed=plan.seed,
         command=command,
         commit=provenance.commit(),
-        plan=json.dumps({**asdict(plan), "peak": peak}),
+        plan=json.dumps({**plan.told(), **budgets}),
         curve=tuple(progress.curve),
         note=progress.note(plan.frames),
     )
-    weights.save(average, _weights(name, out), card)
-
-
-def _weights(name: str, out: Path) -> Path:
-    family, _, variant = name.partition("/")
-    return out / f"{variant or family}.safetensors"
+    weights.save(learner.average, shipped(name, out), card)

@@ -19,6 +19,7 @@ TIMED = (  # what measures, what stops in time, and what writes down the cost of
     "rlbench/latency.py",
     "rlbench/training.py",
     "methods/ours/compare.py",
+    "rlbench/training_profile.py",
     "rlbench/render/tracer.py",
     "rlbench/render/cycles/worker/worker.py",
 )

@@ -27,6 +27,7 @@ COMMANDS = (
     "import",
     "lint",
     "train",
+    "crossval",
     "check",
     "report",
     "regress",
@@ -202,6 +203,20 @@ def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
 )
 def test_what_cannot_be_held_out_is_told(words, told):
     assert told in rlbench("train", "-m", "oidn", *words, code=2)
+
+
+@pytest.mark.parametrize("command", ["train", "crossval"])
+@pytest.mark.parametrize(
+    ("budget", "told"),
+    [
+        ("0.5", "'ntas' cannot be trained at 0.5 spp: supports 1 to 8 spp"),
+        ("lots", "--budget takes numbers such as 0.5,1,2 and was given 'lots'"),
+    ],
+)
+def test_a_budget_that_cannot_be_trained_for_is_told_before_anything_is_rendered(
+    command, budget, told
+):
+    assert told in rlbench(command, "-m", "ntas", "--budget", budget, code=2)
 
 
 def test_one_clip_is_too_few_to_train_on():

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
+import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench import checkpoint
+from rlbench import checkpoint, registry, show, validation
 from rlbench.batches import Augmentation, BatchError, Batches
+from rlbench.course import Course, start_anew
 from rlbench.frames import Size
+from rlbench.learner import Learner
 from rlbench.ops.warp import reproject
 from rlbench.procedural import procedural
 from rlbench.training import Plan, Progress, TrainingError, train
 from rlbench.weights import digest, read_card
 from tests.conftest import write_noise
+from tests.learning_plugin import write_learner
+
+CHECKOUT = Path(__file__).parents[2]
 
 
 def test_the_learning_rate_is_torchs_one_cycle():
@@ -110,6 +123,145 @@ def test_a_training_that_was_killed_ends_as_an_undisturbed_one(tmp_path):
     assert same == weights
     assert (resumed.frames_seen, resumed.steps) == (card.frames_seen, card.steps) == (24, 12)
     assert resumed.curve == card.curve
+
+
+CHILD = """
+import os, signal, sys
+from pathlib import Path
+import torch
+from rlbench.training import Plan, train
+torch.set_num_threads(1)
+out, clip, kill = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+def report(progress, loss):
+    if progress.draws == kill:
+        os.kill(os.getpid(), signal.SIGKILL)
+plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+train("oidn", [clip], [clip], out, plan, report=report)
+"""
+
+
+@pytest.mark.slow
+def test_kill_9_changes_nothing_of_the_weights(tmp_path):
+    """Killed before the first checkpoint and between two, by another process that goes on."""
+    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(CHECKOUT)}
+    for kill in (1, 3):
+        words = [sys.executable, "-c", CHILD, tmp_path / "killed", clip, str(kill)]
+        assert subprocess.run(words, env=environment).returncode == -signal.SIGKILL
+    assert not (tmp_path / "killed" / "oidn.safetensors").exists()
+    resumed, same = trained(tmp_path / "killed", clip)
+    card, weights = trained(tmp_path / "undisturbed", clip)
+    assert same == weights
+    assert resumed.curve == card.curve
+
+
+CRITIC = "torch.nn.Conv2d(3, 1, 1)"
+WITH_CRITIC = """loss + (aside(shown.image) - loss.detach()).square().mean()"""
+
+
+def test_a_network_aside_is_kept_for_a_training_that_goes_on_and_not_shipped(tmp_path):
+    registry.use_plugin(write_learner(tmp_path, WITH_CRITIC, CRITIC))
+    clip, plan = write_noise(tmp_path / "noise", h=24, w=24), Plan(24, crop=16, length=3, every=6)
+
+    def run(out, kill=None):
+        def report(progress, loss):
+            if progress.draws == kill:
+                raise KilledError
+
+        train("blur", [clip], [clip], out, plan, report=report)
+        kept = checkpoint.read(out / "checkpoint.safetensors")[1]
+        return digest(out / "blur.safetensors"), checkpoint.under("aside.", kept)
+
+    with pytest.raises(KilledError):
+        run(tmp_path / "killed", kill=5)  # one draw after a checkpoint
+    (resumed, critic), (whole, same) = run(tmp_path / "killed"), run(tmp_path / "whole")
+    assert resumed == whole
+    assert set(critic) == {"weight", "bias"}
+    assert all(torch.equal(critic[name], same[name]) for name in critic)
+    shipped = safetensors.torch.load_file(tmp_path / "whole" / "blur.safetensors")
+    assert {name: list(tensor.shape) for name, tensor in shipped.items()} == {
+        "weight": [3, 3, 3, 3],
+        "bias": [3],
+    }
+
+
+@pytest.mark.parametrize(
+    ("spp", "drawn"), [((), {1.0, 2.0}), ((4.0,), {4.0}), ((1.5, 3.0), {1.5, 3.0})]
+)
+def test_budgets_are_those_asked_for_or_the_methods_own_and_the_card_says_which(
+    tmp_path, monkeypatch, spp, drawn
+):
+    found = set()
+    sequence = Learner.sequence
+
+    def watched(self, clip, spp, rate, done):
+        found.add(spp)
+        return sequence(self, clip, spp, rate, done)
+
+    monkeypatch.setattr(Learner, "sequence", watched)
+    registry.use_plugin(write_learner(tmp_path))
+    clip = write_noise(tmp_path / "noise", h=24, w=24)
+    train("blur", [clip], [clip], tmp_path / "run", Plan(24, crop=16, length=3, spp=spp))
+    assert found == drawn
+    assert set(json.loads(read_card(tmp_path / "run" / "blur.safetensors").plan)["spp"]) == drawn
+
+
+@pytest.mark.parametrize("spp", [0.5, 8.0])
+def test_a_budget_that_the_method_cannot_take_is_refused(tmp_path, spp):
+    registry.use_plugin(write_learner(tmp_path))
+    told = f"'blur' cannot be trained at {spp:g} spp: supports 1 to 4 spp"
+    with pytest.raises(TrainingError, match=told):
+        train("blur", [], [], tmp_path, Plan(spp=(2.0, spp)))
+
+
+@pytest.mark.parametrize(
+    ("trained_at", "asked", "wanted"),
+    [
+        ((1.0, 2.0), (), [1.0, 4.0]),
+        ((1.0, 2.0), (0.5, 3.0, 2.0), [0.5, 3.0]),
+        ((2.0,), (2.0,), [2.0]),
+    ],
+)
+def test_validation_is_at_one_and_four_samples_or_at_the_ends_of_what_is_asked_for(
+    trained_at, asked, wanted
+):
+    assert validation.budgets(registry.method("mean"), trained_at, asked) == wanted
+
+
+def test_a_checkpoint_of_before_there_were_budgets_still_fits():
+    told = {"frames": 24, "batch": 1, "crop": 16, "length": 3, "average": 0.998, "seed": 0}
+    told |= {"norm": 1.0, "half": False, "every": 1000}
+    assert Plan(24, crop=16, length=3).told() == told
+    assert Plan(24, crop=16, length=3, spp=(4.0,)).told() == {**told, "spp": [4.0]}
+
+
+def test_weights_of_chosen_budgets_and_folds_have_folders_of_their_own(tmp_path):
+    course = Course(tmp_path, Plan(spp=(0.5, 4.0)))
+    folders = {
+        Course(tmp_path, Plan()).folder("ours/A2"): "ours-A2",
+        Course(tmp_path, Plan()).folder("ours", "hall"): "ours-without-hall",
+        course.folder("ours"): "ours-0.5+4spp",
+        course.folder("ours", "hall"): "ours-without-hall-0.5+4spp",
+    }
+    assert {folder.name: name for folder, name in folders.items()} == {
+        n: n for n in folders.values()
+    }
+
+
+def test_a_training_started_anew_leaves_the_old_ones(tmp_path):
+    folder = tmp_path / "ours"
+    assert start_anew(folder) is None
+    for number in (1, 2):
+        folder.mkdir()
+        (folder / "log").write_text(str(number))
+        assert start_anew(folder) == tmp_path / f"ours.old-{number}"
+    assert [(tmp_path / f"ours.old-{n}" / "log").read_text() for n in (1, 2)] == ["1", "2"]
+
+
+def test_progress_tells_loss_validation_and_speed():
+    stands = Progress(seen=6, speed=12.34, curve=[(3, 20.0), (6, 21.5)])
+    assert show.lesson(stands, 0.12345) == "loss 0.1235, validation 21.50 dB, 12.3 frames/s"
+    assert show.lesson(Progress(), 1.0) == "loss 1.0000, 0.0 frames/s"
 
 
 def test_a_checkpoint_of_another_plan_is_refused(tmp_path):

@@ -146,3 +146,22 @@ def test_the_front_is_what_none_beats(better, expected):
 def test_wobbles_of_the_made_up_table_have_mean_zero():
     values = [psnr("ours", "city", 1.0, clip, frame) for clip in range(2) for frame in range(4)]
     assert sum(values) / 8 == pytest.approx(METHODS["ours"][0])
+
+
+def crossvalidated(**weights):
+    """Rows of ours, whose weights differ by scene; `weights` are those of single clips."""
+    made = [
+        replace(r, method="ours (crossval)", weights=f"without {r.scene} {len(r.scene)}")
+        for r in rows(["ours"])
+        if r.metric == "psnr"
+    ]
+    return frame_of([replace(r, weights=weights.get(r.clip, r.weights)) for r in made])
+
+
+def test_weights_that_differ_by_the_scene_left_out_share_a_column():
+    scores.check(crossvalidated())
+
+
+def test_weights_that_differ_within_a_scene_left_out_do_not():
+    with pytest.raises(scores.ReportError, match="'ours .crossval.' has results of 2 weights"):
+        scores.check(crossvalidated(**{"city-1": "without city 0"}))

@@ -1,0 +1,168 @@
+"""The commands that train methods: by one plan, or leaving out one scene after another."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench import asked
+from rlbench.cli_clips import Scenes, Seeds
+from rlbench.cli_methods import Device, Methods, Plugins, use
+
+Frames = Annotated[int, typer.Option(min=1, help="crops to see, for each method")]
+Minutes = Annotated[float, typer.Option(help="stop after so many, for each method")]
+Batch = Annotated[int, typer.Option(min=1, help="crops advanced together")]
+Crop = Annotated[int, typer.Option(min=11, help="side of a crop, pixels")]
+Half = Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")]
+Norm = Annotated[float, typer.Option(help="gradients are clipped to this length")]
+Budget = Annotated[
+    str, typer.Option(help="samples per pixel, 4 or 0.5,1,2, one drawn a sequence; any: its own")
+]
+Altered = Annotated[
+    bool, typer.Option("--altered", help="go on from a checkpoint of another plan; the card tells")
+]
+
+
+def train(
+    methods: Methods = ["all"],  # noqa: B006
+    out: Annotated[Path, typer.Option(help="weights, checkpoints and logs")] = Path("runs"),
+    minutes: Minutes = 1e9,
+    frames: Frames = 12_000,
+    batch: Batch = 1,
+    crop: Crop = 128,
+    budget: Budget = "any",
+    half: Half = False,
+    norm: Norm = 1.0,
+    seed: int = 0,
+    device: Device = "auto",
+    preset: Annotated[str | None, typer.Option(help="default train; mini with --holdout")] = None,
+    seeds: Seeds = None,
+    holdout: Annotated[
+        str | None, typer.Option(help="train on the scored scenes but this one")
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh/--resume", help="start anew, and move the old training aside")
+    ] = False,
+    altered: Altered = False,
+    range_test: Annotated[
+        bool, typer.Option("--range-test", help="no training: try learning rates, --frames long")
+    ] = False,
+    replay: Annotated[
+        Path | None, typer.Option(help="the file of a halted sequence: take its steps again")
+    ] = None,
+    plugin: Plugins = None,
+) -> None:
+    """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
+
+    With --holdout it is the papers' protocol instead: all scored scenes but one, the one to score.
+    See docs/training.md.
+
+    Examples:
+
+      rlbench train --methods ours,ntas
+
+      rlbench train -m ours --minutes 30 --device cuda
+
+      rlbench train -m ours --seeds 0:48 --budget 0.5,1
+
+      rlbench train -m ntas --holdout hall --preset standard
+
+      rlbench train -m mine --plugin mine.py --range-test --frames 1200
+
+      rlbench train --replay runs/ours/halted-at-draw-71.safetensors
+    """
+    use(plugin)
+    from rlbench import course, curves, registry, trainset
+
+    if replay is not None:
+        from rlbench.training import replay as again
+
+        found = again(replay, str(asked.device(device)))
+        typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
+        return
+    names = registry.expand(asked.split(methods))
+    learning = course.learners(names)
+    for name in set(names) - set(learning):
+        typer.echo(f"{name} has nothing to train")
+    plan = course.planned(frames, batch, crop, budget, half, norm, seed)
+    command = shlex.join(["rlbench", *sys.argv[1:]])
+    lessons = course.Course(out, plan, str(asked.device(device)), minutes, command, altered)
+    lessons.check(learning)
+    kinds = {registry.variant(name).traits.pool for name in learning}
+    chosen = trainset.NONE
+    if learning:
+        chosen = trainset.chosen(preset, asked.seeds(seeds), holdout, kinds)
+        typer.echo(curves.lacking(), err=True) if curves.lacking() else None
+    for name in learning:
+        if range_test:
+            tried = lessons.range_test(name, chosen)
+            typer.echo(f"{name}: peak {tried.peak:.1e} proposed; see {tried.figure}")
+            continue
+        folder = lessons.folder(name, holdout)
+        if fresh and (old := course.start_anew(folder)):
+            typer.echo(f"{name}: the training that was there is in {old} now")
+        lessons.train(name, chosen, holdout)
+        typer.echo(f"{name}: {folder}")
+
+
+def crossval(
+    methods: Methods = ["all"],  # noqa: B006
+    preset: Annotated[str, typer.Option(help="of scenes that are scored")] = "mini",
+    scenes: Scenes = None,
+    spp: Annotated[str, typer.Option(help="budgets to score at")] = "0.5,1,2,4",
+    frames: Frames = 12_000,
+    minutes: Minutes = 1e9,
+    batch: Batch = 1,
+    crop: Crop = 128,
+    budget: Budget = "any",
+    half: Half = False,
+    norm: Norm = 1.0,
+    seed: int = 0,
+    device: Device = "auto",
+    out: Annotated[Path, typer.Option(help="a training each scene, and results/")] = Path(
+        "crossval"
+    ),
+    cost: Annotated[
+        str, typer.Option(help="time of a sample: measured, paper-2080ti, or a TOML file")
+    ] = "measured",
+    limit_frames: Annotated[
+        int | None, typer.Option(min=1, help="score the first frames only, for trying out")
+    ] = None,
+    altered: Altered = False,
+    plugin: Plugins = None,
+) -> None:
+    """Train on all scenes but one, score on that one, for each scene in turn; goes on if killed.
+
+    The protocol of Scardigli et al. 2023. In the results such rows are called NAME (crossval);
+    methods that learn nothing are scored beside them. --scenes leaves out these alone.
+
+    Examples:
+
+      rlbench crossval --methods ours,ntas
+
+      rlbench crossval -m ours,svgf --preset standard --frames 6000 --half
+
+      rlbench report all --results crossval/results --out crossval/report
+    """
+    use(plugin)
+    from rlbench import course, registry, show
+    from rlbench import crossval as leaving
+    from rlbench.cells import Request
+
+    names = tuple(registry.expand(asked.split(methods)))
+    plan = course.planned(frames, batch, crop, budget, half, norm, seed)
+    where, command = asked.device(device), shlex.join(["rlbench", *sys.argv[1:]])
+    lessons = course.Course(out, plan, str(where), minutes, command, altered)
+    lessons.check([name for name in map(leaving.taught, names) if name])
+    folds = leaving.folds(preset, asked.split(scenes or []), names)
+    clips = tuple(clip for fold in folds for clip in fold.clips)
+    budgets = asked.numbers("--spp", spp, float)
+    request = Request(names, clips, budgets, (seed,), where, cost, frames=limit_frames)
+    results = out / "results"
+    done = leaving.crossval(folds, lessons, request, results, lambda words: typer.echo(words))
+    show.done(done, results)
+    show.table(request, results, leaving.told(request))

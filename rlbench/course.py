@@ -1,0 +1,89 @@
+"""A course of trainings: method after method by one plan, each in a folder of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rlbench import asked, range_test, registry, show
+from rlbench.plan import Plan
+from rlbench.training import check, shipped, train
+from rlbench.trainset import TrainSet
+
+Bar = Callable[[str, int], AbstractContextManager[Callable[[Any, float], None]]]
+
+
+@dataclass(frozen=True)
+class Course:
+    """How methods are trained, and where."""
+
+    out: Path
+    plan: Plan
+    device: str = "cpu"
+    minutes: float = math.inf  # of each method
+    command: str = ""
+    altered: bool = False  # may it go on from a checkpoint of another plan?
+    bar: Bar = show.training
+
+    def folder(self, name: str, without: str | None = None) -> Path:
+        """Where a method's training lies: one folder for a variant, fold, and choice of budgets."""
+        fold = f"-without-{without}" if without else ""
+        budgets = "+".join(f"{spp:g}" for spp in self.plan.spp)
+        return self.out / (name.replace("/", "-") + fold + (f"-{budgets}spp" if budgets else ""))
+
+    def check(self, names: Sequence[str]) -> None:
+        """Raise TrainingError where one of the methods cannot be trained, before any is."""
+        for name in names:
+            check(name, self.plan)
+
+    def train(self, name: str, chosen: TrainSet, without: str | None = None) -> Path:
+        """The weights of a method, trained now or before on those clips."""
+        folder = self.folder(name, without)
+        with self.bar(name, self.plan.frames) as tell:
+            train(
+                name,
+                chosen.train,
+                chosen.validate,
+                folder,
+                self.plan,
+                self.device,
+                self.minutes,
+                self.command,
+                tell,
+                self.altered,
+            )
+        return shipped(name, folder)
+
+    def range_test(self, name: str, chosen: TrainSet) -> range_test.Found:
+        """The learning rates of a method, tried on the same clips."""
+        folder = self.out / f"{self.folder(name).name}-range"
+        with self.bar(f"{name}, range test", self.plan.frames) as tell:
+            return range_test.run(name, chosen.train, folder, self.plan, self.device, tell)
+
+
+def planned(
+    frames: int, batch: int, crop: int, budget: str, half: bool, norm: float, seed: int
+) -> Plan:
+    """The plan that the options of a command ask for. Raises AskedError."""
+    spp = () if budget == "any" else asked.numbers("--budget", budget, float)
+    return Plan(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)
+
+
+def start_anew(folder: Path) -> Path | None:
+    """Move a training out of the way; returns where it is now, or None where there was none."""
+    if not folder.exists():
+        return None
+    number = 1
+    while (aside := folder.with_name(f"{folder.name}.old-{number}")).exists():
+        number += 1
+    folder.rename(aside)
+    return aside
+
+
+def learners(names: Sequence[str]) -> list[str]:
+    """Those of the methods that there is something to train of."""
+    return [name for name in names if registry.learns(name)]

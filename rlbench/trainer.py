@@ -1,0 +1,34 @@
+"""What a family hands over to be trained: networks, their losses, their budgets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from torch import Tensor, nn
+
+from rlbench.frames import Clip
+from rlbench.method import Method
+
+
+class TrainingError(RuntimeError):
+    """A training that cannot start or go on."""
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """What is trained: made by the function that a family's `train` names.
+
+    All that changes while it is trained lies in `networks` and `aside`: a training that was killed
+    goes on from them, the optimiser and the number of the draw alone. A loss may reach `aside`, a
+    network that is needed while the others learn and no longer after, such as a critic.
+    """
+
+    method: Method  # unrolled with gradients; state must be detached where `losses` yields
+    networks: nn.Module  # what is trained and saved
+    losses: Callable[[Clip, float], Iterator[Tensor]]  # one optimiser step for each that it yields
+    spp: tuple[float, ...]  # budgets, one drawn for each sequence
+    peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
+    shares: Mapping[str, float] = field(default_factory=dict)  # of it, by child of `networks`
+    told: Callable[[float], None] = lambda done: None  # before each sequence, share of frames seen
+    aside: nn.Module | None = None  # trained at shares["aside"] and kept, but not shipped
