@@ -79,6 +79,16 @@ def clips(
     return kept
 
 
+def weights(text: str | None) -> tuple[str, str | None]:
+    """What `--weights NAME=FILE` calls them, empty without NAME=, and the file. Raises AskedError."""
+    if text is None or "=" not in text or Path(text).exists():
+        return "", text
+    called, _, file = text.partition("=")
+    if not called.replace("-", "").isalnum():
+        raise AskedError(f"--weights {text}: the name before = is of letters, digits and -")
+    return called, file
+
+
 def seeds(text: str | None) -> tuple[int, ...] | None:
     """Seeds given as `0:48`, without 48, as `3,7`, or both; None if none. Raises AskedError."""
     if text is None:

@@ -40,6 +40,7 @@ class Request:
     weights: str | None = None  # None for the shipped ones, "random", or a path
     frames: int | None = None  # only the first frames of each clip, for trying out
     repeats: int = latency.REPEATS  # frames that each time is the distribution of
+    called: str = ""  # name of the weights, where several of one method are to be told apart
     without: str = ""  # scene that `weights` were not trained on, in a cross-validation
 
 
@@ -103,8 +104,9 @@ class Names:
         return f"{told} {cell.spp:g}spp seed{cell.seed} {device}"
 
     def method(self, name: str) -> str:
-        """What a method is called in the results: cross-validated, it is another row."""
-        return f"{name} (crossval)" if self.request.without else name
+        """What a method is called in the results: with named weights it is another row."""
+        called = "crossval" if self.request.without else self.request.called
+        return f"{name}{table.AT}{called}" if called and registry.variant(name).learned else name
 
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""

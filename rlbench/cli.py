@@ -66,7 +66,8 @@ def run(
         str, typer.Option(help="time of a sample: measured, paper-2080ti, or a TOML file")
     ] = "measured",
     weights: Annotated[
-        str | None, typer.Option(help="a weights file, or random; default the shipped ones")
+        str | None,
+        typer.Option(help="a file, NAME=FILE (rows METHOD@NAME), or random; default the shipped"),
     ] = None,
     plugin: Plugins = None,
     limit_frames: Annotated[
@@ -87,6 +88,8 @@ def run(
 
       rlbench run -m ours --scenes temple --pool live
 
+      rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
+
       rlbench run -m all --preset standard --engine ray --ray-address auto
     """
     use(plugin)
@@ -96,6 +99,7 @@ def run(
     from rlbench.cluster import opened
 
     names = tuple(registry.expand(asked.split(methods)))
+    called, weights = asked.weights(weights)
     kinds = {registry.variant(name).traits.pool for name in names}
     with opened(engine, ray_address) as workers:
         request = Request(
@@ -106,6 +110,7 @@ def run(
             device=asked.device(device),
             cost=cost,
             weights=weights,
+            called=called,
             frames=limit_frames,
         )
         with show.progress(request) as bar:
@@ -172,7 +177,9 @@ def report(
 
     rows, failed = table.read(results), []
     if wanted := asked.split(methods or []):
-        rows = rows[rows["method"].isin(registry.expand(wanted))]
+        exact = [name for name in wanted if table.AT in name]
+        plain = registry.expand(name for name in wanted if name not in exact)
+        rows = rows[table.whose(rows, exact + plain)]
     for each in registry.names("reports") if name == "all" else [name]:
         try:
             for file in registry.load("reports", each)(rows, out):

@@ -84,7 +84,7 @@ def train(
         found = again(replay, str(asked.device(device)))
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
         return
-    names = registry.expand(asked.split(methods))
+    names = registry.expand(asked.split(methods), trained=False)
     learning = course.learners(names)
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
@@ -137,7 +137,7 @@ def crossval(
 ) -> None:
     """Train on all scenes but one, score on that one, for each scene in turn; goes on if killed.
 
-    The protocol of Scardigli et al. 2023. In the results such rows are called NAME (crossval);
+    The protocol of Scardigli et al. 2023. In the results such rows are called NAME@crossval;
     methods that learn nothing are scored beside them. --scenes leaves out these alone.
 
     Examples:

@@ -38,7 +38,7 @@ def crossval(
     """Rows of every method of the request on each fold's scene, by weights that never saw it.
 
     `request` says what is measured; its clips and weights are replaced. Methods that are trained
-    here are called `NAME (crossval)` in the results, and their rows say which weights were used;
+    here are called `NAME@crossval` in the results, and their rows say which weights were used;
     those that have nothing to train are measured as they are, under their own names.
     """
     whose = {name: taught(name) for name in request.methods}

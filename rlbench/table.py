@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
 SUFFIX = ".parquet"
+AT = "@"  # between a method and what its weights are called, where those are not the shipped ones
 FOLD = "without "  # before the scene that weights of a cross-validation have not seen
 
 
@@ -33,7 +34,7 @@ class Row:
     """One number; what could not be measured is a row with value nan and a note that says why."""
 
     run: str  # identifies the command that measured it
-    method: str  # as on the command line: family or family/variant
+    method: str  # as on the command line: family or family/variant; of named weights NAME@WEIGHTS
     clip: str
     scene: str
     spp: float  # samples per pixel asked for
@@ -99,6 +100,11 @@ def read(folder: Path) -> pd.DataFrame:
     parts = [pq.read_table(file, schema=_schema()).to_pandas() for file in found]
     table: pd.DataFrame = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
     return table
+
+
+def whose(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:
+    """Which rows are of methods in `names`; those of a method with named weights are its own too."""
+    return rows["method"].isin(names) | rows["method"].str.partition(AT)[0].isin(names)
 
 
 def frame_of(rows: Sequence[Row]) -> pd.DataFrame:

@@ -25,12 +25,12 @@ from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.sampling import Samples
-from rlbench.training import Trainer
+from rlbench.trainer import Trainer
 
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
 TUNING = 4e-5  # the rate where the denoiser starts from Intel's weights
-TUNED = {"encoder": 2.0, "sampler": 25.0}  # shares of that one
+TUNED = {"encoder": 2.0, "sampler": 25.0, "aside": 25.0}  # shares of that one
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 EVERY = 2  # frames between steps of the sampler
 WEIGHT = 0.1  # of the learner's loss beside the image's; matters for clipping only
@@ -85,6 +85,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     networks.to(device)
     method = Ours(config, traits, networks)
     learns = learner(config.learner, networks.known)
+    aside = learns.network.to(device) if learns.network is not None else None
     explorer = Explorer(method, Policy(), torch.Generator())
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
@@ -98,6 +99,5 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
             yield loss
 
     budgets = tuple(spp for spp in BUDGETS if traits.refuses(spp) is None)
-    if config.light == "none":
-        return Trainer(method, networks, losses, budgets, PEAK, SHARES)
-    return Trainer(method, networks, losses, budgets, TUNING, TUNED)
+    peak, shares = (PEAK, SHARES) if config.light == "none" else (TUNING, TUNED)
+    return Trainer(method, networks, losses, budgets, peak, shares, aside=aside)

@@ -322,3 +322,9 @@ def _files(folder: Path) -> dict[str, int]:
 def _srgb(linear: np.ndarray) -> np.ndarray:
     x = linear.clip(0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(noise, tmp_path):
+    asked = request(noise, "ours/A2", "mean", weights="random", called="seed0", frames=1)
+    measure(asked, tmp_path / "r")
+    assert set(table.read(tmp_path / "r")["method"]) == {"ours/A2@seed0", "mean"}

@@ -390,3 +390,21 @@ def _python(*words: str) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        (None, ("", None)),
+        ("random", ("", "random")),
+        ("runs/a.safetensors", ("", "runs/a.safetensors")),
+        ("seed1=runs/a.safetensors", ("seed1", "runs/a.safetensors")),
+    ],
+)
+def test_weights_may_be_named(text, found):
+    assert asked.weights(text) == found
+
+
+def test_a_name_of_weights_that_no_row_could_have_is_refused():
+    with pytest.raises(asked.AskedError, match="letters, digits"):
+        asked.weights("a@b=file")

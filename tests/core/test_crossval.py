@@ -43,8 +43,8 @@ def test_each_scene_is_scored_by_weights_that_have_not_seen_it(folds, tmp_path):
     rows = table.read(tmp_path / "out" / "results")
     found = {(r.method, r.scene, r.weights.rpartition(" ")[0]) for r in rows.itertuples()}
     assert found == {
-        ("blur (crossval)", "city", "without city"),
-        ("blur (crossval)", "hall", "without hall"),
+        ("blur@crossval", "city", "without city"),
+        ("blur@crossval", "hall", "without hall"),
         ("mean", "city", ""),
         ("mean", "hall", ""),
     }
@@ -68,8 +68,8 @@ def test_borrowed_weights_are_trained_by_whom_they_are_borrowed_of(name, teacher
 
 def test_rows_are_named_by_whether_they_were_trained_here():
     asked = Request(("mean", "ntas"), ())
-    assert told(asked) == ["mean", "ntas (crossval)"]
-    assert told(replace(asked, methods=("ntas",))) == ["ntas (crossval)"]
+    assert told(asked) == ["mean", "ntas@crossval"]
+    assert told(replace(asked, methods=("ntas",))) == ["ntas@crossval"]
 
 
 def test_a_scene_that_cannot_be_left_out_is_told():

@@ -115,3 +115,17 @@ def test_frame_of_is_what_read_gives(tmp_path):
 def test_the_table_does_not_import_torch():
     look = "import sys, rlbench.table; sys.exit('torch' in sys.modules or 'pandas' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (["ours"], ["ours", "ours@seed0", "ours@seed1"]),
+        (["ours@seed1"], ["ours@seed1"]),
+        (["ours/A2"], ["ours/A2"]),
+        (["mean"], []),
+    ],
+)
+def test_rows_of_named_weights_belong_to_their_method(names, found):
+    rows = pd.DataFrame({"method": ["ours", "ours@seed0", "ours@seed1", "ours/A2", "ntas"]})
+    assert list(rows[table.whose(rows, names)]["method"]) == found
