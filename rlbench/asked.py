@@ -80,7 +80,7 @@ def clips(
 
 
 def weights(text: str | None) -> tuple[str, str | None]:
-    """What `--weights NAME=FILE` calls them, empty without NAME=, and the file. Raises AskedError."""
+    """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
     if text is None or "=" not in text or Path(text).exists():
         return "", text
     called, _, file = text.partition("=")

@@ -103,7 +103,7 @@ def read(folder: Path) -> pd.DataFrame:
 
 
 def whose(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:
-    """Which rows are of methods in `names`; those of a method with named weights are its own too."""
+    """Which rows are of methods in `names`; those of named weights are of their method too."""
     return rows["method"].isin(names) | rows["method"].str.partition(AT)[0].isin(names)
 
 

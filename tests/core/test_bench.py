@@ -315,6 +315,14 @@ def test_fewer_samples_read_are_the_same_samples(clip_folder):
     assert torch.equal(few, all_[:, :3])
 
 
+def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(
+    clip_folder, tmp_path
+):
+    asked = request(clip_folder, "ours/A2", "mean", weights="random", called="seed0", frames=1)
+    measure(asked, tmp_path / "r")
+    assert set(table.read(tmp_path / "r")["method"]) == {"ours/A2@seed0", "mean"}
+
+
 def _files(folder: Path) -> dict[str, int]:
     return {file.name: file.stat().st_mtime_ns for file in folder.iterdir()}
 
@@ -322,9 +330,3 @@ def _files(folder: Path) -> dict[str, int]:
 def _srgb(linear: np.ndarray) -> np.ndarray:
     x = linear.clip(0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-
-
-def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(noise, tmp_path):
-    asked = request(noise, "ours/A2", "mean", weights="random", called="seed0", frames=1)
-    measure(asked, tmp_path / "r")
-    assert set(table.read(tmp_path / "r")["method"]) == {"ours/A2@seed0", "mean"}

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 import pandas as pd
 import pytest
 
-from rlbench.table import COLUMNS, Row, TableError, cells, frame_of, read, write_cell
+from rlbench.table import COLUMNS, Row, TableError, cells, frame_of, read, whose, write_cell
 
 ROW = Row("r", "ours/A1", "city-0", "city", 2.0, 1.99, 0, "psnr", 31.25, "dB", "high", "sRGB")
 MISSING = replace(ROW, frame=-1, value=math.nan, note="needs CUDA")
@@ -128,4 +128,4 @@ def test_the_table_does_not_import_torch():
 )
 def test_rows_of_named_weights_belong_to_their_method(names, found):
     rows = pd.DataFrame({"method": ["ours", "ours@seed0", "ours@seed1", "ours/A2", "ntas"]})
-    assert list(rows[table.whose(rows, names)]["method"]) == found
+    assert list(rows[whose(rows, names)]["method"]) == found

@@ -163,5 +163,5 @@ def test_weights_that_differ_by_the_scene_left_out_share_a_column():
 
 
 def test_weights_that_differ_within_a_scene_left_out_do_not():
-    with pytest.raises(scores.ReportError, match="'ours .crossval.' has results of 2 weights"):
+    with pytest.raises(scores.ReportError, match="'ours@crossval' has results of 2 weights"):
         scores.check(crossvalidated(**{"city-1": "without city 0"}))
