@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from rlbench import checkpoint, registry
+from rlbench.cli import app
 from rlbench.training import Plan, TrainingError, replay, train
 from rlbench.weights import read_card
 from tests.conftest import write_noise
@@ -40,6 +42,11 @@ def test_a_halted_sequence_halts_again_at_the_same_step(halted):
     found = replay(halted)
     assert found is not None
     assert (found.what, found.value, found.step, found.layers) == ("loss", float("inf"), 1, ())
+
+
+def test_a_halted_sequence_is_replayed_by_the_command_that_the_error_names(halted):
+    words = ["train", "--replay", str(halted), "--device", "cpu"]
+    assert "again: loss is inf at step 1 of the sequence" in CliRunner().invoke(app, words).output
 
 
 def test_a_halted_sequence_holds_its_clip_and_what_it_began_with(halted):
