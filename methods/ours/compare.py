@@ -87,7 +87,7 @@ def by_torch(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
             group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
         loss = way.loss(Moment(field, mode, sampler, floor=way.floor), generator)
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         seconds += time.process_time() - began
         if seen % every < SCENES:
