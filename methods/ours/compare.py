@@ -46,18 +46,24 @@ class Truth:
         return situation.expected(situation.relaxed(situation.act())).mean()
 
 
-def ppo(priced: float) -> Callable[[Mode], Learner]:
-    """Single pixels, whose errors are credited as far as the mode spreads them."""
-    return lambda mode: PpoPixel(Policy(block=1, margin=mode.reach, priced=priced))
+def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], Learner]:
+    """Errors are credited as far as the mode spreads them, and draws are as large."""
+
+    def made(mode: Mode) -> Learner:
+        side = block or max(1, 2 * mode.reach)
+        return PpoPixel(Policy(block=side, margin=mode.reach, priced=priced))
+
+    return made
 
 
 TORCH: dict[str, Callable[[Mode], Learner]] = {
     "true gradient": lambda mode: Truth(),
-    "ppo-pixel": ppo(1.0),
+    "ppo-pixel": ppo(),
     "critic": lambda mode: learner("critic", CHANNELS),
     "surrogate": lambda mode: learner("surrogate", CHANNELS),
     "gamma": lambda mode: learner("gamma", CHANNELS),
-    "ppo-pixel, no price": ppo(0.0),
+    "ppo-pixel, no price": ppo(priced=0.0),
+    "ppo-pixel, single pixels": ppo(block=1),
 }
 RLLIB: dict[str, Callable[[Mode], appo.Appo]] = {
     "rllib-appo": lambda mode: appo.Appo(reach=mode.reach),
