@@ -174,8 +174,8 @@ def main() -> None:
     )
     every = [*TORCH, *RLLIB]
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of the table")
-    parser.add_argument("--frames", type=int, default=3000, help="that each training sees")
-    parser.add_argument("--side", type=int, default=48, help="of a frame, pixels; divides by 8")
+    parser.add_argument("--frames", type=int, default=1600, help="that each training sees")
+    parser.add_argument("--side", type=int, default=32, help="of a frame, pixels; divides by 8")
     parser.add_argument("--seeds", default="0,1,2", help="of weights, scenes and draws")
     parser.add_argument("--learners", default=";".join(every), help="some of these, between ;")
     parser.add_argument("--modes", default=",".join(MODES), help="some of these")
