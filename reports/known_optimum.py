@@ -26,6 +26,7 @@ LOOKS = {  # colour and dashes; the proposed default has the one that stands out
     "gamma": ("#CC79A7", "-"),
     "rllib-appo": ("#7A4FA3", "-"),
     "ppo-pixel, no price": ("#D55E00", (0, (4, 2))),
+    "ppo-pixel, single pixels": ("#D55E00", (0, (1, 1))),
     "rllib-appo, joint ratio": ("#7A4FA3", (0, (4, 2))),
 }
 TITLES = {

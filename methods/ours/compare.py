@@ -46,18 +46,24 @@ class Truth:
         return situation.expected(situation.relaxed(situation.act())).mean()
 
 
-def ppo(priced: float) -> Callable[[Mode], Learner]:
-    """Single pixels, whose errors are credited as far as the mode spreads them."""
-    return lambda mode: PpoPixel(Policy(block=1, margin=mode.reach, priced=priced))
+def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], Learner]:
+    """Errors are credited as far as the mode spreads them, and draws are as large."""
+
+    def made(mode: Mode) -> Learner:
+        side = block or max(1, 2 * mode.reach)
+        return PpoPixel(Policy(block=side, margin=mode.reach, priced=priced))
+
+    return made
 
 
 TORCH: dict[str, Callable[[Mode], Learner]] = {
     "true gradient": lambda mode: Truth(),
-    "ppo-pixel": ppo(1.0),
+    "ppo-pixel": ppo(),
     "critic": lambda mode: learner("critic", CHANNELS),
     "surrogate": lambda mode: learner("surrogate", CHANNELS),
     "gamma": lambda mode: learner("gamma", CHANNELS),
-    "ppo-pixel, no price": ppo(0.0),
+    "ppo-pixel, no price": ppo(priced=0.0),
+    "ppo-pixel, single pixels": ppo(block=1),
 }
 RLLIB: dict[str, Callable[[Mode], appo.Appo]] = {
     "rllib-appo": lambda mode: appo.Appo(reach=mode.reach),
@@ -87,7 +93,7 @@ def by_torch(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
             group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
         loss = way.loss(Moment(field, mode, sampler, floor=way.floor), generator)
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         seconds += time.process_time() - began
         if seen % every < SCENES:
@@ -168,8 +174,8 @@ def main() -> None:
     )
     every = [*TORCH, *RLLIB]
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of the table")
-    parser.add_argument("--frames", type=int, default=3000, help="that each training sees")
-    parser.add_argument("--side", type=int, default=48, help="of a frame, pixels; divides by 8")
+    parser.add_argument("--frames", type=int, default=1600, help="that each training sees")
+    parser.add_argument("--side", type=int, default=32, help="of a frame, pixels; divides by 8")
     parser.add_argument("--seeds", default="0,1,2", help="of weights, scenes and draws")
     parser.add_argument("--learners", default=";".join(every), help="some of these, between ;")
     parser.add_argument("--modes", default=",".join(MODES), help="some of these")

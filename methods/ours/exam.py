@@ -75,9 +75,9 @@ def best_counts(moment: Moment) -> Int[Tensor, "n 1 h w"]:
     if moment.mode.reach == 0:
         return greedy(sigma, spp * h * w)
     starts = (torch.zeros_like(sigma), (sigma / sigma.amax((2, 3), keepdim=True)).clamp_min(FAINT))
-    found = [_descend(moment, starts[0]), _descend(moment, starts[1].log())]
-    first, second = (moment.expected(n.float()).mean((1, 2, 3), keepdim=True) for n in found)
-    return torch.where(first <= second, *found)
+    first, second = _descend(moment, starts[0]), _descend(moment, starts[1].log())
+    errors = [moment.expected(n.float()).mean((1, 2, 3), keepdim=True) for n in (first, second)]
+    return torch.where(errors[0] <= errors[1], first, second)
 
 
 def _descend(moment: Moment, start: Tensor) -> Tensor:
@@ -88,7 +88,7 @@ def _descend(moment: Moment, start: Tensor) -> Tensor:
         density = (free - free.detach().amax((2, 3), keepdim=True)).exp()
         due = shares(density, moment.spp, nothing, STORED)
         optimizer.zero_grad()
-        moment.expected(due).mean().backward()
+        moment.expected(due).mean().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
     pixels = start[0].numel()
     return spend(density.detach(), moment.spp * pixels, nothing, STORED, moment.field.keys)

@@ -21,7 +21,9 @@ from rlbench.surrogate import Teach, shares
 class Mode(Protocol):
     """What is done with each pixel's estimate before it is judged."""
 
-    reach: int  # pixels that a sample is spread to
+    @property
+    def reach(self) -> int:
+        """Pixels that a sample is spread to."""
 
     def image(self, estimate: Tensor, counts: Tensor) -> Tensor:
         """[n 1 h w] The image, from independent estimates of its pixels."""

@@ -74,7 +74,7 @@ def _episode(generator: torch.Generator, n: int, side: int) -> Iterator[Field]:
         last = torch.ones_like(covers[:, :1])
         front = torch.cat((covers, last), 1).to(torch.uint8).argmax(1).flatten(1)  # first True
         shown = discs.gather(1, front.unsqueeze(-1).expand(-1, -1, 8))
-        shown = shown.transpose(1, 2).unflatten(2, (side, side))
+        shown = shown.transpose(1, 2).reshape(n, 8, side, side)
         turn = waves[..., 0, None, None] * x + waves[..., 1, None, None] * y
         turn = turn * (2 * math.pi / side) + waves[..., 2, None, None] * (3 + 0.2 * index)
         wave = turn.sin()  # n HIDDEN-1 h w

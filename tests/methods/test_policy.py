@@ -22,6 +22,7 @@ from rlbench.frames import Frame, Reference, View
 from rlbench.sampling import Samples, spend
 
 SIDE = 24
+NEEDED = {"ppo-pixel": 0.7, "critic": 0.35, "surrogate": 0.8, "gamma": 0.7}  # in 200 steps
 
 
 class Free(nn.Module):
@@ -68,11 +69,11 @@ def share(case: Moment, counts: Tensor) -> float:
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_learner_finds_a_known_optimum(name):
     """A free action for each pixel, trained by the learner's loss alone, at 4 spp."""
-    assert learned(pixels() if name == "ppo-pixel" else learner(name, CHANNELS)) > 0.45
+    assert learned(pixels() if name == "ppo-pixel" else learner(name, CHANNELS)) > NEEDED[name]
 
 
-def test_without_a_price_pixels_only_learn_that_more_is_better():
-    assert learned(pixels(priced=0.0)) < 0.3
+def test_a_price_on_samples_pays():
+    assert learned(pixels(priced=0.0)) < learned(pixels()) - 0.08
 
 
 def test_a_uniform_map_scores_zero():
@@ -82,7 +83,7 @@ def test_a_uniform_map_scores_zero():
 
 def test_a_random_map_scores_less_than_a_uniform_one():
     exam, generator = Exam.of(Direct(), frames=1, n=2, side=16), torch.Generator().manual_seed(0)
-    assert exam.score(lambda seen: torch.rand(seen[:, :1].shape, generator=generator)) < -0.1
+    assert exam.score(lambda seen: 2 * torch.rand(seen[:, :1].shape, generator=generator) - 1) < -1
 
 
 def test_the_optimum_scores_one():

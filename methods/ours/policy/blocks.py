@@ -10,6 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+TINY = 1e-8  # keeps what nothing differs in from dividing by zero
+
 
 class Draws(NamedTuple):
     """What was tried `k` times from the state of one frame, on one grid of blocks."""
@@ -74,25 +76,23 @@ class Policy:
     def loss(self, mean: Float[Tensor, "n 1 h w"], drawn: Draws) -> Float[Tensor, ""]:
         """Minus the mean over whole blocks of advantage times log-probability of their actions.
 
-        The budget cancels the mean of an image's actions, which would drift to where tanh is flat:
-        its square is added.
+        As the actions are those that were just drawn, the ratio of the proximal loss is 1, and its
+        clipping has nothing to do. The budget cancels what all actions of an image share: that is
+        taken out of the gradient, and the square of their mean is added, for it would still drift
+        to where tanh is flat.
         """
         worse = self._blocks(drawn.errors - drawn.errors.mean(0), drawn.corner, self.margin)
         more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
         usual = self._blocks(drawn.counts.mean(0, keepdim=True), drawn.corner)
         image = (0, 2, 3, 4)  # each has a price of its own
-        slope = (usual * worse * more).sum(image, keepdim=True)
-        price = -slope / (usual * more.square()).sum(image, keepdim=True).clamp_min(1e-8)
-        advantage = -(worse + self.priced * price * more)
-        size = advantage.square().mean(image, keepdim=True).sqrt().clamp_min(1e-8)
-        advantage = (advantage / size).clamp(-self.most, self.most)
-        away = self._blocks(drawn.actions - mean.detach(), drawn.corner) / self.block**2
-        moved = self._blocks((mean - mean.detach()).unsqueeze(0), drawn.corner) / self.block**2
-        usual = usual / usual.square().sum(image, keepdim=True).sqrt().clamp_min(1e-8)
-        along = (moved * usual).sum(image, keepdim=True)
-        away = (away - (moved - self.priced * along * usual)) / self.spread
+        gain = advantage(worse, more, usual, image, self.priced, self.most)
+        away = self._blocks(drawn.actions - mean.detach(), drawn.corner)
+        moved = self._blocks((mean - mean.detach()).unsqueeze(0), drawn.corner)  # zero
+        if self.priced:
+            moved = own(moved, usual, image)
+        away = (away - moved) / self.block**2 / self.spread
         drift = mean.mean((1, 2, 3)).square().mean()
-        return (advantage * away.square()).mean() / 2 + drift
+        return (gain * away.square()).mean() / 2 + drift
 
     def _blocks(
         self, values: Float[Tensor, "k n 1 h w"], corner: tuple[int, int], margin: int = 0
@@ -103,3 +103,25 @@ class Policy:
         side = self.block + 2 * margin
         sums = F.avg_pool2d(inside.flatten(0, 1), side, self.block, margin) * side**2
         return sums.view(*inside.shape[:3], *sums.shape[-2:])
+
+
+def advantage(
+    worse: Tensor, more: Tensor, usual: Tensor, image: tuple[int, ...], priced: float, most: float
+) -> Tensor:
+    """-(change of error + price * change of count), in deviations of an image, cut at `most`.
+
+    `image` are the dimensions that share a budget. Their price is the least-squares slope of error
+    against count, with the usual counts as weights: a sample more for one is paid for by all, in
+    proportion to what they have.
+    """
+    slope = (usual * worse * more).sum(image, keepdim=True)
+    price = -slope / (usual * more.square()).sum(image, keepdim=True).clamp_min(TINY)
+    gain = -(worse + priced * price * more)
+    size = gain.square().mean(image, keepdim=True).sqrt().clamp_min(TINY)
+    return (gain / size).clamp(-most, most)
+
+
+def own(moved: Tensor, usual: Tensor, image: tuple[int, ...]) -> Tensor:
+    """A change of actions, less what all share of it: a factor on every density, thus on none."""
+    unit = usual / usual.square().sum(image, keepdim=True).sqrt().clamp_min(TINY)
+    return moved - unit * (moved * unit).sum(image, keepdim=True)

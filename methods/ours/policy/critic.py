@@ -83,13 +83,15 @@ class Critic:
         frozen = {name: p.detach() for name, p in self.network.named_parameters()}
         foretold = functional_call(self.network, frozen, (seen, situation.relaxed(mean)))
         drift = mean.mean((1, 2, 3)).square().mean()  # the budget cancels it, and tanh flattens
-        return foretold.mean() + wrong + drift
+        total: Tensor = foretold.mean() + wrong + drift
+        return total
 
     def regression(self, trials: list[Past]) -> Float[Tensor, ""]:
         """How far the critic is from the errors of trials: squared, in units of the mean error."""
         seen, counts, errors = (torch.cat(part) for part in zip(*trials, strict=True))
         wanted = (errors / (self.scale + SMALL)).clamp_max(MOST)
-        return (self.network(seen, counts) - wanted).square().mean()
+        foretold: Tensor = self.network(seen, counts)
+        return (foretold - wanted).square().mean()
 
     def _follow(self, error: float) -> None:
         self.scale = error if self.scale == 0 else 0.98 * self.scale + 0.02 * error

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from methods.ours.policy.appo import Appo
+from methods.ours.policy.blocks import advantage, own
 from methods.ours.policy.world import OUTCOMES, World
 
 MODULE = "default_policy"
@@ -137,20 +138,20 @@ class PixelLearner(APPOTorchLearner):  # type: ignore[misc]
         worse, more = (torch.cat((errors, counts), 1) - maps.detach()).split(1, 1)
         side = 2 * settings["reach"] + 1
         worse = F.avg_pool2d(worse, side, 1, settings["reach"], count_include_pad=False) * side**2
-        image = (1, 2, 3)
-        slope = (worse * more).sum(image, keepdim=True)
-        price = -slope / more.square().sum(image, keepdim=True).clamp_min(TINY)
-        advantage = -(worse + settings["priced"] * price * more)
-        size = advantage.square().mean(image, keepdim=True).sqrt().clamp_min(TINY)
-        advantage = (advantage / size).clamp(-MOST, MOST).flatten(1)
-        now, spread = fwd_out[Columns.ACTION_DIST_INPUTS][acted].chunk(2, 1)
+        usual, image = maps[:, 1:].detach().clamp_min(0), (1, 2, 3)
+        gain = advantage(worse, more, usual, image, settings["priced"], MOST).flatten(1)
+        mean, spread = fwd_out[Columns.ACTION_DIST_INPUTS][acted].chunk(2, 1)
+        now = mean
+        if settings["priced"]:
+            now = mean.detach() + own(mean - mean.detach(), usual.flatten(1), (1,))
         then = batch[Columns.ACTION_DIST_INPUTS][acted].chunk(2, 1)[0]
         action = batch[Columns.ACTIONS][acted]
         away = (action - now).square() - (action - then).square()
         ratio = (-away / 2 / spread.exp().square()).exp()
         clipped = ratio.clamp(1 - config.clip_param, 1 + config.clip_param)
-        gain = torch.minimum(ratio * advantage, clipped * advantage).mean()
-        return wrong - gain + DRIFT * now.mean(1).square().mean()
+        reached = torch.minimum(ratio * gain, clipped * gain).mean()
+        total: Tensor = wrong - reached + DRIFT * mean.mean(1).square().mean()
+        return total
 
 
 def train(
