@@ -224,3 +224,12 @@ def test_what_was_trained_is_what_runs():
     assert made.method.network is made.networks
     (shown,) = run_clip(made.method, clip(), 1.0)
     assert shown.image.shape == (1, 3, 21, 35)
+
+
+def test_tuning_starts_from_intels_weights():
+    pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
+    from baselines.oidn_intel.networks import network
+
+    theirs, found = network().state_dict(), trainer("tuned", CPU, 0).networks.state_dict()
+    assert all(torch.equal(found[name], theirs[name]) for name in theirs)
+    assert trainer("tuned", CPU, 0).peak < trainer("", CPU, 0).peak
