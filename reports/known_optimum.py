@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TABLE = "known_optimum"
+MARKS = ("<!-- table -->", "<!-- /table -->")
 LOWEST = -0.35  # of the axis; what lies below is drawn at its edge
 LOOKS = {  # colour and dashes; the proposed default has the one that stands out
     "true gradient": (INK, (0, (1, 1.5))),
@@ -94,11 +95,15 @@ def draw(rows: pd.DataFrame, file: Path) -> None:
                 _panel(axes, seen[seen["mode"] == mode], across)
             grid[0, column].set_title(TITLES[mode])
             grid[1, column].set_xscale("log")
+            grid[1, column].xaxis.set_major_formatter("{x:g}")
             grid[0, column].set_xlabel("frames seen in training")
             grid[1, column].set_xlabel("seconds of one CPU core (shared machine)")
         for axes in grid[:, 0]:
             axes.set_ylabel("share of the optimal error reduction")
-        handles, labels = grid[0, 0].get_legend_handles_labels()
+        shown = [axes.get_legend_handles_labels() for axes in grid[0]]
+        known = {k: v for handles, names in shown for k, v in zip(names, handles, strict=True)}
+        labels = [name for name in LOOKS if name in known]
+        handles = [known[name] for name in labels]
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
         figure.savefig(file, dpi=150, metadata={})
 
@@ -106,8 +111,9 @@ def draw(rows: pd.DataFrame, file: Path) -> None:
 def _panel(axes: Axes, seen: pd.DataFrame, across: str) -> None:
     axes.axhline(0, color=FAINT, linewidth=1)
     axes.axhline(1, color=FAINT, linewidth=1)
-    axes.annotate("uniform", (0.01, 0.01), xycoords=("axes fraction", "data"), color=FAINT)
-    axes.annotate("optimum", (0.01, 1.01), xycoords=("axes fraction", "data"), color=FAINT)
+    for text, score in (("uniform", 0), ("optimum", 1)):
+        where: Any = ("axes fraction", "data")
+        axes.annotate(text, (1.01, score), xycoords=where, color=FAINT, va="center", fontsize=10)
     for name, (color, dash) in LOOKS.items():
         mine = seen[seen["learner"] == name]
         if mine.empty:
@@ -119,10 +125,18 @@ def _panel(axes: Axes, seen: pd.DataFrame, across: str) -> None:
 
 
 def main(folder: Path) -> None:
-    """Read the table in `folder`, write the figure beside it, print the table in Markdown."""
+    """Read the table in `folder`, write the figure beside it, print the table in Markdown.
+
+    A page of the same name, with the marks between which a table belongs, gets it too.
+    """
     rows = pd.read_csv(folder / f"{TABLE}.csv")
     draw(rows, folder / f"{TABLE}.png")
     sys.stdout.write(table(rows))
+    page = folder / f"{TABLE}.md"
+    if page.exists():
+        text = page.read_text()
+        begin, end = (text.index(mark) for mark in MARKS)
+        page.write_text(text[: begin + len(MARKS[0])] + "\n" + table(rows) + text[end:])
 
 
 if __name__ == "__main__":

@@ -14,7 +14,11 @@ from methods.ours.policy.learner import Situation
 
 @dataclass
 class PpoPixel:
-    """Draws around the mean, tried from the same state and compared with each other."""
+    """Draws around the mean, tried from the same state and compared with each other.
+
+    One step is taken on each set of draws, so that the ratio of new to old probability is 1 and
+    clipping never acts: this is the limit in which a proximal loss is REINFORCE.
+    """
 
     policy: Policy = Policy()  # noqa: RUF009  (frozen)
     floor: int = 0
