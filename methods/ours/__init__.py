@@ -29,7 +29,7 @@ FAMILY = Family(
         "B1": Variant(
             "Does the state pay? (only the sampler remembers, samples)", TRAITS, shipped=False
         ),
-        "B2": Variant("Does any memory pay? (every frame by itself)", STILL),
+        "B2": Variant("Does any memory pay? (every frame by itself)", STILL, shipped=False),
         "C": Variant(
             "Do single samples pay? (their mean enters the encoder)", TRAITS, shipped=False
         ),
