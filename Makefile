@@ -5,6 +5,7 @@ BIN := .venv/bin
 RESULTS := results
 REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn,mean
+ABLATED := ours,ours/A1,ours/A2,ours/flat
 
 SPP := 1000
 
@@ -19,9 +20,13 @@ demo: .venv/run.stamp
 # what the README shows: every row of every method, those of extras too
 docs: .venv/dev.stamp
 	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
-	$(BIN)/rlbench report summary --results $(RESULTS) --out docs
-	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs --methods all
-	rm -f docs/summary.csv docs/summary.tex docs/pareto.csv docs/pareto.pdf docs/pareto.svg
+	$(BIN)/rlbench run --methods $(ABLATED) --spp 0.01,0.1,0.3,0.5,1,2,4 --seed 0,1,2 --out $(RESULTS)/ablation
+	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report table1 --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report paper-pareto --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report ablation --results $(RESULTS)/ablation --out docs/made
+	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all
+	cp docs/made/*.md docs/made/*.png docs && rm -r docs/made
 
 # one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
 contact: .venv/run.stamp
