@@ -31,4 +31,5 @@ class Trainer:
     peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
     shares: Mapping[str, float] = field(default_factory=dict)  # of it, by child of `networks`
     told: Callable[[float], None] = lambda done: None  # before each sequence, share of frames seen
+    origin: str = ""  # of the first weights, for the card; empty for random ones
     aside: nn.Module | None = None  # trained at shares["aside"] and kept, but not shipped

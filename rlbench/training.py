@@ -172,6 +172,7 @@ def _ship(
         command=command,
         commit=provenance.commit(),
         plan=json.dumps({**plan.told(), **budgets}),
+        origin=trainer.origin,
         curve=tuple(progress.curve),
         note=progress.note(plan.frames),
     )

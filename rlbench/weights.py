@@ -42,6 +42,7 @@ class Card:
     commit: str = ""  # of the code that trained them
     plan: str = ""  # how long and at what rate, JSON
     config: str = ""  # of the method, JSON
+    origin: str = ""  # what training started from; empty for random weights
     curve: tuple[tuple[int, float], ...] = ()  # frames seen, validation PSNR in dB
     note: str = ""
     licence: str = "Apache-2.0"

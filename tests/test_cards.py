@@ -58,6 +58,12 @@ def test_every_learned_method_saw_the_same_frames(path):
     assert _clips(card) == _clips(first)
 
 
+@shipped
+def test_a_card_says_when_training_started_from_weights_of_others(path):
+    from_intel = path.stem in ("ours", "A1", "A2", "tuned")
+    assert read_card(path).origin.startswith("Intel's weights") == from_intel
+
+
 def _clips(card: Card) -> list[str]:
     """Names of the clips of a card; the hashes beside them are also of the pool that was read."""
     return [entry.split()[0] for entry in card.data]

@@ -34,11 +34,12 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     """
     config = VARIANTS[variant]
     network = UNet(INPUTS, widths=config.widths, seed=seed)
-    if config.intel:
-        from baselines.oidn_intel.networks import network as intels
+    if not config.intel:
+        return learning(Oidn(network.to(device)))
+    from baselines.oidn_intel import networks
 
-        network.load_state_dict(intels(config.widths).state_dict())
-    return learning(Oidn(network.to(device)), TUNING if config.intel else PEAK)
+    network.load_state_dict(networks.network(config.widths).state_dict())
+    return replace(learning(Oidn(network.to(device)), TUNING), origin=networks.origin())
 
 
 def learning(method: Oidn, peak: float = PEAK) -> Trainer:

@@ -12,7 +12,7 @@ import torch
 
 from baselines.oidn import tza
 from baselines.oidn.method import INPUTS, Oidn
-from baselines.oidn_intel.library import Filter, LibraryError, Settings
+from baselines.oidn_intel.library import Filter, LibraryError, Settings, version
 from rlbench.frames import View
 from rlbench.ops.unet import BASE, FAST, UNet, Widths
 from rlbench.sampling import Samples
@@ -55,6 +55,11 @@ def network(widths: Widths = BASE) -> UNet:
         f"none of the {len(fitting)} networks of {sum(map(np.prod, wanted.values()))} weights in "
         "the library makes the library's image; the layout of pyoidn may be new"
     )
+
+
+def origin() -> str:
+    """What the card of weights says that started from these."""
+    return f"Intel's weights of Open Image Denoise {version()}, Apache-2.0"
 
 
 def _difference(made: UNet, quality: str) -> float:

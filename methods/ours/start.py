@@ -25,7 +25,7 @@ LOST = 0.6  # a value that lies below minus this is not there
 
 
 @torch.no_grad()
-def start(networks: Networks, config: Config, seed: int) -> None:
+def start(networks: Networks, config: Config, seed: int) -> str:
     """Seeded weights, a uniform sampler, an encoder that passes samples and view on.
 
     From random weights the encoder hides its input behind a random projection, and thousands of
@@ -34,7 +34,7 @@ def start(networks: Networks, config: Config, seed: int) -> None:
     value of the view; what is left of both stays random. Where the denoiser reads colour, it starts
     with Intel's weights, to which the state says nothing yet: the first image is that of Open Image
     Denoise. Where not, its last three layers are wired to the first slot, averaged over 3x3 twice.
-    Raises LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
+    Returns what a card says of weights that are not ours, or nothing. Raises LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
     """
     initialise(networks, seed)
     if networks.sampler is not None:
@@ -45,7 +45,8 @@ def start(networks: Networks, config: Config, seed: int) -> None:
     if config.light == "none":
         _blur(networks.denoiser)
     elif config.denoiser in (BASE, FAST):
-        _adopt(networks.denoiser)
+        return _adopt(networks.denoiser)
+    return ""
 
 
 def _pass_on(encoder: Encoder, config: Config) -> None:
@@ -82,8 +83,8 @@ def _blur(denoiser: UNet) -> None:
         _wire(denoiser.dec_conv0, colour, {colour: 1 / LINEAR})
 
 
-def _adopt(denoiser: UNet) -> None:
-    from baselines.oidn_intel.networks import network  # an extra; only training needs it
+def _adopt(denoiser: UNet) -> str:
+    from baselines.oidn_intel.networks import network, origin  # an extra; only training needs it
 
     theirs = network(denoiser.widths).state_dict()
     for name, weight in denoiser.state_dict().items():
@@ -92,6 +93,7 @@ def _adopt(denoiser: UNet) -> None:
         known = known if weight.dim() == 1 else known[:, : theirs[name].shape[1]]
         known.copy_(theirs[name])  # the state is read last
     _bias(denoiser.dec_conv0)[3:] = math.log(KEPT / (1 - KEPT))
+    return origin()
 
 
 def _show_contrast(sampler: Sampler, config: Config) -> None:

@@ -81,7 +81,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     """
     config, traits = VARIANTS[variant], FAMILY.variants[variant].traits
     networks = Networks(config)
-    start(networks, config, seed)
+    origin = start(networks, config, seed)
     networks.to(device)
     method = Ours(config, traits, networks)
     learns = learner(config.learner, networks.known)
@@ -100,4 +100,4 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
 
     budgets = tuple(spp for spp in BUDGETS if traits.refuses(spp) is None)
     peak, shares = (PEAK, SHARES) if config.light == "none" else (TUNING, TUNED)
-    return Trainer(method, networks, losses, budgets, peak, shares, aside=aside)
+    return Trainer(method, networks, losses, budgets, peak, shares, origin=origin, aside=aside)
