@@ -34,7 +34,8 @@ def start(networks: Networks, config: Config, seed: int) -> str:
     value of the view; what is left of both stays random. Where the denoiser reads colour, it starts
     with Intel's weights, to which the state says nothing yet: the first image is that of Open Image
     Denoise. Where not, its last three layers are wired to the first slot, averaged over 3x3 twice.
-    Returns what a card says of weights that are not ours, or nothing. Raises LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
+    Returns what a card says of weights that are not ours, or nothing. Raises LibraryError where
+    Intel's weights are wanted and the extra `oidn` is not installed.
     """
     initialise(networks, seed)
     if networks.sampler is not None:
