@@ -98,7 +98,7 @@ def test_a_child_learns_at_its_share_of_the_rate():
     net = pair()
     taught = learner(net, lambda: net(torch.ones(1, 3)).sum(), shares={"1": 0.25})
     taught.sequence(CLIP, 1.0, 0.5, 0.0)
-    moved = [1 - float(weight.flatten()[0]) for weight in net.parameters()]
+    moved = [1 - float(weight.detach().flatten()[0]) for weight in net.parameters()]
     assert moved == pytest.approx([5e-3, 5e-3, 1.25e-3, 1.25e-3], rel=1e-3)  # Adam's first step
 
 
