@@ -42,6 +42,12 @@ VARIANTS = {
 }
 
 
+def inputs(exposed: Float[Tensor, "n 3 h w"], view: View) -> Float[Tensor, "n 9 h w"]:
+    """What the network reads: exposed radiance in transfer space, albedo, normals in [0, 1]."""
+    normal = view.normal.clamp(-1, 1) * 0.5 + 0.5
+    return torch.cat((pu_forward(exposed), view.albedo.clamp(0, 1), normal), dim=1)
+
+
 def develop(
     value: Float[Tensor, "n 3 h w"], exposure: Float[Tensor, "n 1 1 1"]
 ) -> Float[Tensor, "n 3 h w"]:
@@ -80,10 +86,7 @@ class Oidn:
         """The image, from the mean of the samples, albedo and normal."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
         exposure = self.expose(noisy)
-        albedo = view.albedo.clamp(0, 1)
-        normal = view.normal.clamp(-1, 1) * 0.5 + 0.5
-        seen = torch.cat((pu_forward(noisy * exposure), albedo, normal), dim=1)  # n 9 h w
-
+        seen = inputs(noisy * exposure, view)
         value = crop(self.network(pad(seen, to=STRIDE)), *seen.shape[-2:])
         return self.develop(value, exposure), None
 

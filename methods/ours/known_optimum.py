@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
+from methods.ours import method
 from methods.ours.moving import PRIOR, STORED, Field
 from methods.ours.policy.learner import Trial
 from rlbench.frames import Frame, Reference, View
@@ -71,7 +72,7 @@ MODES: dict[str, Mode] = {"direct": Direct(), "filter": Filter()}
 
 def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
     """As of `ours`: how far an action lies above the lowest one, here in [0, 1]."""
-    return (1 + action.clamp(-1, 1)) / 2
+    return method.density(action) / 2
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from baselines.oidn.method import inputs
 from methods.ours import FAMILY
 from methods.ours.light import Light, alike, filled, gathered, measured, told
 from methods.ours.network import VIEW, Networks
@@ -25,7 +26,6 @@ from rlbench.ops.transfer import (
     LOG_SCALE,
     log_forward,
     log_inverse,
-    pu_forward,
     pu_inverse,
     squash_depth,
 )
@@ -145,8 +145,8 @@ class Ours:
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
-        values = log_forward(samples.radiance).where(samples.filled, MISSING)  # n s 3 h w
         if self.config.samples == "single":
+            values = log_forward(samples.radiance).where(samples.filled, MISSING)  # n s 3 h w
             short = self.config.slots - values.shape[1]
             return F.pad(values, (0,) * 7 + (short,), value=MISSING).flatten(1, 2)
         mean = log_forward(samples.mean).where(samples.counts > 0, MISSING)
@@ -175,9 +175,7 @@ class Ours:
     ) -> Float[Tensor, "n 3 h w"]:
         """The image that Intel's network makes of a colour and the state, and of the last image."""
         exposure = autoexposure(colour.detach())
-        albedo, normal = view.albedo.clamp(0, 1), view.normal.clamp(-1, 1) / 2 + 0.5
-        shown = torch.cat((pu_forward(colour * exposure), albedo, normal, latent), dim=1)
-        value = self._paint(shown)
+        value = self._paint(torch.cat((inputs(colour * exposure, view), latent), dim=1))
         image = (pu_inverse(value[:, :3].clamp_max(1)) / exposure).clamp_min(BELOW)
         if known.image is None or known.same is None:
             return image
@@ -193,7 +191,7 @@ class Ours:
         return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)
 
 
-def density(action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
     """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
     return 1 + action.clamp(-1, 1)
 
