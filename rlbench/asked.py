@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from rlbench.source import Stored
 
 
+RESERVED = ("half", "crossval")  # names of rows that are not called after their weights
+
+
 class AskedError(ValueError):
     """An option's value that cannot be used."""
 
@@ -86,6 +89,8 @@ def weights(text: str | None) -> tuple[str, str | None]:
     called, _, file = text.partition("=")
     if not called.replace("-", "").isalnum():
         raise AskedError(f"--weights {text}: the name before = is of letters, digits and -")
+    if called in RESERVED:
+        raise AskedError(f"--weights {text}: rows of another kind are called METHOD@{called}")
     return called, file
 
 

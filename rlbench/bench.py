@@ -197,7 +197,7 @@ class _Bench:
             value=math.nan,
             seed=cell.seed,
             device=self.names.device,
-            dtype="float32",
+            dtype="bfloat16" if self.request.halves(cell.method) else "float32",
             code=self.names.code[cell.method],
             weights=self.names.weights[cell.method],
         )

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from rlbench import cost, latency, provenance, registry, table
+from rlbench.half import NAME as HALF
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
@@ -40,8 +41,13 @@ class Request:
     weights: str | None = None  # None for the shipped ones, "random", or a path
     frames: int | None = None  # only the first frames of each clip, for trying out
     repeats: int = latency.REPEATS  # frames that each time is the distribution of
+    half: bool = False  # do networks compute in bfloat16?
     called: str = ""  # name of the weights, where several of one method are to be told apart
     without: str = ""  # scene that `weights` were not trained on, in a cross-validation
+
+    def halves(self, method: str) -> bool:
+        """Does a method compute in half precision? One without networks has nothing to halve."""
+        return self.half and registry.variant(method).learned
 
 
 @dataclass(frozen=True)
@@ -94,6 +100,7 @@ class Names:
             ),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
             *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
+            *((HALF,) if self.request.halves(cell.method) else ()),
         )
         return f"{self.title(cell)} {sha256(repr(content).encode()).hexdigest()[:16]}"
 
@@ -104,9 +111,10 @@ class Names:
         return f"{told} {cell.spp:g}spp seed{cell.seed} {device}"
 
     def method(self, name: str) -> str:
-        """What a method is called in the results: with named weights it is another row."""
+        """What a method is called in the results: another row for named weights or precision."""
         called = "crossval" if self.request.without else self.request.called
-        return f"{name}{table.AT}{called}" if called and registry.variant(name).learned else name
+        told = "-".join(filter(None, (HALF if self.request.halves(name) else "", called)))
+        return f"{name}{table.AT}{told}" if told and registry.variant(name).learned else name
 
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""

@@ -69,6 +69,9 @@ def run(
         str | None,
         typer.Option(help="a file, NAME=FILE (rows METHOD@NAME), or random; default the shipped"),
     ] = None,
+    half: Annotated[
+        bool, typer.Option("--half", help="networks in bfloat16 (rows METHOD@half)")
+    ] = False,
     plugin: Plugins = None,
     limit_frames: Annotated[
         int | None, typer.Option(min=1, help="first frames of each clip only, for trying out")
@@ -90,6 +93,8 @@ def run(
 
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
 
+      rlbench run -m ours,oidn --half
+
       rlbench run -m all --preset standard --engine ray --ray-address auto
     """
     use(plugin)
@@ -110,6 +115,7 @@ def run(
             device=asked.device(device),
             cost=cost,
             weights=weights,
+            half=half,
             called=called,
             frames=limit_frames,
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from rlbench import registry
 from rlbench.cells import Cell, Request
 from rlbench.frames import Clip
+from rlbench.half import Half
 from rlbench.method import Method
 from rlbench.source import Short, unusable
 
@@ -31,7 +32,8 @@ class Ready:
             except Exception as error:  # missing weights or packages: a reason for each cell
                 self._built[name] = error
             else:
-                self._built[name] = built
+                halved = self.request.halves(name)
+                self._built[name] = Half(built, self.request.device) if halved else built
         found = self._built[name]
         if isinstance(found, Exception):
             raise found

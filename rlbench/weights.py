@@ -91,6 +91,8 @@ def equip(module: nn.Module, asked: str | None, shipped: Path, device: torch.dev
     if asked != "random":
         load_into(module, Path(asked) if asked else shipped)
     module.to(device).eval().requires_grad_(False)
+    # the order in which convolutions are fastest, on CPU and GPU; most in half precision
+    module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def load_into(module: nn.Module, path: Path) -> Card:

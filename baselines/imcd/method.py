@@ -137,5 +137,4 @@ def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
     if weights == "random":
         networks.draw(seed=0)
     equip(networks, weights, CARDS / FAMILY.weights(variant), device)
-    networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

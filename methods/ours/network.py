@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from methods.ours.variants import SAMPLES, Config
+from rlbench.ops.packed import packed
 from rlbench.ops.unet import UNet
 
 VIEW = 7  # normal 3, albedo 3, depth 1
@@ -44,7 +45,7 @@ class Sampler(nn.Module):
 
     def forward(self, known: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 1 h w"]:
         """The mean action; sides must divide by two for each level but two."""
-        x = self.tail(known)
+        x = self.tail(packed(known))
         skips = []
         for depth, block in enumerate(self.down):
             x = block(self.pool(x) if depth else x)
@@ -69,6 +70,7 @@ class Encoder(nn.Module):
 
     def forward(self, seen: Float[Tensor, "n c h w"]) -> Float[Tensor, "n s h w"]:
         """The new state, in [-1, 1]."""
+        seen = packed(seen)
         for layer in self.layers[:-1]:
             seen = torch.relu(layer(seen))
         return torch.tanh(self.layers[-1](seen))

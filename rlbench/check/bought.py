@@ -40,7 +40,7 @@ def spread(subject: Subject) -> Finding | None:
             run = subject.run(first, spp)
         except Exception as error:  # whatever it raises is what it says of this budget
             return wrong(f"at {spp:g} spp: {type(error).__name__}: {error}", error)
-        if why := unsound(run):
+        if why := unsound(run.shown):
             return wrong(f"at {spp:g} spp, {why}")
     return None
 
@@ -49,7 +49,7 @@ def nothing(subject: Subject) -> Finding | None:
     """History, albedo and normals are there all the same."""
     if subject.traits.spp[0] > 0:
         return moot(f"it asks for {subject.traits.spp[0]:g} spp at least")
-    why = unsound(subject.run(subject.small(), 0.0))
+    why = unsound(subject.run(subject.small(), 0.0).shown)
     return wrong(why) if why else None
 
 
@@ -59,5 +59,5 @@ def fewer(subject: Subject) -> Finding | None:
     spp = min(max(1.0, low), high)
     if spp > FEW:
         return moot(f"it asks for {low:g} spp at least")
-    why = unsound(subject.run(subject.small(pool=FEW), spp))
+    why = unsound(subject.run(subject.small(pool=FEW), spp).shown)
     return wrong(why) if why else None

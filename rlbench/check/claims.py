@@ -73,6 +73,12 @@ _ALL = (
         promises.reads,
     ),
     Claim(
+        "it runs in half precision too",
+        "let no operation meet tensors of two precisions; .float() after a network will do",
+        promises.half,
+        after=("built", "runs", "image", "density"),
+    ),
+    Claim(
         "it writes to nothing that it is given: view, samples, state",
         "use the operation without a trailing _, or clone first",
         promises.inputs,

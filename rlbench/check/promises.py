@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -12,7 +13,8 @@ from rlbench.check import worlds
 from rlbench.check.finding import Finding, moot, wrong
 from rlbench.check.subject import Run, Subject
 from rlbench.check.watched import Watched, flaw
-from rlbench.run import unroll
+from rlbench.half import Half
+from rlbench.run import Shown, run_clip, unroll
 
 
 def built(subject: Subject) -> Finding | None:
@@ -48,7 +50,14 @@ def image(subject: Subject) -> Finding | None:
         found = shown.image
         if found.shape != (1, 3, size.h, size.w) or found.dtype != torch.float32:
             return wrong(f"frame {shown.frame.index} is of {found.dtype} {list(found.shape)}")
-    why = unsound(subject.usual)
+    why = unsound(subject.usual.shown)
+    return wrong(why) if why else None
+
+
+def half(subject: Subject) -> Finding | None:
+    """Autocast gives convolutions of bfloat16, and leaves the rest to meet them."""
+    halved = Watched(Half(subject.method, subject.device))
+    why = unsound(list(run_clip(halved, subject.small(), subject.budget)))
     return wrong(why) if why else None
 
 
@@ -98,9 +107,9 @@ def graph(subject: Subject) -> Finding | None:
     )
 
 
-def unsound(run: Run) -> str | None:
+def unsound(frames: Sequence[Shown]) -> str | None:
     """Which frame has values that are not finite, or None if there is none."""
-    for shown in run.shown:
+    for shown in frames:
         if bad := int((~torch.isfinite(shown.image)).sum()):
             told = f"{bad} of {shown.image.numel()} values that are not finite"
             return f"frame {shown.frame.index} has {told}"

@@ -61,7 +61,7 @@ def batch(subject: Subject) -> Finding | None:
 
 def static(subject: Subject) -> Finding | None:
     """Its view has no motion, and `view.motion` is None."""
-    why = unsound(subject.run(subject.small(static=True)))
+    why = unsound(subject.run(subject.small(static=True)).shown)
     return wrong(why) if why else None
 
 

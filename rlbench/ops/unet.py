@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from rlbench.ops.initialise import initialise
+from rlbench.ops.packed import packed
 
 STRIDE = 16  # four poolings: both sides of the input divide by this
 
@@ -81,6 +82,7 @@ class UNet(nn.Module):
 
         Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
         """
+        x = packed(x)
         half = _pool(F.relu(self.enc_conv1(F.relu(self.enc_conv0(x)))))
         quarter = _pool(F.relu(self.enc_conv2(half)))
         eighth = _pool(F.relu(self.enc_conv3(quarter)))

@@ -108,6 +108,14 @@ class Unplanned(Sound):
         super().plan(view, samples, state)
 
 
+class MixesPrecisions(Sound):
+    """Under autocast a product of matrices is of half precision, and what it is mixed with not."""
+
+    def denoise(self, view, samples, state):
+        image, state = super().denoise(view, samples, state)
+        return torch.lerp(image, image @ torch.eye(image.shape[-1]), 0.5), state
+
+
 class ReadsMore(Sound):
     def denoise(self, view, samples, state):
         view.depth  # noqa: B018
@@ -294,6 +302,7 @@ FAULTS = {
     "pads more than there is": Fault("small", LargePadding),
     "double precision": Fault("image", InDouble),
     "not finite": Fault("image", NotFinite),
+    "mixes precisions": Fault("half", MixesPrecisions),
     "a negative density": Fault("density", Negative),
     "no density": Fault("density", Unplanned),
     "adapts in secret": Fault("uniform", Sound, replace(SOUND, adapts=False)),

@@ -75,7 +75,7 @@ def test_what_a_method_raises_is_told_with_its_place(tmp_path):
     (line,) = [line for line in lines if "✗" in line]
     place = plugin.read_text().splitlines().index("        return 1 / 0, None") + 1
     assert f"ZeroDivisionError: division by zero (mine.py, line {place})" in line
-    assert sum("cannot be told unless it runs on frames" in line for line in lines) == 19
+    assert sum("cannot be told unless it runs on frames" in line for line in lines) == 20
 
 
 ABSENT = {

@@ -1,0 +1,52 @@
+"""Half precision is another row: near the same image, faster, and only where there are networks."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+
+from rlbench import registry, table
+from rlbench.bench import Done, measure
+from rlbench.frames import Size
+from rlbench.half import Half
+from rlbench.ops.packed import packed
+from rlbench.ops.unet import SMALL, UNet
+from rlbench.procedural import procedural
+from rlbench.run import run_clip
+from tests.core.test_bench import request
+
+CPU = torch.device("cpu")
+
+
+def test_images_are_nearly_the_same_and_in_single_precision():
+    method = registry.method("oidn", CPU, "random")
+    clip = procedural(3, Size(1, 32, 48), 2, 8)
+    full, half = ([s.image for s in run_clip(m, clip, 4.0)] for m in (method, Half(method, CPU)))
+    for one, other in zip(full, half, strict=True):
+        assert other.dtype == torch.float32
+        assert not torch.equal(one, other)  # else nothing was rounded
+        # 16 layers that each round values and weights by 2^-9 of themselves at most
+        apart = (one - other).square().mean().sqrt() / one.square().mean().sqrt()
+        assert apart < 32 * 2**-9
+
+
+def test_rows_in_half_precision_stand_beside_the_others(clip_folder, tmp_path):
+    asked = request(clip_folder, "ours/A2", "mean", weights="random", frames=1)
+    measure(asked, tmp_path / "r")
+    halved = dataclasses.replace(asked, half=True)
+    assert measure(halved, tmp_path / "r") == Done(measured=1, known=1)  # `mean` has no networks
+    rows = table.read(tmp_path / "r").groupby("method")["dtype"].unique().explode()
+    assert dict(rows) == {"ours/A2": "float32", "ours/A2@half": "bfloat16", "mean": "float32"}
+    measure(dataclasses.replace(halved, called="seed0"), tmp_path / "r")
+    assert "ours/A2@half-seed0" in set(table.read(tmp_path / "r")["method"])
+
+
+def test_packing_changes_no_value_of_a_convolution():
+    x = torch.rand(2, 5, 16, 32, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(packed(x), x)
+    assert packed(x).is_contiguous(memory_format=torch.channels_last)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert packed(x).dtype == torch.bfloat16
+        net = UNet(5, widths=SMALL)
+        assert torch.equal(net(x), net(packed(x)))
