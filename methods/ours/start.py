@@ -39,7 +39,7 @@ def start(networks: Networks, config: Config, seed: int) -> str:
     """
     initialise(networks, seed)
     if networks.sampler is not None:
-        _show_contrast(networks.sampler, config)
+        show_contrast(networks.sampler, config)
         networks.sampler.start_uniform()
     if networks.encoder is not None:
         _pass_on(networks.encoder, config)
@@ -97,7 +97,8 @@ def _adopt(denoiser: UNet) -> str:
     return origin()
 
 
-def _show_contrast(sampler: Sampler, config: Config) -> None:
+@torch.no_grad()
+def show_contrast(sampler: Sampler, config: Config) -> None:
     """Show the last layers where the last frame's picture was rough, and how noisy its light.
 
     Behind random layers the policy gradient finds nothing in the time that training has here. So

@@ -46,15 +46,19 @@ class Turn:
     @torch.no_grad()
     def attempt(self, actions: Float[Tensor, "k n 1 h w"]) -> Trial:
         """Squared errors in log transfer, and counts."""
-        truth = log_forward(self.frame.reference.mean).clamp(0, 1)
-        errors, counts = [], []
-        for action in actions:
-            samples = self._buy(action)
-            image, _ = self.method.denoise(self.view, samples, self.state)
-            error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
-            errors.append(error)
-            counts.append(samples.counts.float())
+        errors, counts, _ = zip(*(self.take(action) for action in actions), strict=True)
         return Trial(torch.stack(errors), torch.stack(counts))
+
+    @torch.no_grad()
+    def take(
+        self, action: Float[Tensor, "n 1 h w"]
+    ) -> tuple[Float[Tensor, "n 1 h w"], Float[Tensor, "n 1 h w"], Memory]:
+        """Squared errors in log transfer, counts, and what is left for the next frame."""
+        samples = self._buy(action)
+        image, left = self.method.denoise(self.view, samples, self.state)
+        truth = log_forward(self.frame.reference.mean).clamp(0, 1)
+        error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
+        return error, samples.counts.float(), left
 
     def slope(self, teach: Teach) -> Float[Tensor, ""]:
         """The loss of the mean action's image, with a gradient to the action through samples."""
