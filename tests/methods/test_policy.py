@@ -206,7 +206,7 @@ def test_the_critics_regression_lowers_its_error():
 
     def wrong() -> float:
         with torch.no_grad():
-            return float(way.regression(list(way.past)))
+            return float(way.regression(list(way.network.replay.past)))
 
     way.loss(case, generator)
     before = wrong()
@@ -217,6 +217,20 @@ def test_the_critics_regression_lowers_its_error():
     assert wrong() < 0.9 * before
 
 
+def test_a_critic_that_was_saved_and_loaded_goes_on_as_if_it_had_not_been():
+    def losses(way: critic.Critic, generator: torch.Generator, steps: int) -> list[float]:
+        return [way.loss(moment(), generator).item() for _ in range(steps)]
+
+    whole, generator = critic.learner(CHANNELS), torch.Generator().manual_seed(0)
+    losses(whole, generator, 3)
+    tensors = {key: value.clone() for key, value in whole.network.state_dict().items()}
+    resumed, again = critic.learner(CHANNELS), torch.Generator()
+    again.set_state(generator.get_state())
+    resumed.network.load_state_dict(tensors)
+    assert losses(resumed, again, 3) == losses(whole, generator, 3)
+    assert len(resumed.network.replay.past) > 6
+
+
 def test_the_critic_is_not_trained_by_what_it_foretells():
     """Its weights get the regression's gradient alone, or it would learn to promise."""
     case, generator = moment(), torch.Generator().manual_seed(0)
@@ -224,7 +238,7 @@ def test_the_critic_is_not_trained_by_what_it_foretells():
     way.loss(case, generator).backward()
     found = {name: p.grad.clone() for name, p in way.network.named_parameters()}
     way.network.zero_grad()
-    way.regression(list(way.past)).backward()
+    way.regression(list(way.network.replay.past)).backward()
     wanted = {name: p.grad for name, p in way.network.named_parameters()}
     torch.testing.assert_close(found, wanted)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -28,6 +28,43 @@ class Past(NamedTuple):
     errors: Float[Tensor, "n 1 h w"]
 
 
+class Replay(nn.Module):
+    """Trials of the past and the scale of their errors: state of the network that it is a part of.
+
+    So it lies in checkpoints, and a training that was killed goes on as if it had not been.
+    """
+
+    scale: Float[Tensor, ""]  # mean error of a pixel, followed; 0 before the first
+
+    def __init__(self, keep: int) -> None:
+        """With room for so many trials."""
+        super().__init__()
+        self.register_buffer("scale", torch.zeros(()))
+        self.past: deque[Past] = deque(maxlen=keep)
+
+    def follow(self, error: Float[Tensor, ""]) -> None:
+        """Move the scale towards a mean error."""
+        self.scale.copy_(error if self.scale == 0 else 0.98 * self.scale + 0.02 * error)
+
+    def recall(self, number: int, generator: torch.Generator) -> list[Past]:
+        """So many of the past, or none while there are fewer."""
+        if len(self.past) < number:
+            return []
+        chosen = torch.randperm(len(self.past), generator=generator)[:number]
+        return [self.past[i] for i in chosen.tolist()]
+
+    def get_extra_state(self) -> Tensor:
+        """All trials as one tensor [k n c+2 h w], empty where there are none."""
+        rows = [torch.cat(trial, 1) for trial in self.past]
+        return torch.stack(rows) if rows else torch.zeros(0)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Trials as `get_extra_state` gave them."""
+        self.past.clear()
+        for row in state.to(self.scale.device):
+            self.past.append(Past(row[:, :-2], row[:, -2:-1], row[:, -1:]))
+
+
 class ErrorMap(nn.Module):
     """Foretells each pixel's error from what the sampler saw and the counts of its surroundings.
 
@@ -35,9 +72,10 @@ class ErrorMap(nn.Module):
     1 / (n + 1/2), in which the error of a mean is a line, and pass three more.
     """
 
-    def __init__(self, channels: int, width: int = 16) -> None:
-        """Build for `channels` seen."""
+    def __init__(self, channels: int, width: int = 16, keep: int = 32) -> None:
+        """Build for `channels` seen, with room for `keep` trials."""
         super().__init__()
+        self.replay = Replay(keep)
         self.see = nn.Conv2d(channels, width, 3, padding=1)
         self.buy = nn.Conv2d(width + 2, width, 3, padding=1)
         self.mix = nn.Conv2d(width, width, 3, padding=1)
@@ -66,10 +104,7 @@ class Critic:
     network: ErrorMap
     policy: Policy = Policy(block=1, margin=0, draws=2)  # noqa: RUF009  (frozen)
     floor: int = 0
-    keep: int = 32  # trials remembered
-    again: int = 2  # of them regressed on in each step, beside the new ones
-    scale: float = 0.0  # mean error of a pixel, followed
-    past: deque[Past] = field(default_factory=deque)
+    again: int = 2  # old trials regressed on in each step, beside the new ones
 
     def loss(self, situation: Situation, generator: torch.Generator) -> Float[Tensor, ""]:
         """What the critic foretells of the mean action, and how wrong it was about the trials."""
@@ -77,9 +112,10 @@ class Critic:
         actions = self.policy.tries(mean, self.policy.corner(generator), generator)
         trial = situation.attempt(actions)
         fresh = [Past(seen, n, e) for n, e in zip(trial.counts, trial.errors, strict=True)]
-        self._follow(float(trial.errors.mean()))
-        wrong = self.regression([*fresh, *self._recall(generator)])
-        self._remember(fresh)
+        replay = self.network.replay
+        replay.follow(trial.errors.mean())
+        wrong = self.regression([*fresh, *replay.recall(self.again, generator)])
+        replay.past.extend(fresh)
         frozen = {name: p.detach() for name, p in self.network.named_parameters()}
         foretold = functional_call(self.network, frozen, (seen, situation.relaxed(mean)))
         drift = mean.mean((1, 2, 3)).square().mean()  # the budget cancels it, and tanh flattens
@@ -89,23 +125,9 @@ class Critic:
     def regression(self, trials: list[Past]) -> Float[Tensor, ""]:
         """How far the critic is from the errors of trials: squared, in units of the mean error."""
         seen, counts, errors = (torch.cat(part) for part in zip(*trials, strict=True))
-        wanted = (errors / (self.scale + SMALL)).clamp_max(MOST)
+        wanted = (errors / (self.network.replay.scale + SMALL)).clamp_max(MOST)
         foretold: Tensor = self.network(seen, counts)
         return (foretold - wanted).square().mean()
-
-    def _follow(self, error: float) -> None:
-        self.scale = error if self.scale == 0 else 0.98 * self.scale + 0.02 * error
-
-    def _recall(self, generator: torch.Generator) -> list[Past]:
-        if len(self.past) < self.again:
-            return []
-        chosen = torch.randperm(len(self.past), generator=generator)[: self.again]
-        return [self.past[i] for i in chosen.tolist()]
-
-    def _remember(self, fresh: list[Past]) -> None:
-        self.past.extend(fresh)
-        while len(self.past) > self.keep:
-            self.past.popleft()
 
 
 def learner(channels: int) -> Critic:
