@@ -36,25 +36,39 @@ from rlbench.weights import equip
 CARDS = Path(__file__).parent / "cards"
 MISSING = -1.0  # a sample that was not bought, a state that is not there
 BELOW = -0.5 / LOG_SCALE  # least radiance while it trains; log transfer is defined above twice it
+KEPT = [3, 1, 1, 3, VIEW]  # channels of what is kept of the past
 MULTIPLE = 16  # sides that the denoiser can halve four times
+
+
+class Past(NamedTuple):
+    """What is kept of the frames before, beside the state, where light is gathered."""
+
+    light: Light
+    image: Float[Tensor, "n 3 h w"]  # the last one, linear radiance
+    seen: Float[Tensor, "n 7 h w"]  # the last view
 
 
 class Memory(NamedTuple):
     """What one frame leaves for the next; of no frames it has age 0 and is empty."""
 
     state: Float[Tensor, "n c h w"]  # latent, or samples; MISSING everywhere before the first frame
-    light: Light | None  # gathered so far; None where the variant gathers none
-    shown: Float[Tensor, "n 10 h w"]  # the last image, linear radiance, and the last view
+    past: Past | None  # None where the variant gathers no light
     age: int  # frames
+
+
+class Moved(NamedTuple):
+    """What was kept of the frames before, where it is now."""
+
+    light: Light  # without weight where it is from outside
+    image: Float[Tensor, "n 3 h w"]  # in log transfer
+    same: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
 
 
 class Known(NamedTuple):
     """What is known of a frame before it is sampled."""
 
     seen: Float[Tensor, "n c h w"]  # by the networks
-    light: Light | None  # gathered before, moved here; without weight where it is from outside
-    image: Float[Tensor, "n 3 h w"] | None = None  # the last one, in log transfer
-    same: Float[Tensor, "n 1 h w"] | None = None  # how much what was there is what is here
+    moved: Moved | None
 
 
 @dataclass(frozen=True)
@@ -81,12 +95,9 @@ class Ours:
         """No memory: the sentinel everywhere."""
         n, h, w = size
         channels = {"state": self.config.latent, "samples": SAMPLES[self.config.samples]}
-        nothing = torch.zeros(n, 15, h, w, device=next(self.networks.parameters()).device)
+        nothing = torch.zeros(n, sum(KEPT), h, w, device=next(self.networks.parameters()).device)
         state = nothing.new_full((n, channels.get(self.config.remembers, 0), h, w), MISSING)
-        light = (
-            Light(*torch.split(nothing[:, :5], [3, 1, 1], dim=1)) if self.config.gathers else None
-        )
-        return Memory(state, light, nothing[:, 5:], 0)
+        return Memory(state, _past(nothing) if self.config.gathers else None, 0)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """How far each pixel's action lies above the lowest one, in [0, 2]."""
@@ -109,16 +120,17 @@ class Ours:
         samples = replace(samples, radiance=sane(samples.radiance))
         known, values = self.known(view, state), self._values(samples)
         latent, trust = self._encode(view, values, known)
+        past = None
         if self.config.light == "none":
-            image, light = log_inverse(self._paint(latent)), None
+            image = log_inverse(self._paint(latent))
         else:
             light = measured(samples)
-            if known.light is not None:
-                light = gathered(known.light, light, trust)
-            image = self._develop(view, filled(light, view.albedo), latent, known)
+            if known.moved is not None:
+                light = gathered(known.moved.light, light, trust)
+            image = self._develop(view, filled(light, view.albedo), latent, known.moved)
+            past = Past(light, image, _seen(view)) if self.config.gathers else None
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
-        left, shown = kept[self.config.remembers], torch.cat((image, _seen(view)), dim=1)
-        return image, Memory(left, light if self.config.gathers else None, shown, state.age + 1)
+        return image, Memory(kept[self.config.remembers], past, state.age + 1)
 
     def known(self, view: View, state: Memory) -> Known:
         """What is remembered, moved to where it is now, beside the view."""
@@ -126,22 +138,21 @@ class Ours:
         if self.config.remembers == "nothing":
             return Known(seen, None)
         history = state.state
-        if state.light is not None:
-            history = torch.cat((history, *state.light, state.shown), dim=1)
+        if state.past is not None:
+            history = torch.cat((history, *state.past.light, *state.past[1:]), dim=1)
         history = history if state.age % self.config.bptt else history.detach()
         moved, valid = reproject(history, view.motion)
         valid = valid & (state.age > 0)
         width = state.state.shape[1]
         remembered = moved[:, :width].where(valid, MISSING)
-        if state.light is None:
+        if state.past is None:
             return Known(torch.cat((seen, remembered), dim=1), None)
-        mean, square, weight, image, before = torch.split(
-            moved[:, width:], [3, 1, 1, 3, VIEW], dim=1
-        )
-        same, image = alike(seen, before).where(valid, 0.0), log_forward(image)
-        light = Light(mean, square, weight * same)
+        past = _past(moved[:, width:])
+        same, image = alike(seen, past.seen).where(valid, 0.0), log_forward(past.image)
+        light = past.light._replace(weight=past.light.weight * same)
         gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
-        return Known(torch.cat((seen, remembered, gained), dim=1), light, image, same)
+        known = torch.cat((seen, remembered, gained), dim=1)
+        return Known(known, Moved(light, image, same))
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
@@ -171,16 +182,16 @@ class Ours:
         view: View,
         colour: Float[Tensor, "n 3 h w"],
         latent: Float[Tensor, "n s h w"],
-        known: Known,
+        moved: Moved | None,
     ) -> Float[Tensor, "n 3 h w"]:
         """The image that Intel's network makes of a colour and the state, and of the last image."""
         exposure = autoexposure(colour.detach())
         value = self._paint(torch.cat((inputs(colour * exposure, view), latent), dim=1))
         image = (pu_inverse(value[:, :3].clamp_max(1)) / exposure).clamp_min(BELOW)
-        if known.image is None or known.same is None:
+        if moved is None:
             return image
-        kept = value[:, 3:].sigmoid() * known.same
-        return log_inverse(torch.lerp(log_forward(image), known.image, kept))
+        kept = value[:, 3:].sigmoid() * moved.same
+        return log_inverse(torch.lerp(log_forward(image), moved.image, kept))
 
     def _paint(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """What the denoiser says, in its transfer space; colour below zero only while it trains."""
@@ -194,6 +205,11 @@ class Ours:
 def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
     """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
     return 1 + action.clamp(-1, 1)
+
+
+def _past(kept: Float[Tensor, "n 15 h w"]) -> Past:
+    mean, square, weight, image, seen = kept.split_with_sizes(KEPT, 1)
+    return Past(Light(mean, square, weight), image, seen)
 
 
 def _seen(view: View) -> Float[Tensor, "n 7 h w"]:

@@ -139,16 +139,16 @@ def test_light_of_another_surface_is_worth_little():
     samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
     _, left = method.denoise(frame.view, samples, method.start(clip.size))
     view = replace(frame.view, static=True)
-    known = method.known(view, left)
-    assert known.same is not None
-    assert torch.equal(known.same, torch.ones_like(known.same))
-    turned = left.shown.clone()
-    turned[:, 3:6] *= -1  # normals
-    known = method.known(view, left._replace(shown=turned))
-    assert known.light is not None
+    moved = method.known(view, left).moved
+    assert torch.equal(moved.same, torch.ones_like(moved.same))
+    turned = left.past.seen.clone()
+    turned[:, :3] *= -1  # normals
+    weight = method.known(
+        view, left._replace(past=left.past._replace(seen=turned))
+    ).moved.light.weight
     solid = frame.view.depth.isfinite()
-    assert known.light.weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
-    assert (known.light.weight[~solid] == 2).all()
+    assert weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
+    assert (weight[~solid] == 2).all()
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -176,8 +176,9 @@ def test_the_samplers_last_layer_is_shown_where_the_last_frame_was_rough(variant
     state = method.start(clip.size)._replace(age=1)
     state.state[:] = 0.1
     state.state[:, :3, :, 32:] += 0.2 * noise
-    state.shown[:, :3] = 0.5
-    state.shown[:, :3, :, 32:] += noise
+    if state.past is not None:
+        state.past.image[:] = 0.5
+        state.past.image[..., 32:] += noise
     with torch.no_grad():
         method.act(replace(frame.view, static=True), state)
     contrast = shown[0][0, 0]
@@ -212,5 +213,4 @@ def test_the_state_carries_no_gradient_between_frames_at_bptt_one():
 def test_the_first_frame_has_no_state():
     memory = build("", CPU, "random").start(Size(1, 8, 9))
     assert (memory.state == -1).all()
-    assert memory.light is not None
-    assert not memory.light.weight.any()
+    assert not memory.past.light.weight.any()
