@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.method import Memory, Ours
+from methods.ours.memory import Memory
+from methods.ours.method import Ours
 from methods.ours.policy.world import Outcome
 from methods.ours.turn import Turn
 from rlbench.batches import Batches, one_of

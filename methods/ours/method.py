@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
 from baselines.oidn.method import inputs
 from methods.ours import FAMILY
-from methods.ours.light import Light, alike, filled, gathered, measured, told
-from methods.ours.network import VIEW, Networks
-from methods.ours.variants import SAMPLES, VARIANTS, Config
+from methods.ours.light import filled, gathered, measured
+from methods.ours.memory import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
+from methods.ours.network import Networks
+from methods.ours.variants import VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import Size, View
 from rlbench.ops.demodulate import sane
@@ -27,48 +27,13 @@ from rlbench.ops.transfer import (
     log_forward,
     log_inverse,
     pu_inverse,
-    squash_depth,
 )
-from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"
-MISSING = -1.0  # a sample that was not bought, a state that is not there
 BELOW = -0.5 / LOG_SCALE  # least radiance while it trains; log transfer is defined above twice it
-KEPT = [3, 1, 1, 3, VIEW]  # channels of what is kept of the past
 MULTIPLE = 16  # sides that the denoiser can halve four times
-
-
-class Past(NamedTuple):
-    """What is kept of the frames before, beside the state, where light is gathered."""
-
-    light: Light
-    image: Float[Tensor, "n 3 h w"]  # the last one, linear radiance
-    seen: Float[Tensor, "n 7 h w"]  # the last view
-
-
-class Memory(NamedTuple):
-    """What one frame leaves for the next; of no frames it has age 0 and is empty."""
-
-    state: Float[Tensor, "n c h w"]  # latent, or samples; MISSING everywhere before the first frame
-    past: Past | None  # None where the variant gathers no light
-    age: int  # frames
-
-
-class Moved(NamedTuple):
-    """What was kept of the frames before, where it is now."""
-
-    light: Light  # without weight where it is from outside
-    image: Float[Tensor, "n 3 h w"]  # in log transfer
-    same: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
-
-
-class Known(NamedTuple):
-    """What is known of a frame before it is sampled."""
-
-    seen: Float[Tensor, "n c h w"]  # by the networks
-    moved: Moved | None
 
 
 @dataclass(frozen=True)
@@ -84,7 +49,8 @@ class Ours:
     Differs in all but `ours/paper`: beside the state there is light, gathered over frames, of which
     the encoder says how far it is trusted; the denoiser reads colour, albedo and normal in the way
     of Open Image Denoise (Afra 2019), and then the state, starts from Intel's weights, and says how
-    much of the last image is kept. Sampler and encoder also see that light and that image.
+    much of the last image is kept. Sampler and encoder also see that light and that image. A pixel
+    that stands still and got no sample keeps its state and its light.
     """
 
     config: Config
@@ -92,12 +58,8 @@ class Ours:
     networks: Networks
 
     def start(self, size: Size) -> Memory:
-        """No memory: the sentinel everywhere."""
-        n, h, w = size
-        channels = {"state": self.config.latent, "samples": SAMPLES[self.config.samples]}
-        nothing = torch.zeros(n, sum(KEPT), h, w, device=next(self.networks.parameters()).device)
-        state = nothing.new_full((n, channels.get(self.config.remembers, 0), h, w), MISSING)
-        return Memory(state, _past(nothing) if self.config.gathers else None, 0)
+        """No memory."""
+        return empty(self.config, size, next(self.networks.parameters()).device)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """How far each pixel's action lies above the lowest one, in [0, 2]."""
@@ -119,7 +81,7 @@ class Ours:
         """The image in linear radiance, and what is left for the next frame."""
         samples = replace(samples, radiance=sane(samples.radiance))
         known, values = self.known(view, state), self._values(samples)
-        latent, trust = self._encode(view, values, known)
+        latent, trust = self._encode(view, values, known, samples.counts)
         past = None
         if self.config.light == "none":
             image = log_inverse(self._paint(latent))
@@ -128,31 +90,13 @@ class Ours:
             if known.moved is not None:
                 light = gathered(known.moved.light, light, trust)
             image = self._develop(view, filled(light, view.albedo), latent, known.moved)
-            past = Past(light, image, _seen(view)) if self.config.gathers else None
+            past = Past(light, image, looked(view)) if self.config.gathers else None
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
         return image, Memory(kept[self.config.remembers], past, state.age + 1)
 
     def known(self, view: View, state: Memory) -> Known:
         """What is remembered, moved to where it is now, beside the view."""
-        seen = _seen(view)
-        if self.config.remembers == "nothing":
-            return Known(seen, None)
-        history = state.state
-        if state.past is not None:
-            history = torch.cat((history, *state.past.light, *state.past[1:]), dim=1)
-        history = history if state.age % self.config.bptt else history.detach()
-        moved, valid = reproject(history, view.motion)
-        valid = valid & (state.age > 0)
-        width = state.state.shape[1]
-        remembered = moved[:, :width].where(valid, MISSING)
-        if state.past is None:
-            return Known(torch.cat((seen, remembered), dim=1), None)
-        past = _past(moved[:, width:])
-        same, image = alike(seen, past.seen).where(valid, 0.0), log_forward(past.image)
-        light = past.light._replace(weight=past.light.weight * same)
-        gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
-        known = torch.cat((seen, remembered, gained), dim=1)
-        return Known(known, Moved(light, image, same))
+        return recalled(self.config, view, state)
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
@@ -166,16 +110,27 @@ class Ours:
         return torch.cat((mean, samples.counts / self.config.slots), dim=1)
 
     def _encode(
-        self, view: View, values: Float[Tensor, "n c h w"], known: Known
+        self,
+        view: View,
+        values: Float[Tensor, "n c h w"],
+        known: Known,
+        counts: Int[Tensor, "n 1 h w"],
     ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
-        """The new state and how far light gathered before is trusted, in [0, 1]."""
+        """The new state and how far light gathered before is trusted, in [0, 1].
+
+        Where light is gathered, a pixel that stands still and got no sample keeps both as they are.
+        """
         if self.networks.encoder is None:
-            return torch.cat((values, _seen(view)), dim=1), torch.zeros_like(view.depth)
+            return torch.cat((values, looked(view)), dim=1), torch.zeros_like(view.depth)
         seen = torch.cat((values, known.seen), dim=1)
         h, w = seen.shape[-2:]
         encoded = crop(self.networks.encoder(pad(seen, MULTIPLE)), h, w).float()
         latent, rest = encoded[:, : self.config.latent], encoded[:, self.config.latent :]
-        return latent, (1 + rest) / 2
+        trust = (1 + rest) / 2
+        if known.moved is None:
+            return latent, trust
+        kept = known.moved.still & (counts == 0)
+        return known.moved.state.where(kept, latent), trust.masked_fill(kept, 1.0)
 
     def _develop(
         self,
@@ -205,15 +160,6 @@ class Ours:
 def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
     """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
     return 1 + action.clamp(-1, 1)
-
-
-def _past(kept: Float[Tensor, "n 15 h w"]) -> Past:
-    mean, square, weight, image, seen = kept.split_with_sizes(KEPT, 1)
-    return Past(Light(mean, square, weight), image, seen)
-
-
-def _seen(view: View) -> Float[Tensor, "n 7 h w"]:
-    return torch.cat((view.normal, view.albedo, squash_depth(view.depth)), dim=1)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ours:

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours import FAMILY
-from methods.ours.method import Memory, Ours, density
+from methods.ours.memory import Memory
+from methods.ours.method import Ours, density
 from methods.ours.network import Networks
 from methods.ours.policy import Policy, learner
 from methods.ours.start import start

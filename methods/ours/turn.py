@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.method import Memory, Ours, density
+from methods.ours.memory import Memory
+from methods.ours.method import Ours, density
 from methods.ours.policy import Trial
 from rlbench.frames import Frame, View
 from rlbench.ops.losses import mixed

@@ -15,7 +15,7 @@ from methods.ours.method import Ours, build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, VARIANTS
-from rlbench.frames import Size
+from rlbench.frames import Size, View
 from rlbench.ops.initialise import initialise
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
@@ -129,6 +129,26 @@ def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
         _, left = method.denoise(first.view, samples, method.start(clip.size))
         plans = [method.plan(view, samples, state) for state in (left, method.start(clip.size))]
         assert (not torch.equal(*plans)) == moves
+
+
+def test_a_still_pixel_without_samples_keeps_its_state_and_its_light():
+    method = build("", CPU, "random")
+    clip = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    (frame,) = clip
+    two = torch.full((1, 1, 32, 32), 2)
+    samples = Samples(frame.pool.take(frame.pool.empty(), two), two)
+    _, before = method.denoise(frame.view, samples, method.start(clip.size))
+    motion = torch.zeros(1, 2, 32, 32)
+    motion[..., 16:] = 0.25  # the right half moves
+    counts = two.clone()
+    counts[..., :16, :] = 0  # the upper half gets nothing
+    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    view = View({**frame.view.buffers, "motion": motion}).only(method.traits.needs)
+    _, after = method.denoise(view, samples, before)
+    kept = (after.state == before.state).all(1) & (after.past.light.weight == 2)[:, 0]
+    assert kept[:, :16, :16].all()
+    assert not kept[:, 16:].any()
+    assert not kept[:, :, 16:].any()
 
 
 def test_light_of_another_surface_is_worth_little():

@@ -1,0 +1,97 @@
+"""What `ours` remembers from frame to frame, and what it knows of a frame before it is sampled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from methods.ours.light import Light, alike, told
+from methods.ours.network import VIEW
+from methods.ours.variants import SAMPLES, Config
+from rlbench.frames import Size, View
+from rlbench.ops.transfer import log_forward, squash_depth
+from rlbench.ops.warp import reproject
+
+MISSING = -1.0  # a sample that was not bought, a state that is not there
+STILL = 1e-3  # pixels: what moves by less stands still
+KEPT = [3, 1, 1, 3, VIEW]  # channels of what is kept of the past
+
+
+class Past(NamedTuple):
+    """What is kept of the frames before, beside the state, where light is gathered."""
+
+    light: Light
+    image: Float[Tensor, "n 3 h w"]  # the last one, linear radiance
+    seen: Float[Tensor, "n 7 h w"]  # the last view
+
+
+class Memory(NamedTuple):
+    """What one frame leaves for the next; of no frames it has age 0 and is empty."""
+
+    state: Float[Tensor, "n c h w"]  # latent, or samples; MISSING everywhere before the first frame
+    past: Past | None  # None where the variant gathers no light
+    age: int  # frames
+
+
+class Moved(NamedTuple):
+    """What was kept of the frames before, where it is now."""
+
+    state: Float[Tensor, "n c h w"]  # MISSING where it is from outside
+    light: Light  # without weight there
+    image: Float[Tensor, "n 3 h w"]  # in log transfer
+    same: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
+    still: Bool[Tensor, "n 1 h w"]  # was it there already?
+
+
+class Known(NamedTuple):
+    """What is known of a frame before it is sampled."""
+
+    seen: Float[Tensor, "n c h w"]  # by the networks
+    moved: Moved | None
+
+
+def empty(config: Config, size: Size, device: torch.device) -> Memory:
+    """No memory: the sentinel everywhere."""
+    n, h, w = size
+    channels = {"state": config.latent, "samples": SAMPLES[config.samples]}
+    nothing = torch.zeros(n, sum(KEPT), h, w, device=device)
+    state = nothing.new_full((n, channels.get(config.remembers, 0), h, w), MISSING)
+    return Memory(state, _past(nothing) if config.gathers else None, 0)
+
+
+def recalled(config: Config, view: View, state: Memory) -> Known:
+    """What is remembered, moved to where it is now, beside the view."""
+    seen = looked(view)
+    if config.remembers == "nothing":
+        return Known(seen, None)
+    history = state.state
+    if state.past is not None:
+        history = torch.cat((history, *state.past.light, *state.past[1:]), dim=1)
+    history = history if state.age % config.bptt else history.detach()
+    moved, valid = reproject(history, view.motion)
+    valid = valid & (state.age > 0)
+    width = state.state.shape[1]
+    remembered = moved[:, :width].where(valid, MISSING)
+    if state.past is None:
+        return Known(torch.cat((seen, remembered), dim=1), None)
+    past = _past(moved[:, width:])
+    same, image = alike(seen, past.seen).where(valid, 0.0), log_forward(past.image)
+    light = past.light._replace(weight=past.light.weight * same)
+    gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
+    every = torch.cat((seen, remembered, gained), dim=1)
+    if view.motion is not None:
+        valid = valid & (view.motion.abs().amax(1, keepdim=True) < STILL)
+    return Known(every, Moved(remembered, light, image, same, valid))
+
+
+def looked(view: View) -> Float[Tensor, "n 7 h w"]:
+    """A view as networks see it: normal, albedo, 1 / (1 + depth)."""
+    return torch.cat((view.normal, view.albedo, squash_depth(view.depth)), dim=1)
+
+
+def _past(kept: Float[Tensor, "n 15 h w"]) -> Past:
+    mean, square, weight, image, seen = kept.split_with_sizes(KEPT, 1)
+    return Past(Light(mean, square, weight), image, seen)
