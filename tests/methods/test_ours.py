@@ -15,7 +15,7 @@ from methods.ours.method import Ours, build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, VARIANTS
-from rlbench.frames import Size, View
+from rlbench.frames import Frame, Size, View
 from rlbench.ops.initialise import initialise
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
@@ -131,41 +131,43 @@ def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
         assert (not torch.equal(*plans)) == moves
 
 
-def test_a_still_pixel_without_samples_keeps_its_state_and_its_light():
+def bought(frame: Frame, counts: Tensor) -> Samples:
+    return Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+
+
+@pytest.fixture
+def after_one():
+    """A method, a frame, and what it left when each pixel had two samples."""
     method = build("", CPU, "random")
-    clip = procedural(seed=3, size=Size(1, 32, 32), frames=1)
-    (frame,) = clip
-    two = torch.full((1, 1, 32, 32), 2)
-    samples = Samples(frame.pool.take(frame.pool.empty(), two), two)
-    _, before = method.denoise(frame.view, samples, method.start(clip.size))
+    (frame,) = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    samples = bought(frame, torch.full((1, 1, 32, 32), 2))
+    _, left = method.denoise(frame.view, samples, method.start(Size(1, 32, 32)))
+    return method, frame, left
+
+
+def test_a_still_pixel_without_samples_keeps_its_state_and_its_light(after_one):
+    method, frame, before = after_one
     motion = torch.zeros(1, 2, 32, 32)
     motion[..., 16:] = 0.25  # the right half moves
-    counts = two.clone()
+    counts = torch.full((1, 1, 32, 32), 2)
     counts[..., :16, :] = 0  # the upper half gets nothing
-    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
     view = View({**frame.view.buffers, "motion": motion}).only(method.traits.needs)
-    _, after = method.denoise(view, samples, before)
+    _, after = method.denoise(view, bought(frame, counts), before)
     kept = (after.state == before.state).all(1) & (after.past.light.weight == 2)[:, 0]
     assert kept[:, :16, :16].all()
     assert not kept[:, 16:].any()
     assert not kept[:, :, 16:].any()
 
 
-def test_light_of_another_surface_is_worth_little():
-    method = build("", CPU, "random")
-    clip = procedural(seed=3, size=Size(1, 32, 32), frames=1)
-    (frame,) = clip
-    counts = torch.full((1, 1, 32, 32), 2)
-    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
-    _, left = method.denoise(frame.view, samples, method.start(clip.size))
+def test_light_of_another_surface_is_worth_little(after_one):
+    method, frame, left = after_one
     view = replace(frame.view, static=True)
     moved = method.known(view, left).moved
     assert torch.equal(moved.same, torch.ones_like(moved.same))
     turned = left.past.seen.clone()
     turned[:, :3] *= -1  # normals
-    weight = method.known(
-        view, left._replace(past=left.past._replace(seen=turned))
-    ).moved.light.weight
+    other = left._replace(past=left.past._replace(seen=turned))
+    weight = method.known(view, other).moved.light.weight
     solid = frame.view.depth.isfinite()
     assert weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
     assert (weight[~solid] == 2).all()
