@@ -89,8 +89,8 @@ def weights(text: str | None) -> tuple[str, str | None]:
     called, _, file = text.partition("=")
     if not called.replace("-", "").isalnum():
         raise AskedError(f"--weights {text}: the name before = is of letters, digits and -")
-    if called in RESERVED:
-        raise AskedError(f"--weights {text}: rows of another kind are called METHOD@{called}")
+    if (kind := called.partition("-")[0]) in RESERVED:
+        raise AskedError(f"--weights {text}: METHOD@{kind} is what rows of another kind are called")
     return called, file
 
 

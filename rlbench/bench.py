@@ -1,29 +1,27 @@
 """Measuring: methods x clips x budgets x seeds, one cell each, written when it is done.
 
 What is in the results already is not run again, so a run that was killed goes on where it was. A
-cell whose content has changed (code, weights, clip, cost profile) replaces its older self, so that
-a results folder holds one answer for each method, clip, budget, seed and device. A cell that
-cannot run is one row that says why; where that was an error, it is tried again by the next run.
+cell whose content has changed (code, weights, clip, cost) replaces its older self, so that a
+results folder holds one answer for each method, clip, budget, seed and device. A cell that cannot
+run is one row that says why; where that was an error, it is tried again by the next run.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from rlbench import cost, latency, registry, table
-from rlbench.cells import Cell, Names, Request, cells, distinct, older
+from rlbench.cells import Cell, Names, Request, cells, distinct, older, unlimited
 from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
-from rlbench.method import Method
+from rlbench.method import Method, settings
 from rlbench.ready import Ready
 from rlbench.run import Shown, run_clip
 from rlbench.table import WHOLE_CLIP, Row
@@ -50,8 +48,9 @@ def measure(
     """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
 
     `timed` hears of each whose times were taken before. Raises PluginError for an unknown method,
-    CostError for an unknown profile and CellsError for clips that share a name, before anything is
-    measured, and EngineError where no cell can be run.
+    CostError for an unknown profile and CellsError for clips that share a name, or where first
+    frames alone would replace whole clips, before anything is measured; EngineError where no cell
+    can be run.
     """
     distinct(request)
     bench = _Bench(request)
@@ -63,6 +62,7 @@ def measure(
             done = replace(done, known=done.known + 1)
             tell(cell)
         else:
+            unlimited(request, bench.names.of(cell), stored)
             todo.append(cell)
     for outcome in bench.outcomes(todo, engine, timed):
         cell, name = outcome.job, bench.names.of(outcome.job)
@@ -102,11 +102,10 @@ class _Bench:
         self.names = self.names.settled()
         gpus = 1 if self.request.device.type == "cuda" else 0
         share = Share(torch.get_num_threads(), gpus)
-        untimed = {} if engine.alone else self.times.take(todo, engine, share, timed)
-        for cell in todo:
-            if error := untimed.get(self.times.key(cell)):
-                yield Outcome(cell, error=error)
-        able = [cell for cell in todo if self.times.key(cell) not in untimed]
+        untimed = [] if engine.alone else self.times.take(todo, engine, share, timed)
+        for cell, error in untimed:
+            yield Outcome(cell, error=error)
+        able = [cell for cell in todo if cell not in [each for each, _ in untimed]]
         yield from engine.map(self, able, share)
 
     def __call__(self, cell: Cell, tell: Tell) -> list[Row]:
@@ -121,7 +120,7 @@ class _Bench:
 
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
         clip = self.ready.clip(cell)
-        blank = replace(self._blank(cell), config=_config(method))
+        blank = replace(self._blank(cell), config=settings(method))
         elsewhere = self._elsewhere()
         rows = [
             replace(row, note=row.note or elsewhere)
@@ -221,11 +220,3 @@ def _check(method: str, image: Tensor, like: Tensor) -> None:
             f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "
             f"wanted {like.dtype} {list(like.shape)}"
         )
-
-
-def _config(method: Method) -> str:
-    """A method's settings as JSON: those of its `config`, if it has one."""
-    config: Any = getattr(method, "config", None)
-    if not is_dataclass(config) or isinstance(config, type):
-        return "{}"
-    return json.dumps(asdict(config), default=repr, sort_keys=True)

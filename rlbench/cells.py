@@ -16,6 +16,7 @@ from rlbench.half import NAME as HALF
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
+LIMITED = "first-"  # before the hash of a cell that is of the first frames alone
 MEASURE = (
     "rlbench.bench",
     "rlbench.times",
@@ -76,6 +77,16 @@ def distinct(request: Request) -> None:
         )
 
 
+def unlimited(request: Request, name: str, stored: Iterable[str]) -> None:
+    """Raise CellsError where first frames alone would replace a whole clip's scores."""
+    replaced = [each for each in older(name, stored) if LIMITED not in each.rpartition(" ")[2]]
+    if request.frames and replaced and not replaced[0].endswith(" failed"):
+        raise CellsError(
+            f"'{replaced[0].rpartition(' ')[0]}' is known of the whole clip, and --limit-frames "
+            f"{request.frames} would replace it; give --out another folder"
+        )
+
+
 def older(name: str, stored: Iterable[str]) -> list[str]:
     """The stored cells that a cell replaces: those of the same title and other content."""
     title = name.rpartition(" ")[0]
@@ -89,7 +100,12 @@ class Names:
     request: Request
 
     def of(self, cell: Cell) -> str:
-        """What the cell is, and after the last space a hash of its content."""
+        """What the cell is, and after the last space a hash of its content.
+
+        Of the first frames alone it says so, so that whole clips are not replaced by it.
+        """
+        pool, header = registry.variant(cell.method).traits.pool, cell.clip.header
+        charged = (header.sample_ms_of(pool), header.device)  # where it is measured
         content = (
             *(
                 cell.method,
@@ -100,9 +116,11 @@ class Names:
             ),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
             *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
-            *((HALF,) if self.request.halves(cell.method) else ()),
+            *(charged if self.request.cost == cost.MEASURED else ()),
+            *(self.half if self.request.halves(cell.method) else ()),
         )
-        return f"{self.title(cell)} {sha256(repr(content).encode()).hexdigest()[:16]}"
+        told = sha256(repr(content).encode()).hexdigest()[:16]
+        return f"{self.title(cell)} {LIMITED if self.request.frames else ''}{told}"
 
     def title(self, cell: Cell) -> str:
         """What the cell is, without spaces at its end: at most one such cell is kept."""
@@ -122,7 +140,7 @@ class Names:
 
     def settled(self) -> Names:
         """Itself, with every name known, so that it says the same on another machine."""
-        _ = self.run, self.device, self.code, self.weights
+        _ = self.run, self.device, self.code, self.weights, self.half
         return self
 
     @cached_property
@@ -135,6 +153,11 @@ class Names:
     def device(self) -> str:
         """The device's model name."""
         return latency.device_name(self.request.device)
+
+    @cached_property
+    def half(self) -> tuple[str, ...]:
+        """What half precision adds: its own code."""
+        return (provenance.code_hash(["rlbench.half"], core=()),)
 
     @cached_property
     def cost(self) -> str:
@@ -188,8 +211,13 @@ def _code(target: str) -> str:
     """Hash of what builds a method and what that imports of its package; of a loose file, that."""
     module = target.partition(":")[0]
     loose = registry.loose_file(module)
-    told = provenance.code_hash([] if loose else provenance.closure(module))
+    told = provenance.code_hash([] if loose else provenance.closure(module, _others()))
     return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
+
+
+def _others() -> set[str]:
+    """The top-level packages of installed methods, of which one may use another's parts."""
+    return {each.target.partition(".")[0] for each in registry.entries("methods").values()}
 
 
 def _hash(file: Path) -> str:

@@ -81,11 +81,17 @@ def write(path: Path, tensors: Mapping[str, Tensor], told: dict[str, Any]) -> No
     os.replace(partial, path)
 
 
+def words(path: Path) -> dict[str, Any]:
+    """The words of a file that `write` made."""
+    with safe_open(path, "pt") as file:
+        told: dict[str, Any] = json.loads(file.metadata()["progress"])
+        return told
+
+
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The words and the tensors of a file that `write` made."""
     with safe_open(path, "pt") as file:
-        told: dict[str, Any] = json.loads(file.metadata()["progress"])
-        return told, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        return words(path), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
 
 
 def under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

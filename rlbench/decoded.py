@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench import paths
+from rlbench import paths, provenance
 from rlbench.exr import read_exr
 from rlbench.folder import channels, exr_path, not_finite
 from rlbench.header import ClipError, Header
@@ -50,7 +51,13 @@ class Decoded:
         return {name: np.load(path, mmap_mode="r") for name, path in places.items()}
 
     def _place(self, kind: str, index: int, name: str) -> Path:
-        return paths.decoded() / self.digest / kind / f"{name}.{index:04d}.npy"
+        return paths.decoded() / f"{self.digest}-{_reader()}" / kind / f"{name}.{index:04d}.npy"
+
+
+@cache
+def _reader() -> str:
+    """Hash of the code that decodes: what another one left is not read."""
+    return provenance.code_hash([__name__, "rlbench.exr", "rlbench.folder"], core=())[:8]
 
 
 def decode(path: Path, names: Sequence[str], header: Header) -> Arrays:

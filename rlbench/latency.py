@@ -40,7 +40,7 @@ class Timing:
     """Times of one frame through one method; a frame's passes are added up."""
 
     plan: Spread
-    buy: Spread  # what the bench took to hand out stored samples; charged to nobody
+    buy: Spread  # to hand out stored samples, those of a pilot left out; charged to nobody
     denoise: Spread
     inference: Spread  # plan + denoise of the same frame
 

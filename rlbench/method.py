@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict, is_dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Float
@@ -45,3 +47,11 @@ def planned(method: Method, view: View, samples: Samples, state: State) -> Float
     if not method.traits.adapts and bool(density.max() > density.min()):
         raise PluginError("the density varies from pixel to pixel; declare Traits(adapts=True)")
     return density
+
+
+def settings(method: Method) -> str:
+    """A method's settings as JSON: those of its `config`, if it has one."""
+    config: Any = getattr(method, "config", None)
+    if not is_dataclass(config) or isinstance(config, type):
+        return "{}"
+    return json.dumps(asdict(config), default=repr, sort_keys=True)

@@ -10,17 +10,22 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 CORE = (
     "rlbench.frames",
+    "rlbench.method",
     "rlbench.sampling",
+    "rlbench.dither",
     "rlbench.run",
     "rlbench.ops",
     "rlbench.clips",
+    "rlbench.folder",
+    "rlbench.header",
+    "rlbench.memory",
     "rlbench.decoded",
     "rlbench.exr",
     "rlbench.source",
@@ -87,24 +92,26 @@ def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
     return told.hexdigest()[:16]
 
 
-def closure(module: str) -> set[str]:
+def closure(module: str, also: Collection[str] = ()) -> set[str]:
     """A module and all modules of its top-level package that it imports in turn, by name.
 
-    Imports are read from the sources, those inside functions too; nothing is imported but the
-    packages that hold the modules.
+    Those of the top-level packages `also` count too. Imports are read from the sources, those
+    inside functions too; nothing is imported but the packages that hold the modules.
     """
+    followed = {module.partition(".")[0], *also}
     found: set[str] = set()
     todo = [module]
     while todo:
         name = todo.pop()
         if name not in found:
             found.add(name)
-            todo += _imports(name)
+            asked = [each for each in _imports(name) if each.partition(".")[0] in followed]
+            todo += filter(_is_module, asked)
     return found
 
 
 def _imports(name: str) -> list[str]:
-    """The modules of the same top-level package that a module imports, as its source says."""
+    """What a module imports, as its source says, with the names that may be modules."""
     spec = _spec(name)
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
         return []
@@ -122,8 +129,7 @@ def _imports(name: str) -> list[str]:
             if node.level:
                 base = importlib.util.resolve_name("." * node.level + base, package)
             asked += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    top = name.partition(".")[0]
-    return [each for each in asked if each.partition(".")[0] == top and _is_module(each)]
+    return asked
 
 
 def _is_module(name: str) -> bool:

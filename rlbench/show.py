@@ -82,13 +82,15 @@ def done(what: Done, out: Path) -> None:
 def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
     """Mean PSNR and frame time of what was asked for, and why cells have no numbers.
 
-    `methods` are their names in the results, where these are not those of the request.
+    `methods` are names in the results that the request does not lead to.
     """
     rows = results_table.read(out)
     names = [clip.header.name for clip in request.clips]
-    rows = rows[rows["method"].isin(methods or request.methods) & rows["clip"].isin(names)]
+    told = Names(request)
+    called = methods or [told.method(name) for name in request.methods]
+    rows = rows[rows["method"].isin(called) & rows["clip"].isin(names)]
     rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
-    rows = rows[rows["device"] == Names(request).device]
+    rows = rows[rows["device"] == told.device]
     shown = Table(title=f"mean over {len(names)} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
         shown.add_column(column, justify="left" if column == "method" else "right")

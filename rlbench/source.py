@@ -79,7 +79,8 @@ class Live(Stored):
 
     def content(self, pool: str) -> str:
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
-        told = f"{super().content(pool)} live {activate()} {provenance.machine().cpu}"
+        code = provenance.code_hash(["rlbench.render", "rlbench.scenes"], core=())
+        told = f"{super().content(pool)} live {code} {activate()} {provenance.machine().cpu}"
         return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
 
     @property

@@ -40,20 +40,25 @@ class Times:
         engine: Engine,
         share: Share,
         timed: Callable[[Cell], None],
-    ) -> dict[Key, Exception]:
-        """Take all that cells will ask for, one after another; the errors of what is not to be had.
+    ) -> list[tuple[Cell, Exception]]:
+        """Take all that cells will ask for, one after another; the cells that raised an error.
 
-        `timed` hears of each cell that times were taken of.
+        Where one did, the next one whose time would be the same is asked. `timed` hears of each
+        cell that times were taken of.
         """
         able = [cell for cell in todo if not self.ready.unusable(cell)]
-        firsts = {self.key(cell): cell for cell in reversed(able)}
-        errors: dict[Key, Exception] = {}
-        for outcome in engine.single().map(self, list(firsts.values()), share):
-            if outcome.error:
-                errors[self.key(outcome.job)] = outcome.error
-            else:
-                self._known[self.key(outcome.job)] = outcome.result()
-            timed(outcome.job)
+        errors: list[tuple[Cell, Exception]] = []
+        waiting = able
+        while waiting:
+            firsts = {self.key(cell): cell for cell in reversed(waiting)}
+            for outcome in engine.single().map(self, list(firsts.values()), share):
+                if outcome.error:
+                    errors.append((outcome.job, outcome.error))
+                else:
+                    self._known[self.key(outcome.job)] = outcome.result()
+                timed(outcome.job)
+            asked = list(firsts.values())
+            waiting = [c for c in waiting if self.key(c) not in self._known and c not in asked]
         for cell in able:
             self.cost(cell)
         return errors

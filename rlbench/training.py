@@ -17,6 +17,7 @@ from rlbench.batches import Batches, one_of
 from rlbench.clips import open_clip
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.memory import MemoryClip
+from rlbench.method import settings
 from rlbench.plan import Plan, Progress
 from rlbench.postmortem import replay
 from rlbench.prefetch import ahead
@@ -56,7 +57,7 @@ def train(
     pool = trainer.method.traits.pool
     batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device, pool)
     budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
-    progress = _begin(learner, out, {**plan.told(), "data": _data(train_on, pool)}, altered)
+    progress = _begin(learner, out, _asked(name, plan, _data(train_on, pool)), altered)
     if progress.seen >= plan.frames and shipped(name, out).exists():
         return progress
     began, before = time.monotonic(), progress.seconds
@@ -94,20 +95,29 @@ def shipped(name: str, out: Path) -> Path:
     return out / f"{variant or family}.safetensors"
 
 
+def _asked(name: str, plan: Plan, data: list[str]) -> dict[str, Any]:
+    return {"method": name, **plan.told(), "data": data}
+
+
 def _begin(learner: Learner, out: Path, asked: dict[str, Any], altered: bool) -> Progress:
     """Where the training stands: at the start, or where its checkpoint was."""
     kept, trainer = out / CHECKPOINT, learner.trainer
     if not kept.exists():
         return Progress(plan=asked)
-    parts = (learner.networks, learner.average, learner.optimizer)
-    progress = Progress(**checkpoint.load(kept, *parts, trainer.aside))
-    learner.steps = progress.steps
+    progress = Progress(**checkpoint.words(kept))
+    whose = progress.plan.setdefault("method", asked["method"])  # older checkpoints do not say
+    if whose != asked["method"]:
+        raise TrainingError(
+            f"{kept} is of '{whose}', asked for is '{asked['method']}'; train into another folder"
+        )
     if progress.plan != asked and not altered:
         raise TrainingError(
             f"{kept} was trained by another plan: {progress.plan}, asked for {asked}; "
             "ask for the same, train into another folder, or go on all the same with --altered"
         )
     progress.follow(asked)
+    checkpoint.load(kept, learner.networks, learner.average, learner.optimizer, trainer.aside)
+    learner.steps = progress.steps
     return progress
 
 
@@ -172,6 +182,7 @@ def _ship(
         command=command,
         commit=provenance.commit(),
         plan=json.dumps({**plan.told(), **budgets}),
+        config=settings(trainer.method),
         origin=trainer.origin,
         curve=tuple(progress.curve),
         note=progress.note(plan.frames),

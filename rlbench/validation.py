@@ -45,7 +45,10 @@ def validate(
     spp: Sequence[float],
     device: str,
 ) -> Validated:
-    """Mean PSNR of the averaged weights at each budget, all frames; `networks` are as before."""
+    """Mean PSNR of the averaged weights at each budget, all frames.
+
+    `networks` have their own weights again afterwards, and are set to evaluation.
+    """
     psnr = registry.load("metrics", "psnr").score
     trained = copy.deepcopy(networks.state_dict())
     networks.load_state_dict(average.state_dict())

@@ -28,7 +28,7 @@ from rlbench.ops.initialise import initialise
 PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
 SCENES = 4  # frames of a step: of one, gradients are so noisy that the map's contrast swings
 POINTS = 8  # scores along a training
-COLUMNS = ("learner", "mode", "seed", "frames", "seconds", "score")
+COLUMNS = ("learner", "mode", "seed", "side", "of", "frames", "seconds", "score")  # of: in all
 TABLE = "known_optimum.csv"
 
 Tell = Callable[[int, float, float], None]  # frames, seconds of CPU, score
@@ -122,9 +122,19 @@ def by_rllib(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
 def compare(
     table: Path, frames: int, side: int, seeds: list[int], names: list[str], modes: list[str]
 ) -> None:
-    """Fill the table with what it lacks; a training that is in it is not run again."""
+    """Fill the table with what it lacks; a training that is in it is not run again.
+
+    Raises ValueError where it holds trainings of another length, or on frames of another size.
+    """
     table.parent.mkdir(parents=True, exist_ok=True)
     rows = _read(table)
+    asked = (str(side), str(frames))
+    if other := {(row["side"], row["of"]) for row in rows} - {asked}:
+        known = " and ".join(f"--frames {of} --side {pixels}" for pixels, of in sorted(other))
+        raise ValueError(
+            f"{table} holds trainings by {known}, asked for is --frames {frames} --side {side}, "
+            "and they cannot be compared; give another --out"
+        )
     wanted = [(name, mode, seed) for seed in seeds for mode in modes for name in names]
     done = {(row["learner"], row["mode"], int(row["seed"])) for row in rows}
     todo = [cell for cell in wanted if cell not in done]
@@ -136,7 +146,8 @@ def compare(
             fresh: list[dict[str, str]] = []
 
             def tell(seen: int, seconds: float, score: float) -> None:
-                values = (name, mode, seed, seen, f"{seconds:.1f}", f"{score:.4f}")  # noqa: B023
+                told = (seen, f"{seconds:.1f}", f"{score:.4f}")
+                values = (name, mode, seed, *asked, *told)  # noqa: B023
                 fresh.append(dict(zip(COLUMNS, map(str, values), strict=True)))  # noqa: B023
                 progress.update(task, completed=at * frames + seen)  # noqa: B023
 
@@ -187,7 +198,10 @@ def main() -> None:
                 parser.error(f"'{name}' is no {kind}; there is: {', '.join(known)}")
     torch.set_num_threads(1)
     seeds = [int(seed) for seed in asked.seeds.split(",")]
-    compare(asked.out / TABLE, asked.frames, asked.side, seeds, names, modes)
+    try:
+        compare(asked.out / TABLE, asked.frames, asked.side, seeds, names, modes)
+    except ValueError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":

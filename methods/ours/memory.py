@@ -53,6 +53,14 @@ class Known(NamedTuple):
     moved: Moved | None
 
 
+def detached(memory: Memory) -> Memory:
+    """The same, through which no gradient flows."""
+    if (past := memory.past) is not None:
+        light = Light(*(part.detach() for part in past.light))
+        past = Past(light, past.image.detach(), past.seen.detach())
+    return Memory(memory.state.detach(), past, memory.age)
+
+
 def empty(config: Config, size: Size, device: torch.device) -> Memory:
     """No memory: the sentinel everywhere."""
     n, h, w = size

@@ -15,7 +15,7 @@ from methods.ours import FAMILY
 from methods.ours.light import filled, gathered, measured
 from methods.ours.memory import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
 from methods.ours.network import Networks
-from methods.ours.variants import VARIANTS, Config
+from methods.ours.variants import SLOTS, VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import Size, View
 from rlbench.ops.demodulate import sane
@@ -102,12 +102,12 @@ class Ours:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
         if self.config.samples == "single":
             values = log_forward(samples.radiance).where(samples.filled, MISSING)  # n s 3 h w
-            short = self.config.slots - values.shape[1]
+            short = SLOTS - values.shape[1]
             return F.pad(values, (0,) * 7 + (short,), value=MISSING).flatten(1, 2)
         mean = log_forward(samples.mean).where(samples.counts > 0, MISSING)
         if self.config.samples == "mean":
             return mean
-        return torch.cat((mean, samples.counts / self.config.slots), dim=1)
+        return torch.cat((mean, samples.counts / SLOTS), dim=1)
 
     def _encode(
         self,

@@ -25,7 +25,7 @@ from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, learner
 from methods.ours.start import show_contrast
 from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
-from rlbench import trainset, validation
+from rlbench import paths, validation
 from rlbench.batches import Batches
 from rlbench.ops.initialise import initialise
 from rlbench.weights import Card, equip, save
@@ -149,15 +149,25 @@ def main() -> None:
     )
     parser.add_argument("--by", default="ppo-pixel", choices=known, help="the learner")
     parser.add_argument("--frames", type=int, default=2000, help="crops that are seen")
+    parser.add_argument(
+        "--clips", type=Path, default=paths.clips() / "train", help="folder of clips"
+    )
     parser.add_argument("--crop", type=int, default=128, help="side of a crop, pixels")
     parser.add_argument("--seed", type=int, default=0, help="of crops and draws")
     parser.add_argument("--out", type=Path, default=Path("runs/samplers"), help="folder")
     asked = parser.parse_args()
-    chosen = trainset.generated("train", None, {"path"})
+    clips = sorted(file.parent for file in asked.clips.glob("*/clip.toml"))
+    if len(clips) < 3:
+        parser.error(
+            f"{asked.clips} holds {len(clips)} clips, at least 3 are needed, of which 2 "
+            "validate: 'rlbench render --preset train' makes some, --clips takes others"
+        )
+    validate = clips[:: len(clips) // 2][:2]
     floor = 0 if asked.by == RLLIB else learner(asked.by, 1).floor
-    task = Task(tuple(chosen.train), crop=asked.crop, seed=asked.seed, floor=floor)
+    chosen = tuple(clip for clip in clips if clip not in validate)
+    task = Task(chosen, crop=asked.crop, seed=asked.seed, floor=floor)
     command = shlex.join(["python", "-m", "methods.ours.retrain", *sys.argv[1:]])
-    told = retrain(asked.by, task, asked.frames, chosen.validate, asked.out, command)
+    told = retrain(asked.by, task, asked.frames, validate, asked.out, command)
     for row, psnr in told.items():
         Console().print(f"{row}: {psnr:.2f} dB on the validating clips, at 1 and 4 spp")
 

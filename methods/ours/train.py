@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours import FAMILY
-from methods.ours.memory import Memory
+from methods.ours.memory import Memory, detached
 from methods.ours.method import Ours, density
 from methods.ours.network import Networks
 from methods.ours.policy import Policy, learner
@@ -60,7 +60,7 @@ class Explorer:
         """The density of the sampler's action, or of one drawn around it."""
         if self.method.networks.sampler is None:
             return self.method.plan(view, samples, state)
-        self.asked = [(view, state)]
+        self.asked = [(view, detached(state))]
         with torch.no_grad():
             mean = self.method.act(view, state)
         if self.noisy:
@@ -92,12 +92,16 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         explorer.generator.manual_seed(next(iter(clip)).pool.keys[0])
         explorer.noisy = bool(torch.randint(2, (), generator=explorer.generator))
+        total, frames = torch.zeros((), device=device), 0
         for shown in unroll(explorer, clip, spp):
             loss = mixed(log_forward(shown.image), log_forward(shown.frame.reference.mean))
             if networks.sampler is not None and shown.frame.index % EVERY == 0:
                 turn = Turn(method, shown.frame, *explorer.asked[-1], spp)
                 loss = loss + WEIGHT * learns.loss(turn, explorer.generator)
-            yield loss
+            total, frames = total + loss, frames + 1
+            if frames % config.bptt == 0 or frames == len(clip):
+                yield total / config.bptt
+                total = torch.zeros_like(total)
 
     budgets = tuple(spp for spp in BUDGETS if traits.refuses(spp) is None)
     peak, shares = (PEAK, SHARES) if config.light == "none" else (TUNING, TUNED)

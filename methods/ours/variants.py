@@ -9,7 +9,12 @@ from rlbench.ops.unet import BASE as NORMAL
 from rlbench.ops.unet import FAST, Widths
 
 DOUBLE = Widths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
-SAMPLES = {"single": 24, "mean": 3, "mean and count": 4}  # channels of 8 samples, or of their mean
+SLOTS = 8  # individual samples that the encoder sees, per pixel
+SAMPLES = {
+    "single": 3 * SLOTS,
+    "mean": 3,
+    "mean and count": 4,
+}  # channels
 
 Remembered = Literal["state", "samples", "nothing"]
 Light = Literal["gathered", "frame", "none"]
@@ -19,7 +24,6 @@ Light = Literal["gathered", "frame", "none"]
 class Config:
     """What makes a variant. Channel counts follow from these (methods/ours/network.py)."""
 
-    slots: int = 8  # individual samples the encoder sees, per pixel
     samples: str = "single"  # how it sees them: a key of SAMPLES
     latent: int = 32  # channels of the state
     remembers: Remembered = "state"  # what of a frame the next one gets; samples: the sampler alone

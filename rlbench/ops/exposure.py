@@ -17,11 +17,13 @@ def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]
 
     As Open Image Denoise does (Afra 2019): luminance is averaged over tiles of at most 16 x 16
     pixels, equal up to one pixel, so that noise hardly moves it; the mean is over logarithms of
-    tiles brighter than 1e-8. `radiance` is linear, finite and >= 0.
+    tiles brighter than 1e-8. `radiance` is linear, finite and >= 0. Autocast does not reach it: in
+    half precision the exposure of a scene that brightens would move in steps.
     """
     h, w = radiance.shape[-2:]
     luminance = (radiance * radiance.new_tensor(LUMINANCE).view(1, 3, 1, 1)).sum(1)
-    tiles = (_tiles(h, luminance) @ luminance @ _tiles(w, luminance).T).flatten(1)
+    with torch.autocast(radiance.device.type, enabled=False):
+        tiles = (_tiles(h, luminance) @ luminance @ _tiles(w, luminance).T).flatten(1)
     bright = tiles > DARK
     logs = tiles.clamp_min(DARK).log2().where(bright, 0.0)
     mean = logs.sum(1) / bright.sum(1).clamp_min(1)

@@ -54,5 +54,5 @@ def pu_inverse(value: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 
 
 def squash_depth(depth: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Depth in (0, 1]: 1 / (1 + depth), so 0 for background and 1 at the camera; scale-bound."""
+    """Depth in [0, 1]: 1 / (1 + depth), so 0 for background and 1 at the camera; scale-bound."""
     return 1 / (1 + depth)

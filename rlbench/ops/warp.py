@@ -26,10 +26,10 @@ def reproject(
     valid = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)  # false for NaN
     x, y = torch.where(valid, x, 0.0), torch.where(valid, y, 0.0)
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), dim=-1)
-    moved = F.grid_sample(
-        history, grid.to(history.dtype), "bilinear", padding_mode="border", align_corners=False
-    )
-    return moved, valid[:, None]
+    kind = torch.promote_types(history.dtype, grid.dtype)  # halves cannot tell pixels apart
+    taken, grid = history.to(kind), grid.to(kind)
+    moved = F.grid_sample(taken, grid, "bilinear", padding_mode="border", align_corners=False)
+    return moved.to(history.dtype), valid[:, None]
 
 
 def recall(

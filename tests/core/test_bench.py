@@ -13,10 +13,11 @@ import pytest
 import torch
 
 from reports.scores import points
-from rlbench import registry, table
+from rlbench import provenance, registry, table
 from rlbench.bench import Done, measure
-from rlbench.cells import CellsError, Request, cells
+from rlbench.cells import CellsError, Names, Request, cells
 from rlbench.clips import open_clip
+from rlbench.latency import device_name
 from rlbench.source import Stored, affordable
 from tests.conftest import write_noise, write_plugin
 
@@ -117,7 +118,7 @@ def test_what_else_is_measured_does_not_change_a_cell(clip_folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "asked", [{"seeds": (1,)}, {"spp": (2.0,)}, {"cost": "paper-2080ti"}, {"frames": 1}]
+    "asked", [{"seeds": (1,)}, {"spp": (2.0,)}, {"cost": "paper-2080ti"}, {"repeats": 3}]
 )
 def test_another_request_is_another_cell(clip_folder, tmp_path, asked):
     measure(request(clip_folder), tmp_path / "r")
@@ -321,6 +322,39 @@ def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(
     asked = request(clip_folder, "ours/A2", "mean", weights="random", called="seed0", frames=1)
     measure(asked, tmp_path / "r")
     assert set(table.read(tmp_path / "r")["method"]) == {"ours/A2@seed0", "mean"}
+
+
+def test_first_frames_never_replace_a_whole_clip(clip_folder, tmp_path):
+    measure(request(clip_folder, frames=1), tmp_path / "r")
+    whole = request(clip_folder)
+    assert measure(whole, tmp_path / "r").replaced == 1  # the other way round is meant
+    before = _files(tmp_path / "r")
+    with pytest.raises(CellsError, match=r"mean noise 1spp.*--limit-frames 2.*--out"):
+        measure(replace(whole, frames=2), tmp_path / "r")
+    assert _files(tmp_path / "r") == before
+
+
+def test_a_sample_that_was_timed_anew_is_charged_anew(tmp_path):
+    here = device_name(torch.device("cpu")).partition(",")[0]
+    for price in (2.0, 99.0):
+        folder = write_noise(tmp_path / "noise", sample_ms=price, device=here)
+        assert measure(request(folder), tmp_path / "r").measured == 1
+    rows = table.read(tmp_path / "r")
+    assert set(rows[rows["metric"] == "sample_ms"]["value"]) == {99.0}
+
+
+@pytest.mark.parametrize("part", ["rlbench.dither", "baselines.oidn.method", "methods.ours.light"])
+def test_what_ours_is_made_of_decides_its_name(clip_folder, monkeypatch, part):
+    asked = request(clip_folder, "ours")
+    (cell,) = cells(asked)
+    before, sources = Names(asked).of(cell), provenance._sources
+
+    def changed(name: str) -> list[tuple[str, Path]]:
+        found = sources(name)
+        return [(f"{place}, changed", path) for place, path in found] if name == part else found
+
+    monkeypatch.setattr(provenance, "_sources", changed)
+    assert Names(asked).of(cell) != before
 
 
 def _files(folder: Path) -> dict[str, int]:

@@ -408,3 +408,5 @@ def test_weights_may_be_named(text, found):
 def test_a_name_of_weights_that_no_row_could_have_is_refused():
     with pytest.raises(asked.AskedError, match="letters, digits"):
         asked.weights("a@b=file")
+    with pytest.raises(asked.AskedError, match="METHOD@half is what rows of another kind"):
+        asked.weights("half-a=file")

@@ -56,6 +56,17 @@ def test_a_job_that_raises_does_not_stop_the_others_here():
         outcomes[1].result()
 
 
+def test_a_clip_that_cannot_be_read_takes_no_other_with_it(tmp_path):
+    """Though times are taken before cells are handed out, and both would have the same."""
+    folders = [write_noise(tmp_path / name) for name in ("aaa", "bbb")]
+    (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
+    asked = Request(("mean",), tuple(map(Stored, folders)), spp=(1.0,), repeats=2)
+    done = measure(asked, tmp_path / "r", engine=replace(LOCAL, alone=False))
+    assert done == Done(measured=1, refused=1)
+    rows = table.read(tmp_path / "r")
+    assert set(rows[rows["value"].isna() & (rows["metric"] == "psnr")]["clip"]) == {"aaa"}
+
+
 @pytest.mark.slow
 def test_a_job_that_raises_does_not_stop_the_others_on_ray(workers):
     outcomes = {o.job: o for o in workers.map(halved, [2, 0, 4])}

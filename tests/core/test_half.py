@@ -6,7 +6,7 @@ import dataclasses
 
 import torch
 
-from rlbench import registry, table
+from rlbench import registry, show, table
 from rlbench.bench import Done, measure
 from rlbench.frames import Size
 from rlbench.half import Half
@@ -40,6 +40,15 @@ def test_rows_in_half_precision_stand_beside_the_others(clip_folder, tmp_path):
     assert dict(rows) == {"ours/A2": "float32", "ours/A2@half": "bfloat16", "mean": "float32"}
     measure(dataclasses.replace(halved, called="seed0"), tmp_path / "r")
     assert "ours/A2@half-seed0" in set(table.read(tmp_path / "r")["method"])
+
+
+def test_what_run_prints_of_half_precision_is_of_half_precision(clip_folder, tmp_path, capsys):
+    asked = dataclasses.replace(
+        request(clip_folder, "ours/A2", weights="random", frames=1), half=True
+    )
+    measure(asked, tmp_path / "r")
+    show.table(asked, tmp_path / "r")
+    assert "ours/A2@half" in capsys.readouterr().out
 
 
 def test_packing_changes_no_value_of_a_convolution():

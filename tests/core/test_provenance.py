@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.provenance import Machine, closure, code_hash, commit, machine, versions
+from rlbench.provenance import CORE, Machine, closure, code_hash, commit, machine, versions
 
 
 @pytest.fixture
@@ -110,6 +110,20 @@ def test_the_formulas_of_metrics_are_found_and_torch_is_not_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "['metrics.catalog', 'metrics.display', 'metrics.image'] False\n"
+
+
+def test_parts_of_other_packages_are_followed_where_that_is_asked_for(plugin):
+    (plugin / "method.py").write_text("from metrics.display import srgb\nimport torch\n")
+    importlib.invalidate_caches()
+    assert "metrics.display" not in closure("stranger.method")
+    assert "metrics.display" in closure("stranger.method", {"metrics"})
+
+
+def test_all_of_the_core_that_makes_images_is_hashed():
+    """What is left out decides no number: names, places on disk, errors."""
+    used = closure("rlbench.run") | closure("rlbench.clips")
+    left = {"rlbench", "rlbench.digest", "rlbench.family", "rlbench.paths", "rlbench.plugins"}
+    assert used - set(CORE) == left | {"rlbench.provenance"}
 
 
 def test_an_unknown_module_is_an_error():

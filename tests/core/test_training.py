@@ -295,6 +295,14 @@ def test_a_card_tells_of_a_training_that_was_too_short(seen, curve, note):
     assert bool(told) == bool(note)
 
 
+def test_a_training_does_not_go_on_from_another_methods_checkpoint(tmp_path):
+    clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
+    plan = Plan(frames=12, batch=2, crop=16, length=3, every=12)
+    train("oidn", [clip], [clip], tmp_path, plan)
+    with pytest.raises(TrainingError, match=r"is of 'oidn', asked for is 'oidn/small'"):
+        train("oidn/small", [clip], [clip], tmp_path, plan)
+
+
 def test_a_training_that_is_done_keeps_its_card(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
     plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)

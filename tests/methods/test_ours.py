@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 from baselines.oidn.method import Oidn
 from methods.ours import FAMILY
-from methods.ours.method import Ours, build
+from methods.ours.method import build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import trainer
-from methods.ours.variants import BASE, VARIANTS
+from methods.ours.variants import BASE, SLOTS, VARIANTS
 from rlbench.frames import Frame, Size, View
 from rlbench.ops.initialise import initialise
 from rlbench.procedural import procedural
@@ -175,7 +175,7 @@ def test_light_of_another_surface_is_worth_little(after_one):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_no_more_samples_are_bought_than_the_encoder_sees(variant):
-    assert FAMILY.variants[variant].traits.cap == VARIANTS[variant].slots
+    assert FAMILY.variants[variant].traits.cap == SLOTS
 
 
 def test_an_untrained_sampler_is_uniform():
@@ -218,18 +218,30 @@ def test_every_network_gets_a_gradient_from_one_sequence():
     assert not [name for name in without if name.endswith("weight")]
 
 
-def test_the_state_carries_no_gradient_between_frames_at_bptt_one():
-    made = trainer("", CPU, seed=0)
+@pytest.mark.parametrize("bptt", [1, 2])
+def test_the_state_carries_a_gradient_over_as_many_frames_as_asked_for(bptt):
+    method = trainer("", CPU, seed=0).method
+    method = replace(method, config=replace(method.config, bptt=bptt))
     clip = procedural(seed=1, size=Size(1, 32, 32), frames=1)
     frame = next(iter(clip))
-    method = made.method
-    assert isinstance(method, Ours)
     _, memory = method.denoise(frame.view, frame.pool.empty(), method.start(clip.size))
     assert memory.state.requires_grad
     memory.state.retain_grad()
     image, _ = method.denoise(frame.view, frame.pool.empty(), memory)
     image.sum().backward()
-    assert memory.state.grad is None
+    assert (memory.state.grad is None) == (bptt == 1)
+
+
+@pytest.mark.parametrize(("bptt", "steps"), [(1, 3), (2, 2)])
+def test_a_step_is_taken_for_as_many_frames_as_gradients_flow_through(bptt, steps, monkeypatch):
+    monkeypatch.setitem(VARIANTS, "", replace(VARIANTS[""], bptt=bptt))
+    made = trainer("", CPU, seed=0)
+    clip = procedural(seed=1, size=Size(1, 32, 32), frames=3)
+    found = 0
+    for loss in made.losses(clip, 2.0):
+        loss.backward()
+        found += 1
+    assert found == steps
 
 
 def test_the_first_frame_has_no_state():

@@ -320,3 +320,22 @@ def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing(
     found = torch.tanh(free.detach())
     assert found[..., 28:, 28:].mean() > 0.5
     assert found[..., :20, :20].mean() < 0
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (3, 5), (7, 1)])
+def test_a_block_is_summed_with_the_margin_that_there_is_around_it(corner):
+    """Also above and to the left of the first whole block."""
+    policy = Policy(block=8, margin=4)
+    values = torch.rand(2, 1, 1, 37, 45, generator=torch.Generator().manual_seed(0))
+    found = policy._blocks(values, corner, policy.margin)
+    for i, j in itertools.product(range(found.shape[-2]), range(found.shape[-1])):
+        top, left = corner[0] + 8 * i, corner[1] + 8 * j
+        around = values[..., max(top - 4, 0) : top + 12, max(left - 4, 0) : left + 12]
+        torch.testing.assert_close(found[..., i, j], around.sum((-1, -2)))
+
+
+def test_trainings_of_other_lengths_are_not_put_into_one_table(tmp_path):
+    table = tmp_path / compare.TABLE
+    compare.compare(table, 16, 16, [0], ["surrogate"], ["direct"])
+    with pytest.raises(ValueError, match=r"--frames 16 --side 16.*--frames 64 --side 16.*--out"):
+        compare.compare(table, 64, 16, [0], ["surrogate"], ["direct"])

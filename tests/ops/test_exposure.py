@@ -65,3 +65,10 @@ def test_noise_of_zero_mean_hardly_moves_it():
     noisy = clean * torch.empty_like(clean).exponential_(generator=generator)
     # mean luminance of 256 pixels is off by 1/16 or less, of 64 tiles by 1/128
     assert float(autoexposure(noisy) / autoexposure(clean)) == pytest.approx(1, abs=0.02)
+
+
+def test_half_precision_does_not_reach_it():
+    image = torch.rand(2, 3, 40, 50, generator=torch.Generator().manual_seed(0))
+    outside = autoexposure(image)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(autoexposure(image), outside)

@@ -96,3 +96,12 @@ def test_a_bad_pixel_of_history_reaches_its_four_neighbours_and_no_more():
     bad[0, 0, 4, 5] = math.nan
     moved, _ = reproject(bad, constant(0.5, 0.5))
     assert int(moved.isnan().sum()) == 4
+
+
+def test_a_history_in_half_precision_is_moved_as_far_as_one_in_single():
+    """Positions are not rounded with it: bfloat16 cannot tell the pixels 500 and 501 apart."""
+    stripes = (torch.arange(720) % 2).float().expand(1, 1, 4, 720)
+    moved, valid = reproject(stripes.bfloat16(), torch.zeros(1, 2, 4, 720))
+    assert valid.all()
+    assert moved.dtype == torch.bfloat16
+    torch.testing.assert_close(moved.float(), stripes, atol=1e-3, rtol=0)

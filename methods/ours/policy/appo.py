@@ -10,15 +10,9 @@ from dataclasses import dataclass
 from torch import nn
 
 from methods.ours.policy.world import World
+from rlbench.cluster import QUIET
 
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
-QUIET = {
-    "RAY_USAGE_STATS_ENABLED": "0",  # Ray reports what it is used for unless told not to
-    "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
-    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
-    "RAY_enable_metrics_collection": "0",
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
-}
 
 
 class MissingError(RuntimeError):

@@ -37,12 +37,10 @@ class Policy:
 
     spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
     draws: int = 4  # of the same frame and state, an even number
-    every: int = 2  # frames between updates of the sampler
     block: int = 8  # pixels: side of a block
     margin: int = 4  # pixels around a block whose error is credited to it
     priced: float = 1.0  # share of the price that is charged; 0 shows what it is for
     most: float = 3.0  # deviations that an advantage is cut at
-    weight: float = 0.1  # of the policy's loss beside the image's; matters for clipping only
 
     def corner(self, generator: torch.Generator) -> tuple[int, int]:
         """A grid of blocks: row and column of its first whole block."""
@@ -98,10 +96,11 @@ class Policy:
         self, values: Float[Tensor, "k n 1 h w"], corner: tuple[int, int], margin: int = 0
     ) -> Float[Tensor, "k n 1 _ _"]:
         """Sums over the whole blocks of a grid, each with `margin` pixels around it."""
-        row, column = corner
-        inside = values[..., row:, column:]
+        up, left = (min(margin, at) for at in corner)  # what there is of it before the first block
+        inside = values[..., corner[0] - up :, corner[1] - left :]
         side = self.block + 2 * margin
-        sums = F.avg_pool2d(inside.flatten(0, 1), side, self.block, margin) * side**2
+        padded = F.pad(inside.flatten(0, 1), (margin - left, margin, margin - up, margin))
+        sums = F.avg_pool2d(padded, side, self.block) * side**2
         return sums.view(*inside.shape[:3], *sums.shape[-2:])
 
 

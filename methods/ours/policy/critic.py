@@ -20,7 +20,7 @@ SMALL = 1e-8  # squared error: keeps the scale of errors from dividing by zero
 MOST = 30.0  # times the mean error: what a pixel is cut at, so that no firefly rules the fit
 
 
-class Past(NamedTuple):
+class Tried(NamedTuple):
     """A trial that is remembered."""
 
     seen: Float[Tensor, "n c h w"]
@@ -40,13 +40,13 @@ class Replay(nn.Module):
         """With room for so many trials."""
         super().__init__()
         self.register_buffer("scale", torch.zeros(()))
-        self.past: deque[Past] = deque(maxlen=keep)
+        self.past: deque[Tried] = deque(maxlen=keep)
 
     def follow(self, error: Float[Tensor, ""]) -> None:
         """Move the scale towards a mean error."""
         self.scale.copy_(error if self.scale == 0 else 0.98 * self.scale + 0.02 * error)
 
-    def recall(self, number: int, generator: torch.Generator) -> list[Past]:
+    def recall(self, number: int, generator: torch.Generator) -> list[Tried]:
         """So many of the past, or none while there are fewer."""
         if len(self.past) < number:
             return []
@@ -62,7 +62,7 @@ class Replay(nn.Module):
         """Trials as `get_extra_state` gave them."""
         self.past.clear()
         for row in state.to(self.scale.device):
-            self.past.append(Past(row[:, :-2], row[:, -2:-1], row[:, -1:]))
+            self.past.append(Tried(row[:, :-2], row[:, -2:-1], row[:, -1:]))
 
 
 class ErrorMap(nn.Module):
@@ -111,7 +111,7 @@ class Critic:
         mean, seen = situation.act(), situation.seen
         actions = self.policy.tries(mean, self.policy.corner(generator), generator)
         trial = situation.attempt(actions)
-        fresh = [Past(seen, n, e) for n, e in zip(trial.counts, trial.errors, strict=True)]
+        fresh = [Tried(seen, n, e) for n, e in zip(trial.counts, trial.errors, strict=True)]
         replay = self.network.replay
         replay.follow(trial.errors.mean())
         wrong = self.regression([*fresh, *replay.recall(self.again, generator)])
@@ -122,7 +122,7 @@ class Critic:
         total: Tensor = foretold.mean() + wrong + drift
         return total
 
-    def regression(self, trials: list[Past]) -> Float[Tensor, ""]:
+    def regression(self, trials: list[Tried]) -> Float[Tensor, ""]:
         """How far the critic is from the errors of trials: squared, in units of the mean error."""
         seen, counts, errors = (torch.cat(part) for part in zip(*trials, strict=True))
         wanted = (errors / (self.network.replay.scale + SMALL)).clamp_max(MOST)
