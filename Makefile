@@ -20,7 +20,7 @@ demo: .venv/run.stamp
 # what the README shows: every row of every method, those of extras too
 docs: .venv/dev.stamp
 	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
-	$(BIN)/rlbench run --methods $(ABLATED) --spp 0.01,0.1,0.3,0.5,1,2,4 --seed 0,1,2 --out $(RESULTS)/ablation
+	$(BIN)/rlbench run --methods $(ABLATED) --spp 0.01,0.1,0.25,0.3,0.5,1,2,4 --seed 0,1,2 --out $(RESULTS)/ablation
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report table1 --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report paper-pareto --results $(RESULTS) --out docs/made

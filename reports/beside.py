@@ -78,6 +78,9 @@ def _span(values: pd.Series[float]) -> float:
 
 
 def _scale(axes: Axes, values: pd.Series[float], axis: Axis) -> None:
+    values = values[values > 0] if axis.doubling else values  # nothing has no place on this axis
+    if values.empty:
+        return
     least, most = values.min(), values.max()
     if axis.doubling or (least > 0 and most / least > LOG_FROM):
         axes.set_xscale("log")

@@ -54,7 +54,10 @@ def profile(table: pd.DataFrame) -> str:
     rows = table[(table["metric"] == "sample_ms") & table["value"].notna()]
     found = sorted(set(rows["convention"]))
     if len(found) > 1:
-        raise ReportError(f"the cost per sample is from {len(found)} sources: {', '.join(found)}")
+        raise ReportError(
+            f"the cost per sample is from {len(found)} sources: {'; '.join(found)}; measure with "
+            "one --cost, or each into a folder of its own (rlbench run --cost C --out FOLDER)"
+        )
     return str(found[0]) if found else ""
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    import pandas as pd
     import torch
 
     from rlbench.engine import Engine
@@ -84,14 +85,35 @@ def clips(
 
 def weights(text: str | None) -> tuple[str, str | None]:
     """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
-    if text is None or "=" not in text or Path(text).exists():
+    if text is None or text == "random":
         return "", text
-    called, _, file = text.partition("=")
-    if not called.replace("-", "").isalnum():
+    called, equals, file = text.partition("=")
+    if not equals or Path(text).exists():
+        called, file = "", text
+    elif not called.replace("-", "").isalnum():
         raise AskedError(f"--weights {text}: the name before = is of letters, digits and -")
-    if (kind := called.partition("-")[0]) in RESERVED:
+    elif (kind := called.partition("-")[0]) in RESERVED:
         raise AskedError(f"--weights {text}: METHOD@{kind} is what rows of another kind are called")
+    if not Path(file).is_file():
+        raise AskedError(f"--weights {text}: there is no file {file}; 'rlbench train' makes one")
     return called, file
+
+
+def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
+    """The rows of methods, by any name that the table has or a pattern leads to.
+
+    Raises AskedError where there are none, and PluginError for a name that is in neither.
+    """
+    from rlbench import registry
+    from rlbench.table import AT, whose
+
+    known = set(table["method"])  # of plugins too, which need not be here
+    exact = [name for name in methods if AT in name or name in known]
+    found = table[whose(table, exact + registry.expand(n for n in methods if n not in exact))]
+    if found.empty:
+        have = ", ".join(sorted(known)) or "no rows"
+        raise AskedError(f"{results} has no rows of {', '.join(methods)}; it has: {have}")
+    return found
 
 
 def seeds(text: str | None) -> tuple[int, ...] | None:

@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
+
+
+class CheckpointError(ValueError):
+    """A file that is not there, or of another kind."""
 
 
 def save(
@@ -82,16 +86,20 @@ def write(path: Path, tensors: Mapping[str, Tensor], told: dict[str, Any]) -> No
 
 
 def words(path: Path) -> dict[str, Any]:
-    """The words of a file that `write` made."""
-    with safe_open(path, "pt") as file:
-        told: dict[str, Any] = json.loads(file.metadata()["progress"])
-        return told
+    """The words of a file that `write` made. Raises CheckpointError for another one, or none."""
+    try:
+        with safe_open(path, "pt") as file:
+            told: dict[str, Any] = json.loads(file.metadata()["progress"])
+            return told
+    except (OSError, SafetensorError, TypeError, KeyError, ValueError) as error:
+        raise CheckpointError(f"{path} is no file that a training wrote: {error!r}") from error
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The words and the tensors of a file that `write` made."""
+    told = words(path)
     with safe_open(path, "pt") as file:
-        return words(path), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        return told, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
 
 
 def under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -36,6 +36,7 @@ app = typer.Typer(
     cls=_Told,
     no_args_is_help=True,
     add_completion=False,
+    context_settings={"max_content_width": 100},  # examples are there to be copied
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Which adaptive sampler and denoiser gives the least error in a given frame time?\n\n"
@@ -98,6 +99,8 @@ def run(
       rlbench run -m all --preset standard --engine ray --ray-address auto
     """
     use(plugin)
+    if out.exists() and not out.is_dir():
+        raise asked.AskedError(f"--out {out} is a file; results are a folder")
     from rlbench import registry, show
     from rlbench.bench import measure
     from rlbench.cells import Request
@@ -105,6 +108,8 @@ def run(
 
     names = tuple(registry.expand(asked.split(methods)))
     called, weights = asked.weights(weights)
+    if (half or weights) and not any(registry.variant(name).learned for name in names):
+        typer.echo("--half, --weights: no method that was asked for has networks", err=True)
     kinds = {registry.variant(name).traits.pool for name in names}
     with opened(engine, ray_address) as workers:
         request = Request(
@@ -123,6 +128,8 @@ def run(
             done = measure(request, out, bar.tell, workers, bar.timed)
     show.done(done, out)
     show.table(request, out)
+    if done.refused and not done.measured + done.known:
+        raise typer.Exit(1)
 
 
 @app.command("list")
@@ -141,7 +148,7 @@ def list_(
 
       rlbench list methods --json
     """
-    use(plugin)
+    use(plugin, listed=True)
     from rlbench import listing, show
 
     found = listing.listed(kind)
@@ -181,11 +188,10 @@ def report(
     """
     from rlbench import registry, table
 
-    rows, failed = table.read(results), []
+    rows = table.read(results)
+    failed: dict[str, list[str]] = {}  # by reason
     if wanted := asked.split(methods or []):
-        exact = [name for name in wanted if table.AT in name]
-        plain = registry.expand(name for name in wanted if name not in exact)
-        rows = rows[table.whose(rows, exact + plain)]
+        rows = asked.rows(rows, wanted, results)
     for each in registry.names("reports") if name == "all" else [name]:
         try:
             for file in registry.load("reports", each)(rows, out):
@@ -193,13 +199,13 @@ def report(
         except Exception as error:
             if not _expected(error):
                 raise
-            told = f"{each} was not written: {error}"
             if name == "all" and isinstance(error, table.LacksError):
-                typer.echo(told, err=True)
+                typer.echo(f"{each} was not written: {error}", err=True)
             else:
-                failed.append(told)
+                failed.setdefault(str(error), []).append(each)
     if failed:
-        raise asked.AskedError("; ".join(failed))
+        told = (f"{', '.join(each)} not written: {why}" for why, each in failed.items())
+        raise asked.AskedError("; ".join(told))
 
 
 @app.command()

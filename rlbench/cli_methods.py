@@ -18,12 +18,15 @@ Plugins = Annotated[
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda, or a torch device")]
 
 
-def use(plugins: list[Path] | None) -> None:
-    """Make the plugins of loose files known."""
+def use(plugins: list[Path] | None, listed: bool = False) -> None:
+    """Make loose files known. Raises PluginError for a broken one, unless it is to be listed."""
     from rlbench import registry
+    from rlbench.plugins import flaw
 
     for path in plugins or []:
         registry.use_plugin(path)
+        if not listed and (why := flaw(path)):
+            raise registry.PluginError(f"--plugin {path}: {why}")
 
 
 def check(

@@ -11,7 +11,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
@@ -72,9 +72,16 @@ def profile(name: str) -> Profile:
         have = ", ".join([MEASURED, *profiles()])
         raise CostError(f"no cost profile '{name}'; there are: {have}, or the path of a TOML file")
     try:
-        read = Profile(**tomllib.loads(place.read_text()))
-    except (tomllib.TOMLDecodeError, TypeError) as error:
+        told = tomllib.loads(place.read_text())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise CostError(f"cost profile '{name}' cannot be read: {error}") from error
+    wanted = {field.name for field in fields(Profile)}
+    if wrong := sorted(wanted ^ told.keys()):
+        raise CostError(
+            f"cost profile '{name}' lacks or has beside them: {', '.join(wrong)}; it takes "
+            f"{', '.join(sorted(wanted))}; docs/cost.md has one to copy"
+        )
+    read = Profile(**told)
     bad = [k for k, v in {**read.scene_ms, "default": read.default_ms}.items() if not v >= 0]
     if bad or read.height * read.width <= 0:
         raise CostError(f"cost profile '{name}' has times or a size below zero: {', '.join(bad)}")

@@ -18,7 +18,8 @@ from rlbench.header import ClipError
 EXTRAS = {  # extra: what it gives, and a module of each package in it
     "oidn": ("Intel's own Open Image Denoise beside our retrained network", ("pyoidn",)),
     "train": ("reinforcement learning by ray's RLlib", ("ray", "gymnasium")),
-    "perceptual": ("FLIP and ColorVideoVDP", ("flip_evaluator", "pycvvdp")),
+    "ray": ("many workers for render and run", ("ray",)),
+    "noisebase": ("clips of Noisebase", ("numcodecs",)),
     "dev": ("what make test needs", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
 }
 

@@ -56,6 +56,7 @@ def _variant(variant: Variant) -> dict[str, Any]:
         "temporal": traits.temporal,
         "learned": variant.learned,
         "shipped": variant.shipped,
+        "weights": ("shipped" if variant.shipped else "to be trained") if variant.learned else "",
     }
 
 

@@ -17,6 +17,7 @@ import importlib.metadata
 import importlib.util
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -52,6 +53,22 @@ def use_plugin(path: str | Path) -> None:
         raise PluginError(f"no plugin file at {file}; --plugin takes the path of a Python file")
     if _files.setdefault(file.stem, file) != file:
         raise PluginError(f"two plugin files are called {file.name}: {_files[file.stem]}, {file}")
+
+
+def flaw(path: str | Path) -> str | None:
+    """Why a loose file cannot be imported, and where, or None if it can."""
+    file = Path(path).resolve()
+    for entry in _from_file(file):
+        try:
+            entry.load()
+        except PluginError as error:
+            return str(error)
+        except Exception as error:  # whatever a stranger's file may raise is what is told
+            went = traceback.extract_tb(error.__traceback__)
+            own = [frame for frame in went if frame.filename == str(file)]
+            where = f" (line {own[-1].lineno})" if own else ""
+            return f"{type(error).__name__}: {error}{where}"
+    return None
 
 
 def forget_plugins() -> None:
@@ -140,7 +157,9 @@ def _from_file(file: Path) -> list[Entry]:
     origin = f"--plugin {file.name}"
     try:
         module = _import_file(file)
-        families = getattr(module, "METHODS", None) or [module.FAMILY]
+        families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
+        if None in families:
+            raise PluginError(f"{file.name} has neither FAMILY nor METHODS; see docs/plugins.md")
     except Exception as error:  # listed as broken, raised again when asked for
         return [Entry(file.stem, str(file), origin, partial(_raise, error))]
     return [Entry(f.name, f"{file}:{f.name}", origin, partial(_itself, f)) for f in families]

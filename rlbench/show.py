@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
 COLUMNS = {  # of `rlbench list`, in their order
-    "methods": ("name", "question", "needs", "spp", "adapts"),
+    "methods": ("name", "question", "needs", "spp", "adapts", "weights"),
     "metrics": ("name", "unit", "better", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }

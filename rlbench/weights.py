@@ -121,7 +121,10 @@ def read_card(path: Path) -> Card:
     """The card beside the weights at `path`; raises WeightsError where either is missing."""
     for needed in (path, card_path(path)):
         if not needed.is_file():
-            raise WeightsError(f"no weights: {needed} is missing; {_remedy(path.stem)}")
+            raise WeightsError(
+                f"no weights: {needed} is missing; 'rlbench train' makes them, and 'rlbench run "
+                "--weights FILE' takes them"
+            )
     try:
         found = tomllib.loads(card_path(path).read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

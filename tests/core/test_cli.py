@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import asked, table, trainset
+from rlbench import asked, registry, table, trainset
 from rlbench.cli import app
 from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
@@ -242,7 +243,7 @@ def test_a_broken_plugin_is_listed_as_broken(tmp_path):
 def test_a_reason_is_shown_where_there_is_no_number(clip_folder, tmp_path):
     plugin = write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no luck')")
     words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
-    told = rlbench("run", "-m", "odd", *words)
+    told = rlbench("run", "-m", "odd", *words, code=1)  # nothing could be measured
     assert "1 not possible" in told
     assert "odd: no psnr on noise: RuntimeError: no luck" in told
 
@@ -325,7 +326,7 @@ def test_report_all_goes_on_without_reports_whose_rows_are_not_there(clip_folder
         "paper-2080ti",
     )
     assert "ablation was not written: no family has its default" in rlbench("report", "all", *words)
-    assert "error: ablation was not written" in rlbench("report", "ablation", *words, code=2)
+    assert "error: ablation not written" in rlbench("report", "ablation", *words, code=2)
 
 
 @pytest.mark.parametrize("report", ["summary", "pareto"])
@@ -341,8 +342,72 @@ def test_reports_that_can_be_written_are_though_another_cannot(clip_folder, tmp_
     rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
     words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
     told = rlbench("report", "all", *words, code=2)
-    assert "error: pareto was not written: no cell has psnr, plan_ms" in told
+    assert "not written: no cell has psnr, plan_ms" in told
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
+    plugin, out = write_plugin(tmp_path / "grey.py", "grey"), tmp_path / "r"
+    rlbench("run", "-m", "grey,mean", "--plugin", plugin, "--clips", clip_folder, "--out", out)
+    registry.forget_plugins()
+    words = ("report", "summary", "--results", out, "--out", tmp_path / "figures")
+    rlbench(*words, "-m", "grey")
+    assert "| grey |" in (tmp_path / "figures" / "summary.md").read_text()
+    told = rlbench(*words, "-m", "imcd", code=2)
+    assert told.endswith("has no rows of imcd; it has: grey, mean")
+
+
+def test_a_budget_of_nothing_is_reported(clip_folder, tmp_path):
+    out, words = tmp_path / "r", ("--cost", "paper-2080ti", "--spp", "0,1")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", out, *words)
+    rlbench("report", "all", "--results", out, "--out", tmp_path / "figures")
+    assert (tmp_path / "figures" / "paper-spp.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("x = 1", "plugin.py has neither FAMILY nor METHODS"),
+        ("import nothing_of_this_name", "ModuleNotFoundError: No module named"),
+        ("\n1 / 0", "ZeroDivisionError: division by zero (line 2)"),
+        ("def", "SyntaxError: invalid syntax"),
+    ],
+)
+def test_a_broken_plugin_is_told_in_one_line(text, told, tmp_path):
+    (tmp_path / "plugin.py").write_text(text)
+    words = ("--plugin", tmp_path / "plugin.py")
+    assert told in (line := rlbench("run", "-m", "mean", *words, code=2))
+    assert len(line) < 400
+    assert "is broken" in rlbench("list", "methods", *words)
+
+
+@pytest.mark.parametrize("content", [None, b"junk"])
+def test_a_replay_of_no_halted_training_is_told(tmp_path, content):
+    file = tmp_path / "halted.safetensors"
+    if content:
+        file.write_bytes(content)
+    assert "is no file that a training wrote" in rlbench("train", "--replay", file, code=2)
+
+
+def test_a_file_is_no_results_folder(tmp_path):
+    (tmp_path / "r").touch()
+    assert "is a file; results are a folder" in rlbench("run", "--out", tmp_path / "r", code=2)
+
+
+def test_a_cost_profile_says_what_it_lacks(clip_folder, tmp_path):
+    (tmp_path / "mine.toml").write_text("sample_ms = 10")
+    words = ("--clips", clip_folder, "--out", tmp_path / "r", "--cost", tmp_path / "mine.toml")
+    told = rlbench("run", "-m", "mean", *words, code=2)
+    assert "default_ms, device, height, sample_ms, scene_ms, source, title, width" in told
+    page = (Path(__file__).parents[2] / "docs" / "cost.md").read_text()
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "mine.toml").write_text(example)
+    rlbench("run", "-m", "mean", *words)
+
+
+def test_what_has_no_networks_is_not_halved_in_silence(clip_folder, tmp_path):
+    words = ("--clips", clip_folder, "--out", tmp_path / "r", "--half")
+    assert "no method that was asked for has networks" in rlbench("run", "-m", "mean", *words)
 
 
 def test_a_report_without_results_is_told(tmp_path):
@@ -397,12 +462,19 @@ def _python(*words: str) -> str:
     [
         (None, ("", None)),
         ("random", ("", "random")),
-        ("runs/a.safetensors", ("", "runs/a.safetensors")),
-        ("seed1=runs/a.safetensors", ("seed1", "runs/a.safetensors")),
+        ("a.safetensors", ("", "a.safetensors")),
+        ("seed1=a.safetensors", ("seed1", "a.safetensors")),
     ],
 )
-def test_weights_may_be_named(text, found):
+def test_weights_may_be_named(text, found, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.safetensors").touch()
     assert asked.weights(text) == found
+
+
+def test_weights_that_are_not_there_are_told_before_anything_runs():
+    with pytest.raises(asked.AskedError, match="no file b.safetensors; 'rlbench train'"):
+        asked.weights("seed1=b.safetensors")
 
 
 def test_a_name_of_weights_that_no_row_could_have_is_refused():

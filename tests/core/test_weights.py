@@ -97,7 +97,7 @@ def test_integer_buffers_keep_their_type(path):
 def test_a_missing_file_says_what_makes_it(path, suffix):
     save(net(), path, CARD)
     path.with_suffix(suffix).unlink()
-    with pytest.raises(WeightsError, match="missing; 'rlbench train --methods oidn' makes it"):
+    with pytest.raises(WeightsError, match="missing; 'rlbench train' makes them"):
         load_into(net(), path)
 
 
