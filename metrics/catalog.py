@@ -18,7 +18,8 @@ class Metric:
     `score(image, a, b)` takes the image and both independent halves of its reference, [n 3 h w] of
     linear radiance where 1.0 is display white, and returns [n]. Scores are finite, whatever the
     image holds; the halves must be finite. `fit(height, width)` is the metric that is defined at
-    that size, under a name of its own, where not every size is.
+    that size, under a name of its own, where not every size is. One that is `temporal` takes two
+    frames of each, the one before and this one, [n 2 3 h w]; a clip's first frame has no score.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Metric:
     score: Score
     fit: Callable[[int, int], Metric] | None = None
     halves: bool = False  # is it only defined where `a` and `b` are independent?
+    temporal: bool = False  # does it look at the frame before, too?
 
     def at(self, height: int, width: int) -> Metric:
         """This metric, or the one that stands in for it at a size at which it is not defined."""
@@ -38,6 +40,12 @@ def _psnr(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
     from metrics.image import psnr
 
     return psnr(image, (a + b) / 2)
+
+
+def _tpsnr(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    from metrics.image import tpsnr
+
+    return tpsnr(image, (a + b) / 2)
 
 
 def _relmse(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
@@ -89,6 +97,14 @@ _SSIM_CONVENTION = "pytorch-msssim, clipped sRGB, range 1, window 11, sigma 1.5"
 
 PSNR = Metric(
     "psnr", "dB", "high", "peak 1, clipped sRGB, 1.0 = display white, at most 100 dB", _psnr
+)
+TPSNR = Metric(
+    "tpsnr",
+    "dB",
+    "high",
+    "of the change from frame to frame, not moved; peak 1, clipped sRGB, at most 100 dB",
+    _tpsnr,
+    temporal=True,
 )
 MS_SSIM = Metric(
     "ms_ssim",

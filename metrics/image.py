@@ -33,6 +33,25 @@ def psnr(
     return (-10 * mse.log10()).float()
 
 
+def tpsnr(
+    frames: Float[Tensor, "n 2 3 h w"], references: Float[Tensor, "n 2 3 h w"]
+) -> Float[Tensor, " n"]:
+    """PSNR in dB of how much each pixel changes since the frame before: what flickers, scores low.
+
+    Peak 1, of clipped sRGB; the error is the change of the image less that of the reference, as in
+    the temporal loss of Chaitanya et al. 2017, so what stays wrong from frame to frame is no error.
+    A pixel that is not finite in one of the frames has the worst error there is, 2 in every
+    channel, so that scores go from -6 to CAP_DB. Nothing is moved by motion: noise of the
+    reference counts twice, and a blur over time is told by the PSNR of its frames, not here.
+    """
+    change = display(frames[:, 1]) - display(frames[:, 0])
+    truth = display(references[:, 1]) - display(references[:, 0])
+    error = (change - truth).square()
+    error = error.masked_fill(broken(frames[:, 0]) | broken(frames[:, 1]), 4.0)
+    mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
+    return (-10 * mse.log10()).float()
+
+
 def ms_ssim(
     image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"], scales: int = 5
 ) -> Float[Tensor, " n"]:

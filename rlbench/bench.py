@@ -9,7 +9,7 @@ run is one row that says why; where that was an error, it is tried again by the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -122,11 +122,11 @@ class _Bench:
         clip = self.ready.clip(cell)
         blank = replace(self._blank(cell), config=settings(method))
         elsewhere = self._elsewhere()
-        rows = [
-            replace(row, note=row.note or elsewhere)
-            for shown in run_clip(method, clip, cell.spp)
-            for row in self._scores(blank, shown, cell.clip.header)
-        ]
+        rows, before = [], None
+        for shown in run_clip(method, clip, cell.spp):
+            scored = self._scores(blank, shown, before, cell.clip.header)
+            rows += [replace(row, note=row.note or elsewhere) for row in scored]
+            before = shown
         bought = sum(row.spp_realised for row in rows) / len(rows)
         times = self.times.of(cell, method, clip)
         return rows + self._timing(replace(blank, spp_realised=bought), times, cell)
@@ -136,18 +136,18 @@ class _Bench:
         here = latency.device_name(self.request.device)
         return "" if here == self.names.device else f"scored on {here}"
 
-    def _scores(self, blank: Row, shown: Shown, header: Header) -> Iterator[Row]:
-        reference = shown.frame.reference
-        _check(blank.method, shown.image, reference.a)
+    def _scores(
+        self, blank: Row, shown: Shown, before: Shown | None, header: Header
+    ) -> Iterator[Row]:
+        images = (shown.image, shown.frame.reference.a, shown.frame.reference.b)
+        _check(blank.method, *images[:2])
         bought = float(shown.samples.counts.double().mean())
-        h, w = shown.image.shape[-2:]
-        for metric in (each.at(h, w) for each in self.metrics.values()):
+        for metric in (each.at(*shown.image.shape[-2:]) for each in self.metrics.values()):
+            if metric.temporal and before is None:
+                continue
             undefined = metric.halves and "halves" in header.lacks
-            score = (
-                math.nan
-                if undefined
-                else float(metric.score(shown.image, reference.a, reference.b)[0])
-            )
+            taken = _with(before, images) if metric.temporal and before else images
+            score = math.nan if undefined else float(metric.score(*taken)[0])
             note = LACKS["halves"] if undefined else ""
             told = (metric.name, score, metric.unit, metric.better, metric.convention, note)
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
@@ -200,6 +200,12 @@ class _Bench:
             code=self.names.code[cell.method],
             weights=self.names.weights[cell.method],
         )
+
+
+def _with(before: Shown, images: Sequence[Tensor]) -> list[Tensor]:
+    """Image and halves of the reference, each with that of the frame before: [n 2 3 h w]."""
+    earlier = (before.image, before.frame.reference.a, before.frame.reference.b)
+    return [torch.stack(pair, 1) for pair in zip(earlier, images, strict=True)]
 
 
 def _row(

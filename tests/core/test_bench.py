@@ -48,7 +48,7 @@ def test_every_frame_has_a_row_of_every_metric(tmp_path):
     found = set(zip(rows["frame"], rows["metric"], strict=True))
     assert {(f, m) for f, m in found if f >= 0} == {
         (frame, metric) for frame in (0, 1) for metric in registry.names("metrics")
-    }
+    } - {(0, "tpsnr")}  # which needs the frame before
 
 
 def test_psnr_of_the_mean_is_that_of_numpy(clip_folder, tmp_path):

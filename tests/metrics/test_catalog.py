@@ -8,21 +8,23 @@ import sys
 import pytest
 import torch
 
-from metrics.catalog import BIAS, MS_SSIM, MSE_DEBIASED, NONFINITE, PSNR, RELMSE
+from metrics.catalog import BIAS, MS_SSIM, MSE_DEBIASED, NONFINITE, PSNR, RELMSE, TPSNR
 
-ALL = (PSNR, MS_SSIM, RELMSE, MSE_DEBIASED, BIAS, NONFINITE)
+ALL = (PSNR, TPSNR, MS_SSIM, RELMSE, MSE_DEBIASED, BIAS, NONFINITE)
 DIRECTED = [metric for metric in ALL if metric.better]
 SIZE = (2, 3, 165, 170)
 
 
-def reference():
+def reference(metric=PSNR):
+    """Both halves; of a temporal metric two frames of each."""
     g = torch.Generator().manual_seed(3)
-    return torch.rand(SIZE, generator=g), torch.rand(SIZE, generator=g)
+    size = (SIZE[0], 2, *SIZE[1:]) if metric.temporal else SIZE
+    return torch.rand(size, generator=g), torch.rand(size, generator=g)
 
 
 @pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
 def test_a_batch_is_scored_image_by_image(metric):
-    a, b = reference()
+    a, b = reference(metric)
     image = torch.stack([a[0] + 0.2, b[1]])
     alone = torch.cat([metric.score(image[i : i + 1], a[i : i + 1], b[i : i + 1]) for i in (0, 1)])
     torch.testing.assert_close(metric.score(image, a, b), alone, atol=1e-6, rtol=1e-5)
@@ -30,9 +32,12 @@ def test_a_batch_is_scored_image_by_image(metric):
 
 @pytest.mark.parametrize("metric", DIRECTED, ids=lambda m: m.name)
 def test_a_spoilt_image_is_worse_in_the_direction_declared(metric):
-    a, b = reference()
-    good, bad = (a + b) / 2, (a + b) / 2 + 0.3
-    bad[:, :, 7, 7] = torch.nan
+    a, b = reference(metric)
+    good, bad = (a + b) / 2, (a + b) / 2
+    bad[..., :80, :] += 0.3 * torch.rand(
+        bad[..., :80, :].shape, generator=torch.Generator().manual_seed(4)
+    )
+    bad[..., 7, 7] = torch.nan
     sign = {"high": 1, "low": -1}[metric.better]
     assert (sign * metric.score(good, a, b) > sign * metric.score(bad, a, b)).all()
 
@@ -40,8 +45,8 @@ def test_a_spoilt_image_is_worse_in_the_direction_declared(metric):
 @pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
 @pytest.mark.parametrize("value", [0.0, 3e38, float("nan")])
 def test_scores_are_finite_whatever_the_image_holds(metric, value):
-    a, b = reference()
-    assert torch.isfinite(metric.score(torch.full(SIZE, value), a, b)).all()
+    a, b = reference(metric)
+    assert torch.isfinite(metric.score(torch.full(a.shape, value), a, b)).all()
 
 
 @pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)

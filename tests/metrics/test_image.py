@@ -20,6 +20,7 @@ from metrics.image import (
     nonfinite,
     psnr,
     relmse,
+    tpsnr,
 )
 
 BROKEN = (math.nan, math.inf, -math.inf)
@@ -69,6 +70,33 @@ def test_psnr_is_that_of_scikit_image(size):
     ]
     # float32 display values against float64, about 1e-6 of the error
     assert psnr(image, reference).tolist() == pytest.approx(expected, abs=1e-4)
+
+
+def test_tpsnr_is_psnr_of_changes_by_scikit_image():
+    images, truths = (
+        torch.rand(2, 2, 3, 20, 24, generator=torch.Generator().manual_seed(i)) * 1.5
+        for i in (0, 1)
+    )
+    for n, found in enumerate(tpsnr(images, truths)):
+        changes = [np.diff(display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)]
+        wanted = peak_signal_noise_ratio(*changes, data_range=1)
+        assert float(found) == pytest.approx(wanted, abs=1e-4)  # float32
+
+
+def test_what_stays_wrong_does_not_flicker():
+    truth = 0.2 + 0.3 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
+    wrong = 0.5 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
+    frames = torch.cat((wrong, wrong), 1)
+    assert tpsnr(frames, truth.expand_as(frames)).item() == CAP_DB
+    assert psnr(frames[:, 0], truth[:, 0]).item() < 20
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+def test_a_broken_pixel_flickers_as_much_as_can_be(frame):
+    frames = torch.full((1, 2, 3, 4, 5), 0.5)
+    frames[0, frame, 1, 2, 3] = torch.nan
+    found = tpsnr(frames, torch.full_like(frames, 0.5)).item()
+    assert found == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
 
 
 def test_psnr_of_equal_images_is_the_cap():
