@@ -77,7 +77,9 @@ def _grid(table: pd.DataFrame, rank: pd.DataFrame, of: str, caption: str) -> Gri
     name = f"{metric} [{unit}]" if unit else metric
     head = ("method", *(f"{spp:g} spp" for spp in budgets))
     rule = {"high": "Higher is better. ", "low": "Lower is better. "}.get(better, "")
-    return Grid(f"{name}, {of}", f"{convention}. {rule}{caption}", head, body)
+    return Grid(
+        f"{name}, {of}", f"{convention}. {rule}{caption if better else 'Not ranked.'}", head, body
+    )
 
 
 def _cell(row: object, show: Show) -> str:

@@ -36,7 +36,8 @@ def numbers(option: str, text: str, kind: type[Any]) -> tuple[Any, ...]:
     except ValueError:
         found = ()
     if not found or not all(math.isfinite(number) and number >= 0 for number in found):
-        raise AskedError(f"{option} takes numbers such as 0.5,1,2 and was given '{text}'")
+        such = "0,1,2" if kind is int else "0.5,1,2"
+        raise AskedError(f"{option} takes numbers such as {such} and was given '{text}'")
     return found
 
 

@@ -40,7 +40,9 @@ def render(
     tracer: Annotated[
         str | None, typer.Option(help="mitsuba or cycles; default the one that reads the file")
     ] = None,
-    camera: Annotated[str | None, typer.Option(help="orbit, dolly, still, or a JSON file")] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="own, orbit, dolly, still, or a JSON file")
+    ] = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
     size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
     exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,

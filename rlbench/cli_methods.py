@@ -10,7 +10,8 @@ import typer
 from rlbench import asked
 
 Methods = Annotated[
-    list[str], typer.Option("--methods", "-m", help="names a,b; all; family/*; may be repeated")
+    list[str],
+    typer.Option("--methods", "-m", help="names a,b; all; family/*; all/*; may be repeated"),
 ]
 Plugins = Annotated[
     list[Path] | None, typer.Option("--plugin", help="a Python file with FAMILY or METHODS")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from pathlib import Path
@@ -14,7 +15,9 @@ from rlbench.cli_clips import Scenes, Seeds
 from rlbench.cli_methods import Device, Methods, Plugins, use
 
 Frames = Annotated[int, typer.Option(min=1, help="crops to see, for each method")]
-Minutes = Annotated[float, typer.Option(help="stop after so many, for each method")]
+Minutes = Annotated[
+    float | None, typer.Option(help="stop after so many, for each method; default never")
+]
 Batch = Annotated[int, typer.Option(min=1, help="crops advanced together")]
 Crop = Annotated[int, typer.Option(min=11, help="side of a crop, pixels")]
 Half = Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")]
@@ -30,7 +33,7 @@ Altered = Annotated[
 def train(
     methods: Methods = ["all"],  # noqa: B006
     out: Annotated[Path, typer.Option(help="weights, checkpoints and logs")] = Path("runs"),
-    minutes: Minutes = 1e9,
+    minutes: Minutes = None,
     frames: Frames = 12_000,
     batch: Batch = 1,
     crop: Crop = 128,
@@ -90,7 +93,9 @@ def train(
         typer.echo(f"{name} has nothing to train")
     plan = course.planned(frames, batch, crop, budget, half, norm, seed)
     command = shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = course.Course(out, plan, str(asked.device(device)), minutes, command, altered)
+    lessons = course.Course(
+        out, plan, str(asked.device(device)), minutes or math.inf, command, altered
+    )
     lessons.check(learning)
     kinds = {registry.variant(name).traits.pool for name in learning}
     chosen = trainset.NONE
@@ -115,7 +120,7 @@ def crossval(
     scenes: Scenes = None,
     spp: Annotated[str, typer.Option(help="budgets to score at")] = "0.5,1,2,4",
     frames: Frames = 12_000,
-    minutes: Minutes = 1e9,
+    minutes: Minutes = None,
     batch: Batch = 1,
     crop: Crop = 128,
     budget: Budget = "any",
@@ -156,7 +161,7 @@ def crossval(
     names = tuple(registry.expand(asked.split(methods)))
     plan = course.planned(frames, batch, crop, budget, half, norm, seed)
     where, command = asked.device(device), shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = course.Course(out, plan, str(where), minutes, command, altered)
+    lessons = course.Course(out, plan, str(where), minutes or math.inf, command, altered)
     lessons.check([name for name in map(leaving.taught, names) if name])
     folds = leaving.folds(preset, asked.split(scenes or []), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)

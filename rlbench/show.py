@@ -147,6 +147,8 @@ def _figure(value: float | None) -> str:
 def _told(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(v, float) for v in value):
+        return f"{value[0]:g} to {value[1]:g}"  # a range
     if isinstance(value, list):
         return " ".join(f"{item:g}" if isinstance(item, float) else str(item) for item in value)
     return str(value)

@@ -73,7 +73,7 @@ def holdout(scene: str, preset: str, kinds: Collection[str] | None = None) -> Tr
     known = PRESETS[preset].scenes if preset in PRESETS else ()
     if known and scene not in known:
         raise AskedError(
-            f"--holdout {scene}: preset '{preset}' has no such scene; it has: {', '.join(known)}"
+            f"no scene {scene} to leave out: preset '{preset}' has: {', '.join(known)}"
         )
     if not known:
         fit = ", ".join(name for name, plan in PRESETS.items() if plan.scenes)
