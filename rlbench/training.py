@@ -45,8 +45,9 @@ def train(
     `out` gets checkpoint.safetensors, log.jsonl and, where it is installed, curves for TensorBoard
     while it runs, and NAME.safetensors with its card NAME.toml at the end, or when `minutes` are
     over. A training that is done is left as it is. One that was killed goes on from its last
-    checkpoint, with weights that are bit by bit those of one that was not. A checkpoint of another
-    plan is refused, or gone on from where `altered`; the card then says what was changed, and when.
+    checkpoint, with weights that on a CPU are bit by bit those of one that was not. A checkpoint of
+    another plan is refused, or gone on from where `altered`; the card then says what was changed,
+    and when.
     Raises PluginError where there is nothing to train, and TrainingError where the method cannot
     take a budget, where plan or clips are others than those of the checkpoint, and where a loss or
     a gradient is not finite: the sequence is then kept in a file, for `replay`.

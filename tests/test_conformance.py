@@ -6,12 +6,13 @@ import os
 from functools import cache
 
 import pytest
+import torch
 
 from rlbench import registry
 from rlbench.check.claims import CLAIMS
 from rlbench.check.finding import Verdict
 from rlbench.check.subject import Subject
-from rlbench.check.suite import judge
+from rlbench.check.suite import examine, judge
 
 GIVEN = os.environ.get(registry.VARIABLE, "")  # methods beside the installed ones
 METHODS = [
@@ -48,3 +49,11 @@ def test_every_claim_holds_of_every_method(name, claim):
     if finding.error:
         raise AssertionError(told) from finding.error
     assert finding.verdict is Verdict.HOLDS, told
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", METHODS)
+def test_every_claim_holds_of_every_method_on_a_gpu(name):
+    on_gpu = Subject(name, torch.device("cuda"))
+    wrong = [claim.sentence for claim, found in examine(on_gpu) if found.verdict is Verdict.FAILS]
+    assert wrong == []
