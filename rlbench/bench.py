@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from rlbench import cost, latency, registry, table
-from rlbench.cells import Cell, Names, Request, cells, distinct, older, unlimited
+from rlbench.cells import Cell, Names, Request, cells, distinct, never_shortened, older
 from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
@@ -62,7 +62,7 @@ def measure(
             done = replace(done, known=done.known + 1)
             tell(cell)
         else:
-            unlimited(request, bench.names.of(cell), stored)
+            never_shortened(request, bench.names.of(cell), stored)
             todo.append(cell)
     for outcome in bench.outcomes(todo, engine, timed):
         cell, name = outcome.job, bench.names.of(outcome.job)

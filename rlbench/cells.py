@@ -16,6 +16,7 @@ from rlbench.half import NAME as HALF
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
+FAILED = "failed"  # instead of a hash
 LIMITED = "first-"  # before the hash of a cell that is of the first frames alone
 MEASURE = (
     "rlbench.bench",
@@ -77,14 +78,17 @@ def distinct(request: Request) -> None:
         )
 
 
-def unlimited(request: Request, name: str, stored: Iterable[str]) -> None:
+def never_shortened(request: Request, name: str, stored: Iterable[str]) -> None:
     """Raise CellsError where first frames alone would replace a whole clip's scores."""
-    replaced = [each for each in older(name, stored) if LIMITED not in each.rpartition(" ")[2]]
-    if request.frames and replaced and not replaced[0].endswith(" failed"):
-        raise CellsError(
-            f"'{replaced[0].rpartition(' ')[0]}' is known of the whole clip, and --limit-frames "
-            f"{request.frames} would replace it; give --out another folder"
-        )
+    if request.frames is None:
+        return
+    for each in older(name, stored):
+        title, _, content = each.rpartition(" ")
+        if content != FAILED and not content.startswith(LIMITED):
+            raise CellsError(
+                f"'{title}' is known of the whole clip, and --limit-frames {request.frames} would "
+                "replace it; give --out another folder"
+            )
 
 
 def older(name: str, stored: Iterable[str]) -> list[str]:
@@ -136,7 +140,7 @@ class Names:
 
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""
-        return f"{self.title(cell)} failed"
+        return f"{self.title(cell)} {FAILED}"
 
     def settled(self) -> Names:
         """Itself, with every name known, so that it says the same on another machine."""
