@@ -59,7 +59,7 @@ def _camera(time: float) -> Camera:
 
 def _balcony(time: float) -> Camera:
     """From above, at a corner of the square, moving along it."""
-    return Camera((-12.0 + 0.08 * time, -11.5, 8.0), (1.5, 2.0 + 0.05 * time, 2.0), fov=66)
+    return Camera((10.8 - 0.08 * time, -12.5, 7.0), (-3.0, 2.5 + 0.05 * time, 2.5), fov=66)
 
 
 def _movers(time: float) -> tuple[Mesh, ...]:
