@@ -48,7 +48,7 @@ def check(
 
       rlbench check all
     """
-    use(plugin)
+    use(plugin, listed="all" in asked.split(methods))
     from rlbench.check.tell import check as examine
 
     raise typer.Exit(0 if examine(asked.split(methods), asked.device(device)) else 1)

@@ -78,7 +78,7 @@ def profile(name: str) -> Profile:
     wanted = {field.name for field in fields(Profile)}
     if wrong := sorted(wanted ^ told.keys()):
         raise CostError(
-            f"cost profile '{name}' lacks or has beside them: {', '.join(wrong)}; it takes "
+            f"cost profile '{name}' cannot be read: {', '.join(wrong)} are missing or too many of "
             f"{', '.join(sorted(wanted))}; docs/cost.md has one to copy"
         )
     read = Profile(**told)

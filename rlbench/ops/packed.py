@@ -14,5 +14,6 @@ def packed(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     without being widened again. A convolution computes the same of it.
     """
     kind = x.device.type
-    dtype = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else x.dtype
+    casts = torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)
+    dtype = torch.get_autocast_dtype(kind) if casts else x.dtype
     return x.to(dtype, memory_format=torch.channels_last)
