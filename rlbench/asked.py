@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from rlbench.source import Stored
 
 
-RESERVED = ("half", "crossval")  # names of rows that are not called after their weights
-
-
 class AskedError(ValueError):
     """An option's value that cannot be used."""
 
@@ -86,6 +83,8 @@ def clips(
 
 def weights(text: str | None) -> tuple[str, str | None]:
     """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
+    from rlbench.table import CROSSVAL, HALF
+
     if text is None or text == "random":
         return "", text
     called, equals, file = text.partition("=")
@@ -93,7 +92,7 @@ def weights(text: str | None) -> tuple[str, str | None]:
         called, file = "", text
     elif not called.replace("-", "").isalnum():
         raise AskedError(f"--weights {text}: the name before = is of letters, digits and -")
-    elif (kind := called.partition("-")[0]) in RESERVED:
+    elif (kind := called.partition("-")[0]) in (HALF, CROSSVAL):
         raise AskedError(f"--weights {text}: METHOD@{kind} is what rows of another kind are called")
     if not Path(file).is_file():
         raise AskedError(f"--weights {text}: there is no file {file}; 'rlbench train' makes one")

@@ -12,7 +12,6 @@ from pathlib import Path
 import torch
 
 from rlbench import cost, latency, provenance, registry, table
-from rlbench.half import NAME as HALF
 from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
@@ -134,8 +133,8 @@ class Names:
 
     def method(self, name: str) -> str:
         """What a method is called in the results: another row for named weights or precision."""
-        called = "crossval" if self.request.without else self.request.called
-        told = "-".join(filter(None, (HALF if self.request.halves(name) else "", called)))
+        called = table.CROSSVAL if self.request.without else self.request.called
+        told = "-".join(filter(None, (table.HALF if self.request.halves(name) else "", called)))
         return f"{name}{table.AT}{told}" if told and registry.variant(name).learned else name
 
     def failed(self, cell: Cell) -> str:

@@ -15,7 +15,6 @@ from rlbench.method import Method, State
 from rlbench.sampling import Samples
 
 DTYPE = torch.bfloat16  # range of float32, 8 bits of mantissa; what training's --half uses
-NAME = "half"  # of such a method's rows: METHOD@half
 
 
 @dataclass(frozen=True)

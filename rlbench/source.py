@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
@@ -79,8 +79,7 @@ class Live(Stored):
 
     def content(self, pool: str) -> str:
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
-        code = provenance.code_hash(["rlbench.render", "rlbench.scenes"], core=())
-        told = f"{super().content(pool)} live {code} {activate()} {provenance.machine().cpu}"
+        told = f"{super().content(pool)} live {_tracer()} {activate()} {provenance.machine().cpu}"
         return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
 
     @property
@@ -128,6 +127,12 @@ class Short:
     def __iter__(self) -> Iterator[Frame]:
         """The first frames in order."""
         return islice(iter(self.clip), self.frames)
+
+
+@cache
+def _tracer() -> str:
+    """Hash of the code that traces live samples."""
+    return provenance.code_hash(["rlbench.render", "rlbench.scenes"], core=())
 
 
 def below(place: Path) -> list[Path]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
 SUFFIX = ".parquet"
 AT = "@"  # between a method and what its weights are called, where those are not the shipped ones
+HALF, CROSSVAL = "half", "crossval"  # such names that are not those of weights
 FOLD = "without "  # before the scene that weights of a cross-validation have not seen
 
 

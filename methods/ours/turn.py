@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -57,8 +58,7 @@ class Turn:
         """Squared errors in log transfer, counts, and what is left for the next frame."""
         samples = self._buy(action)
         image, left = self.method.denoise(self.view, samples, self.state)
-        truth = log_forward(self.frame.reference.mean).clamp(0, 1)
-        error = (log_forward(image).clamp(0, 1) - truth).square().mean(1, keepdim=True)
+        error = (log_forward(image).clamp(0, 1) - self._truth).square().mean(1, keepdim=True)
         return error, samples.counts.float(), left
 
     def slope(self, teach: Teach) -> Float[Tensor, ""]:
@@ -67,6 +67,10 @@ class Turn:
         samples = teach(self._buy(action.detach()), self.relaxed(action), self.frame)
         image, _ = self.method.denoise(self.view, samples, self.state)
         return mixed(log_forward(image), log_forward(self.frame.reference.mean))
+
+    @cached_property
+    def _truth(self) -> Float[Tensor, "n 3 h w"]:
+        return log_forward(self.frame.reference.mean).clamp(0, 1)
 
     def _buy(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
         pool, floor = self.frame.pool, self.method.traits.floor

@@ -10,11 +10,7 @@ from rlbench.ops.unet import FAST, Widths
 
 DOUBLE = Widths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
 SLOTS = 8  # individual samples that the encoder sees, per pixel
-SAMPLES = {
-    "single": 3 * SLOTS,
-    "mean": 3,
-    "mean and count": 4,
-}  # channels
+SAMPLES = {"single": 3 * SLOTS, "mean": 3, "mean and count": 4}  # channels
 
 Remembered = Literal["state", "samples", "nothing"]
 Light = Literal["gathered", "frame", "none"]
