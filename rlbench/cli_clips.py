@@ -48,6 +48,10 @@ def render(
     exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,
     define: Annotated[list[str] | None, typer.Option("--define", "-D", help="name=value")] = None,
     out: Annotated[Path | None, typer.Option(help="the clip's folder")] = None,
+    retime: Annotated[
+        bool,
+        typer.Option("--retime", help="and measure anew what a sample takes, on an idle machine"),
+    ] = False,
     engine: Engine = "local",
     ray_address: RayAddress = None,
 ) -> None:
@@ -75,18 +79,31 @@ def render(
       rlbench render --scene atrium.blend --frames 20 -D max_bounces=6
 
       rlbench render --preset standard --engine ray --ray-address auto
+
+      rlbench render --preset standard --retime
     """
     from rlbench.cluster import opened
 
     own = (camera, frames, size, exposure, define, out, tracer)
     with opened(engine, ray_address) as workers:
         if scene or any(own):
+            if retime:
+                raise asked.AskedError("--retime is of a preset's clips, not of --scene")
             given = scenes or (seeds and [seeds]) or None
             folders = [asked.own_scene(scene, given, preset, *own, workers)]
         else:
             folders = asked.rendered(scenes, preset, cap, asked.seeds(seeds), views, workers)
     for folder in folders:
-        typer.echo(folder)
+        typer.echo(f"{folder}{_retimed(folder) if retime else ''}")
+
+
+def _retimed(folder: Path) -> str:
+    """What a sample took before and takes now, in words."""
+    from rlbench.clips import read_header
+    from rlbench.render.retime import retime
+
+    before = read_header(folder).sample_ms
+    return f"  a sample takes {retime(folder).sample_ms:.1f} ms, was {before:.1f} ms"
 
 
 def lint(

@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from rlbench import registry
-from rlbench.clips import open_clip, read_header
+from rlbench.clips import ClipError, open_clip, read_header, write_header
 from rlbench.ops.warp import reproject
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.live import open_live
 from rlbench.render.presets import PRESETS, Preset
 from rlbench.render.record import ensure, named
+from rlbench.render.retime import retime
 from rlbench.render.scene import Camera, SceneError, Take
 from rlbench.render.trace import open_tracer
 from rlbench.render.views import views
@@ -161,3 +162,25 @@ def test_a_fingerprint_notices_lights_and_cuts(change):
 def test_mini_has_main_takes_only_and_standard_has_all():
     takes = {name: PRESETS[name].takes for name in ("mini", "standard", "paper")}
     assert takes == {"mini": "main", "standard": "all", "paper": "main"}
+
+
+def test_retiming_measures_a_sample_anew_and_touches_nothing_else(clips):
+    folder = clips["room-cut"]
+    before = read_header(folder)
+    slow = replace(before, sample_ms=1e6, pools=("path", "restir"), pools_ms=(1e6, 3e6))
+    write_header(folder, slow)
+    now = retime(folder)
+    assert now == read_header(folder)
+    assert 0 < now.sample_ms < 1e5  # 384 pixels: a millisecond or two
+    assert now.pools_ms == pytest.approx((now.sample_ms, 3 * now.sample_ms))
+    assert replace(now, sample_ms=1e6, pools_ms=slow.pools_ms) == slow
+    write_header(folder, before)
+
+
+def test_what_another_machine_has_rendered_is_not_retimed(clips):
+    folder = clips["room"]
+    before = read_header(folder)
+    write_header(folder, replace(before, device="abacus"))
+    with pytest.raises(ClipError, match="was rendered on 'abacus'.*times its samples here"):
+        retime(folder)
+    write_header(folder, before)

@@ -1,0 +1,36 @@
+"""Timing the samples of a clip anew: it was measured beside whatever else ran then."""
+
+from __future__ import annotations
+
+import gc
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from rlbench.clips import ClipError, Header, read_header, write_header
+from rlbench.provenance import machine
+from rlbench.render.record import named
+from rlbench.render.trace import sample_ms
+
+
+def retime(folder: Path) -> Header:
+    """The header of a clip of an installed scene, whose samples are timed now, and written.
+
+    Those of pools beside the path tracer's cost as many times a path's as before: that was measured
+    in pairs, which other work on the machine slows alike. Pixels are not touched. Raises ClipError
+    for a clip that another machine has rendered: its times are of there.
+    """
+    header, here = read_header(folder), machine().cpu
+    if header.device != here:
+        raise ClipError(
+            f"clip {folder} was rendered on '{header.device}', and --retime runs on '{here}'; "
+            "`rlbench run --cost measured` times its samples here by itself"
+        )
+    taken = sample_ms(named(header.name), header.height, header.width)
+    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
+    before = header.sample_ms
+    scaled = tuple(taken * each / before for each in header.pools_ms)
+    unknown = (taken, *(math.nan for _ in header.pools_ms[1:])) if header.pools_ms else ()
+    told = replace(header, sample_ms=taken, pools_ms=scaled if before > 0 else unknown)
+    write_header(folder, told)
+    return told
