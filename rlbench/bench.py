@@ -121,15 +121,21 @@ class _Bench:
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
         clip = self.ready.clip(cell)
         blank = replace(self._blank(cell), config=settings(method))
-        elsewhere = self._elsewhere()
+        remarks = "; ".join(filter(None, (self._leak(cell), self._elsewhere())))
         rows, before = [], None
         for shown in run_clip(method, clip, cell.spp):
             scored = self._scores(blank, shown, before, cell.clip.header)
-            rows += [replace(row, note=row.note or elsewhere) for row in scored]
+            rows += [replace(row, note=row.note or remarks) for row in scored]
             before = shown
         bought = sum(row.spp_realised for row in rows) / len(rows)
         times = self.times.of(cell, method, clip)
         return rows + self._timing(replace(blank, spp_realised=bought), times, cell)
+
+    def _leak(self, cell: Cell) -> str:
+        """Why scores of a clip that the weights have seen in training prove nothing, or nothing."""
+        clip = cell.clip.header.name
+        known = clip in self.names.trained_on[cell.method]
+        return f"no test: its weights were trained on {clip}" if known else ""
 
     def _elsewhere(self) -> str:
         """The device that scores are of, where the results are of another one."""

@@ -13,6 +13,7 @@ import torch
 
 from rlbench import cost, latency, provenance, registry, table
 from rlbench.source import Source
+from rlbench.weights import WeightsError, read_card
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
 FAILED = "failed"  # instead of a hash
@@ -143,7 +144,7 @@ class Names:
 
     def settled(self) -> Names:
         """Itself, with every name known, so that it says the same on another machine."""
-        _ = self.run, self.device, self.code, self.weights, self.half
+        _ = self.run, self.device, self.code, self.weights, self.trained_on, self.half
         return self
 
     @cached_property
@@ -197,17 +198,28 @@ class Names:
             for name, packages in brought.items()
         }
 
+    @cached_property
+    def trained_on(self) -> dict[str, frozenset[str]]:
+        """Names of the clips that each method's weights were trained on, as far as cards say."""
+        return {name: _trained_on(self._file(name)) for name in self.request.methods}
+
     def _weights(self, name: str) -> str:
-        if not registry.variant(name).learned:
-            return ""
-        if self.request.weights == "random":
-            return "random"
-        if self.request.weights:
-            fold = f"{table.FOLD}{self.request.without} " if self.request.without else ""
-            return fold + _hash(Path(self.request.weights))
+        file = self._file(name)
+        if file is None:
+            return "random" if registry.variant(name).learned else ""
+        fold = f"{table.FOLD}{self.request.without} " if self.request.without else ""
+        return fold + _hash(file)
+
+    def _file(self, name: str) -> Path | None:
+        """Where a method's weights are looked for; None for random ones, or if it has none."""
+        asked = self.request.weights
+        if not registry.variant(name).learned or asked == "random":
+            return None
+        if asked:
+            return Path(asked)
         family = registry.family(name)
         beside = _found(registry.place, family.build)
-        return _hash(Path(beside).parent / "cards" / family.weights(name.partition("/")[2]))
+        return Path(beside).parent / "cards" / family.weights(name.partition("/")[2])
 
 
 def _code(target: str) -> str:
@@ -228,6 +240,15 @@ def _hash(file: Path) -> str:
     if not file.is_file():
         return ""
     return sha256(file.name.encode() + b"\0" + file.read_bytes()).hexdigest()[:16]
+
+
+def _trained_on(file: Path | None) -> frozenset[str]:
+    """Names of the clips on the card beside a weights file; none where there is no card."""
+    try:
+        told = read_card(file).data if file else ()
+    except WeightsError:
+        return frozenset()
+    return frozenset(clip.rpartition(" ")[0] or clip for clip in told)
 
 
 def _found(look: Callable[[str], Path | str], target: str) -> str:

@@ -105,6 +105,9 @@ def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
         if metric in ("psnr", "sample_ms"):
             where = ", ".join(sorted(set(group["clip"])))
             console.print(f"{method}: no {metric} on {where}: {note}", markup=False)
+    scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
+    for (method, note), _ in scored.groupby(["method", "note"]):
+        console.print(f"{method}: {note}", style="yellow", markup=False)
 
 
 def listed(found: dict[str, list[dict[str, Any]]]) -> None:

@@ -343,6 +343,17 @@ def test_a_sample_that_was_timed_anew_is_charged_anew(tmp_path):
     assert set(rows[rows["metric"] == "sample_ms"]["value"]) == {99.0}
 
 
+@pytest.mark.parametrize(("name", "told"), [("generated-001", True), ("generated-x", False)])
+def test_a_score_on_a_clip_that_was_trained_on_says_that_it_is_no_test(tmp_path, name, told):
+    asked = request(write_noise(tmp_path / name), "oidn/small", "mean", frames=1)
+    measure(asked, tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    remark = "no test: its weights were trained on generated-001"
+    learned = rows[(rows["metric"] == "psnr") & (rows["method"] == "oidn/small")]
+    assert set(learned["note"]) == ({remark} if told else {""})
+    assert remark not in set(rows[rows["method"] == "mean"]["note"])
+
+
 @pytest.mark.parametrize("part", ["rlbench.dither", "baselines.oidn.method", "methods.ours.light"])
 def test_what_ours_is_made_of_decides_its_name(clip_folder, monkeypatch, part):
     asked = request(clip_folder, "ours")
