@@ -59,18 +59,22 @@ def clips(
     pool: str = "stored",
     engine: Engine | None = None,
     kinds: Collection[str] | None = None,
+    takes: str | None = None,
 ) -> tuple[Stored, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be.
 
-    `kinds` of sample pools are those that are wanted of a preset's; None is all of them.
+    `kinds` of sample pools are those that are wanted of a preset's, and `takes` of its scenes are
+    `main` or `all`; None is all of the former, and the latter as in the preset.
     """
     from rlbench.source import POOLS, below, pooled
 
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        made = rendered(scenes, preset, engine=engine, kinds=kinds)
+        made = rendered(scenes, preset, engine=engine, kinds=kinds, takes=takes)
         return tuple(pooled(folder, pool) for folder in made)
+    if takes is not None:
+        raise AskedError("--takes is of a preset's scenes; of --clips, --scenes names single clips")
     found = [pooled(folder, pool) for place in own for folder in below(place)]
     wanted = split(scenes or [])
     named = {clip: {clip.header.scene, clip.header.name} for clip in found}
@@ -214,11 +218,13 @@ def rendered(
     views: list[str] | None = None,
     engine: Engine | None = None,
     kinds: Collection[str] | None = None,
+    takes: str | None = None,
 ) -> list[Path]:
     """The clip folders of a preset, or of it with a radiance cap, or with more view buffers.
 
     Missing ones are rendered now, with those `kinds` of sample pools of the preset's, or all.
-    Scenes, takes of them, and seeds of generated scenes replace those of the preset.
+    Scenes, `takes` of each (main or all), and seeds of generated scenes replace those of the
+    preset.
     """
     from rlbench import registry
     from rlbench.engine import LOCAL
@@ -234,4 +240,5 @@ def rendered(
     plan = plan if cap is None else plan.capped(cap)
     plan = plan.showing(split(views)) if views else plan
     plan = plan if kinds is None else plan.selling(kinds)
+    plan = plan if takes is None else plan.filming(takes)
     return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
-from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, lint, render
+from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, Takes, lint, render
 from rlbench.cli_methods import Device, Methods, Plugins, check, use
 from rlbench.cli_training import crossval, train
 from rlbench.importing.command import import_
@@ -52,6 +52,7 @@ def run(
     scenes: Scenes = None,
     spp: Annotated[str, typer.Option(help="budgets, samples per pixel")] = "0.5,1,2,4",
     preset: Preset = "mini",
+    takes: Takes = None,
     clips: Annotated[
         list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
     ] = None,
@@ -96,6 +97,8 @@ def run(
 
       rlbench run -m ours,oidn --half
 
+      rlbench run -m ours,oidn --preset standard --takes main
+
       rlbench run -m all --preset standard --engine ray --ray-address auto
     """
     use(plugin)
@@ -114,7 +117,7 @@ def run(
     with opened(engine, ray_address) as workers:
         request = Request(
             methods=names,
-            clips=asked.clips(clips, scenes, preset, pool, workers, kinds),
+            clips=asked.clips(clips, scenes, preset, pool, workers, kinds, takes),
             spp=asked.numbers("--spp", spp, float),
             seeds=asked.numbers("--seed", seed, int),
             device=asked.device(device),

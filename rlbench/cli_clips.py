@@ -16,6 +16,9 @@ Seeds = Annotated[
     str | None, typer.Option(help="generated scenes: 0:48 or 3,7; default the preset's")
 ]
 Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
+Takes = Annotated[
+    str | None, typer.Option(help="main or all, of each scene; default the preset's choice")
+]
 Engine = Annotated[str, typer.Option(help="who does the work: local, or ray, many at a time")]
 RayAddress = Annotated[
     str | None,
@@ -26,6 +29,7 @@ RayAddress = Annotated[
 def render(
     scenes: Scenes = None,
     preset: Preset = "mini",
+    takes: Takes = None,
     seeds: Seeds = None,
     cap: Annotated[
         float | None, typer.Option(help="dim every sample to so many times display white")
@@ -92,7 +96,8 @@ def render(
             given = scenes or (seeds and [seeds]) or None
             folders = [asked.own_scene(scene, given, preset, *own, workers)]
         else:
-            folders = asked.rendered(scenes, preset, cap, asked.seeds(seeds), views, workers)
+            chosen = asked.seeds(seeds)
+            folders = asked.rendered(scenes, preset, cap, chosen, views, workers, takes=takes)
     for folder in folders:
         typer.echo(f"{folder}{_retimed(folder) if retime else ''}")
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast, get_args
 
 from rlbench.header import EXTRAS
 
 FOUR = ("city", "temple", "hall", "ripples")
 BOTH = ("path", "restir")  # pools, by entry point of the group rlbench.pools
 GENERATED = "generated"  # clips of rlbench.scenes.generator are named generated-<seed>
+Takes = Literal["main", "all"]
 
 
 class PresetError(ValueError):
@@ -29,7 +30,7 @@ class Preset:
     reference_spp: int  # samples per pixel of each half of the reference
     scenes: tuple[str, ...] = FOUR  # by entry point of the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated training scenes
-    takes: Literal["main", "all"] = "main"  # of each scene, that are clips of their own
+    takes: Takes = "main"  # of each scene, that are clips of their own
     pool_spp: int = 8  # stored 1-spp images per frame
     cap: float = math.inf  # brightest that a sample may be, times display white
     ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
@@ -62,6 +63,12 @@ class Preset:
                 f"no view buffer {', '.join(unknown)} to add; there are: {', '.join(EXTRAS)}"
             )
         return replace(self, name=f"{self.name}-views", extras=chosen)
+
+    def filming(self, takes: str) -> Preset:
+        """The same, under its name, with the main take of each scene, or all. PresetError."""
+        if takes not in get_args(Takes):
+            raise PresetError(f"--takes is main or all, and was given '{takes}'")
+        return replace(self, takes=cast(Takes, takes))
 
     def selling(self, kinds: Collection[str]) -> Preset:
         """The same, under its name, with no pools but these kinds and the path tracer's."""

@@ -125,6 +125,7 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
         (("--device", "abacus"), "error: --device abacus cannot be used here"),
         (("--scenes", "cellar"), "error: --scenes cellar: the clips given show: noise"),
         (("--plugin", "nowhere.py"), "error: no plugin file at"),
+        (("--takes", "main"), "error: --takes is of a preset's scenes; of --clips"),
     ],
 )
 def test_what_cannot_be_done_is_one_clear_message(clip_folder, tmp_path, words, told):
@@ -149,6 +150,8 @@ def test_a_folder_without_a_clip_is_told(tmp_path):
             "error: scene 'city' has no take 'crane'; it has: static, cut",
         ),
         (("--seeds", "48:0"), "error: --seeds takes a range such as 0:48"),
+        (("--takes", "some"), "error: --takes is main or all, and was given 'some'"),
+        (("--retime", "--scene", "x.xml"), "error: --retime is of a preset's clips"),
         (("--seeds", "a"), "and was given 'a'"),
         (("--seeds", "0:48", "--scene", "x.xml"), "without --scenes and --seeds"),
     ],
@@ -182,6 +185,14 @@ def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
         ("train", None, (30, 31)),
         ("mini", None, (30, 31)),
     ]
+
+
+@pytest.mark.parametrize(("asked_for", "takes"), [(None, "all"), ("main", "main")])
+def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
+    wanted = []
+    monkeypatch.setattr("rlbench.render.record.ensure", lambda plan, *_, **__: wanted.append(plan))
+    asked.rendered(None, "standard", takes=asked_for)
+    assert [(plan.name, plan.takes) for plan in wanted] == [("standard", takes)]
 
 
 def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
