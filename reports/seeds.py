@@ -7,9 +7,10 @@ from pathlib import Path
 import pandas as pd
 
 from reports import names, pages, scores
-from reports.grids import Grid
+from reports.grids import Grid, gap_text
 from reports.published import published
 from reports.spread import deviation
+from reports.trainings import BASE, against
 from rlbench.table import LacksError
 
 METRIC = "psnr"
@@ -28,8 +29,11 @@ def write(table: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
         found = deviations(trained)
         if len(found):
             scores.check(trained)
-            grid = _grid(trained, found, device)
-            sections.append(pages.Section(device, [grid], found, _lists(trained, found)))
+            grids = [_grid(trained, found, device)]
+            differ = against(_means(trained))
+            grids += [_difference_grid(trained, differ)] if len(differ) else []
+            both = found.merge(differ, on=["series", "spp"], how="left")
+            sections.append(pages.Section(device, grids, both, _lists(trained, found)))
     if not sections:
         have = sorted({method for method in table["method"] if names.weights(method)})
         raise LacksError(
@@ -48,9 +52,12 @@ def deviations(table: pd.DataFrame) -> pd.DataFrame:
     _differ(table)
     made = []
     for series, trained in table.groupby(table["method"].map(names.series)):
-        means = scores.overall(scores.scene_means(trained, METRIC))
-        made += [{"series": series, **row} for row in _spread(means)]
+        made += [{"series": series, **row} for row in _spread(_means(trained))]
     return pd.DataFrame(made)
+
+
+def _means(table: pd.DataFrame) -> pd.DataFrame:
+    return scores.overall(scores.scene_means(table, METRIC))
 
 
 def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
@@ -109,6 +116,28 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
         f"({paper.title}). Scored on {device or 'a device not named'}."
     )
     return Grid("Deviation between seeds of training [dB]", caption, head, body)
+
+
+def _difference_grid(table: pd.DataFrame, differ: pd.DataFrame) -> Grid:
+    budgets = sorted(set(differ["spp"]))
+    cells = {
+        (row["series"], row["spp"]): gap_text(
+            row["difference"], row["difference_low"], row["difference_high"]
+        )
+        for row in differ.to_dict("records")
+    }
+    body = tuple(
+        (f"{series}0, ...", *(cells.get((series, spp), "-") for spp in budgets))
+        for series in sorted(set(differ["series"]))
+    )
+    caption = (
+        f"Mean PSNR in dB ({scores.about(table, METRIC, 'convention')}) of a row's trainings less "
+        f"that of the trainings of {BASE}. In brackets: 95 % interval by Welch's t-test over "
+        "trainings, bold where it excludes zero. It holds for these clips; other clips would "
+        "differ too."
+    )
+    head = ("trainings of", *(f"{spp:g} spp" for spp in budgets))
+    return Grid(f"Trainings less those of {BASE} [dB]", caption, head, body)
 
 
 def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:

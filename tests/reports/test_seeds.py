@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import SCENES, rows
 from scipy import stats
 
-from reports import scores, seeds
+from reports import scores, seeds, trainings
 from rlbench.table import LacksError, frame_of
 
 SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 2)
@@ -29,8 +30,9 @@ def written(made, folder):
     return [file.read_text() for file in seeds.write(frame_of(made), folder)]
 
 
-def lines(page):
-    found = [x for x in page.splitlines() if x.startswith("| ours") or x.startswith("| ntas")]
+def lines(page, title="Deviation between"):
+    (grid,) = [part for part in page.split("### ") if part.startswith(title)]
+    found = [x for x in grid.splitlines() if x.startswith("| ours") or x.startswith("| ntas")]
     return [[cell.strip() for cell in x.split("|")[1:-1]] for x in found]
 
 
@@ -69,6 +71,30 @@ def test_the_paper_s_deviation_stands_beside_that_of_ours_alone(tmp_path):
         ("ours@seed0, ...", "0.06"),
         ("ntas@seed0, ...", "-"),
     }
+
+
+def test_rows_are_compared_over_their_trainings_by_welch_s_test(tmp_path):
+    ours, ntas = SHIFTS, (0.3, -0.1, 0.2, 0.0)
+    made = trained() + trained(ntas, name="ntas@seed", method="ntas")
+    table = frame_of(made)
+    found = trainings.against(scores.overall(scores.scene_means(table, "psnr")))
+    row = found.set_index("spp").loc[1.0]
+    gap = np.mean(ntas) - np.mean(ours) + 28.6 - 29.9
+    spreads = [np.var(each, ddof=1) / len(each) for each in (ntas, ours)]
+    free = sum(spreads) ** 2 / sum(
+        s**2 / (len(e) - 1) for s, e in zip(spreads, (ntas, ours), strict=True)
+    )
+    half = stats.t(free).ppf(0.975) * math.sqrt(sum(spreads))
+    ends = (row["difference"], row["difference_low"], row["difference_high"])
+    assert ends == pytest.approx((gap, gap - half, gap + half))
+    shown = lines(written(made, tmp_path)[0], "Trainings less")
+    assert [cells[0] for cells in shown] == ["ntas@seed0, ..."]
+    assert shown[0][2] == f"**{gap:+.2f} [{gap - half:+.2f}, {gap + half:+.2f}]**"
+
+
+def test_trainings_of_other_names_are_not_held_against_each_other(tmp_path):
+    made = trained() + trained((0.0, 0.1), name="ntas@long", method="ntas")
+    assert "Trainings less" not in written(made, tmp_path)[0]
 
 
 def test_other_names_are_other_trainings(tmp_path):
