@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from rlbench.ops.initialise import initialise
 from rlbench.ops.pad import crop, pad
+from rlbench.ops.rise import Rise
 
 INPUTS = 10  # colour, albedo, normal, depth
 ENCODER = (32, 43, 57, 76, 101)  # channels of both convolutions of a level, fine to coarse
@@ -56,7 +56,7 @@ class UNet(nn.Module):
         )
         self.bottom = _convolutions(bottom, bottom, bottom)
         self.decoder = nn.ModuleList(
-            _convolutions(w + skip, *widths)
+            _convolutions((w, skip), *widths)
             for w, skip, widths in zip(rising, reversed(ENCODER), DECODER, strict=True)
         )
         self.last = nn.Conv2d(DECODER[-1][-1], outputs, 3, padding=1)
@@ -69,15 +69,24 @@ class UNet(nn.Module):
             features = F.max_pool2d(skips[-1], 2)
         features = self.bottom(features)
         for level, skip in zip(self.decoder, reversed(skips), strict=True):
-            raised = F.interpolate(features, scale_factor=2.0, mode="nearest")
-            features = level(torch.cat((raised, skip), 1))
+            rise, *others = level.children()
+            features = rise(features, skip)
+            for layer in others:
+                features = layer(features)
         said: Tensor = self.last(features).float()
         return crop(said, *seen.shape[-2:])
 
 
-def _convolutions(*channels: int) -> nn.Sequential:
-    """3x3 convolutions from each of `channels` to the next, with activations."""
-    layers: list[nn.Module] = []
-    for width, following in pairwise(channels):
-        layers += [nn.Conv2d(width, following, 3, padding=1), nn.LeakyReLU(SLOPE)]
+def _convolutions(entering: int | tuple[int, int], *widths: int) -> nn.Sequential:
+    """3x3 convolutions to each of `widths`, with activations; a level and its skip may enter."""
+    first = (
+        Rise(*entering, widths[0]) if isinstance(entering, tuple) else _conv(entering, widths[0])
+    )
+    layers: list[nn.Module] = [first, nn.LeakyReLU(SLOPE, inplace=True)]
+    for width, following in pairwise(widths):
+        layers += [_conv(width, following), nn.LeakyReLU(SLOPE, inplace=True)]
     return nn.Sequential(*layers)
+
+
+def _conv(inputs: int, outputs: int) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 3, padding=1)

@@ -72,7 +72,7 @@ class Encoder(nn.Module):
         """The new state, in [-1, 1]."""
         seen = packed(seen)
         for layer in self.layers[:-1]:
-            seen = torch.relu(layer(seen))
+            seen = torch.relu_(layer(seen))
         return torch.tanh(self.layers[-1](seen))
 
 
@@ -100,6 +100,6 @@ class Networks(nn.Module):
 def _block(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, 3, padding=1),
-        nn.ReLU(),
+        nn.ReLU(inplace=True),
         nn.Conv2d(outputs, outputs, 3, padding=1),
     )

@@ -16,4 +16,7 @@ def packed(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     kind = x.device.type
     casts = torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)
     dtype = torch.get_autocast_dtype(kind) if casts else x.dtype
-    return x.to(dtype, memory_format=torch.channels_last)
+    if len(x) > 1 or not x.is_contiguous():
+        return x.to(dtype, memory_format=torch.channels_last)
+    # the same as the transpose of a matrix, for which torch has a kernel twice as fast
+    return x.to(dtype)[0].flatten(1).t().contiguous().view(1, *x.shape[2:], -1).permute(0, 3, 1, 2)

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from rlbench.ops.initialise import initialise
 from rlbench.ops.packed import packed
+from rlbench.ops.rise import Rise
 
 STRIDE = 16  # four poolings: both sides of the input divide by this
 
@@ -61,13 +62,13 @@ class UNet(nn.Module):
         self.enc_conv4 = _conv(e3, e4)
         self.enc_conv5a = _conv(e4, e5)
         self.enc_conv5b = _conv(e5, e5)
-        self.dec_conv4a = _conv(e5 + e3, d4a)
+        self.dec_conv4a = _rise(e5, e3, d4a)
         self.dec_conv4b = _conv(d4a, d4b)
-        self.dec_conv3a = _conv(d4b + e2, d3a)
+        self.dec_conv3a = _rise(d4b, e2, d3a)
         self.dec_conv3b = _conv(d3a, d3b)
-        self.dec_conv2a = _conv(d3b + e1, d2a)
+        self.dec_conv2a = _rise(d3b, e1, d2a)
         self.dec_conv2b = _conv(d2a, d2b)
-        self.dec_conv1a = _conv(d2b + inputs, d1a)
+        self.dec_conv1a = _rise(d2b, inputs, d1a)
         self.dec_conv1b = _conv(d1a, d1b)
         self.dec_conv0 = _conv(d1b, outputs)
         initialise(self, seed)
@@ -83,20 +84,16 @@ class UNet(nn.Module):
         Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
         """
         x = packed(x)
-        half = _pool(F.relu(self.enc_conv1(F.relu(self.enc_conv0(x)))))
-        quarter = _pool(F.relu(self.enc_conv2(half)))
-        eighth = _pool(F.relu(self.enc_conv3(quarter)))
-        bottom = _pool(F.relu(self.enc_conv4(eighth)))
-        bottom = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(bottom))))
+        half = _halved(self.enc_conv1(F.relu_(self.enc_conv0(x))))
+        quarter = _halved(self.enc_conv2(half))
+        eighth = _halved(self.enc_conv3(quarter))
+        bottom = _halved(self.enc_conv4(eighth))
+        bottom = F.relu_(self.enc_conv5b(F.relu_(self.enc_conv5a(bottom))))
 
-        level4 = _join(bottom, eighth)
-        level4 = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(level4))))
-        level3 = _join(level4, quarter)
-        level3 = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(level3))))
-        level2 = _join(level3, half)
-        level2 = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(level2))))
-        level1 = _join(level2, x)
-        level1 = F.relu(self.dec_conv1b(F.relu(self.dec_conv1a(level1))))
+        level4 = F.relu_(self.dec_conv4b(F.relu_(self.dec_conv4a(bottom, eighth))))
+        level3 = F.relu_(self.dec_conv3b(F.relu_(self.dec_conv3a(level4, quarter))))
+        level2 = F.relu_(self.dec_conv2b(F.relu_(self.dec_conv2a(level3, half))))
+        level1 = F.relu_(self.dec_conv1b(F.relu_(self.dec_conv1a(level2, x))))
         return [level4, level3, level2, level1]
 
 
@@ -106,9 +103,10 @@ def _conv(inputs: int, outputs: int) -> nn.Conv2d:
     return born.to_empty(device=torch.get_default_device())
 
 
-def _pool(x: Tensor) -> Tensor:
-    return F.max_pool2d(x, 2)
+def _rise(coarse: int, skip: int, outputs: int) -> Rise:
+    return Rise(coarse, skip, outputs, device="meta").to_empty(device=torch.get_default_device())
 
 
-def _join(coarse: Tensor, skip: Tensor) -> Tensor:
-    return torch.cat((F.interpolate(coarse, scale_factor=2.0, mode="nearest"), skip), dim=1)
+def _halved(x: Tensor) -> Tensor:
+    """ReLU and the maximum of 2x2, in the order that has less to write."""
+    return F.relu_(F.max_pool2d(x, 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import pytest
 import torch
 
 from rlbench import registry, show, table
@@ -51,8 +52,10 @@ def test_what_run_prints_of_half_precision_is_of_half_precision(clip_folder, tmp
     assert "ours/A2@half" in capsys.readouterr().out
 
 
-def test_packing_changes_no_value_of_a_convolution():
-    x = torch.rand(2, 5, 16, 32, generator=torch.Generator().manual_seed(1))
+@pytest.mark.parametrize("shape", [(2, 5, 16, 32), (1, 5, 16, 32), (1, 5, 32, 16)])
+def test_packing_changes_no_value_of_a_convolution(shape):
+    x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
+    assert packed(x).shape == x.shape
     assert torch.equal(packed(x), x)
     assert packed(x).is_contiguous(memory_format=torch.channels_last)
     with torch.autocast("cpu", torch.bfloat16):
