@@ -8,8 +8,10 @@ METHODS := ours,ntas,oidn,mean
 ABLATED := ours,ours/A1,ours/A2,ours/flat
 
 SPP := 1000
+SEEDS := 0 1 2 3 4
+TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2 oidn/tuned:oidn-tuned/tuned
 
-.PHONY: demo docs contact test test-all format clean
+.PHONY: demo docs seeds contact test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -27,6 +29,16 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report ablation --results $(RESULTS)/ablation --out docs/made
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all
 	cp docs/made/*.md docs/made/*.png docs && rm -r docs/made
+
+# what another seed of training gives: five short trainings of four rows; goes on where it was killed
+seeds: .venv/dev.stamp
+	set -e; for seed in $(SEEDS); do \
+	  $(BIN)/rlbench train -m ours,ours/A1,ours/A2,oidn/tuned --frames 1000 --half --seed $$seed --out runs/seed$$seed; \
+	  for row in $(TRAINED); do \
+	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --out $(RESULTS)/seeds; \
+	  done; \
+	done
+	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs
 
 # one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
 contact: .venv/run.stamp

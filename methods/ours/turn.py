@@ -56,10 +56,18 @@ class Turn:
         self, action: Float[Tensor, "n 1 h w"]
     ) -> tuple[Float[Tensor, "n 1 h w"], Float[Tensor, "n 1 h w"], Memory]:
         """Squared errors in log transfer, counts, and what is left for the next frame."""
-        samples = self._buy(action)
-        image, left = self.method.denoise(self.view, samples, self.state)
+        image, samples, left = self.show(action)
         error = (log_forward(image).clamp(0, 1) - self._truth).square().mean(1, keepdim=True)
         return error, samples.counts.float(), left
+
+    @torch.no_grad()
+    def show(
+        self, action: Float[Tensor, "n 1 h w"]
+    ) -> tuple[Float[Tensor, "n 3 h w"], Samples, Memory]:
+        """The image of an action, what was bought for it, and what is left for the next frame."""
+        samples = self._buy(action)
+        image, left = self.method.denoise(self.view, samples, self.state)
+        return image, samples, left
 
     def slope(self, teach: Teach) -> Float[Tensor, ""]:
         """The loss of the mean action's image, with a gradient to the action through samples."""

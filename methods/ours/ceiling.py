@@ -1,0 +1,161 @@
+"""How much could any map of samples give? The best one found for a frame by itself.
+
+Command: python -m methods.ours.ceiling --spp 1,2,4
+
+Behind the trained encoder and denoiser, and with what was remembered, the map of one frame is
+improved on its own error: what no sampler knows before it has sampled. The map has one value a
+block, so that it cannot pick single samples, and every step sells them in another order. Scores are
+of orders that no step has seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from rich.console import Console
+from rich.progress import track
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from methods.ours.memory import Memory
+from methods.ours.method import Ours, build
+from methods.ours.policy.ppo_pixel import PpoPixel
+from methods.ours.turn import Turn
+from rlbench import paths, registry
+from rlbench.clips import open_clip
+from rlbench.frames import Frame
+
+BLOCK = 8  # pixels: side of what has one value
+RATE = 0.05  # of Adam, on values of which tanh is the action
+BOUND = 0.95  # of actions at the start, beyond which tanh is flat
+SEEN, HELD = 8, 4  # orders of sale: of the steps, and of the scores
+
+
+class Found(NamedTuple):
+    """PSNR of one frame in dB, mean over orders of sale that no step has seen."""
+
+    clip: str
+    spp: float
+    frame: int
+    uniform: float
+    learned: float
+    best: float  # of the map found for this frame
+
+
+@dataclass(frozen=True)
+class Free(Turn):
+    """A turn whose action is a map of its own in place of the sampler's."""
+
+    values: Tensor  # n 1 h/BLOCK w/BLOCK; tanh of them is the action
+
+    def act(self) -> Float[Tensor, "n 1 h w"]:
+        """The map's action."""
+        h, w = self.frame.pool.size[1:]
+        return F.interpolate(self.values.tanh(), scale_factor=BLOCK)[..., :h, :w]
+
+
+def ceiling(method: Ours, folder: Path, spp: float, index: int, steps: int) -> Found:
+    """What uniform samples, the sampler, and the best map found give on frame `index` of a clip."""
+    orders = [list(_frames(method, folder, seed, index)) for seed in range(SEEN + HELD)]
+    state = _remembered(method, orders[0], spp)
+    turns = [_turn(method, frames[-1], state, spp) for frames in orders]
+    with torch.no_grad():
+        learned = turns[0].act()
+    best = improved(turns[:SEEN], learned, steps)
+    maps = (torch.zeros_like(learned), learned, best)
+    return Found(folder.name, spp, index, *(_psnr(turns[SEEN:], each) for each in maps))
+
+
+def improved(
+    turns: Sequence[Turn], action: Float[Tensor, "n 1 h w"], steps: int
+) -> Float[Tensor, "n 1 h w"]:
+    """An action that is better on these turns of one frame, by so many steps of its own."""
+    whole = F.avg_pool2d(action, BLOCK, ceil_mode=True).clamp(-BOUND, BOUND)
+    values = nn.Parameter(whole.atanh())
+    optimizer = torch.optim.Adam([values], RATE)
+    learns, generator = PpoPixel(), torch.Generator().manual_seed(0)
+    for step in range(steps):
+        optimizer.param_groups[0]["lr"] = RATE * (1 - step / steps)
+        optimizer.zero_grad()
+        turn = Free(**vars(turns[step % len(turns)]), values=values)
+        learns.loss(turn, generator).backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+    return Free(**vars(turns[0]), values=values.detach()).act()
+
+
+def _frames(method: Ours, folder: Path, seed: int, last: int) -> Iterator[Frame]:
+    clip = open_clip(folder, method.traits.needs, pool=method.traits.pool, seed=seed)
+    for frame in clip:
+        yield frame
+        if frame.index == last:
+            return
+
+
+@torch.no_grad()
+def _remembered(method: Ours, frames: Sequence[Frame], spp: float) -> Memory:
+    """What is left of all frames but the last, sampled as the sampler wishes."""
+    h, w = frames[0].pool.size[1:]
+    state = method.start(frames[0].pool.size)
+    for frame in frames[:-1]:
+        turn = _turn(method, frame, state, spp)
+        state = turn.take(turn.act())[2]
+    return state
+
+
+def _turn(method: Ours, frame: Frame, state: Memory, spp: float) -> Turn:
+    return Turn(method, frame, frame.view.only(method.traits.needs), state, spp)
+
+
+def _psnr(turns: Sequence[Turn], action: Float[Tensor, "n 1 h w"]) -> float:
+    score = registry.load("metrics", "psnr").score
+    shown = [(turn.show(action)[0], turn.frame.reference) for turn in turns]
+    return sum(float(score(image, truth.a, truth.b)) for image, truth in shown) / len(shown)
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m methods.ours.ceiling",
+        description="Improve the map of one frame of each clip on its own error, and score it on "
+        "other samples, beside uniform samples and the sampler's own map.",
+        epilog="example: python -m methods.ours.ceiling --spp 1,2 --steps 100 --out /tmp/c.csv",
+    )
+    parser.add_argument("--clips", type=Path, default=paths.clips() / "mini", help="folder of them")
+    parser.add_argument("--spp", default="1,2,4", help="samples per pixel")
+    parser.add_argument(
+        "--frame", type=int, default=5, help="which, from 0; those before lead there"
+    )
+    parser.add_argument("--steps", type=int, default=200, help="of four trials each")
+    parser.add_argument("--out", type=Path, default=Path("ceiling.csv"), help="a table, added to")
+    given = parser.parse_args()
+    folders = sorted(file.parent for file in given.clips.glob("*/clip.toml"))
+    if not folders:
+        parser.error(
+            f"{given.clips} holds no clip: 'rlbench render' makes some, --clips takes others"
+        )
+    method = build("", torch.device("cpu"), None)
+    cells = [(folder, float(spp)) for folder in folders for spp in given.spp.split(",")]
+    for folder, spp in track(cells, "improving"):
+        _add(given.out, ceiling(method, folder, spp, given.frame, given.steps))
+
+
+def _add(file: Path, found: Found) -> None:
+    begun = file.exists()
+    with file.open("a", newline="") as out:
+        table = csv.writer(out)
+        if not begun:
+            table.writerow(Found._fields)
+        table.writerow(found)
+    told = (f"{k} {v:.2f}" if isinstance(v, float) else f"{v}" for k, v in found._asdict().items())
+    Console().print(*told)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""The map that is found for a frame by itself is better, where a better one is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+
+from methods.ours.ceiling import improved
+from methods.ours.method import build
+from methods.ours.turn import Turn
+from rlbench.frames import Frame, Size
+from rlbench.procedural import procedural
+from rlbench.sampling import StoredPool
+
+SIZE = Size(1, 32, 48)
+NOISY = 24  # columns from here on are noisy
+
+
+def turns(count: int) -> list[Turn]:
+    """One frame whose left half has no noise, sold in several orders."""
+    method = build("", torch.device("cpu"), None)
+    frame = next(iter(procedural(seed=2, size=SIZE, frames=1)))
+    assert isinstance(frame.pool, StoredPool)
+    radiance = frame.pool.radiance.clone()
+    radiance[..., :NOISY] = frame.reference.mean[:, None, ..., :NOISY]
+    orders = [radiance[:, torch.arange(8).roll(step)] for step in range(count)]
+    frames = [replace(frame, pool=StoredPool(each, (7 + i,))) for i, each in enumerate(orders)]
+    return [_turn(method, each) for each in frames]
+
+
+def _turn(method, frame: Frame) -> Turn:
+    return Turn(method, frame, frame.view, method.start(SIZE), 1.0)
+
+
+def test_it_samples_where_there_is_noise_and_errs_less():
+    *seen, held = turns(5)
+    uniform = torch.zeros(1, 1, *SIZE[1:])
+    found = improved(seen, uniform, steps=40)
+    assert found.abs().max() <= 1
+    assert found[..., NOISY:].mean() > found[..., :NOISY].mean() + 0.5
+    errors = held.attempt(torch.stack((uniform, found))).errors.mean((1, 2, 3, 4))
+    assert errors[1] < errors[0]
