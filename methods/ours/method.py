@@ -21,6 +21,7 @@ from rlbench.frames import Size, View
 from rlbench.ops.demodulate import sane
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.initialise import initialise
+from rlbench.ops.packed import unpacked
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import (
     LOG_SCALE,
@@ -124,7 +125,7 @@ class Ours:
             return torch.cat((values, looked(view)), dim=1), torch.zeros_like(view.depth)
         seen = torch.cat((values, known.seen), dim=1)
         h, w = seen.shape[-2:]
-        encoded = crop(self.networks.encoder(pad(seen, MULTIPLE)), h, w).float()
+        encoded = crop(unpacked(self.networks.encoder(pad(seen, MULTIPLE))), h, w)
         latent, rest = encoded[:, : self.config.latent], encoded[:, self.config.latent :]
         trust = (1 + rest) / 2
         if known.moved is None:
@@ -151,7 +152,7 @@ class Ours:
     def _paint(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """What the denoiser says, in its transfer space; colour below zero only while it trains."""
         h, w = shown.shape[-2:]
-        value = crop(self.networks.denoiser(pad(shown, MULTIPLE)), h, w).float()
+        value = crop(unpacked(self.networks.denoiser(pad(shown, MULTIPLE))), h, w)
         if self.networks.training:
             return value
         return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)

@@ -20,3 +20,13 @@ def packed(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
         return x.to(dtype, memory_format=torch.channels_last)
     # the same as the transpose of a matrix, for which torch has a kernel twice as fast
     return x.to(dtype)[0].flatten(1).t().contiguous().view(1, *x.shape[2:], -1).permute(0, 3, 1, 2)
+
+
+def unpacked(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
+    """The same values, channel after channel, in float32.
+
+    For what convolutions return and others read: a sum of two tensors in two orders is slow.
+    """
+    if len(x) > 1 or not x.is_contiguous(memory_format=torch.channels_last):
+        return x.float().contiguous()
+    return x.permute(0, 2, 3, 1).flatten(0, 2).t().contiguous().view(x.shape).float()

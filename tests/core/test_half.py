@@ -11,7 +11,7 @@ from rlbench import registry, show, table
 from rlbench.bench import Done, measure
 from rlbench.frames import Size
 from rlbench.half import Half
-from rlbench.ops.packed import packed
+from rlbench.ops.packed import packed, unpacked
 from rlbench.ops.unet import SMALL, UNet
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
@@ -58,6 +58,8 @@ def test_packing_changes_no_value_of_a_convolution(shape):
     assert packed(x).shape == x.shape
     assert torch.equal(packed(x), x)
     assert packed(x).is_contiguous(memory_format=torch.channels_last)
+    assert torch.equal(unpacked(packed(x)), x)
+    assert unpacked(packed(x)).is_contiguous()
     with torch.autocast("cpu", torch.bfloat16):
         assert packed(x).dtype == torch.bfloat16
         net = UNet(5, widths=SMALL)
