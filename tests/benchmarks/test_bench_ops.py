@@ -8,9 +8,11 @@ import kornia
 import pytest
 import pytorch_msssim
 import torch
+from torch.nn import functional as F
 
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import ms_ssim
+from rlbench.ops.rise import Rise
 from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import FAST, UNet
 from rlbench.ops.warp import reproject
@@ -57,3 +59,27 @@ def test_op(benchmark, pair):
     with torch.inference_mode():
         result = benchmark.pedantic(ops[pair], rounds=5, warmup_rounds=1)
     assert torch.isfinite(result).all()
+
+
+@pytest.mark.parametrize("name", ["rlbench", "torch"])
+@pytest.mark.benchmark(group="doubled level and skip, convolved, 64 + 41 -> 64 x192x192")
+def test_rise(benchmark, name):
+    """The widest layer of the U-Net in `ours`; torch doubles, joins and convolves."""
+    generator = torch.Generator().manual_seed(0)
+    coarse, skip = (
+        torch.randn(1, c, side, side, generator=generator).to(memory_format=torch.channels_last)
+        for c, side in ((64, 96), (41, 192))
+    )
+    layer = Rise(64, 41, 64).to(memory_format=torch.channels_last).requires_grad_(False)
+
+    def plain() -> torch.Tensor:
+        doubled = F.interpolate(coarse, scale_factor=2.0, mode="nearest")
+        return F.conv2d(torch.cat((doubled, skip), 1), layer.weight, layer.bias, padding=1)
+
+    runs: dict[str, Callable[[], torch.Tensor]] = {
+        "rlbench": lambda: layer(coarse, skip),
+        "torch": plain,
+    }
+    with torch.inference_mode():
+        found = benchmark.pedantic(runs[name], rounds=20, warmup_rounds=2)
+        torch.testing.assert_close(found, plain(), rtol=0, atol=1e-4)  # sums of 945 products
