@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from reports import names, pages, scores, variants
-from reports.grids import Grid, gap_text
+from reports.grids import Grid, gap_text, wide
 from reports.published import published
 from reports.statistics import DRAWS
 from reports.variants import METRIC
@@ -44,7 +43,7 @@ def write(
 
 def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
     base = published().of(family)
-    head, body = _wide(found, lambda row: gap_text(row["difference"], row["low"], row["high"]))
+    head, body = wide(found, lambda row: gap_text(row["difference"], row["low"], row["high"]))
     stated = {line[0]: published().of(line[0]) for line in body}
     if base and any(stated.values()):
         head = (*head, f"paper, {published().spp:g} spp")
@@ -64,7 +63,7 @@ def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
 
 
 def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: str) -> Grid:
-    head, body = _wide(
+    head, body = wide(
         found, lambda row: "-" if pd.isna(row["total_ms"]) else f"{row['total_ms']:+.1f}"
     )
     caption = (
@@ -76,26 +75,13 @@ def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: st
 
 
 def _change_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
-    head, body = _wide(found, lambda row: str(row["pairs"]))
+    head, body = wide(found, lambda row: str(row["pairs"]))
     lines = tuple((*line, variants.changes(table, line[0], family)) for line in body)
     caption = (
         f"Settings are those that {family} and its variants wrote into the results, default -> "
         "variant; rlbench list methods says which question each answers. Numbers: pairs of scores."
     )
     return Grid("What each changes, and pairs", caption, (*head, "settings"), lines)
-
-
-def _wide(
-    found: pd.DataFrame, show: Callable[[Mapping[Hashable, Any]], str]
-) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and lines of a table with a column for each budget."""
-    budgets = sorted(set(found["spp"]))
-    cells = {(row["method"], row["spp"]): show(row) for row in found.to_dict("records")}
-    lines = [
-        (method, *(cells.get((method, spp), "-") for spp in budgets))
-        for method in sorted(set(found["method"]))
-    ]
-    return ("variant", *(f"{spp:g} spp" for spp in budgets)), lines
 
 
 def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, list[str]]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
 
 ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
@@ -32,6 +36,19 @@ def gap_text(mean: float, low: float, high: float, form: str = ".2f") -> str:
         return text
     text += f" [{low:+{form}}, {high:+{form}}]"
     return Bold(text) if low > 0 or high < 0 else text
+
+
+def wide(
+    found: pd.DataFrame, show: Callable[[Mapping[Hashable, Any]], str]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and lines of a table with a line for each `method` and a column for each budget."""
+    budgets = sorted(set(found["spp"]))
+    cells = {(row["method"], row["spp"]): show(row) for row in found.to_dict("records")}
+    lines = [
+        (method, *(cells.get((method, spp), "-") for spp in budgets))
+        for method in sorted(set(found["method"]))
+    ]
+    return ("variant", *(f"{spp:g} spp" for spp in budgets)), lines
 
 
 def markdown(grid: Grid) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from reports import names, pages, scores
-from reports.grids import Grid, gap_text
+from reports.grids import Grid, gap_text, wide
 from reports.published import published
 from reports.spread import deviation
 from reports.trainings import BASE, against
@@ -119,16 +119,10 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
 
 
 def _difference_grid(table: pd.DataFrame, differ: pd.DataFrame) -> Grid:
-    budgets = sorted(set(differ["spp"]))
-    cells = {
-        (row["series"], row["spp"]): gap_text(
-            row["difference"], row["difference_low"], row["difference_high"]
-        )
-        for row in differ.to_dict("records")
-    }
-    body = tuple(
-        (f"{series}0, ...", *(cells.get((series, spp), "-") for spp in budgets))
-        for series in sorted(set(differ["series"]))
+    named = differ.assign(method=differ["series"] + "0, ...")
+    (_, *budgets), body = wide(
+        named,
+        lambda row: gap_text(row["difference"], row["difference_low"], row["difference_high"]),
     )
     caption = (
         f"Mean PSNR in dB ({scores.about(table, METRIC, 'convention')}) of a row's trainings less "
@@ -136,8 +130,8 @@ def _difference_grid(table: pd.DataFrame, differ: pd.DataFrame) -> Grid:
         "trainings, bold where it excludes zero. It holds for these clips; other clips would "
         "differ too."
     )
-    head = ("trainings of", *(f"{spp:g} spp" for spp in budgets))
-    return Grid(f"Trainings less those of {BASE} [dB]", caption, head, body)
+    title = f"Trainings less those of {BASE} [dB]"
+    return Grid(title, caption, ("trainings of", *budgets), tuple(body))
 
 
 def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:

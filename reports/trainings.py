@@ -17,10 +17,10 @@ BASE = "ours"  # row that others are held against, where it was trained several 
 def against(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) -> pd.DataFrame:
     """A row for each series of trainings and budget, its mean less that of `base`'s trainings.
 
-    `means` has a row for each training: columns method, spp, value. `low` and `high` are the
-    interval of Welch's t-test (Welch 1947), which takes trainings to be normal and independent and
-    lets the spreads differ. Compared are rows whose weights have one name but for the number; a
-    side with fewer than two trainings at a budget is left out.
+    `means` has a row for each training: columns method, spp, value. `difference_low` and
+    `difference_high` are the interval of Welch's t-test (Welch 1947), which takes trainings to be
+    normal and independent and lets the spreads differ. Compared are rows whose weights have one
+    name but for the number; a side with fewer than two trainings at a budget is left out.
     """
     made = []
     for (words, spp), part in means.groupby([means["method"].map(_words), "spp"]):

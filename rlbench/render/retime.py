@@ -28,9 +28,9 @@ def retime(folder: Path) -> Header:
         )
     taken = sample_ms(named(header.name), header.height, header.width)
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    before = header.sample_ms
-    scaled = tuple(taken * each / before for each in header.pools_ms)
-    unknown = (taken, *(math.nan for _ in header.pools_ms[1:])) if header.pools_ms else ()
-    told = replace(header, sample_ms=taken, pools_ms=scaled if before > 0 else unknown)
+    slower = taken / header.sample_ms if header.sample_ms > 0 else math.nan
+    others = (each * slower for each in header.pools_ms[1:])  # the path tracer's comes first
+    pools_ms = (taken, *others) if header.pools_ms else ()
+    told = replace(header, sample_ms=taken, pools_ms=pools_ms)
     write_header(folder, told)
     return told
