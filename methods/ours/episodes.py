@@ -27,7 +27,7 @@ class Episodes:
     def __init__(self, method: Ours, batches: Batches, budgets: Sequence[float]) -> None:
         """From the draws of `batches`, of one clip each; budgets in samples per pixel."""
         self.method, self.batches, self.budgets = method, batches, tuple(budgets)
-        self.shape = (method.networks.known, batches.crop, batches.crop)
+        self.shape = (method.networks.foreseen, batches.crop, batches.crop)
         self._draw = 0
 
     def reset(self) -> Float[Tensor, "1 c h w"]:

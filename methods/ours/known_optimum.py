@@ -72,7 +72,7 @@ MODES: dict[str, Mode] = {"direct": Direct(), "filter": Filter()}
 
 def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
     """As of `ours`: how far an action lies above the lowest one, here in [0, 1]."""
-    return method.density(action) / 2
+    return method.density(action, "linear") / 2
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from rlbench.ops.warp import reproject
 
 MISSING = -1.0  # a sample that was not bought, a state that is not there
 STILL = 1e-3  # pixels: what moves by less stands still
+LEAST = 0.01  # samples a pixel; a smaller budget is taken for this one
 KEPT = [3, 1, 1, 3, VIEW]  # channels of what is kept of the past
 
 
@@ -26,6 +27,7 @@ class Past(NamedTuple):
     light: Light
     image: Float[Tensor, "n 3 h w"]  # the last one, linear radiance
     seen: Float[Tensor, "n 7 h w"]  # the last view
+    spent: Float[Tensor, "n 1 1 1"]  # samples a pixel of the last frame; 1 before the first
 
 
 class Memory(NamedTuple):
@@ -51,13 +53,25 @@ class Known(NamedTuple):
 
     seen: Float[Tensor, "n c h w"]  # by the networks
     moved: Moved | None
+    spent: Float[Tensor, "n 1 1 1"] | None = None  # where light is gathered
+
+    @property
+    def foreseen(self) -> Float[Tensor, "n c h w"]:
+        """What the sampler sees: last, where light is gathered, the logarithm of the budget.
+
+        That is how many samples a pixel the last frame got.
+        """
+        if self.spent is None:
+            return self.seen
+        budget = self.spent.clamp_min(LEAST).log().expand(-1, -1, *self.seen.shape[-2:])
+        return torch.cat((self.seen, budget), dim=1)
 
 
 def detached(memory: Memory) -> Memory:
     """The same, through which no gradient flows."""
     if (past := memory.past) is not None:
         light = Light(*(part.detach() for part in past.light))
-        past = Past(light, past.image.detach(), past.seen.detach())
+        past = Past(light, past.image.detach(), past.seen.detach(), past.spent)
     return Memory(memory.state.detach(), past, memory.age)
 
 
@@ -67,7 +81,8 @@ def empty(config: Config, size: Size, device: torch.device) -> Memory:
     channels = {"state": config.latent, "samples": SAMPLES[config.samples]}
     nothing = torch.zeros(n, sum(KEPT), h, w, device=device)
     state = nothing.new_full((n, channels.get(config.remembers, 0), h, w), MISSING)
-    return Memory(state, _past(nothing) if config.gathers else None, 0)
+    once = torch.ones(n, 1, 1, 1, device=device)
+    return Memory(state, _past(nothing, once) if config.gathers else None, 0)
 
 
 def recalled(config: Config, view: View, state: Memory) -> Known:
@@ -77,7 +92,7 @@ def recalled(config: Config, view: View, state: Memory) -> Known:
         return Known(seen, None)
     history = state.state
     if state.past is not None:
-        history = torch.cat((history, *state.past.light, *state.past[1:]), dim=1)
+        history = torch.cat((history, *state.past.light, *state.past[1:3]), dim=1)
     history = history if state.age % config.bptt else history.detach()
     moved, valid = reproject(history, view.motion)
     valid = valid & (state.age > 0)
@@ -85,14 +100,14 @@ def recalled(config: Config, view: View, state: Memory) -> Known:
     remembered = moved[:, :width].where(valid, MISSING)
     if state.past is None:
         return Known(torch.cat((seen, remembered), dim=1), None)
-    past = _past(moved[:, width:])
+    past = _past(moved[:, width:], state.past.spent)
     same, image = alike(seen, past.seen).where(valid, 0.0), log_forward(past.image)
     light = past.light._replace(weight=past.light.weight * same)
     gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
     every = torch.cat((seen, remembered, gained), dim=1)
     if view.motion is not None:
         valid = valid & (view.motion.abs().amax(1, keepdim=True) < STILL)
-    return Known(every, Moved(remembered, light, image, same, valid))
+    return Known(every, Moved(remembered, light, image, same, valid), past.spent)
 
 
 def looked(view: View) -> Float[Tensor, "n 7 h w"]:
@@ -100,6 +115,6 @@ def looked(view: View) -> Float[Tensor, "n 7 h w"]:
     return torch.cat((view.normal, view.albedo, squash_depth(view.depth)), dim=1)
 
 
-def _past(kept: Float[Tensor, "n 15 h w"]) -> Past:
+def _past(kept: Float[Tensor, "n 15 h w"], spent: Float[Tensor, "n 1 1 1"]) -> Past:
     mean, square, weight, image, seen = kept.split_with_sizes(KEPT, 1)
-    return Past(Light(mean, square, weight), image, seen)
+    return Past(Light(mean, square, weight), image, seen, spent)

@@ -15,7 +15,7 @@ from methods.ours import FAMILY
 from methods.ours.light import filled, gathered, measured
 from methods.ours.memory import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
 from methods.ours.network import Networks
-from methods.ours.variants import SLOTS, VARIANTS, Config
+from methods.ours.variants import SLOTS, VARIANTS, Config, Density
 from rlbench.family import Traits
 from rlbench.frames import Size, View
 from rlbench.ops.demodulate import sane
@@ -34,6 +34,7 @@ from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"
 BELOW = -0.5 / LOG_SCALE  # least radiance while it trains; log transfer is defined above twice it
+SPAN = 1.5  # logarithm of the density of action 1, that of action 0 being 0
 MULTIPLE = 16  # sides that the denoiser can halve four times
 
 
@@ -51,7 +52,8 @@ class Ours:
     the encoder says how far it is trusted; the denoiser reads colour, albedo and normal in the way
     of Open Image Denoise (Afra 2019), and then the state, starts from Intel's weights, and says how
     much of the last image is kept. Sampler and encoder also see that light and that image. A pixel
-    that stands still and got no sample keeps its state and its light.
+    that stands still and got no sample keeps its state and its light. The sampler is told how many
+    samples the last frame got, and how far its map is from uniform follows from that.
     """
 
     config: Config
@@ -63,15 +65,19 @@ class Ours:
         return empty(self.config, size, next(self.networks.parameters()).device)
 
     def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
-        """How far each pixel's action lies above the lowest one, in [0, 2]."""
+        """The density of the sampler's action; constant where there is none, or it is ignored."""
         if self.networks.sampler is None or self.config.flat:
             return torch.ones_like(view.depth)
-        return density(self.act(view, state))
+        return self.density(self.act(view, state))
+
+    def density(self, action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
+        """How much is wished for by an action; actions beyond [-1, 1] are clamped."""
+        return density(action, self.config.density)
 
     def act(self, view: View, state: Memory) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action, in [-1, 1]."""
         assert self.networks.sampler is not None
-        seen = self.known(view, state).seen
+        seen = self.known(view, state).foreseen
         h, w = seen.shape[-2:]
         action: Tensor = self.networks.sampler(pad(seen, MULTIPLE))
         return crop(action, h, w).float()
@@ -91,7 +97,8 @@ class Ours:
             if known.moved is not None:
                 light = gathered(known.moved.light, light, trust)
             image = self._develop(view, filled(light, view.albedo), latent, known.moved)
-            past = Past(light, image, looked(view)) if self.config.gathers else None
+            spent = samples.counts.float().mean((1, 2, 3), keepdim=True)
+            past = Past(light, image, looked(view), spent) if self.config.gathers else None
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
         return image, Memory(kept[self.config.remembers], past, state.age + 1)
 
@@ -158,9 +165,14 @@ class Ours:
         return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)
 
 
-def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
-    """How far an action lies above the lowest one; actions beyond [-1, 1] are clamped."""
-    return 1 + action.clamp(-1, 1)
+def density(action: Float[Tensor, "*k n 1 h w"], kind: Density) -> Float[Tensor, "*k n 1 h w"]:
+    """Of an action in [-1, 1]: how far it lies above the lowest, or a share that grows by factors.
+
+    Where it grows by factors, equal steps of the action are equal steps in relative count, at both
+    ends of the range alike, and nothing is wished not to be sampled at all.
+    """
+    action = action.clamp(-1, 1)
+    return torch.exp(SPAN * action) if kind == "exponential" else 1 + action
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ours:

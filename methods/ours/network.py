@@ -23,9 +23,13 @@ class Sampler(nn.Module):
 
     Scardigli et al. 2023, section 2.3 (first layer: 4 channels); levels and blocks as in the
     authors' release, "big" table, which is the paper's normal size.
+
+    Ours is `paced`: the last channel is the logarithm of the budget, and what tanh bounds is first
+    multiplied by a power of the budget, whose factor and exponent are learned. A map that pays with
+    4 samples a pixel is too bold with half a sample.
     """
 
-    def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
+    def __init__(self, inputs: int, widths: tuple[int, ...], paced: bool = False) -> None:
         """Build with `inputs` channels and a width for each level, finest first."""
         super().__init__()
         pairs = list(pairwise(widths))
@@ -36,6 +40,7 @@ class Sampler(nn.Module):
         self.merge = nn.ModuleList(_block(2 * a, a) for a, _ in pairs[:0:-1])
         self.head = nn.Conv2d(widths[1], 2, 3, padding=1)
         self.last = nn.Conv2d(2, 1, 3, padding=1)
+        self.pace = nn.Parameter(torch.zeros(2)) if paced else None  # log of factor, exponent
 
     def start_uniform(self) -> None:
         """Forget the last layer, so that every action is zero and the density is constant."""
@@ -52,7 +57,10 @@ class Sampler(nn.Module):
             skips.append(x)
         for up, merge, skip in zip(self.up, self.merge, skips[-2::-1], strict=True):
             x = merge(torch.cat((up(x), skip), dim=1))
-        return torch.tanh(self.last(self.head(x)))
+        raw = self.last(self.head(x))
+        if self.pace is not None:
+            raw = raw * (self.pace[0] + self.pace[1] * known[:, -1:, :1, :1]).exp()
+        return torch.tanh(raw)
 
 
 class Encoder(nn.Module):
@@ -84,8 +92,11 @@ class Networks(nn.Module):
         super().__init__()
         values = SAMPLES[config.samples]
         remembered = {"state": config.latent, "samples": values, "nothing": 0}[config.remembers]
-        self.known = known = VIEW + remembered + TOLD * config.gathers
-        self.sampler = Sampler(known, config.sampler) if config.sampler else None
+        known = VIEW + remembered + TOLD * config.gathers
+        self.foreseen = known + config.gathers  # the budget too
+        self.sampler = None
+        if config.sampler:
+            self.sampler = Sampler(self.foreseen, config.sampler, paced=config.gathers)
         self.encoder, state = None, VIEW + values
         if config.encoder:
             # one channel more says how far light gathered before is trusted

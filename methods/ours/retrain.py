@@ -55,7 +55,7 @@ class Task:
 
     def sampler(self) -> Sampler:
         """A sampler with seeded weights and a uniform density, as every training begins with."""
-        made = Sampler(Networks(BASE).known, BASE.sampler)
+        made = Sampler(Networks(BASE).foreseen, BASE.sampler, paced=BASE.gathers)
         initialise(made, self.seed)
         show_contrast(made, BASE)
         made.start_uniform()
@@ -74,7 +74,7 @@ def by_torch(
     world = task.world()
     sampler, explorer = world.method.networks.sampler, Policy()
     assert sampler is not None
-    learns = learner(name, world.method.networks.known)
+    learns = learner(name, world.method.networks.foreseen)
     trained = nn.ModuleList(part for part in (sampler, learns.network) if part is not None)
     optimizer = torch.optim.Adam(trained.parameters(), PEAK)
     generator = torch.Generator().manual_seed(task.seed)

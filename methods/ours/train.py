@@ -14,7 +14,7 @@ from torch import Tensor
 
 from methods.ours import FAMILY
 from methods.ours.memory import Memory, detached
-from methods.ours.method import Ours, density
+from methods.ours.method import Ours
 from methods.ours.network import Networks
 from methods.ours.policy import Policy, learner
 from methods.ours.start import start
@@ -31,7 +31,7 @@ from rlbench.trainer import Trainer
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
 TUNING = 4e-5  # the rate where the denoiser starts from Intel's weights
-TUNED = {"encoder": 2.0, "sampler": 25.0, "aside": 25.0}  # shares of that one
+TUNED = {"encoder": 2.0, "sampler": 6.0, "aside": 25.0}  # shares of that one
 BUDGETS = (0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 EVERY = 2  # frames between steps of the sampler
 WEIGHT = 0.1  # of the learner's loss beside the image's; matters for clipping only
@@ -66,7 +66,7 @@ class Explorer:
         if self.noisy:
             corner = self.policy.corner(self.generator)
             mean = self.policy.explore(mean, corner, self.generator)
-        return density(mean)
+        return self.method.density(mean)
 
     def denoise(
         self, view: View, samples: Samples, state: Memory
@@ -85,7 +85,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     origin = start(networks, config, seed)
     networks.to(device)
     method = Ours(config, traits, networks)
-    learns = learner(config.learner, networks.known)
+    learns = learner(config.learner, networks.foreseen)
     aside = learns.network.to(device) if learns.network is not None else None
     explorer = Explorer(method, Policy(), torch.Generator())
 

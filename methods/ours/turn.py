@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours.memory import Memory
-from methods.ours.method import Ours, density
+from methods.ours.method import Ours
 from methods.ours.policy import Trial
 from rlbench.frames import Frame, View
 from rlbench.ops.losses import mixed
@@ -33,7 +33,7 @@ class Turn:
     def seen(self) -> Float[Tensor, "n c h w"]:
         """What the sampler sees."""
         with torch.no_grad():
-            return self.method.known(self.view, self.state).seen
+            return self.method.known(self.view, self.state).foreseen
 
     def act(self) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action."""
@@ -41,7 +41,7 @@ class Turn:
 
     def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples a pixel that are due, before rounding."""
-        wish = density(action)
+        wish = self.method.density(action)
         low = torch.full_like(wish, self.method.traits.floor)
         return shares(wish / wish.detach().amax((2, 3), keepdim=True), self.spp, low, self._cap())
 
@@ -82,7 +82,7 @@ class Turn:
 
     def _buy(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
         pool, floor = self.frame.pool, self.method.traits.floor
-        return buy(pool, nothing(pool), density(action), self.spp, floor, self._cap())
+        return buy(pool, nothing(pool), self.method.density(action), self.spp, floor, self._cap())
 
     def _cap(self) -> int:
         cap = self.method.traits.cap

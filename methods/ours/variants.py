@@ -14,6 +14,7 @@ SAMPLES = {"single": 3 * SLOTS, "mean": 3, "mean and count": 4}  # channels
 
 Remembered = Literal["state", "samples", "nothing"]
 Light = Literal["gathered", "frame", "none"]
+Density = Literal["exponential", "linear"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Config:
     remembers: Remembered = "state"  # what of a frame the next one gets; samples: the sampler alone
     light: Light = "gathered"  # colour that the denoiser begins from: over frames, or one frame's
     sampler: tuple[int, ...] = (4, 8, 16, 32)  # widths of the sampler's levels; empty: uniform
+    density: Density = "exponential"  # of its action, in [-1, 1]
     encoder: tuple[int, ...] = (64,)  # widths of its hidden layers; empty: no encoder
     kernel: int = 3  # side of the encoder's kernels
     denoiser: Widths = NORMAL
@@ -41,7 +43,7 @@ class Config:
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    "paper": replace(BASE, light="none"),  # the denoiser reads the state alone
+    "paper": replace(BASE, light="none", density="linear"),  # the denoiser reads the state alone
     "A1": replace(BASE, learner="surrogate"),  # a gradient's approximation in place of learning
     "A2": replace(BASE, sampler=()),  # is planning worth its time?
     "B1": replace(BASE, encoder=(), remembers="samples", light="frame"),  # no state

@@ -47,7 +47,7 @@ def test_parameter_counts_are_those_of_the_fact_sheet(network, count):
     ("variant", "fields"),
     [
         ("", set()),
-        ("paper", {"light"}),
+        ("paper", {"light", "density"}),
         ("A1", {"learner"}),
         ("A2", {"sampler"}),
         ("B1", {"encoder", "remembers", "light"}),

@@ -66,7 +66,7 @@ def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name):
     asked = turn("A1", 2.0)
     sampler = asked.method.networks.sampler
     sampler.zero_grad()
-    learns = LEARNERS[name](asked.method.networks.known)
+    learns = LEARNERS[name](asked.method.networks.foreseen)
     learns.loss(asked, torch.Generator().manual_seed(0)).backward()
     gradients = [p.grad for p in sampler.parameters() if p.grad is not None]
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
@@ -75,5 +75,5 @@ def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name):
 
 def test_what_the_critic_sees_is_what_the_sampler_sees():
     asked = turn()
-    assert asked.seen.shape[1] == asked.method.networks.known
+    assert asked.seen.shape[1] == asked.method.networks.foreseen
     assert not asked.seen.requires_grad
