@@ -24,6 +24,9 @@ from rlbench.sampling import Samples
 CPU = torch.device("cpu")
 
 
+VIEW = next(iter(procedural(seed=3, size=Size(1, 32, 32), frames=1))).view
+
+
 def parameters(network: nn.Module) -> int:
     return sum(p.numel() for p in network.parameters())
 
@@ -157,6 +160,45 @@ def test_a_still_pixel_without_samples_keeps_its_state_and_its_light(after_one):
     assert kept[:, :16, :16].all()
     assert not kept[:, 16:].any()
     assert not kept[:, :, 16:].any()
+
+
+def test_the_sampler_is_told_how_many_samples_the_last_frame_got(after_one):
+    method, frame, left = after_one
+    (first,), told = method.start(Size(1, 32, 32)).past.spent, left.past.spent
+    assert (float(first), float(told)) == (1.0, 2.0)
+    seen = method.known(replace(frame.view, static=True), left).foreseen
+    assert seen.shape[1] == method.networks.foreseen
+    assert torch.allclose(seen[:, -1], torch.tensor(2.0).log())
+    _, none = method.denoise(frame.view, frame.pool.empty(), left)
+    assert method.known(frame.view, none).foreseen.isfinite().all()  # none were bought
+
+
+@pytest.mark.parametrize("variant", ["paper", "B1"])
+def test_where_no_light_is_gathered_the_sampler_sees_what_the_encoder_sees(variant):
+    method = build(variant, CPU, "random")
+    known = method.known(VIEW, method.start(Size(1, 32, 32)))
+    assert known.foreseen is known.seen
+
+
+def test_a_paced_sampler_multiplies_its_action_by_a_power_of_the_budget():
+    sampler = Sampler(4, (4, 8, 16), paced=True)
+    initialise(sampler, 0)
+    sampler.last.weight.data.mul_(0.01)  # far from where tanh is flat
+    known = torch.randn(1, 4, 16, 16, generator=torch.Generator().manual_seed(0))
+    known[:, -1] = math.log(3.0)
+    with torch.no_grad():
+        plain = sampler(known).atanh()
+        sampler.pace.copy_(torch.tensor([math.log(0.5), -1.0]))
+        torch.testing.assert_close(sampler(known).atanh(), plain / 6, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("variant", "low", "high"), [("", math.exp(-1.5), math.exp(1.5)), ("paper", 0, 2)]
+)
+def test_densities_grow_by_factors_and_in_the_papers_recipe_by_steps(variant, low, high):
+    method = build(variant, CPU, "random")
+    found = method.density(torch.tensor([-2.0, -1.0, 0.0, 1.0, 2.0]))
+    torch.testing.assert_close(found, torch.tensor([low, low, 1.0, high, high]))
 
 
 def test_light_of_another_surface_is_worth_little(after_one):
