@@ -13,12 +13,13 @@ from methods.ours.network import VIEW
 from methods.ours.variants import SAMPLES, Config
 from rlbench.frames import Size, View
 from rlbench.ops.transfer import log_forward, squash_depth
-from rlbench.ops.warp import reproject
+from rlbench.ops.warp import reproject, reproject_sharp
 
 MISSING = -1.0  # a sample that was not bought, a state that is not there
 STILL = 1e-3  # pixels: what moves by less stands still
 LEAST = 0.01  # samples a pixel; a smaller budget is taken for this one
-KEPT = [3, 1, 1, 3, VIEW]  # channels of what is kept of the past
+SHARP = [3, 1, 3]  # channels of what is kept of the past: mean, square, last image
+SOFT = [1, VIEW]  # and weight, view
 
 
 class Past(NamedTuple):
@@ -79,10 +80,10 @@ def empty(config: Config, size: Size, device: torch.device) -> Memory:
     """No memory: the sentinel everywhere."""
     n, h, w = size
     channels = {"state": config.latent, "samples": SAMPLES[config.samples]}
-    nothing = torch.zeros(n, sum(KEPT), h, w, device=device)
-    state = nothing.new_full((n, channels.get(config.remembers, 0), h, w), MISSING)
+    sharp, soft = (torch.zeros(n, sum(x), h, w, device=device) for x in (SHARP, SOFT))
+    state = sharp.new_full((n, channels.get(config.remembers, 0), h, w), MISSING)
     once = torch.ones(n, 1, 1, 1, device=device)
-    return Memory(state, _past(nothing, once) if config.gathers else None, 0)
+    return Memory(state, _past(sharp, soft, once) if config.gathers else None, 0)
 
 
 def recalled(config: Config, view: View, state: Memory) -> Known:
@@ -90,17 +91,18 @@ def recalled(config: Config, view: View, state: Memory) -> Known:
     seen = looked(view)
     if config.remembers == "nothing":
         return Known(seen, None)
-    history = state.state
+    state = state if state.age % config.bptt else detached(state)
+    width, history = state.state.shape[1], state.state
     if state.past is not None:
-        history = torch.cat((history, *state.past.light, *state.past[1:3]), dim=1)
-    history = history if state.age % config.bptt else history.detach()
-    moved, valid = reproject(history, view.motion)
+        history = torch.cat((history, state.past.light.weight, state.past.seen), dim=1)
+    soft, valid = reproject(history, view.motion)
     valid = valid & (state.age > 0)
-    width = state.state.shape[1]
-    remembered = moved[:, :width].where(valid, MISSING)
+    remembered = soft[:, :width].where(valid, MISSING)
     if state.past is None:
         return Known(torch.cat((seen, remembered), dim=1), None)
-    past = _past(moved[:, width:], state.past.spent)
+    light, image = state.past.light, state.past.image
+    sharp, _ = reproject_sharp(torch.cat((light.mean, light.square, image), dim=1), view.motion)
+    past = _past(sharp, soft[:, width:], state.past.spent)
     same, image = alike(seen, past.seen).where(valid, 0.0), log_forward(past.image)
     light = past.light._replace(weight=past.light.weight * same)
     gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
@@ -115,6 +117,9 @@ def looked(view: View) -> Float[Tensor, "n 7 h w"]:
     return torch.cat((view.normal, view.albedo, squash_depth(view.depth)), dim=1)
 
 
-def _past(kept: Float[Tensor, "n 15 h w"], spent: Float[Tensor, "n 1 1 1"]) -> Past:
-    mean, square, weight, image, seen = kept.split_with_sizes(KEPT, 1)
+def _past(
+    sharp: Float[Tensor, "n 7 h w"], soft: Float[Tensor, "n 8 h w"], spent: Float[Tensor, "n 1 1 1"]
+) -> Past:
+    mean, square, image = sharp.split_with_sizes(SHARP, 1)
+    weight, seen = soft.split_with_sizes(SOFT, 1)
     return Past(Light(mean, square, weight), image, seen, spent)

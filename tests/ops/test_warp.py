@@ -8,7 +8,7 @@ import kornia
 import pytest
 import torch
 
-from rlbench.ops.warp import recall, reproject
+from rlbench.ops.warp import recall, reproject, reproject_sharp
 
 N, C, H, W = 2, 3, 9, 14
 
@@ -26,21 +26,27 @@ def constant(dx: float, dy: float) -> torch.Tensor:
     return torch.tensor([float(dx), float(dy)]).view(1, 2, 1, 1).expand(N, 2, H, W)
 
 
-def test_no_motion_is_identity():
-    moved, valid = reproject(history(), None)
+BOTH = pytest.mark.parametrize("warp", [reproject, reproject_sharp])
+
+
+@BOTH
+def test_no_motion_is_identity(warp):
+    moved, valid = warp(history(), None)
     assert torch.equal(moved, history())
     assert valid.all()
 
 
-def test_zero_motion_is_identity_up_to_rounding():
-    moved, valid = reproject(history(), constant(0, 0))
+@BOTH
+def test_zero_motion_is_identity_up_to_rounding(warp):
+    moved, valid = warp(history(), constant(0, 0))
     torch.testing.assert_close(moved, history(), atol=1e-5, rtol=0)  # float32 grid coordinates
     assert valid.all()
 
 
 @pytest.mark.parametrize(("dx", "dy"), [(1, 0), (0, 1), (-2, 3), (5, -4), (-13, 8)])
-def test_whole_steps_shift_the_image(dx, dy):
-    moved, valid = reproject(history(), constant(dx, dy))
+@BOTH
+def test_whole_steps_shift_the_image(warp, dx, dy):
+    moved, valid = warp(history(), constant(dx, dy))
     for y in range(H):
         for x in range(W):
             inside = 0 <= x + dx < W and 0 <= y + dy < H
@@ -59,6 +65,46 @@ def test_bilinear_taps_are_those_of_kornia():
     assert 0.3 < valid.float().mean() < 0.95
     difference = (moved - theirs).abs().where(valid, 0.0)
     assert difference.max() < 1e-5  # float32 grid coordinates
+
+
+def test_sharp_taps_are_those_of_a_loop_over_keys_kernel_between_the_four_nearest():
+    def kernel(t: float) -> float:  # Keys 1981, equation 15, a of -0.75
+        a, t = -0.75, abs(t)
+        near = (a + 2) * t**3 - (a + 3) * t**2 + 1
+        far = a * t**3 - 5 * a * t**2 + 8 * a * t - 4 * a
+        return near if t <= 1 else far if t < 2 else 0.0
+
+    moved, valid = reproject_sharp(history(), motion())
+    assert torch.equal(valid, reproject(history(), motion())[1])
+    for n in range(N):
+        for y, x in valid[n, 0].nonzero().tolist():
+            px, py = (float(v) for v in motion()[n, :, y, x] + torch.tensor([x, y]))
+            left, top = math.floor(px), math.floor(py)
+            summed, nearest = torch.zeros(C), []
+            for j in range(top - 1, top + 3):
+                for i in range(left - 1, left + 3):
+                    tap = history()[n, :, min(max(j, 0), H - 1), min(max(i, 0), W - 1)]
+                    summed += kernel(px - i) * kernel(py - j) * tap
+                    nearest += [tap] if i in (left, left + 1) and j in (top, top + 1) else []
+            least, most = torch.stack(nearest).amin(0), torch.stack(nearest).amax(0)
+            # float32 grid coordinates
+            torch.testing.assert_close(
+                moved[n, :, y, x], summed.clamp(least, most), atol=1e-4, rtol=0
+            )
+
+
+def test_after_many_steps_sharp_taps_keep_more_of_a_line():
+    """A line one pixel wide, moved by a third of a pixel, there and back, ten times."""
+    line = torch.zeros(1, 1, 16, 32)
+    line[..., 16] = 1.0
+    kept = []
+    for warp in (reproject, reproject_sharp):
+        moved = line
+        for step in range(20):
+            motion = torch.tensor([(-1) ** step / 3, 0.0]).view(1, 2, 1, 1).expand(1, 2, 16, 32)
+            moved, _ = warp(moved, motion)
+        kept.append(float(moved[0, 0, 8, 16]))
+    assert kept[1] > 1.5 * kept[0]
 
 
 def test_valid_means_that_every_tap_with_weight_is_inside():
