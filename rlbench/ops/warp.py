@@ -20,8 +20,8 @@ def reproject(
     """
     if motion is None:
         return history, _everywhere(history)
-    grid, valid = _taken_from(motion)
-    return _sampled(history, grid, "bilinear"), valid
+    x, y, valid = _origin(motion)
+    return _sampled(history, x, y, "bilinear"), valid
 
 
 def reproject_sharp(
@@ -29,20 +29,18 @@ def reproject_sharp(
 ) -> tuple[Float[Tensor, "n c h w"], Bool[Tensor, "n 1 h w"]]:
     """As `reproject`, by bicubic taps: what is moved again every frame does not blur away.
 
-    A value stays between the least and the largest of the four bilinear taps, so that nothing rings
-    beside what is bright (as in temporal antialiasing: Yang, Liu and Salvi 2020, section 3.1, where
-    the kernel is that of Catmull and Rom; here it is that of Keys 1981 with a of -0.75).
+    So do temporal antialiasing filters (Yang, Liu and Salvi 2020, A Survey of Temporal Antialiasing
+    Techniques) with the kernel of Catmull and Rom; here it is torch's, that of Keys 1981 with an a
+    of -0.75. A value stays between the least and the largest of the four bilinear taps, so that
+    nothing rings beside what is bright.
     """
     if motion is None:
         return history, _everywhere(history)
-    grid, valid = _taken_from(motion)
-    h, w = history.shape[-2:]
-    corner = ((grid + 1) * grid.new_tensor((w, h)) / 2 - 0.5).floor()  # of the four taps
-    corner = (2 * corner + 1) / grid.new_tensor((w, h)) - 1
+    x, y, valid = _origin(motion)
     beside = F.pad(history, (0, 1, 0, 1), mode="replicate")
-    most = _sampled(F.max_pool2d(beside, 2, stride=1), corner, "nearest")
-    least = _sampled(-F.max_pool2d(-beside, 2, stride=1), corner, "nearest")
-    return _sampled(history, grid, "bicubic").clamp(least, most), valid
+    taps = torch.cat((F.max_pool2d(beside, 2, stride=1), -F.max_pool2d(-beside, 2, stride=1)), 1)
+    most, least = _sampled(taps, x.floor(), y.floor(), "nearest").chunk(2, dim=1)
+    return _sampled(history, x, y, "bicubic").clamp(least, most), valid
 
 
 def _everywhere(history: Tensor) -> Tensor:
@@ -50,17 +48,18 @@ def _everywhere(history: Tensor) -> Tensor:
     return torch.ones(n, 1, h, w, dtype=torch.bool, device=history.device)
 
 
-def _taken_from(motion: Tensor) -> tuple[Tensor, Tensor]:
-    """Where each pixel was, as grid_sample asks for it [n h w 2], and whether that is inside."""
+def _origin(motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Where each pixel was, x and y [n h w], and whether that is inside [n 1 h w]."""
     h, w = motion.shape[-2:]
     x = torch.arange(w, device=motion.device, dtype=motion.dtype) + motion[:, 0]
     y = torch.arange(h, device=motion.device, dtype=motion.dtype)[:, None] + motion[:, 1]
     valid = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)  # false for NaN
-    x, y = torch.where(valid, x, 0.0), torch.where(valid, y, 0.0)
-    return torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), dim=-1), valid[:, None]
+    return torch.where(valid, x, 0.0), torch.where(valid, y, 0.0), valid[:, None]
 
 
-def _sampled(history: Tensor, grid: Tensor, taps: str) -> Tensor:
+def _sampled(history: Tensor, x: Tensor, y: Tensor, taps: str) -> Tensor:
+    h, w = history.shape[-2:]
+    grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), dim=-1)
     kind = torch.promote_types(history.dtype, grid.dtype)  # halves cannot tell pixels apart
     taken, grid = history.to(kind), grid.to(kind)
     moved = F.grid_sample(taken, grid, taps, padding_mode="border", align_corners=False)
