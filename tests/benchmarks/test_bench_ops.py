@@ -15,7 +15,7 @@ from rlbench.ops.losses import ms_ssim
 from rlbench.ops.rise import Rise
 from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import FAST, UNet
-from rlbench.ops.warp import reproject
+from rlbench.ops.warp import reproject, reproject_sharp
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 KORNIA = kornia.losses.MS_SSIMLoss(alpha=1.0, compensation=1.0, reduction="mean")  # no L1
@@ -44,7 +44,7 @@ def test_ms_ssim(benchmark, name):
     assert torch.isfinite(image.grad).all()
 
 
-@pytest.mark.parametrize("pair", ["autoexposure", "pu", "reproject", "unet"])
+@pytest.mark.parametrize("pair", ["autoexposure", "pu", "reproject", "reproject_sharp", "unet"])
 @pytest.mark.benchmark(group="ops, 1x3x256x256")
 def test_op(benchmark, pair):
     image = torch.rand(1, 3, 256, 256, generator=torch.Generator().manual_seed(0))
@@ -54,6 +54,7 @@ def test_op(benchmark, pair):
         "autoexposure": lambda: autoexposure(image),
         "pu": lambda: pu_inverse(pu_forward(image)),
         "reproject": lambda: reproject(image, motion)[0],
+        "reproject_sharp": lambda: reproject_sharp(image, motion)[0],
         "unet": lambda: net(image),
     }
     with torch.inference_mode():
