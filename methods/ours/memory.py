@@ -100,16 +100,17 @@ def recalled(config: Config, view: View, state: Memory) -> Known:
     remembered = soft[:, :width].where(valid, MISSING)
     if state.past is None:
         return Known(torch.cat((seen, remembered), dim=1), None)
-    light, image = state.past.light, state.past.image
+    light, image = state.past.light, log_forward(state.past.image)
     sharp, _ = reproject_sharp(torch.cat((light.mean, light.square, image), dim=1), view.motion)
-    past = _past(sharp, soft[:, width:], state.past.spent)
-    same, image = alike(seen, past.seen).where(valid, 0.0), log_forward(past.image)
+    shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)  # is anything left of it?
+    past = _past(sharp, soft[:, width:], state.past.spent.where(shot, 1.0))
+    same = alike(seen, past.seen).where(valid, 0.0)
     light = past.light._replace(weight=past.light.weight * same)
-    gained = torch.cat((image, told(light), same), dim=1).where(valid, MISSING)
+    gained = torch.cat((past.image, told(light), same), dim=1).where(valid, MISSING)
     every = torch.cat((seen, remembered, gained), dim=1)
     if view.motion is not None:
         valid = valid & (view.motion.abs().amax(1, keepdim=True) < STILL)
-    return Known(every, Moved(remembered, light, image, same, valid), past.spent)
+    return Known(every, Moved(remembered, light, past.image, same, valid), past.spent)
 
 
 def looked(view: View) -> Float[Tensor, "n 7 h w"]:

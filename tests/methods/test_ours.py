@@ -171,6 +171,8 @@ def test_the_sampler_is_told_how_many_samples_the_last_frame_got(after_one):
     assert torch.allclose(seen[:, -1], torch.tensor(2.0).log())
     _, none = method.denoise(frame.view, frame.pool.empty(), left)
     assert method.known(frame.view, none).foreseen.isfinite().all()  # none were bought
+    outside = View({**frame.view.buffers, "motion": torch.full((1, 2, 32, 32), 100.0)})
+    assert not method.known(outside, left).foreseen[:, -1].any()  # another shot: as before any
 
 
 @pytest.mark.parametrize("variant", ["paper", "B1"])
