@@ -103,6 +103,7 @@ def recalled(config: Config, view: View, state: Memory) -> Known:
     light, image = state.past.light, log_forward(state.past.image)
     sharp, _ = reproject_sharp(torch.cat((light.mean, light.square, image), dim=1), view.motion)
     shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)  # is anything left of it?
+    # its image is in log transfer from here on: linear, taps beside a lamp would be all rounding
     past = _past(sharp, soft[:, width:], state.past.spent.where(shot, 1.0))
     same = alike(seen, past.seen).where(valid, 0.0)
     light = past.light._replace(weight=past.light.weight * same)
