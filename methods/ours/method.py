@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -59,6 +59,9 @@ class Ours:
     config: Config
     traits: Traits
     networks: Networks
+    recent: dict[str, tuple[View, Memory, Known]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def start(self, size: Size) -> Memory:
         """No memory."""
@@ -103,8 +106,16 @@ class Ours:
         return image, Memory(kept[self.config.remembers], past, state.age + 1)
 
     def known(self, view: View, state: Memory) -> Known:
-        """What is remembered, moved to where it is now, beside the view."""
-        return recalled(self.config, view, state)
+        """What is remembered, moved to where it is now, beside the view.
+
+        Kept from planning a frame to denoising it, which ask for the same; not while it trains.
+        """
+        if torch.is_grad_enabled():
+            return recalled(self.config, view, state)
+        last = self.recent.get("known")
+        if last is None or last[0] is not view or last[1] is not state:
+            last = self.recent["known"] = (view, state, recalled(self.config, view, state))
+        return last[2]
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""

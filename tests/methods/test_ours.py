@@ -175,6 +175,18 @@ def test_the_sampler_is_told_how_many_samples_the_last_frame_got(after_one):
     assert not method.known(outside, left).foreseen[:, -1].any()  # another shot: as before any
 
 
+def test_memory_is_moved_once_for_planning_and_denoising_a_frame(after_one):
+    method, frame, left = after_one
+    again, none = replace(frame.view), method.start(Size(1, 32, 32))
+    with torch.inference_mode():
+        known = method.known(frame.view, left)
+        assert method.known(frame.view, left) is known
+        for view, memory in ((again, left), (frame.view, none)):
+            assert method.known(view, memory) is not known
+        known = method.known(frame.view, left)
+    assert method.known(frame.view, left) is not known  # whoever trains needs its graph
+
+
 @pytest.mark.parametrize("variant", ["paper", "B1"])
 def test_where_no_light_is_gathered_the_sampler_sees_what_the_encoder_sees(variant):
     method = build(variant, CPU, "random")
