@@ -26,17 +26,13 @@ FAMILY = Family(
         "paper": Variant("What does the paper's own recipe reach, from random weights?", TRAITS),
         "A1": Variant("Does learning beat the gradient's approximation?", AT_LEAST_ONE),
         "A2": Variant("Is planning worth its time? (uniform sampling)", UNIFORM),
-        "B1": Variant(
-            "Does the state pay? (only the sampler remembers, samples)", TRAITS, shipped=False
-        ),
-        "B2": Variant("Does any memory pay? (every frame by itself)", STILL, shipped=False),
-        "C": Variant(
-            "Do single samples pay? (their mean enters the encoder)", TRAITS, shipped=False
-        ),
+        "B1": Variant("Does the state pay? (only the sampler remembers, samples)", TRAITS),
+        "B2": Variant("Does any memory pay? (every frame by itself)", STILL),
+        "C": Variant("Do single samples pay? (their mean enters the encoder)", TRAITS),
         "C+count": Variant(
             "Is it the samples, or their number? (their mean and count)", TRAITS, shipped=False
         ),
-        "small": Variant("Are smaller networks enough? (all three)", TRAITS, shipped=False),
+        "small": Variant("Are smaller networks enough? (all three)", TRAITS),
         "flat": Variant(
             "What does the map itself give? (weights of ours, sampled uniformly)",
             UNIFORM,
