@@ -24,7 +24,7 @@ MUCH = 16.0  # samples that a weight is compared with where networks see it
 class Light(NamedTuple):
     """What is known of a pixel's light, as if `weight` samples had been averaged."""
 
-    mean: Float[Tensor, "n 3 h w"]  # linear radiance; 0 where there is no weight
+    mean: Float[Tensor, "n 3 h w"]  # linear radiance
     square: Float[Tensor, "n 1 h w"]  # of the luminance
     weight: Float[Tensor, "n 1 h w"]  # samples
 
@@ -62,10 +62,11 @@ def told(light: Light) -> Float[Tensor, "n 5 h w"]:
     return torch.cat((log_forward(light.mean), relative, light.weight / (light.weight + MUCH)), 1)
 
 
-def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Its colour, and where there is no weight that of the neighbourhood, textured by albedo.
+def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Light:
+    """The same, and where there is no weight the colour of the neighbourhood, textured by albedo.
 
     A pyramid of weighted means of light without albedo; a hole takes the finest level that has any.
+    What is moved has to be filled: taps would mix black into whatever lies beside a hole.
     """
     h, w = albedo.shape[-2:]
     texture = raised(albedo.clamp(0, 1))
@@ -79,7 +80,9 @@ def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3
         rough = F.interpolate(below, size=level.shape[-2:], mode="bilinear")
         below = torch.where(level[:, 3:] > 0, _mean(level), rough)
     rough = crop(F.interpolate(below, scale_factor=2.0, mode="bilinear"), h, w)
-    return torch.where(light.weight > 0, light.mean, rough * texture)
+    known = light.weight > 0
+    mean = torch.where(known, light.mean, rough * texture)
+    return Light(mean, torch.where(known, light.square, _luminance(mean).square()), light.weight)
 
 
 def _mean(level: Tensor) -> Tensor:

@@ -99,7 +99,8 @@ class Ours:
             light = measured(samples)
             if known.moved is not None:
                 light = gathered(known.moved.light, light, trust)
-            image = self._develop(view, filled(light, view.albedo), latent, known.moved)
+            light = filled(light, view.albedo)
+            image = self._develop(view, light.mean, latent, known.moved)
             spent = samples.counts.float().mean((1, 2, 3), keepdim=True)
             past = Past(light, image, looked(view), spent) if self.config.gathers else None
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
