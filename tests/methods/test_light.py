@@ -7,6 +7,9 @@ import torch
 from torch import Tensor
 
 from methods.ours.light import Light, alike, filled, gathered, measured, told
+from methods.ours.method import build
+from rlbench.frames import Size, View
+from rlbench.procedural import procedural
 from rlbench.sampling import Samples
 
 SIZE = (1, 40, 56)
@@ -70,7 +73,10 @@ def test_what_was_sampled_is_shown_as_it_is():
     light = measured(drawn(3))
     albedo = torch.rand(1, 3, *SIZE[1:], generator=torch.Generator().manual_seed(1))
     there = (light.weight > 0).expand(-1, 3, -1, -1)
-    assert torch.equal(filled(light, albedo)[there], light.mean[there])
+    shown = filled(light, albedo)
+    assert torch.equal(shown.mean[there], light.mean[there])
+    assert torch.equal(shown.square[there[:, :1]], light.square[there[:, :1]])
+    assert torch.equal(shown.weight, light.weight)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.02, 1 / 2240])
@@ -82,12 +88,15 @@ def test_holes_in_even_light_show_the_texture_under_that_light(share):
     order = torch.rand(1, 1, *SIZE[1:], generator=generator).flatten().argsort().view(1, 1, 40, 56)
     weight = (order < share * 2240).float()
     light = Light(image * weight, torch.zeros_like(weight), weight)
-    torch.testing.assert_close(filled(light, albedo), image, rtol=1e-4, atol=1e-5)
+    shown = filled(light, albedo)
+    torch.testing.assert_close(shown.mean, image, rtol=1e-4, atol=1e-5)
+    assert not told(shown)[:, 3:4].where(weight == 0, 0.0).gt(0.1).any()  # no spread is claimed
 
 
 def test_a_frame_without_any_sample_is_black():
     zero = torch.zeros(1, 1, *SIZE[1:])
-    assert not filled(Light(zero.expand(-1, 3, -1, -1), zero, zero), torch.ones(1, 3, 40, 56)).any()
+    nothing = Light(zero.expand(-1, 3, -1, -1), zero, zero)
+    assert not any(part.any() for part in filled(nothing, torch.ones(1, 3, 40, 56)))
 
 
 def test_a_hole_takes_the_light_of_its_side_of_the_image():
@@ -97,7 +106,22 @@ def test_a_hole_takes_the_light_of_its_side_of_the_image():
     weight = torch.ones(1, 1, 64, 64)
     weight[..., 30:34, 8:12] = weight[..., 30:34, 52:56] = 0
     shown = filled(Light(mean, weight, weight), torch.ones(1, 3, 64, 64))
-    torch.testing.assert_close(shown, mean)
+    torch.testing.assert_close(shown.mean, mean)
+
+
+def test_even_light_stays_as_bright_as_it_is_where_it_is_moved_beside_holes():
+    """What had no sample would be black, and taps between pixels would mix it in."""
+    (frame,) = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    even = {"albedo": torch.full((1, 3, 32, 32), 0.5), "motion": torch.full((1, 2, 32, 32), 0.4)}
+    view, method = View({**frame.view.buffers, **even}), build("", torch.device("cpu"), "random")
+    counts = torch.zeros(1, 1, 32, 32, dtype=torch.long)
+    counts[..., ::4, ::4] = 1
+    samples = Samples(torch.full((1, 1, 3, 32, 32), 2.0) * counts.unsqueeze(1), counts)
+    _, left = method.denoise(view, samples, method.start(Size(1, 32, 32)))
+    moved = method.known(view, left).moved
+    assert moved.light.weight.any()
+    assert not moved.light.weight.all()
+    torch.testing.assert_close(moved.light.mean[..., :31, :31], torch.full((1, 3, 31, 31), 2.0))
 
 
 def test_the_same_surface_is_alike_and_another_is_not():
