@@ -64,8 +64,11 @@ def draw(here: pd.DataFrame, theirs: pd.DataFrame, axis: Axis, caption: str) -> 
             axes.text(0.5, 0.5, "no times were measured", transform=axes.transAxes, ha="center")
             continue
         top = points["value"].max() + 0.05 * span
-        axes.set_ylim(top - 1.1 * span, top)
-        _scale(axes, points[axis.column], axis)
+        low = top - 1.1 * span
+        axes.set_ylim(low, top)
+        style.name_below(axes, points, low)
+        shown = points if axis.doubling else points[points["value"] > low]
+        _scale(axes, shown[axis.column], axis)
     left.set_ylabel("PSNR [dB]  (up is better)")
     _curves(left, here, looks, axis)
     _points(right, theirs, looks, axis)

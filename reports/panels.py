@@ -87,17 +87,7 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
     bottom = max(low, high - WINDOW) if better == "high" else low
     margin = 0.07 * (high - bottom or 1)
     axes.set_ylim(bottom - margin, high + margin)
-    outside = [
-        f"{method} from {curve.min():.1f}"
-        for method, curve in points.groupby("method")["value"]
-        if curve.min() < bottom - margin
-    ]
-    if outside:
-        told = "below: " + ", ".join(outside)
-        axes.text(
-            0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5,
-            color=style.FAINT, zorder=4,
-        )  # fmt: skip
+    style.name_below(axes, points, bottom - margin)
 
 
 def _beaten(axes: Axes, best: pd.DataFrame, better: str) -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from reports.names import family as family_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Okabe and Ito 2008, Color Universal Design; the proposed method has the one that stands out
@@ -26,6 +30,7 @@ COLOURS = {
 SPARE = ("#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
+LETTERS = 70  # of a line of what is named in a panel
 INK, FAINT = "#222222", "#8A8A8A"
 RC: Any = {
     "font.family": "sans-serif",
@@ -80,6 +85,18 @@ def looks(methods: Iterable[str]) -> dict[str, Look]:
             face, edge, rim = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
             found[name] = Look(color, marker, dash, face, edge, rim)
     return found
+
+
+def name_below(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
+    """Name, at the lower edge, the methods with a value below it, each with its least."""
+    least = points.groupby("method")["value"].min()
+    outside = [f"{method} from {value:.1f}" for method, value in least.items() if value < bottom]
+    if outside:
+        told = fill("below: " + ", ".join(outside), LETTERS)
+        axes.text(
+            0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5, color=FAINT,
+            zorder=4,
+        )  # fmt: skip
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

@@ -85,11 +85,22 @@ def test_both_panels_have_one_scale(drawn, axis):
 def test_no_name_lies_over_another_or_beyond_the_edge(drawn, axis, panel):
     figure = drawn[axis]
     figure.draw_without_rendering()
-    boxes = [t.get_window_extent() for t in figure.axes[panel].texts if t.get_text()]
+    texts = [t for t in figure.axes[panel].texts if t.get_text()]
+    boxes = [t.get_window_extent() for t in texts if not t.get_text().startswith("below:")]
     assert len(boxes) == (len(METHODS) if panel == 0 else len(published().table))
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
     edge = figure.axes[1].get_window_extent().x0 if panel == 0 else figure.bbox.x1
     assert all(box.x1 < edge for box in boxes)
+
+
+def test_points_below_the_panel_are_named_and_take_no_room_in_it(results):
+    low = results[results["method"] == "mean"].copy()
+    low.loc[low["metric"] == "psnr", "value"] = 1.0
+    low.loc[low["metric"] == "total_ms", "value"] = 0.01
+    others = results[results["method"] != "mean"]
+    left = paper_pareto.figures(pd.concat([others, low]), "a GPU")["time"].axes[0]
+    assert "below: mean from 1.0" in [text.get_text() for text in left.texts]
+    assert left.get_xlim()[0] > 0.1
 
 
 @pytest.mark.parametrize(
