@@ -1,0 +1,73 @@
+"""Every clip by itself: who leads where the camera stands, a shot is cut, or nothing moves?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from reports import pages, scores
+from reports.grids import Bold, Grid, gap_text
+from reports.statistics import DRAWS, interval, paired
+
+METRIC = "psnr"
+BASE = "ours"  # what rows are held against, where it is there; else the best
+
+
+def write(
+    table: pd.DataFrame, folder: Path, name: str = "clips", seed: int = 0, draws: int = DRAWS
+) -> list[Path]:
+    """`name`.md, .csv and .tex: PSNR of each clip, a table a budget, best rows first.
+
+    Each table ends with the mean over scenes, and with how far each method is from `ours`, or from
+    the best where `ours` is not there, with its 95 % bootstrap interval over clips. `seed` and
+    `draws` are those of the bootstrap. Raises ReportError where rows would be averaged that must
+    not be.
+    """
+    sections = []
+    for device, rows in scores.by_device(table).items():
+        scores.check(rows)
+        shots = scores.shots(rows, METRIC)
+        budgets = sorted(set(shots["spp"]))
+        convention = scores.about(rows, METRIC, "convention")
+        grids = [_grid(shots[shots["spp"] == b], b, convention, seed, draws) for b in budgets]
+        lists = {"Not run": scores.reasons(rows[rows["metric"] == METRIC])}
+        sections.append(pages.Section(device, grids, _means(shots), lists))
+    return pages.write(folder, name, f"Clip by clip, {pages.runs(table)}", sections)
+
+
+def _means(shots: pd.DataFrame) -> pd.DataFrame:
+    """A row for each method, scene, clip and budget: the mean over frames."""
+    by = ["method", "scene", "clip", "spp"]
+    return pd.DataFrame(shots.groupby(by)["value"].mean().reset_index())
+
+
+def _grid(shots: pd.DataFrame, spp: float, convention: str, seed: int, draws: int) -> Grid:
+    means = _means(shots)
+    of_scenes = means.groupby(["method", "scene", "spp"])["value"].mean().reset_index()
+    overall = scores.overall(of_scenes).set_index("method")["value"].sort_values(ascending=False)
+    # what lacks a scene has no mean, and comes last
+    methods = list(dict.fromkeys([*overall.index, *means["method"]]))
+    base = BASE if BASE in methods else methods[0]
+    wide = means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
+    parts = {str(method): part for method, part in shots.groupby("method")}
+    less = {m: interval(paired(parts[m], parts[base]), seed, draws) for m in overall.index}
+    told = {m: gap_text(gap.mean, gap.low, gap.high) for m, gap in less.items() if m != base}
+    body = (
+        *((str(clip), *_cells(line)) for clip, line in wide.droplevel("scene").iterrows()),
+        ("mean over scenes", *_cells(overall.reindex(methods))),
+        (f"less {base}", *(told.get(method, "-") for method in methods)),
+    )
+    caption = (
+        f"{convention}; mean over frames, best of a line bold. Last line: mean over scenes of the "
+        f"difference to {base}, paired by frame; in brackets its 95 % interval, resampled by clip; "
+        "bold where it excludes zero. Clips of one scene are alike, so that the interval is that "
+        "of clips of these scenes, not of other scenes."
+    )
+    return Grid(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), body)
+
+
+def _cells(line: pd.Series) -> list[str]:
+    best = line.max()
+    shown = ["-" if value != value else f"{value:.2f}" for value in line]
+    return [Bold(x) if value == best else x for x, value in zip(shown, line, strict=True)]
