@@ -43,19 +43,27 @@ def generated(
 ) -> TrainSet:
     """Generated scenes, a preset's or those of some seeds; the first and the middle validate.
 
-    Clips that are missing are rendered now. Raises AskedError where the preset holds scored scenes,
-    or where there are too few clips to keep one for validation.
+    Clips that are missing are rendered now. Raises AskedError where the preset or one of the seeds
+    is scored, or where there are too few clips to keep one for validation.
     """
     from rlbench.render.presets import PRESETS
 
     if seeds is not None and len(seeds) < 2:
         raise AskedError(f"--seeds {seeds[0]} is one clip; at least 2 are needed, 1 validates")
-    if seeds is None and preset in PRESETS and (scored := PRESETS[preset].scenes):
-        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scenes)
+    if seeds is None and preset in PRESETS and PRESETS[preset].scored:
+        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scored)
+        shown = ", ".join(PRESETS[preset].scenes) or "generated ones"
         raise AskedError(
-            f"preset '{preset}' has scenes that methods are scored on ({', '.join(scored)}), so "
+            f"preset '{preset}' has scenes that methods are scored on ({shown}), so "
             f"nothing may be trained on it; there is: {fit}"
         )
+    for name, plan in PRESETS.items():
+        if plan.scored and (kept := sorted(set(seeds or ()) & set(plan.seeds))):
+            raise AskedError(
+                f"--seeds: methods are scored on {', '.join(map(str, kept))} (preset '{name}'), so "
+                f"nothing may be trained on them; free are those that are not among "
+                f"{min(plan.seeds)} to {max(plan.seeds)}"
+            )
     folders = rendered(None, preset, chosen=seeds, kinds=kinds)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     return TrainSet([folder for folder in folders if folder not in validate], validate)

@@ -29,7 +29,8 @@ class Preset:
     frames: int  # of each clip
     reference_spp: int  # samples per pixel of each half of the reference
     scenes: tuple[str, ...] = FOUR  # by entry point of the group rlbench.scenes
-    seeds: tuple[int, ...] = ()  # of generated training scenes
+    seeds: tuple[int, ...] = ()  # of generated scenes
+    scored: bool = True  # are methods scored on it? Then nothing may be trained on it
     takes: Takes = "main"  # of each scene, that are clips of their own
     pool_spp: int = 8  # stored 1-spp images per frame
     cap: float = math.inf  # brightest that a sample may be, times display white
@@ -104,7 +105,17 @@ PRESETS = {
             64,
             (),
             tuple(range(28)),
+            scored=False,
             pools=BOTH,
+        ),
+        Preset(
+            "unseen",
+            "many clips, so that small differences show: generated scenes kept from training",
+            (160, 160),
+            5,
+            64,
+            (),
+            tuple(range(80, 128)),
         ),
     )
 }

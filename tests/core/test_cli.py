@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from rlbench import asked, registry, table, trainset
 from rlbench.cli import app
+from rlbench.render.presets import PRESETS
 from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin
 
@@ -259,11 +260,18 @@ def test_a_reason_is_shown_where_there_is_no_number(clip_folder, tmp_path):
     assert "odd: no psnr on noise: RuntimeError: no luck" in told
 
 
-@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper"])
+@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
 def test_nothing_is_trained_on_what_is_scored(preset):
     told = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
     assert f"error: preset '{preset}' has scenes that methods are scored on" in told
     assert told.endswith("there is: train")
+
+
+def test_no_generated_scene_is_trained_on_that_is_scored():
+    told = rlbench("train", "-m", "oidn", "--seeds", "70:82", code=2)
+    assert "methods are scored on 80, 81 (preset 'unseen')" in told
+    seeds = {plan.scored: set(plan.seeds) for plan in PRESETS.values() if plan.seeds}
+    assert not seeds[True] & seeds[False]
 
 
 def test_a_budget_asked_for_twice_is_measured_once(clip_folder, tmp_path):
