@@ -13,6 +13,8 @@ BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 # the nearest rivals, on many clips
 RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
 
+APPENDIX := C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
+
 # clip by clip, from a folder of results to a page of docs
 define page
 $(BIN)/rlbench report clips --results $(1) --out docs/made
@@ -23,7 +25,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen takes crossval seeds contact test test-all format clean
+.PHONY: demo docs table1 unseen takes crossval appendix seeds contact test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -60,6 +62,16 @@ takes: .venv/dev.stamp
 crossval: .venv/dev.stamp
 	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --half --out $(RESULTS)/crossval
 	$(call page,$(RESULTS)/crossval/results,crossval)
+
+# the variants whose weights are not shipped: an hour of training for each processor core, more for the large ones
+appendix: .venv/dev.stamp
+	set -e; $(BIN)/rlbench run -m ours --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
+	for row in $(APPENDIX); do \
+	  $(BIN)/rlbench train -m ours/$$row --frames 6000 --half; \
+	  $(BIN)/rlbench run -m ours/$$row --weights runs/ours-$$row/$$row.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
+	done
+	$(BIN)/rlbench report ablation --results $(RESULTS)/appendix --out docs/made
+	mv docs/made/ablation.md docs/appendix.md && rm -r docs/made
 
 # what another seed of training gives: five short trainings of three rows; goes on where it was killed
 seeds: .venv/dev.stamp

@@ -48,7 +48,7 @@ def _grid(shots: pd.DataFrame, spp: float, convention: str, seed: int, draws: in
     overall = scores.overall(of_scenes).set_index("method")["value"].sort_values(ascending=False)
     # what lacks a scene has no mean, and comes last
     methods = list(dict.fromkeys([*overall.index, *means["method"]]))
-    base = BASE if BASE in methods else methods[0]
+    base = BASE if BASE in overall.index else methods[0]
     wide = means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
     parts = {str(method): part for method, part in shots.groupby("method")}
     less = {m: interval(paired(parts[m], parts[base]), seed, draws) for m in overall.index}
