@@ -27,41 +27,40 @@ def write(
     sections = []
     for device, rows in scores.by_device(table).items():
         scores.check(rows)
-        shots = scores.shots(rows, METRIC)
-        budgets = sorted(set(shots["spp"]))
-        convention = scores.about(rows, METRIC, "convention")
-        grids = [_grid(shots[shots["spp"] == b], b, convention, seed, draws) for b in budgets]
-        lists = {"Not run": scores.reasons(rows[rows["metric"] == METRIC])}
-        sections.append(pages.Section(device, grids, _means(shots), lists))
+        scored = rows[rows["metric"] == METRIC]
+        means = scores.clip_means(scored, METRIC)
+        budgets = sorted(set(means["spp"]))
+        grids = [_grid(scored[scored["spp"] == spp], spp, seed, draws) for spp in budgets]
+        lists = {"Not run": scores.reasons(scored)}
+        sections.append(pages.Section(device, grids, means, lists))
     return pages.write(folder, name, f"Clip by clip, {pages.runs(table)}", sections)
 
 
-def _means(shots: pd.DataFrame) -> pd.DataFrame:
-    """A row for each method, scene, clip and budget: the mean over frames."""
-    by = ["method", "scene", "clip", "spp"]
-    return pd.DataFrame(shots.groupby(by)["value"].mean().reset_index())
-
-
-def _grid(shots: pd.DataFrame, spp: float, convention: str, seed: int, draws: int) -> Grid:
-    means = _means(shots)
-    of_scenes = means.groupby(["method", "scene", "spp"])["value"].mean().reset_index()
-    overall = scores.overall(of_scenes).set_index("method")["value"].sort_values(ascending=False)
+def _grid(scored: pd.DataFrame, spp: float, seed: int, draws: int) -> Grid:
+    means = scores.clip_means(scored, METRIC)
+    whole = scores.overall(scores.scene_means(scored, METRIC)).set_index("method")["value"]
+    overall = whole.sort_values(ascending=False)
     # what lacks a scene has no mean, and comes last
     methods = list(dict.fromkeys([*overall.index, *means["method"]]))
     base = BASE if BASE in overall.index else methods[0]
     wide = means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
+    shots = scores.shots(scored, METRIC)
     parts = {str(method): part for method, part in shots.groupby("method")}
-    less = {m: interval(paired(parts[m], parts[base]), seed, draws) for m in overall.index}
-    told = {m: gap_text(gap.mean, gap.low, gap.high) for m, gap in less.items() if m != base}
+    gaps = {
+        method: interval(paired(parts[method], parts[base]), seed, draws)
+        for method in overall.index
+        if method != base
+    }
+    told = {method: gap_text(gap.mean, gap.low, gap.high) for method, gap in gaps.items()}
     body = (
         *((str(clip), *_cells(line)) for clip, line in wide.droplevel("scene").iterrows()),
         ("mean over scenes", *_cells(overall.reindex(methods))),
         (f"less {base}", *(told.get(method, "-") for method in methods)),
     )
     caption = (
-        f"{convention}; mean over frames, best of a line bold. Last line: mean over scenes of the "
-        f"difference to {base}, paired by frame; in brackets its 95 % interval, resampled by clip; "
-        "bold where it excludes zero. Clips of one scene are alike, so that the interval is that "
+        f"{scores.about(scored, METRIC, 'convention')}; mean over frames, best of a line bold. "
+        f"Last line: mean over scenes of the difference to {base}, paired by frame; in brackets "
+        "its 95 % interval, resampled by clip; bold where it excludes zero. Clips of one scene are alike, so that the interval is that "
         "of clips of these scenes, not of other scenes."
     )
     return Grid(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), body)

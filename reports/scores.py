@@ -100,10 +100,15 @@ def gaps(table: pd.DataFrame, metric: str) -> list[str]:
     return lines
 
 
+def clip_means(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """Columns method, scene, spp, clip, value: mean over the frames of a clip."""
+    clips = shots(table, metric).groupby([*CELL, "clip"])["value"].mean()
+    return pd.DataFrame(clips.reset_index())
+
+
 def scene_means(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Columns method, scene, spp, value: mean over the frames of a clip, then over clips."""
-    clips = shots(table, metric).groupby([*CELL, "clip"])["value"].mean()
-    return pd.DataFrame(clips.groupby(CELL).mean().reset_index())
+    return pd.DataFrame(clip_means(table, metric).groupby(CELL)["value"].mean().reset_index())
 
 
 def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
