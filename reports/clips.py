@@ -60,8 +60,8 @@ def _grid(scored: pd.DataFrame, spp: float, seed: int, draws: int) -> Grid:
     caption = (
         f"{scores.about(scored, METRIC, 'convention')}; mean over frames, best of a line bold. "
         f"Last line: mean over scenes of the difference to {base}, paired by frame; in brackets "
-        "its 95 % interval, resampled by clip; bold where it excludes zero. Clips of one scene are alike, so that the interval is that "
-        "of clips of these scenes, not of other scenes."
+        "its 95 % interval, resampled by clip; bold where it excludes zero. Clips of one scene "
+        "are alike, so that the interval is that of clips of these scenes, not of other scenes."
     )
     return Grid(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), body)
 
