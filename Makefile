@@ -13,7 +13,7 @@ BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 # the nearest rivals, on many clips
 RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
 
-APPENDIX := C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
+APPENDIX := ppo C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
 # clip by clip, from a folder of results to a page of docs
 define page

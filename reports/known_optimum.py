@@ -21,13 +21,14 @@ MARKS = ("<!-- table -->", "<!-- /table -->")
 LOWEST = -0.35  # of the axis; what lies below is drawn at its edge
 LOOKS = {  # colour and dashes; the proposed default has the one that stands out
     "true gradient": (INK, (0, (1, 1.5))),
-    "ppo-pixel": ("#D55E00", "-"),
+    "ppo-pixel+surrogate": ("#D55E00", "-"),
+    "ppo-pixel": ("#E69F00", "-"),
     "critic": ("#0072B2", "-"),
     "surrogate": ("#009E73", "-"),
     "gamma": ("#CC79A7", "-"),
     "rllib-appo": ("#7A4FA3", "-"),
-    "ppo-pixel, no price": ("#D55E00", (0, (4, 2))),
-    "ppo-pixel, single pixels": ("#D55E00", (0, (1, 1))),
+    "ppo-pixel, no price": ("#E69F00", (0, (4, 2))),
+    "ppo-pixel, single pixels": ("#E69F00", (0, (1, 1))),
     "rllib-appo, joint ratio": ("#7A4FA3", (0, (4, 2))),
 }
 TITLES = {

@@ -20,7 +20,7 @@ from methods.ours.exam import Exam, Scenes
 from methods.ours.known_optimum import MODES, Mode, Moment
 from methods.ours.moving import CHANNELS, scenes
 from methods.ours.network import Sampler
-from methods.ours.policy import Learner, Policy, Situation, appo, learner
+from methods.ours.policy import Both, Learner, Policy, Situation, appo, learner
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.variants import BASE
 from rlbench.ops.initialise import initialise
@@ -46,10 +46,10 @@ class Truth:
         return situation.expected(situation.relaxed(situation.act())).mean()
 
 
-def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], Learner]:
+def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], PpoPixel]:
     """Errors are credited as far as the mode spreads them, and draws are as large."""
 
-    def made(mode: Mode) -> Learner:
+    def made(mode: Mode) -> PpoPixel:
         side = block or max(1, 2 * mode.reach)
         return PpoPixel(Policy(block=side, margin=mode.reach, priced=priced))
 
@@ -59,6 +59,7 @@ def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], Learn
 TORCH: dict[str, Callable[[Mode], Learner]] = {
     "true gradient": lambda mode: Truth(),
     "ppo-pixel": ppo(),
+    "ppo-pixel+surrogate": lambda mode: Both(ppo()(mode)),
     "critic": lambda mode: learner("critic", CHANNELS),
     "surrogate": lambda mode: learner("surrogate", CHANNELS),
     "gamma": lambda mode: learner("gamma", CHANNELS),

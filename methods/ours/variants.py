@@ -31,7 +31,7 @@ class Config:
     kernel: int = 3  # side of the encoder's kernels
     denoiser: Widths = NORMAL
     bptt: int = 1  # frames through which gradients flow
-    learner: str = "ppo-pixel"  # how the sampler learns (methods/ours/policy)
+    learner: str = "ppo-pixel+surrogate"  # how the sampler learns (methods/ours/policy)
     flat: bool = False  # is the sampler's map ignored?
 
     @property
@@ -43,9 +43,11 @@ class Config:
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    "paper": replace(BASE, light="none", density="linear"),  # the denoiser reads the state alone
+    # the denoiser reads the state alone
+    "paper": replace(BASE, light="none", density="linear", learner="ppo-pixel"),
     "A1": replace(BASE, learner="surrogate"),  # a gradient's approximation in place of learning
     "A2": replace(BASE, sampler=()),  # is planning worth its time?
+    "ppo": replace(BASE, learner="ppo-pixel"),  # is trial and error enough?
     "B1": replace(BASE, encoder=(), remembers="samples", light="frame"),  # no state
     "B2": replace(BASE, encoder=(), remembers="nothing", light="frame"),  # and no feedback
     "C": replace(BASE, samples="mean"),  # samples averaged before the encoder

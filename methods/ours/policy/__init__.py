@@ -6,14 +6,16 @@ from collections.abc import Callable
 
 from methods.ours.policy import critic, gamma
 from methods.ours.policy.blocks import Draws, Policy
+from methods.ours.policy.both import Both
 from methods.ours.policy.learner import Learner, Situation, Trial
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.policy.surrogate import Surrogate
 
-__all__ = ["LEARNERS", "Draws", "Learner", "Policy", "Situation", "Trial", "learner"]
+__all__ = ["LEARNERS", "Both", "Draws", "Learner", "Policy", "Situation", "Trial", "learner"]
 
 LEARNERS: dict[str, Callable[[int], Learner]] = {  # made for a number of channels seen
     "ppo-pixel": lambda channels: PpoPixel(),
+    "ppo-pixel+surrogate": lambda channels: Both(),
     "critic": critic.learner,
     "surrogate": lambda channels: Surrogate(),
     "gamma": lambda channels: gamma.learner(),

@@ -22,6 +22,10 @@ class Situation(Protocol):
     """One frame in which a sampler must act: a known problem, or `ours` with a denoiser behind."""
 
     @property
+    def spp(self) -> float:
+        """The budget, samples per pixel."""
+
+    @property
     def seen(self) -> Float[Tensor, "n c h w"]:
         """What the sampler sees before anything is bought, without gradient."""
 

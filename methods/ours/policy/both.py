@@ -1,0 +1,36 @@
+"""Trial and gradient together: the policy gradient, and the surrogate where samples suffice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from methods.ours.policy.learner import Situation
+from methods.ours.policy.ppo_pixel import PpoPixel
+from methods.ours.policy.surrogate import Surrogate
+
+
+@dataclass
+class Both:
+    """The sum of two estimates of one gradient, whose faults are opposite.
+
+    The policy gradient counts all that a sample does, in pixels around it and in those that have
+    none, and is noisy. The surrogate has little noise, but takes what a denoiser makes of counts as
+    given, and says nothing of pixels without samples: it joins at budgets that could give every
+    pixel one, though none is bound to have it. Both are about equally long, and not weighted.
+    """
+
+    trial: PpoPixel = field(default_factory=PpoPixel)
+    gradient: Surrogate = field(default_factory=Surrogate)
+    floor: int = 0
+    network: None = None
+
+    def loss(self, situation: Situation, generator: torch.Generator) -> Float[Tensor, ""]:
+        """The policy's loss and, from 1 spp on, the image's."""
+        loss = self.trial.loss(situation, generator)
+        if situation.spp >= self.gradient.floor:
+            loss = loss + self.gradient.loss(situation, generator)
+        return loss
