@@ -26,7 +26,9 @@ FAMILY = Family(
         "paper": Variant("What does the paper's own recipe reach, from random weights?", TRAITS),
         "A1": Variant("Does learning beat the gradient's approximation?", AT_LEAST_ONE),
         "A2": Variant("Is planning worth its time? (uniform sampling)", UNIFORM),
-        "ppo": Variant("Is trial and error enough, without the approximation?", TRAITS, shipped=False),
+        "ppo": Variant(
+            "Is trial and error enough, without the approximation?", TRAITS, shipped=False
+        ),
         "B1": Variant("Does the state pay? (only the sampler remembers, samples)", TRAITS),
         "B2": Variant("Does any memory pay? (every frame by itself)", STILL),
         "C": Variant("Do single samples pay? (their mean enters the encoder)", TRAITS),
