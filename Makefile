@@ -53,11 +53,11 @@ unseen: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RIVALS)' --preset unseen --spp 1,2,4 --out $(RESULTS)/unseen
 	$(call page,$(RESULTS)/unseen,unseen)
 
-# ours and its nearest rivals where none has learned budgets below 1 spp, as ours/A1 cannot: an hour of one core, and 8 minutes of scoring
+# ours and its nearest rivals where none has learned budgets below 1 spp, as ours/A1 cannot: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
-	$(BIN)/rlbench train -m ours,ours/A2 --frames 6000 --half --budget $(FROM1)
+	$(BIN)/rlbench train -m ours,ours/ppo,ours/A2 --frames 6000 --half --budget $(FROM1)
 	$(BIN)/rlbench run -m ours/A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
-	set -e; for row in ours:ours ours/A2:A2; do \
+	set -e; for row in ours:ours ours/ppo:ppo ours/A2:A2; do \
 	  folder=runs/$$(echo $${row%:*} | tr / -)-1+2+4+6spp; \
 	  $(BIN)/rlbench run -m $${row%:*} --weights from1=$$folder/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
 	done
