@@ -300,7 +300,9 @@ def test_rllib_learns_by_single_pixels():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["true gradient", "ppo-pixel", "critic", "surrogate", "gamma"])
+@pytest.mark.parametrize(
+    "name", ["true gradient", "ppo-pixel", "ppo-pixel+surrogate", "critic", "surrogate", "gamma"]
+)
 def test_every_learner_trains_the_real_sampler(name):
     """On moving scenes that it has not seen it beats uniform sampling clearly."""
     scores: list[float] = []
