@@ -15,13 +15,14 @@ RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
 
 APPENDIX := ppo C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
-# clip by clip, from a folder of results to a page of docs
+# a report of a folder of results, as a page of docs
 define page
-$(BIN)/rlbench report clips --results $(1) --out docs/made
-mv docs/made/clips.md docs/$(2).md && rm -r docs/made
+$(BIN)/rlbench report $(1) --results $(2) --out docs/made
+mv docs/made/$(1).md docs/$(3).md && rm -r docs/made
 endef
 
 FROM1 := 1,2,4,6
+TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/ppo:ours-ppo-1+2+4+6spp/ppo ours/A2:ours-A2-1+2+4+6spp/A2
 SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
@@ -51,28 +52,27 @@ table1: .venv/dev.stamp
 # who leads on 48 generated scenes that no training saw: 11 minutes of rendering, 12 of scoring
 unseen: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RIVALS)' --preset unseen --spp 1,2,4 --out $(RESULTS)/unseen
-	$(call page,$(RESULTS)/unseen,unseen)
+	$(call page,clips,$(RESULTS)/unseen,unseen)
 
 # ours and its nearest rivals where none has learned budgets below 1 spp, as ours/A1 cannot: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
 	$(BIN)/rlbench train -m ours,ours/ppo,ours/A2 --frames 6000 --half --budget $(FROM1)
 	$(BIN)/rlbench run -m ours/A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
-	set -e; for row in ours:ours ours/ppo:ppo ours/A2:A2; do \
-	  folder=runs/$$(echo $${row%:*} | tr / -)-1+2+4+6spp; \
-	  $(BIN)/rlbench run -m $${row%:*} --weights from1=$$folder/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
+	set -e; for row in $(TRAINED_FROM1); do \
+	  $(BIN)/rlbench run -m $${row%:*} --weights from1=runs/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
 	done
-	$(call page,$(RESULTS)/equal,equal)
+	$(call page,clips,$(RESULTS)/equal,equal)
 
 # who leads where cameras stand, shots are cut, lights are switched and nothing moves: hours of rendering
 takes: .venv/dev.stamp
 	$(BIN)/rlbench render --preset standard --retime
 	$(BIN)/rlbench run -m '$(RIVALS)' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
-	$(call page,$(RESULTS)/takes,takes)
+	$(call page,clips,$(RESULTS)/takes,takes)
 
 # the papers' protocol, small: 1000 crops of the other three scenes; half an hour
 crossval: .venv/dev.stamp
 	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --half --out $(RESULTS)/crossval
-	$(call page,$(RESULTS)/crossval/results,crossval)
+	$(call page,clips,$(RESULTS)/crossval/results,crossval)
 
 # the variants whose weights are not shipped: an hour of training for each processor core, more for the large ones
 appendix: .venv/dev.stamp
@@ -81,8 +81,7 @@ appendix: .venv/dev.stamp
 	  $(BIN)/rlbench train -m ours/$$row --frames 6000 --half; \
 	  $(BIN)/rlbench run -m ours/$$row --weights runs/ours-$$row/$$row.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
-	$(BIN)/rlbench report ablation --results $(RESULTS)/appendix --out docs/made
-	mv docs/made/ablation.md docs/appendix.md && rm -r docs/made
+	$(call page,ablation,$(RESULTS)/appendix,appendix)
 
 # what another seed of training gives: five short trainings of three rows; goes on where it was killed
 seeds: .venv/dev.stamp

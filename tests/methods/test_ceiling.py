@@ -36,10 +36,9 @@ def _turn(method, frame: Frame) -> Turn:
 def test_it_samples_where_there_is_noise_and_errs_less():
     *seen, a, b, c, d = turns(8)
     uniform = torch.zeros(1, 1, *SIZE[1:])
-    found = improved(seen, uniform, steps=40)
+    found = improved(seen, uniform, steps=80)
     assert found.abs().max() <= 1
-    # densities grow by exp(1.5 x): half as many samples again, and more
-    assert found[..., NOISY:].mean() > found[..., :NOISY].mean() + 0.3
+    assert found[..., NOISY:].mean() > found[..., :NOISY].mean() + 0.5
     maps = torch.stack((uniform, found))
     errors = sum(held.attempt(maps).errors.mean((1, 2, 3, 4)) for held in (a, b, c, d))
     assert errors[1] < errors[0]  # of one order alone, that is chance

@@ -21,7 +21,7 @@ class Both:
     none, and is noisy. The surrogate has little noise, but takes what a denoiser makes of counts as
     given, and says nothing of pixels without samples: it joins at budgets that could give every
     pixel one, though none is bound to have it. Behind the networks of `ours` both are about equally
-    long, 2.0 and 1.2 (docs/known_optimum.md), and they are not weighted.
+    long, and they are not weighted.
     """
 
     trial: PpoPixel = field(default_factory=PpoPixel)
