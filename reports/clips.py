@@ -29,22 +29,31 @@ def write(
         scores.check(rows)
         scored = rows[rows["metric"] == METRIC]
         means = scores.clip_means(scored, METRIC)
+        whole = scores.overall(scores.scene_means(scored, METRIC))
+        shots = scores.shots(scored, METRIC)
+        told = scores.about(scored, METRIC, "convention")
         budgets = sorted(set(means["spp"]))
-        grids = [_grid(scored[scored["spp"] == spp], spp, seed, draws) for spp in budgets]
+        grids = [_grid(spp, means, whole, shots, told, seed, draws) for spp in budgets]
         lists = {"Not run": scores.reasons(scored)}
         sections.append(pages.Section(device, grids, means, lists))
     return pages.write(folder, name, f"Clip by clip, {pages.runs(table)}", sections)
 
 
-def _grid(scored: pd.DataFrame, spp: float, seed: int, draws: int) -> Grid:
-    means = scores.clip_means(scored, METRIC)
-    whole = scores.overall(scores.scene_means(scored, METRIC)).set_index("method")["value"]
-    overall = whole.sort_values(ascending=False)
+def _grid(
+    spp: float,
+    means: pd.DataFrame,
+    whole: pd.DataFrame,
+    shots: pd.DataFrame,
+    convention: str,
+    seed: int,
+    draws: int,
+) -> Grid:
+    means, whole, shots = (part[part["spp"] == spp] for part in (means, whole, shots))
+    overall = whole.set_index("method")["value"].sort_values(ascending=False)
     # what lacks a scene has no mean, and comes last
     methods = list(dict.fromkeys([*overall.index, *means["method"]]))
     base = BASE if BASE in overall.index else methods[0]
     wide = means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
-    shots = scores.shots(scored, METRIC)
     parts = {str(method): part for method, part in shots.groupby("method")}
     gaps = {
         method: interval(paired(parts[method], parts[base]), seed, draws)
@@ -58,7 +67,7 @@ def _grid(scored: pd.DataFrame, spp: float, seed: int, draws: int) -> Grid:
         (f"less {base}", *(told.get(method, "-") for method in methods)),
     )
     caption = (
-        f"{scores.about(scored, METRIC, 'convention')}; mean over frames, best of a line bold. "
+        f"{convention}; mean over frames, best of a line bold. "
         f"Last line: mean over scenes of the difference to {base}, paired by frame; in brackets "
         "its 95 % interval, resampled by clip; bold where it excludes zero. Clips of one scene "
         "are alike, so that the interval is that of clips of these scenes, not of other scenes."

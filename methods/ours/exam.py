@@ -70,10 +70,9 @@ def best_counts(moment: Moment) -> Int[Tensor, "n 1 h w"]:
     image counts. So scores are shares of what is known to be possible, and a score above 1 would be
     news.
     """
-    sigma, spp = moment.field.sigma, moment.spp
-    _, _, h, w = sigma.shape
+    sigma = moment.field.sigma
     if moment.mode.reach == 0:
-        return greedy(sigma, spp * h * w)
+        return greedy(sigma, moment.cost)
     starts = (torch.zeros_like(sigma), (sigma / sigma.amax((2, 3), keepdim=True)).clamp_min(FAINT))
     first, second = _descend(moment, starts[0]), _descend(moment, starts[1].log())
     errors = [moment.expected(n.float()).mean((1, 2, 3), keepdim=True) for n in (first, second)]
@@ -90,8 +89,7 @@ def _descend(moment: Moment, start: Tensor) -> Tensor:
         optimizer.zero_grad()
         moment.expected(due).mean().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    pixels = start[0].numel()
-    return spend(density.detach(), moment.spp * pixels, nothing, STORED, moment.field.keys)
+    return spend(density.detach(), moment.cost, nothing, STORED, moment.field.keys)
 
 
 def _moment(field: Field, mode: Mode) -> Moment:

@@ -82,13 +82,18 @@ class Moment:
     field: Field
     mode: Mode
     sampler: Callable[[Tensor], Tensor]
-    spp: int = 4
+    spp: float = 4
     floor: int = 0
 
     @property
     def seen(self) -> Float[Tensor, "n 39 h w"]:
         """Normal, albedo, depth, and latent channels in which the deviation is hidden."""
         return self.field.seen
+
+    @property
+    def cost(self) -> int:
+        """Samples of each image."""
+        return round(self.spp * self.field.sigma[0].numel())
 
     def act(self) -> Float[Tensor, "n 1 h w"]:
         """The sampler's action."""
@@ -101,10 +106,9 @@ class Moment:
 
     def buy(self, action: Float[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 h w"]:
         """Whole counts at the exact budget; k n images may lie in a row."""
-        n, _, h, w = action.shape
-        low = torch.full((n, 1, h, w), self.floor)
-        keys = self.field.keys * (n // len(self.field.keys))
-        return spend(density(action.detach()), self.spp * h * w, low, STORED, keys)
+        low = torch.full(action.shape, self.floor)
+        keys = self.field.keys * (len(action) // len(self.field.keys))
+        return spend(density(action.detach()), self.cost, low, STORED, keys)
 
     def attempt(self, actions: Float[Tensor, "k n 1 h w"]) -> Trial:
         """Realised errors, from the same stored samples for every action."""
