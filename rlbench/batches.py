@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,9 +112,13 @@ class Batches:
 
 
 def one_of(budgets: Sequence[float], seed: int, draw: int) -> float:
-    """The budget, in samples per pixel, of one draw of a training with that seed."""
-    generator = torch.Generator().manual_seed(seed * 7_919 + draw)
-    return budgets[_integer(generator, len(budgets))]
+    """The budget, in samples per pixel, of one draw of a training with that seed.
+
+    It is drawn apart from the clip: were both from one generator, some scenes would never be seen
+    at some budgets.
+    """
+    told = hashlib.blake2b(f"{seed}/{draw}/budget".encode(), digest_size=8).digest()
+    return budgets[int.from_bytes(told) % len(budgets)]
 
 
 def _stack(frames: Sequence[Frame]) -> Frame:

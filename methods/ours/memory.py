@@ -17,6 +17,7 @@ from rlbench.ops.warp import reproject, reproject_sharp
 
 MISSING = -1.0  # a sample that was not bought, a state that is not there
 STILL = 1e-3  # pixels: what moves by less stands still
+SAME = 0.5  # least likeness (0 to 1) of what was there and what is, for it to be the same thing
 LEAST = 0.01  # samples a pixel; a smaller budget is taken for this one
 SHARP = [3, 1, 3]  # channels of what is kept of the past: mean, square, last image
 SOFT = [1, VIEW]  # and weight, view
@@ -46,7 +47,7 @@ class Moved(NamedTuple):
     light: Light  # without weight there
     image: Float[Tensor, "n 3 h w"]  # in log transfer
     same: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
-    still: Bool[Tensor, "n 1 h w"]  # was it there already?
+    still: Bool[Tensor, "n 1 h w"]  # was the same thing there already?
 
 
 class Known(NamedTuple):
@@ -111,6 +112,7 @@ def recalled(config: Config, view: View, state: Memory) -> Known:
     every = torch.cat((seen, remembered, gained), dim=1)
     if view.motion is not None:
         valid = valid & (view.motion.abs().amax(1, keepdim=True) < STILL)
+    valid = valid & (same > SAME)
     return Known(every, Moved(remembered, light, past.image, same, valid), past.spent)
 
 

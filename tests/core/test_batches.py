@@ -113,3 +113,11 @@ def _drawn(batches: Batches, index: int) -> bool:
 def _tensors(clip: MemoryClip) -> list[Tensor]:
     parts = [[f.pool.radiance, f.reference.a, *f.view.buffers.values()] for f in clip]
     return [tensor for part in parts for tensor in part]
+
+
+def test_scene_and_budget_of_a_draw_are_drawn_apart(tmp_path):
+    lengths, budgets = range(1, 5), (0.5, 1.0, 2.0, 4.0)
+    folders = [write_noise(tmp_path / str(n), h=16, w=16, frames=n) for n in lengths]
+    batches = Batches(folders, batch=1, crop=16, length=4, seed=0)
+    pairs = {(len(batches.draw(n).frames), one_of(budgets, 0, n)) for n in range(96)}
+    assert len(pairs) == 16  # each is missed by 96 draws with probability 0.002

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from baselines.oidn.method import Oidn
 from methods.ours import FAMILY
+from methods.ours.memory import looked
 from methods.ours.method import build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import trainer
@@ -161,6 +162,20 @@ def test_a_still_pixel_without_samples_keeps_its_state_and_its_light(after_one):
     assert kept[:, :16, :16].all()
     assert not kept[:, 16:].any()
     assert not kept[:, :, 16:].any()
+
+
+def test_what_is_uncovered_in_a_still_picture_keeps_nothing(after_one):
+    method, frame, before = after_one
+    nearer = frame.view.depth.clone()
+    nearer[..., :16] /= 4  # what hid the left half in the last frame
+    hid = {**frame.view.buffers, "depth": nearer}
+    before = before._replace(past=before.past._replace(seen=looked(View(hid))))
+    view = View({**frame.view.buffers, "motion": torch.zeros(1, 2, 32, 32)})
+    view = view.only(method.traits.needs)
+    _, after = method.denoise(view, frame.pool.empty(), before)
+    kept = (after.state == before.state).all(1)
+    assert kept[..., 16:].all()
+    assert not kept[..., :16].any()
 
 
 def test_the_sampler_is_told_how_many_samples_the_last_frame_got(after_one):
