@@ -167,7 +167,7 @@ def test_a_still_pixel_without_samples_keeps_its_state_and_its_light(after_one):
 def test_what_is_uncovered_in_a_still_picture_keeps_nothing(after_one):
     method, frame, before = after_one
     nearer = frame.view.depth.clone()
-    nearer[..., :16] /= 4  # what hid the left half in the last frame
+    nearer[..., :16] = 1.0  # what hid the left half in the last frame
     hid = {**frame.view.buffers, "depth": nearer}
     before = before._replace(past=before.past._replace(seen=looked(View(hid))))
     view = View({**frame.view.buffers, "motion": torch.zeros(1, 2, 32, 32)})
