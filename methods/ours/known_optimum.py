@@ -84,6 +84,7 @@ class Moment:
     sampler: Callable[[Tensor], Tensor]
     spp: float = 4
     floor: int = 0
+    factors: bool = False  # the density is linear in the action
 
     @property
     def seen(self) -> Float[Tensor, "n 39 h w"]:

@@ -100,7 +100,7 @@ def by_torch(
 
 def by_rllib(task: Task, frames: int, tell: Callable[[int, nn.Module], None]) -> nn.Module:
     """Ray's own loop, with ratios and credit for single pixels."""
-    settings = appo.Appo(rate=PEAK, reach=REACH)
+    settings = appo.Appo(rate=PEAK, reach=REACH, factors=BASE.density == "exponential")
     return appo.train(task.world, task.sampler, frames, settings, task.seed, 100, tell)
 
 

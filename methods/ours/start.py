@@ -31,11 +31,12 @@ def start(networks: Networks, config: Config, seed: int) -> str:
     From random weights the encoder hides its input behind a random projection, and thousands of
     steps are spent on undoing it, while its tanh saturates. So it starts with one hidden unit for
     each value of samples and view, and a channel of the state for each group of slots and each
-    value of the view; what is left of both stays random. Where the denoiser reads colour, it starts
-    with Intel's weights, to which the state says nothing yet: the first image is that of Open Image
-    Denoise. Where not, its last three layers are wired to the first slot, averaged over 3x3 twice.
-    Returns what a card says of weights that are not ours, or nothing. Raises LibraryError where
-    Intel's weights are wanted and the extra `oidn` is not installed.
+    value of the view; what is left of both stays random. Where the denoiser reads colour and is of
+    a size that Intel has, it starts with Intel's weights, to which the state says nothing yet: the
+    first image is that of Open Image Denoise. Where not, its last three layers are wired to the
+    first slot, averaged over 3x3 twice. Returns what a card says of weights that are not ours, or
+    nothing. Raises LibraryError where Intel's weights are wanted and the extra `oidn` is not
+    installed.
     """
     initialise(networks, seed)
     if networks.sampler is not None:
@@ -43,11 +44,14 @@ def start(networks: Networks, config: Config, seed: int) -> str:
         networks.sampler.start_uniform()
     if networks.encoder is not None:
         _pass_on(networks.encoder, config)
+    origin = ""
     if config.light == "none":
         _blur(networks.denoiser)
     elif config.denoiser in (BASE, FAST):
-        return _adopt(networks.denoiser)
-    return ""
+        origin = _adopt(networks.denoiser)
+    if config.gathers:
+        _bias(networks.denoiser.dec_conv0)[3:] = math.log(KEPT / (1 - KEPT))
+    return origin
 
 
 def _pass_on(encoder: Encoder, config: Config) -> None:
@@ -93,7 +97,6 @@ def _adopt(denoiser: UNet) -> str:
         known = weight[: len(theirs[name])]  # what is kept of the last image is said last
         known = known if weight.dim() == 1 else known[:, : theirs[name].shape[1]]
         known.copy_(theirs[name])  # the state is read last
-    _bias(denoiser.dec_conv0)[3:] = math.log(KEPT / (1 - KEPT))
     return origin()
 
 

@@ -30,11 +30,11 @@ from rlbench.trainer import Trainer
 
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
-TUNING = 4e-5  # the rate where the denoiser starts from Intel's weights
+TUNING = 4e-5  # the rate where the denoiser starts from weights that are not ours
 TUNED = {"encoder": 2.0, "sampler": 6.0, "aside": 25.0}  # shares of that one
 BUDGETS = (0.05, 0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
 EVERY = 2  # frames between steps of the sampler
-WEIGHT = 0.1  # of the learner's loss beside the image's; matters for clipping only
+WEIGHT = 0.1  # of the learner's loss, which the sampler alone hears; matters for clipping only
 
 
 @dataclass
@@ -104,5 +104,5 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
                 total = torch.zeros_like(total)
 
     budgets = tuple(spp for spp in BUDGETS if traits.refuses(spp) is None)
-    peak, shares = (PEAK, SHARES) if config.light == "none" else (TUNING, TUNED)
+    peak, shares = (PEAK, SHARES) if not origin else (TUNING, TUNED)
     return Trainer(method, networks, losses, budgets, peak, shares, origin=origin, aside=aside)

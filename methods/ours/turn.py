@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from methods.ours.memory import Memory
 from methods.ours.method import Ours
@@ -28,6 +30,11 @@ class Turn:
     view: View  # with what the method declared
     state: Memory
     spp: float
+
+    @property
+    def factors(self) -> bool:
+        """Does the density grow by factors with the action?"""
+        return self.method.config.density == "exponential"
 
     @property
     def seen(self) -> Float[Tensor, "n c h w"]:
@@ -70,10 +77,14 @@ class Turn:
         return image, samples, left
 
     def slope(self, teach: Teach) -> Float[Tensor, ""]:
-        """The loss of the mean action's image, with a gradient to the action through samples."""
+        """The loss of the mean action's image, with a gradient to the action through samples.
+
+        It reaches the sampler alone: the others learn by the image that is shown.
+        """
         action = self.act()
         samples = teach(self._buy(action.detach()), self.relaxed(action), self.frame)
-        image, _ = self.method.denoise(self.view, samples, self.state)
+        with frozen(self.method.networks.encoder, self.method.networks.denoiser):
+            image, _ = self.method.denoise(self.view, samples, self.state)
         return mixed(log_forward(image), log_forward(self.frame.reference.mean))
 
     @cached_property
@@ -87,3 +98,16 @@ class Turn:
     def _cap(self) -> int:
         cap = self.method.traits.cap
         return self.frame.pool.cap if cap is None else min(cap, self.frame.pool.cap)
+
+
+@contextmanager
+def frozen(*modules: nn.Module | None) -> Iterator[None]:
+    """No gradient reaches the weights of what is run in here; it passes through."""
+    learning = [w for m in modules if m is not None for w in m.parameters() if w.requires_grad]
+    for weight in learning:
+        weight.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for weight in learning:
+            weight.requires_grad_(True)

@@ -9,10 +9,12 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from methods.ours import compare
 from methods.ours.exam import Exam, Scenes
 from methods.ours.known_optimum import MODES, Direct, Filter, Mode, Moment, density, greedy
+from methods.ours.method import density as wished
 from methods.ours.moving import CHANNELS, FRAMES, scenes
 from methods.ours.policy import LEARNERS, Both, Draws, Learner, Policy, appo, critic, learner
 from methods.ours.policy.gamma import gamma_each
@@ -319,6 +321,27 @@ def test_noise_is_the_same_all_over_a_block_and_differs_between_blocks(corner):
     whole = drawn[..., row : row + 24, column : column + 32].unfold(2, 8, 8).unfold(3, 8, 8)
     assert whole.flatten(4).std(-1).max() < 1e-6
     assert whole[..., 0, 0].unique().numel() == 2 * 3 * 4
+
+
+@pytest.mark.parametrize("factors", [False, True])
+def test_the_policy_gradient_is_that_of_the_error_at_a_fixed_budget(factors):
+    """Pixels by themselves that are sold by fractions: n samples leave sigma^2 / n."""
+    generator = torch.Generator().manual_seed(0)
+    sigma = torch.rand(1, 1, 8, 8, generator=generator) + 0.5
+    mean = (torch.rand(1, 1, 8, 8, generator=generator) * 1.8 - 0.9).requires_grad_()
+
+    def error(action: Tensor) -> tuple[Tensor, Tensor]:
+        wish = wished(action, "exponential" if factors else "linear")
+        counts = 4 * wish / wish.mean((-2, -1), keepdim=True)
+        return sigma.square() / counts, counts
+
+    (true,) = torch.autograd.grad(error(mean)[0].sum(), mean)
+    policy = Policy(spread=0.02, draws=8192, block=1, margin=0, most=1e9)
+    actions = policy.tries(mean, (0, 0), generator)
+    policy.loss(mean, Draws(actions, *error(actions), (0, 0), factors)).backward()
+    found = mean.grad - torch.autograd.grad(mean.mean().square(), mean)[0]  # less the drift
+    likeness = F.cosine_similarity(found.flatten(), true.flatten(), dim=0)
+    assert likeness > 0.998  # noise of the draws: 0.0005; with the other coupling 0.995 and less
 
 
 def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing():

@@ -15,6 +15,7 @@ from methods.ours.turn import Turn
 from rlbench.frames import Size
 from rlbench.procedural import procedural
 from rlbench.run import unroll
+from rlbench.sampling import Samples
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 32, 48)
@@ -71,6 +72,26 @@ def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name):
     gradients = [p.grad for p in sampler.parameters() if p.grad is not None]
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
     assert sampler.last.weight.grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_learner_leaves_encoder_and_denoiser_to_the_image(name):
+    asked = turn("A1", 2.0)
+    networks, learns = asked.method.networks, LEARNERS[name](asked.method.networks.foreseen)
+    others = [*networks.encoder.parameters(), *networks.denoiser.parameters()]
+
+    def gradients(weight: float) -> list[torch.Tensor]:
+        samples = asked.frame.pool.take(asked.frame.pool.empty(), counts)
+        image, _ = asked.method.denoise(asked.view, Samples(samples, counts), asked.state)
+        loss = image.square().mean()
+        if weight:
+            loss = loss + weight * learns.loss(asked, torch.Generator().manual_seed(0))
+        return list(torch.autograd.grad(loss, others))
+
+    counts = torch.full((1, 1, 32, 48), 2)
+    for alone, beside in zip(gradients(0.0), gradients(1.0), strict=True):
+        assert torch.equal(alone, beside)
+    assert all(weight.requires_grad for weight in others)
 
 
 def test_what_the_critic_sees_is_what_the_sampler_sees():

@@ -31,6 +31,7 @@ class Appo:
     spread: float = 0.3  # deviation of the action
     reach: int = 0  # pixels around one whose errors are credited to it
     priced: float = 1.0  # share of the price of samples that is charged
+    factors: bool = False  # do densities grow by factors with the action, or by steps?
     clip: float = 0.15
     fragment: int = 4  # frames of an update
     runners: int = 0  # processes that act; 0: this one

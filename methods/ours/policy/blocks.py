@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 TINY = 1e-8  # keeps what nothing differs in from dividing by zero
+FEW = 0.1  # samples: fewer than these weigh no more
 
 
 class Draws(NamedTuple):
@@ -20,6 +21,7 @@ class Draws(NamedTuple):
     errors: Float[Tensor, "k n 1 h w"]  # of each pixel of the image that came of it
     counts: Float[Tensor, "k n 1 h w"]  # samples bought
     corner: tuple[int, int]  # row and column of the first whole block
+    factors: bool = False  # does the density grow by factors with the action, or by steps?
 
 
 @dataclass(frozen=True)
@@ -83,11 +85,12 @@ class Policy:
         more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
         usual = self._blocks(drawn.counts.mean(0, keepdim=True), drawn.corner)
         image = (0, 2, 3, 4)  # each has a price of its own
-        gain = advantage(worse, more, usual, image, self.priced, self.most)
+        weight, shared = coupling(usual, drawn.factors)
+        gain = advantage(worse, more, weight, image, self.priced, self.most)
         away = self._blocks(drawn.actions - mean.detach(), drawn.corner)
         moved = self._blocks((mean - mean.detach()).unsqueeze(0), drawn.corner)  # zero
         if self.priced:
-            moved = own(moved, usual, image)
+            moved = own(moved, shared, image)
         away = (away - moved) / self.block**2 / self.spread
         drift = mean.mean((1, 2, 3)).square().mean()
         return (gain * away.square()).mean() / 2 + drift
@@ -104,23 +107,36 @@ class Policy:
         return sums.view(*inside.shape[:3], *sums.shape[-2:])
 
 
+def coupling(usual: Tensor, factors: bool) -> tuple[Tensor, Tensor]:
+    """Weights of the price, and the change of actions that the budget cancels.
+
+    From the usual counts n. A sample more for one is paid for by all in proportion to what they
+    have, so that the price is the mean slope of error against count, weighted by n. What is seen of
+    a slope is weighted already, by the square of the change of count, which is alike for all where
+    the density grows by steps, and as n where it grows by factors. What the budget cancels is a
+    factor on every density: a change of actions as n by steps, alike for all by factors.
+    """
+    if factors:
+        return 1 / usual.clamp_min(FEW), torch.ones_like(usual)
+    return usual, usual
+
+
 def advantage(
-    worse: Tensor, more: Tensor, usual: Tensor, image: tuple[int, ...], priced: float, most: float
+    worse: Tensor, more: Tensor, weight: Tensor, image: tuple[int, ...], priced: float, most: float
 ) -> Tensor:
     """-(change of error + price * change of count), in deviations of an image, cut at `most`.
 
-    `image` are the dimensions that share a budget. Their price is the least-squares slope of error
-    against count, with the usual counts as weights: a sample more for one is paid for by all, in
-    proportion to what they have.
+    `image` are the dimensions that share a budget. Their price is the weighted least-squares slope
+    of error against count.
     """
-    slope = (usual * worse * more).sum(image, keepdim=True)
-    price = -slope / (usual * more.square()).sum(image, keepdim=True).clamp_min(TINY)
+    slope = (weight * worse * more).sum(image, keepdim=True)
+    price = -slope / (weight * more.square()).sum(image, keepdim=True).clamp_min(TINY)
     gain = -(worse + priced * price * more)
     size = gain.square().mean(image, keepdim=True).sqrt().clamp_min(TINY)
     return (gain / size).clamp(-most, most)
 
 
-def own(moved: Tensor, usual: Tensor, image: tuple[int, ...]) -> Tensor:
+def own(moved: Tensor, shared: Tensor, image: tuple[int, ...]) -> Tensor:
     """A change of actions, less what all share of it: a factor on every density, thus on none."""
-    unit = usual / usual.square().sum(image, keepdim=True).sqrt().clamp_min(TINY)
+    unit = shared / shared.square().sum(image, keepdim=True).sqrt().clamp_min(TINY)
     return moved - unit * (moved * unit).sum(image, keepdim=True)

@@ -26,6 +26,10 @@ class Situation(Protocol):
         """The budget, samples per pixel."""
 
     @property
+    def factors(self) -> bool:
+        """Does the density grow by factors with the action, or by steps?"""
+
+    @property
     def seen(self) -> Float[Tensor, "n c h w"]:
         """What the sampler sees before anything is bought, without gradient."""
 

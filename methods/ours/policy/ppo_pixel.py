@@ -29,4 +29,5 @@ class PpoPixel:
         mean, corner = situation.act(), self.policy.corner(generator)
         actions = self.policy.tries(mean, corner, generator)
         trial = situation.attempt(actions)
-        return self.policy.loss(mean, Draws(actions, trial.errors, trial.counts, corner))
+        drawn = Draws(actions, trial.errors, trial.counts, corner, situation.factors)
+        return self.policy.loss(mean, drawn)

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from methods.ours.policy.appo import Appo
-from methods.ours.policy.blocks import advantage, own
+from methods.ours.policy.blocks import advantage, coupling, own
 from methods.ours.policy.world import OUTCOMES, World
 
 MODULE = "default_policy"
@@ -139,11 +139,12 @@ class PixelLearner(APPOTorchLearner):  # type: ignore[misc]
         side = 2 * settings["reach"] + 1
         worse = F.avg_pool2d(worse, side, 1, settings["reach"], count_include_pad=False) * side**2
         usual, image = maps[:, 1:].detach().clamp_min(0), (1, 2, 3)
-        gain = advantage(worse, more, usual, image, settings["priced"], MOST).flatten(1)
+        weight, shared = coupling(usual, settings["factors"])
+        gain = advantage(worse, more, weight, image, settings["priced"], MOST).flatten(1)
         mean, spread = fwd_out[Columns.ACTION_DIST_INPUTS][acted].chunk(2, 1)
         now = mean
         if settings["priced"]:
-            now = mean.detach() + own(mean - mean.detach(), usual.flatten(1), (1,))
+            now = mean.detach() + own(mean - mean.detach(), shared.flatten(1), (1,))
         then = batch[Columns.ACTION_DIST_INPUTS][acted].chunk(2, 1)[0]
         action = batch[Columns.ACTIONS][acted]
         away = (action - now).square() - (action - then).square()
@@ -216,7 +217,11 @@ def _config(
             circular_buffer_num_batches=4,
             circular_buffer_iterations_per_batch=2,
             learner_class=learner,
-            learner_config_dict={"reach": settings.reach, "priced": settings.priced},
+            learner_config_dict={
+                "reach": settings.reach,
+                "priced": settings.priced,
+                "factors": settings.factors,
+            },
         )
         .rl_module(rl_module_spec=RLModuleSpec(module_class=SamplerModule, model_config=model))
         .reporting(min_time_s_per_iteration=0, min_sample_timesteps_per_iteration=100)
