@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,6 +86,18 @@ def clips(
     return kept
 
 
+def positive(option: str, number: float) -> float:
+    """A number above zero. Raises AskedError."""
+    if not number > 0:
+        raise AskedError(f"{option} {number:g}: it has to be above 0")
+    return number
+
+
+def minutes(number: float | None) -> float:
+    """What `--minutes` allows: without it, for ever. Raises AskedError."""
+    return math.inf if number is None else positive("--minutes", number)
+
+
 def weights(text: str | None) -> tuple[str, str | None]:
     """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
     from rlbench.table import CROSSVAL, HALF
@@ -94,8 +107,8 @@ def weights(text: str | None) -> tuple[str, str | None]:
     called, equals, file = text.partition("=")
     if not equals or Path(text).exists():
         called, file = "", text
-    elif not called.replace("-", "").isalnum():
-        raise AskedError(f"--weights {text}: the name before = is of letters, digits and -")
+    elif not re.fullmatch(r"[\w+-]+", called, re.ASCII):
+        raise AskedError(f"--weights {text}: the name before = is of letters, digits, _, + and -")
     elif (kind := called.partition("-")[0]) in (HALF, CROSSVAL):
         raise AskedError(f"--weights {text}: METHOD@{kind} is what rows of another kind are called")
     if not Path(file).is_file():

@@ -10,8 +10,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench.clips import MemoryClip, open_clip
+from rlbench.clips import ALL, MemoryClip, open_clip
+from rlbench.family import Traits
 from rlbench.frames import Frame, Reference, View
+from rlbench.plan import Plan
 from rlbench.sampling import StoredPool
 
 
@@ -49,8 +51,9 @@ class Augmentation:
         """The frame, turned and exposed; a static view gets motion zero, so that clips can mix."""
         view = frame.view
         motion = view.motion if view.motion is not None else torch.zeros_like(view.normal[:, :2])
-        buffers = {k: self.turn(v) for k, v in view.buffers.items() if k != "motion"}
-        buffers |= {"motion": self.turn_motion(motion), "albedo": self.tint(view.albedo)}
+        kept = {k: v for k, v in view.buffers.items() if k != "motion"}
+        buffers = {k: (self.tint if "albedo" in k else self.turn)(v) for k, v in kept.items()}
+        buffers |= {"motion": self.turn_motion(motion)}
         pool = frame.pool
         assert isinstance(pool, StoredPool)
         return Frame(
@@ -77,6 +80,13 @@ class Batches:
     seed: int
     device: str = "cpu"
     pool: str = "path"
+    needs: frozenset[str] = ALL  # view buffers, beside those that are turned in a way of their own
+
+    @classmethod
+    def planned(cls, folders: Sequence[Path], plan: Plan, traits: Traits, device: str) -> Batches:
+        """As a plan has them, for a method of those traits."""
+        how = (plan.batch, plan.crop, plan.length, plan.seed)
+        return cls(folders, *how, device, traits.pool, traits.needs)
 
     def __post_init__(self) -> None:
         """Refuse to draw from nothing."""
@@ -93,7 +103,8 @@ class Batches:
     def _part(self, generator: torch.Generator) -> list[Frame]:
         folder = self.folders[_integer(generator, len(self.folders))]
         order = _integer(generator, 2**31)
-        clip = open_clip(folder, pool=self.pool, seed=order, device=self.device)
+        needs = self.needs | {"albedo", "normal", "motion"}
+        clip = open_clip(folder, needs, pool=self.pool, seed=order, device=self.device)
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
                 f"crops of {self.crop} x {self.crop} asked for, clip '{clip.name}' has "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
+
+from rlbench import paths
 
 
 class CheckpointError(ValueError):
@@ -78,11 +79,9 @@ def unpack(
 
 def write(path: Path, tensors: Mapping[str, Tensor], told: dict[str, Any]) -> None:
     """A file of tensors with a few words, which is whole or not there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
     whole = {k: v.contiguous() for k, v in tensors.items()}
-    save_file(whole, partial, {"progress": json.dumps(told)})
-    os.replace(partial, path)
+    with paths.replacing(path) as temporary:
+        save_file(whole, temporary, {"progress": json.dumps(told)})
 
 
 def words(path: Path) -> dict[str, Any]:

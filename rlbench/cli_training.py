@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
 from pathlib import Path
@@ -19,7 +18,7 @@ Minutes = Annotated[
     float | None, typer.Option(help="stop after so many, for each method; default never")
 ]
 Batch = Annotated[int, typer.Option(min=1, help="crops advanced together")]
-Crop = Annotated[int, typer.Option(min=11, help="side of a crop, pixels")]
+Crop = Annotated[int, typer.Option(min=16, help="side of a crop, pixels")]
 Half = Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")]
 Norm = Annotated[float, typer.Option(help="gradients are clipped to this length")]
 Budget = Annotated[
@@ -94,7 +93,7 @@ def train(
     plan = course.planned(frames, batch, crop, budget, half, norm, seed)
     command = shlex.join(["rlbench", *sys.argv[1:]])
     lessons = course.Course(
-        out, plan, str(asked.device(device)), minutes or math.inf, command, altered
+        out, plan, str(asked.device(device)), asked.minutes(minutes), command, altered
     )
     lessons.check(learning)
     kinds = {registry.variant(name).traits.pool for name in learning}
@@ -161,7 +160,7 @@ def crossval(
     names = tuple(registry.expand(asked.split(methods)))
     plan = course.planned(frames, batch, crop, budget, half, norm, seed)
     where, command = asked.device(device), shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = course.Course(out, plan, str(where), minutes or math.inf, command, altered)
+    lessons = course.Course(out, plan, str(where), asked.minutes(minutes), command, altered)
     lessons.check([name for name in map(leaving.taught, names) if name])
     folds = leaving.folds(preset, asked.split(scenes or []), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)

@@ -69,6 +69,7 @@ def planned(
     frames: int, batch: int, crop: int, budget: str, half: bool, norm: float, seed: int
 ) -> Plan:
     """The plan that the options of a command ask for. Raises AskedError."""
+    asked.positive("--norm", norm)
     spp = () if budget == "any" else asked.numbers("--budget", budget, float)
     return Plan(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)
 

@@ -98,8 +98,10 @@ class Learner:
 
     def _clip(self, step: int) -> None:
         for name, module in self._learning:
-            length = nn.utils.clip_grad_norm_(module.parameters(), self.norm)
-            self._check(f"length of the gradient of {name}", length, step)
+            gradients = [weight.grad for weight in module.parameters() if weight.grad is not None]
+            length = nn.utils.get_total_norm(gradients)
+            self._check(f"length of the gradient of {name}", length, step)  # before it spreads
+            nn.utils.clip_grads_with_norm_(module.parameters(), self.norm, length)
 
     def _step(self) -> None:
         self.optimizer.step()

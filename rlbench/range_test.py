@@ -61,8 +61,7 @@ def run(
     """
     trainer: Trainer = registry.trainer(name, device, plan.seed)
     learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
-    pool = trainer.method.traits.pool
-    batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device, pool)
+    batches = Batches.planned(train_on, plan, trainer.method.traits, device)
     points: list[Point] = []
     progress = Progress()
     while progress.seen < plan.frames and not _diverged(points):

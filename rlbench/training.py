@@ -55,11 +55,11 @@ def train(
     check(name, plan)
     trainer: Trainer = registry.trainer(name, device, plan.seed)
     learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
-    pool = trainer.method.traits.pool
-    batches = Batches(train_on, plan.batch, plan.crop, plan.length, plan.seed, device, pool)
+    traits = trainer.method.traits
+    batches = Batches.planned(train_on, plan, traits, device)
     budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
-    progress = _begin(learner, out, _asked(name, plan, _data(train_on, pool)), altered)
-    if progress.seen >= plan.frames and shipped(name, out).exists():
+    progress = _begin(learner, out, _asked(name, plan, _data(train_on, traits.pool)), altered)
+    if progress.seen >= plan.frames and _told(name, out) == progress.seen:
         return progress
     began, before = time.monotonic(), progress.seconds
     with ahead(batches) as draw, curves.told(out, progress.seen) as told:
@@ -94,6 +94,16 @@ def shipped(name: str, out: Path) -> Path:
     """The weights file that a training of `name` into `out` ends with."""
     family, _, variant = name.partition("/")
     return out / f"{variant or family}.safetensors"
+
+
+def _told(name: str, out: Path) -> int | None:
+    """The frames that whole weights in `out` have seen; a kill may leave others, or a part."""
+    file = shipped(name, out)
+    try:
+        card = weights.read_card(file)
+    except weights.WeightsError:
+        return None
+    return card.frames_seen if weights.digest(file) == card.sha256 else None
 
 
 def _asked(name: str, plan: Plan, data: list[str]) -> dict[str, Any]:

@@ -69,8 +69,7 @@ def profile(
     """
     trainer: Trainer = registry.trainer(name, device, plan.seed)
     learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
-    pool = trainer.method.traits.pool
-    batches = Batches(folders, plan.batch, plan.crop, plan.length, plan.seed, device, pool)
+    batches = Batches.planned(folders, plan, trainer.method.traits, device)
     learner.sequence(batches.draw(0), trainer.spp[0], 1e-3, 0.0)  # what is compiled or planned once
     draws = range(-(-plan.frames // (plan.batch * plan.length)))
     for index in draws:

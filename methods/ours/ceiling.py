@@ -62,8 +62,13 @@ class Free(Turn):
 
 
 def ceiling(method: Ours, folder: Path, spp: float, index: int, steps: int) -> Found:
-    """What uniform samples, the sampler, and the best map found give on frame `index` of a clip."""
+    """What uniform samples, the sampler, and the best map found give on frame `index` of a clip.
+
+    Raises ValueError where the clip has no such frame.
+    """
     orders = [list(_frames(method, folder, seed, index)) for seed in range(SEEN + HELD)]
+    if (last := orders[0][-1].index) != index:
+        raise ValueError(f"frame {index} asked for, {folder} has 0 to {last}")
     state = _remembered(method, orders[0], spp)
     turns = [_turn(method, frames[-1], state, spp) for frames in orders]
     with torch.no_grad():
@@ -84,10 +89,14 @@ def improved(
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = RATE * (1 - step / steps)
         optimizer.zero_grad()
-        turn = Free(**vars(turns[step % len(turns)]), values=values)
+        turn = _free(turns[step % len(turns)], values)
         learns.loss(turn, generator).backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    return Free(**vars(turns[0]), values=values.detach()).act()
+    return _free(turns[0], values.detach()).act()
+
+
+def _free(turn: Turn, values: Tensor) -> Free:
+    return Free(turn.method, turn.frame, turn.view, turn.state, turn.spp, values)
 
 
 def _frames(method: Ours, folder: Path, seed: int, last: int) -> Iterator[Frame]:
@@ -143,7 +152,10 @@ def main() -> None:
     method = build("", torch.device("cpu"), None)
     cells = [(folder, float(spp)) for folder in folders for spp in given.spp.split(",")]
     for folder, spp in track(cells, "improving"):
-        _add(given.out, ceiling(method, folder, spp, given.frame, given.steps))
+        try:
+            _add(given.out, ceiling(method, folder, spp, given.frame, given.steps))
+        except ValueError as error:
+            parser.error(str(error))
 
 
 def _add(file: Path, found: Found) -> None:

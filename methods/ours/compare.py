@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +22,7 @@ from methods.ours.network import Sampler
 from methods.ours.policy import Both, Learner, Policy, Situation, appo, learner
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.variants import BASE
+from rlbench import paths
 from rlbench.ops.initialise import initialise
 
 PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
@@ -166,12 +166,10 @@ def _read(table: Path) -> list[dict[str, str]]:
 
 
 def _write(table: Path, rows: list[dict[str, str]]) -> None:
-    part = table.with_suffix(".part")
-    with part.open("w", newline="") as file:
+    with paths.replacing(table) as part, part.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(part, table)
 
 
 def main() -> None:
@@ -197,6 +195,11 @@ def main() -> None:
         for name in given:
             if name not in known:
                 parser.error(f"'{name}' is no {kind}; there is: {', '.join(known)}")
+    if asked.frames < POINTS * SCENES or asked.side % 8:
+        parser.error(
+            f"--frames {asked.frames} --side {asked.side}: it takes {POINTS * SCENES} frames or "
+            "more, and a side that divides by 8"
+        )
     torch.set_num_threads(1)
     seeds = [int(seed) for seed in asked.seeds.split(",")]
     try:

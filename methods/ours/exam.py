@@ -114,6 +114,7 @@ class Scenes:
     def step(self, action: Float[Tensor, "1 1 h w"]) -> Outcome:
         """Realised errors of the frame's image, and the next frame."""
         trial = _moment(self._field, self.mode).attempt(action.unsqueeze(0))
-        self._field = next(self._stream)
+        last, self._field = self._field, next(self._stream)
         over = self._field.index == 0
-        return Outcome(trial.errors[0], trial.counts[0], self._field.seen, over)
+        seen = last.seen if over else self._field.seen
+        return Outcome(trial.errors[0], trial.counts[0], seen, over)

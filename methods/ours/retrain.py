@@ -28,7 +28,7 @@ from methods.ours.variants import BASE
 from rlbench import paths, validation
 from rlbench.batches import Batches
 from rlbench.ops.initialise import initialise
-from rlbench.weights import Card, equip, save
+from rlbench.weights import Card, equip, read_card, save
 
 PEAK, FALL = 1e-3, 0.1  # learning rate at the start, and of it at the end: a line between
 NORM = 1.0  # gradients are clipped to this length
@@ -125,7 +125,7 @@ def retrain(
     told[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
     card = Card(
         name="ours/A1" if task.floor else "ours",
-        data=tuple(folder.name for folder in task.folders),
+        data=(*read_card(task.weights).data, *(folder.name for folder in task.folders)),
         frames_seen=frames,
         seed=task.seed,
         command=command,

@@ -33,10 +33,10 @@ def start(networks: Networks, config: Config, seed: int) -> str:
     each value of samples and view, and a channel of the state for each group of slots and each
     value of the view; what is left of both stays random. Where the denoiser reads colour and is of
     a size that Intel has, it starts with Intel's weights, to which the state says nothing yet: the
-    first image is that of Open Image Denoise. Where not, its last three layers are wired to the
-    first slot, averaged over 3x3 twice. Returns what a card says of weights that are not ours, or
-    nothing. Raises LibraryError where Intel's weights are wanted and the extra `oidn` is not
-    installed.
+    first image is that of Open Image Denoise. Where it reads the state alone, its last three layers
+    are wired to the first slot, averaged over 3x3 twice. Returns what a card says of weights that
+    are not ours, or nothing. Raises LibraryError where Intel's weights are wanted and the extra
+    `oidn` is not installed.
     """
     initialise(networks, seed)
     if networks.sampler is not None:

@@ -483,12 +483,21 @@ def _python(*words: str) -> str:
         ("random", ("", "random")),
         ("a.safetensors", ("", "a.safetensors")),
         ("seed1=a.safetensors", ("seed1", "a.safetensors")),
+        ("ppo-pixel+surrogate=a.safetensors", ("ppo-pixel+surrogate", "a.safetensors")),
     ],
 )
 def test_weights_may_be_named(text, found, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.safetensors").touch()
     assert asked.weights(text) == found
+
+
+@pytest.mark.parametrize("words", [["--norm", "-1"], ["--norm", "0"], ["--minutes", "0"]])
+def test_a_training_by_numbers_that_teach_nothing_is_refused(words, tmp_path):
+    asked_for = ["train", "-m", "oidn", "--out", str(tmp_path / "runs"), *words]
+    told = CliRunner().invoke(app, asked_for).output
+    assert f"{words[0]} {words[1]}: it has to be above 0" in told
+    assert not (tmp_path / "runs").exists()
 
 
 def test_weights_that_are_not_there_are_told_before_anything_runs():

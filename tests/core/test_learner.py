@@ -115,6 +115,15 @@ def test_the_forward_pass_alone_is_in_half_precision(half, dtype):
     assert (net.weight.dtype, net.weight.grad.dtype) == (torch.float32, torch.float32)
 
 
+def test_a_gradient_that_is_not_finite_is_told_where_it_is():
+    net = pair()
+    near = lambda: net[1](net[0](torch.ones(1, 3)).detach())  # noqa: E731
+    taught = learner(net, lambda: (near() - near().detach()).sqrt().sum())
+    with pytest.raises(NotFiniteError) as raised:
+        taught.sequence(CLIP, 1.0, 1.0, 0.0)
+    assert raised.value.found.layers == ("1.weight", "1.bias")
+
+
 @pytest.mark.parametrize(
     ("loss", "what"),
     [

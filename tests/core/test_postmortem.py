@@ -33,7 +33,7 @@ def halted(clip: Path, tmp_path: Path) -> Path:
     with pytest.raises(TrainingError) as raised:
         train("blur", [clip], [clip], tmp_path / "run", PLAN)
     file = tmp_path / "run" / "halted-at-draw-3.safetensors"
-    assert "'blur' halted in draw 3 at 1 spp: loss is inf at step 1" in str(raised.value)
+    assert "'blur' halted in draw 3 at 2 spp: loss is inf at step 1" in str(raised.value)
     assert f"'rlbench train --replay {file}' takes it again" in str(raised.value)
     return file
 
@@ -51,7 +51,7 @@ def test_a_halted_sequence_is_replayed_by_the_command_that_the_error_names(halte
 
 def test_a_halted_sequence_holds_its_clip_and_what_it_began_with(halted):
     told, tensors = checkpoint.read(halted)
-    assert (told["draw"], told["spp"], told["seed"], len(told["frames"])) == (3, 1.0, 0, 3)
+    assert (told["draw"], told["spp"], told["seed"], len(told["frames"])) == (3, 2.0, 0, 3)
     assert tensors["clip.0.radiance"].shape == (1, 8, 3, 16, 16)
     before = checkpoint.read(halted.parent / "checkpoint.safetensors")[1]
     shared = {name for name in tensors if not name.startswith("clip.")}

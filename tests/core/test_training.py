@@ -311,6 +311,25 @@ def test_a_training_that_is_done_keeps_its_card(tmp_path):
     assert read_card(tmp_path / "oidn.safetensors").command == "first"
 
 
+@pytest.mark.parametrize("left", ["no card", "another card", "older weights"])
+def test_a_training_that_was_killed_while_it_wrote_its_weights_writes_them(tmp_path, left):
+    clip, out = write_noise(tmp_path / "clips" / "noise", h=32, w=32), tmp_path / "run"
+    plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+    if left == "older weights":  # a training that was given little time ships what it has
+        train("oidn", [clip], [clip], out, plan, minutes=1e-9)
+    older = [(file, file.read_bytes()) for file in out.glob("oidn.*")]
+    train("oidn", [clip], [clip], out, plan)
+    whole, card = digest(out / "oidn.safetensors"), out / "oidn.toml"
+    if left == "no card":
+        card.unlink()
+    if left == "another card":
+        card.write_text(card.read_text().replace(whole, "0" * 64))
+    for file, content in older:
+        file.write_bytes(content)
+    train("oidn", [clip], [clip], out, plan)
+    assert read_card(out / "oidn.safetensors").sha256 == digest(out / "oidn.safetensors") == whole
+
+
 def test_crops_larger_than_a_clip_are_refused(tmp_path):
     clip = write_noise(tmp_path / "noise", h=32, w=40)
     with pytest.raises(BatchError, match="48 x 48 asked for, clip 'noise' has 32 x 40"):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 import torch
 
-from methods.ours.ceiling import improved
+from methods.ours.ceiling import ceiling, improved
 from methods.ours.method import build
 from methods.ours.turn import Turn
 from rlbench.frames import Frame, Size
 from rlbench.procedural import procedural
 from rlbench.sampling import StoredPool
+from tests.conftest import write_noise
 
 SIZE = Size(1, 32, 48)
 NOISY = 24  # columns from here on are noisy
@@ -31,6 +33,19 @@ def turns(count: int) -> list[Turn]:
 
 def _turn(method, frame: Frame) -> Turn:
     return Turn(method, frame, frame.view, method.start(SIZE), 1.0)
+
+
+@pytest.mark.parametrize("index", [-1, 3])
+def test_a_frame_that_the_clip_does_not_have_is_refused(index, tmp_path):
+    folder = write_noise(tmp_path / "noise", frames=3, h=32, w=48)
+    with pytest.raises(ValueError, match=f"frame {index} asked for, .* has 0 to 2"):
+        ceiling(build("", torch.device("cpu"), None), folder, 1.0, index, steps=1)
+
+
+def test_a_turn_that_was_tried_can_be_improved():
+    tried = turns(1)
+    tried[0].attempt(torch.zeros(1, 1, 1, *SIZE[1:]))
+    assert improved(tried, torch.zeros(1, 1, *SIZE[1:]), steps=1).isfinite().all()
 
 
 def test_it_samples_where_there_is_noise_and_errs_less():
