@@ -31,6 +31,7 @@ class Config:
     kernel: int = 3  # side of the encoder's kernels
     denoiser: Widths = NORMAL
     bptt: int = 1  # frames through which gradients flow
+    decibels: bool = True  # is the logarithm of the loss learned from?
     learner: str = "ppo-pixel+surrogate"  # how the sampler learns (methods/ours/policy)
     flat: bool = False  # is the sampler's map ignored?
 
@@ -44,7 +45,7 @@ BASE = Config()
 VARIANTS = {
     "": BASE,
     # the denoiser reads the state alone
-    "paper": replace(BASE, light="none", density="linear", learner="ppo-pixel"),
+    "paper": replace(BASE, light="none", density="linear", decibels=False, learner="ppo-pixel"),
     "A1": replace(BASE, learner="surrogate"),  # a gradient's approximation in place of learning
     "A2": replace(BASE, sampler=()),  # is planning worth its time?
     "ppo": replace(BASE, learner="ppo-pixel"),  # is trial and error enough?
