@@ -71,7 +71,7 @@ MODES: dict[str, Mode] = {"direct": Direct(), "filter": Filter()}
 
 
 def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
-    """As of `ours`: how far an action lies above the lowest one, here in [0, 1]."""
+    """As of `ours/paper`: how far an action lies above the lowest one, here in [0, 1]."""
     return method.density(action, "linear") / 2
 
 

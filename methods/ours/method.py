@@ -48,12 +48,13 @@ class Ours:
     was 8-bit sRGB; a state that comes from outside the image is marked by an exact mask, not by a
     magic zero.
 
-    Differs in all but `ours/paper`: beside the state there is light, gathered over frames, of which
-    the encoder says how far it is trusted; the denoiser reads colour, albedo and normal in the way
-    of Open Image Denoise (Afra 2019), and then the state, starts from Intel's weights, and says how
-    much of the last image is kept. Sampler and encoder also see that light and that image. A pixel
-    that stands still and got no sample keeps its state and its light. The sampler is told how many
-    samples the last frame got, and how far its map is from uniform follows from that.
+    Differs in all but `ours/paper`: the denoiser reads colour, albedo and normal in the way of Open
+    Image Denoise (Afra 2019), and then the state, and starts from Intel's weights, where there are
+    any of its size. In all but B1 and B2 besides: beside the state there is light, gathered over
+    frames, of which the encoder says how far it is trusted; the denoiser says how much of the last
+    image is kept; sampler and encoder also see that light and that image. A pixel that stands still
+    and got no sample keeps its state and its light. The sampler is told how many samples the last
+    frame got, and how far its map is from uniform follows from that.
     """
 
     config: Config
