@@ -10,7 +10,7 @@ import pandas as pd
 from reports import names, pages, scores, variants
 from reports.grids import Grid, gap_text, wide
 from reports.published import published
-from reports.statistics import DRAWS
+from reports.statistics import DRAWS, TOLD
 from reports.variants import METRIC
 
 
@@ -54,8 +54,7 @@ def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
     caption = (
         f"PSNR in dB ({scores.about(table, METRIC, 'convention')}) of each variant less that of "
         f"{family}, paired by scene, clip, frame, budget and seed; mean over scenes. In brackets: "
-        "95 % interval, resampled by clip; bold where it excludes zero. "
-        "The interval is that of the clips; another training would differ too."
+        f"{TOLD}; bold where it excludes zero. Another training would differ too."
     )
     if base and any(stated.values()):
         caption += f" Paper: difference in {published().source}, {published().title}."

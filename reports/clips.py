@@ -8,7 +8,7 @@ import pandas as pd
 
 from reports import pages, scores
 from reports.grids import Bold, Grid, gap_text
-from reports.statistics import DRAWS, interval, paired
+from reports.statistics import DRAWS, TOLD, interval, paired
 
 METRIC = "psnr"
 BASE = "ours"  # what rows are held against, where it is there; else the best
@@ -20,9 +20,8 @@ def write(
     """`name`.md, .csv and .tex: PSNR of each clip, a table a budget, best rows first.
 
     Each table ends with the mean over scenes, and with how far each method is from `ours`, or from
-    the best where `ours` is not there, with its 95 % bootstrap interval over clips. `seed` and
-    `draws` are those of the bootstrap. Raises ReportError where rows would be averaged that must
-    not be.
+    the best where `ours` is not there, with its interval. `seed` and `draws` are those of the
+    bootstrap. Raises ReportError where rows would be averaged that must not be.
     """
     sections = []
     for device, rows in scores.by_device(table).items():
@@ -34,7 +33,11 @@ def write(
         told = scores.about(scored, METRIC, "convention")
         budgets = sorted(set(means["spp"]))
         grids = [_grid(spp, means, whole, shots, told, seed, draws) for spp in budgets]
-        lists = {"Not run": scores.reasons(scored)}
+        lists = {
+            "Not run": scores.reasons(scored),
+            "Left out of the means": scores.gaps(scored, METRIC),
+            "Remarks": scores.remarks(scored),
+        }
         sections.append(pages.Section(device, grids, means, lists))
     return pages.write(folder, name, f"Clip by clip, {pages.runs(table)}", sections)
 
@@ -69,8 +72,7 @@ def _grid(
     caption = (
         f"{convention}; mean over frames, best of a line bold. "
         f"Last line: mean over scenes of the difference to {base}, paired by frame; in brackets "
-        "its 95 % interval, resampled by clip; bold where it excludes zero. Clips of one scene "
-        "are alike, so that the interval is that of clips of these scenes, not of other scenes."
+        f"{TOLD}; bold where it excludes zero."
     )
     return Grid(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), body)
 

@@ -20,9 +20,8 @@ def ranking(table: pd.DataFrame, metric: str, seed: int = 0, draws: int = DRAWS)
     """A row for each method, budget and scene, and scene "all" for the mean over scenes.
 
     `difference` is the mean of the paired differences to the best method at that budget, `low` and
-    `high` its 95 % bootstrap interval over clips (nan with one clip), `tie` whether that holds
-    zero. Nothing is best where the metric has no better end. For "all", methods that lack a scene
-    are left out.
+    `high` its interval (nan with one scene and clip), `tie` whether that holds zero. Nothing is
+    best where the metric has no better end. For "all", methods that lack a scene are left out.
     """
     better = scores.about(table, metric, "better")
     every = scores.shots(table, metric)

@@ -1,4 +1,4 @@
-"""How sure a difference is: paired by frame, resampled by clip, and a tie is called a tie."""
+"""How sure a difference is: paired by frame, as scenes differ, and a tie is called a tie."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ SHOT = ("scene", "clip", "frame")
 
 DRAWS = 10_000  # bootstrap samples: the ends of a 95 % interval are then stable to about 1 %
 LEVEL = 0.95
+FEW = 8  # scenes or clips: fewer are not resampled
+TOLD = f"95 % interval over scenes (of one scene, over clips; Student's t below {FEW})"
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and where it may lie; the ends are nan where one clip alone tells nothing."""
+    """A mean and where it may lie; the ends are nan where one alone tells nothing."""
 
     mean: float
     low: float
     high: float
-    clips: int
+    units: int  # scenes, or clips of one
 
     @property
     def tie(self) -> bool:
@@ -49,31 +51,31 @@ def paired(method: pd.DataFrame, other: pd.DataFrame, by: Sequence[str] = SHOT) 
 def interval(
     values: pd.DataFrame, seed: int = 0, draws: int = DRAWS, level: float = LEVEL
 ) -> Interval:
-    """Mean over scenes, and its percentile bootstrap interval over clips.
+    """Mean over scenes, and where it may lie for other scenes; of one scene, for other clips of it.
 
-    Frames of a clip are not independent, so whole clips are drawn, with replacement; each scene
-    weighs the same. `values` has the columns scene, clip and value, a row a frame. The percentiles
-    are spread for few clips as in Hesterberg 2015, What Teachers Should Know About the Bootstrap,
-    section on the expanded percentile interval. Below about six clips the interval cannot reach
-    beyond the extremes of the clips, and so is too short.
+    Frames of a clip, and clips of a scene, are alike: what is independent are scenes, or the clips
+    of the only one. `values` has the columns scene, clip and value, a row a frame; each clip weighs
+    the same in its scene, and each scene the same. Below FEW of them the interval is Student's t,
+    since resampling so few cannot reach beyond their extremes (four normal ones: the truth is
+    within the extremes 87 % of the time); from there on the percentile bootstrap, its percentiles
+    spread as in Hesterberg 2015, What Teachers Should Know About the Bootstrap, section on the
+    expanded percentile interval, which follows a skewed distribution.
     """
-    clips = values.groupby(["scene", "clip"], as_index=False)["value"].mean()
-    count = len(clips)
-    if not count:
-        return UNKNOWN
-    score = clips["value"].to_numpy(float)
-    weight = 1 / clips.groupby("scene")["value"].transform("size").to_numpy(float)
-    mean = float(np.average(score, weights=weight))
-    if count == 1:
-        return Interval(mean, math.nan, math.nan, 1)
+    clips = values.groupby(["scene", "clip"])["value"].mean()
+    scenes = clips.groupby("scene").mean()
+    score = (scenes if len(scenes) > 1 else clips).to_numpy(float)
+    count, mean = len(score), float(score.mean()) if len(score) else math.nan
+    if count < 2:
+        return Interval(mean, math.nan, math.nan, count)
+    if count < FEW:
+        half = _t(count, level) * float(score.std(ddof=1)) / math.sqrt(count)
+        return Interval(mean, mean - half, mean + half, count)
     drawn = np.random.default_rng(seed).integers(count, size=(draws, count))
-    means = np.average(score[drawn], weights=weight[drawn], axis=1)
-    tail = _tail(count, level)
-    low, high = np.quantile(means, [tail, 1 - tail])
+    tail = NormalDist().cdf(-math.sqrt(count / (count - 1)) * _t(count, level))
+    low, high = np.quantile(score[drawn].mean(axis=1), [tail, 1 - tail])
     return Interval(mean, float(low), float(high), count)
 
 
-def _tail(count: int, level: float) -> float:
-    """Share of bootstrap means left out at either end: Phi(-sqrt(n / (n - 1)) t)."""
-    t = float(stdtrit(count - 1, (1 + level) / 2))
-    return NormalDist().cdf(-math.sqrt(count / (count - 1)) * t)
+def _t(count: int, level: float) -> float:
+    """How many standard errors Student's t reaches."""
+    return float(stdtrit(count - 1, (1 + level) / 2))

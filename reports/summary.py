@@ -10,7 +10,7 @@ import pandas as pd
 from reports import pages, scores
 from reports.grids import Bold, Grid
 from reports.ranking import EVERY, ranking
-from reports.statistics import DRAWS
+from reports.statistics import DRAWS, TOLD
 
 TIME_COLUMNS = {
     "plan_ms": "plan p50",
@@ -47,8 +47,8 @@ def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Gri
             table,
             rank[rank["scene"] == EVERY],
             "mean over scenes",
-            "Bold is best at its budget. In brackets: the 95 % interval of the paired difference "
-            "to the best, resampled by clip; a tie is a difference whose interval holds zero.",
+            f"Bold is best at its budget. In brackets: {TOLD} of the paired difference to the "
+            "best; a tie is a difference whose interval holds zero.",
         )
         for rank in ranks
     ]

@@ -13,7 +13,7 @@ from reports import names, pages, scores
 from reports.grids import Grid, gap_text
 from reports.published import published
 from reports.spread import Agreement, agreement
-from reports.statistics import DRAWS, UNKNOWN, interval, paired
+from reports.statistics import DRAWS, TOLD, UNKNOWN, interval, paired
 from rlbench.table import LacksError
 
 BASE = "ours"  # the row that all others are held against, as the paper does
@@ -48,7 +48,7 @@ def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataF
     """A row for each method and budget: its mean over scenes, and what the paper states of it.
 
     `difference` is the mean of the paired differences to `ours` at that budget, `low` and `high`
-    its 95 % bootstrap interval over clips; inference is plan and denoise, p50. What the paper
+    its interval; inference is plan and denoise, p50. What the paper
     states of its 4 spp stands at that budget alone. Rows of named weights are left out.
     """
     table = table[table["method"].map(names.weights) == ""]
@@ -128,8 +128,8 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, alike: Agreement, device: st
     )
     caption = (
         f"PSNR in dB ({scores.about(table, METRIC, 'convention')}), mean over scenes; inference = "
-        f"plan + denoise, p50, on {device or 'a device not named'}. In brackets: 95 % interval of "
-        f"the paired difference, resampled by clip; bold where it excludes zero. Paper: "
+        f"plan + denoise, p50, on {device or 'a device not named'}. In brackets: {TOLD} "
+        f"of the paired difference; bold where it excludes zero. Paper: "
         f"{published().title}, {published().source}; {published().conditions}. {WARNING} "
         + _agreed(alike)
     )

@@ -14,7 +14,7 @@ FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has 
 METRIC = "psnr"
 PAIR = ("scene", "clip", "frame", "seed")  # at one budget
 COLUMNS = (
-    "method", "spp", "difference", "low", "high", "total_ms", "pairs", "alone", "clips",
+    "method", "spp", "difference", "low", "high", "total_ms", "pairs", "alone", "units",
 )  # fmt: skip
 
 
@@ -60,9 +60,9 @@ def differences(
 ) -> pd.DataFrame:
     """A row for each variant and budget: its PSNR and frame time less those of the default.
 
-    Pairs have scene, clip, frame, budget and seed in common; `low` and `high` are the 95 %
-    bootstrap interval over clips, each scene weighing the same (nan with one clip). `total_ms` is
-    the difference of the means over the scenes that both have; nan where either has no time.
+    Pairs have scene, clip, frame, budget and seed in common; `low` and `high` are the interval (nan
+    with one clip). `total_ms` is the difference of the means over the scenes that both have; nan
+    where either has no time.
     """
     rows = scored(table)
     parts = {key: part for key, part in rows.groupby(["method", "spp"])}
@@ -84,7 +84,7 @@ def differences(
                     "total_ms": _slower(times[times["spp"] == spp], method, family),
                     "pairs": len(pairs),
                     "alone": len(parts[method, spp]) + len(parts[family, spp]) - 2 * len(pairs),
-                    "clips": gap.clips,
+                    "units": gap.units,
                 }
             )
     return pd.DataFrame(made, columns=list(COLUMNS))

@@ -57,13 +57,14 @@ def test_the_difference_is_that_of_the_formulas(found, spp):
 
 def test_every_clip_and_frame_is_a_pair(found):
     row = found.loc[("ours/small", 4)]
-    assert (row["pairs"], row["alone"], row["clips"]) == (4 * 2 * 4, 0, 8)
+    assert (row["pairs"], row["alone"], row["units"]) == (4 * 2 * 4, 0, 4)
 
 
-def test_the_interval_is_the_spread_of_the_clips():
+def test_the_interval_of_one_scene_is_that_of_its_clips():
     city = frame_of([r for r in configured() if r.scene == "city"])
     row = variants.differences(city, "ours", draws=500).set_index("spp").loc[1.0]
-    assert (row["low"], row["high"]) == pytest.approx((-0.76, -0.64))  # of its two clips
+    half = 12.7062 * 0.06  # Student's t of its two clips, which have -0.76 and -0.64
+    assert (row["low"], row["high"]) == pytest.approx((-0.7 - half, -0.7 + half), rel=1e-4)
 
 
 def test_the_time_is_that_of_plan_and_denoise_as_samples_cost_the_same(found):

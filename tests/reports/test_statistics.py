@@ -22,7 +22,7 @@ def frames(clip_values, scene="city", frames=3, wobble=0.0):
     )
 
 
-@pytest.mark.parametrize("clips", [6, 12])
+@pytest.mark.parametrize("clips", [2, 3, 4, 5, 7, 8, 12])
 def test_the_interval_covers_the_truth(clips):
     g = np.random.default_rng(0)
     trials = [
@@ -32,6 +32,15 @@ def test_the_interval_covers_the_truth(clips):
     hits = sum(found.low <= 0.5 <= found.high for found in trials)
     # 285 expected of 300 at 95 %; 4 standard errors of a binomial are 15
     assert 285 - 15 <= hits <= 300
+
+
+def test_clips_of_one_scene_are_no_other_scenes():
+    """Four scenes of eight clips that are all alike say no more of a fifth than four clips do."""
+    means = {"city": 0.0, "hall": 1.0, "ripples": 2.0, "temple": 3.0}
+    many = pd.concat([frames([mean] * 8, scene) for scene, mean in means.items()])
+    few = pd.concat([frames([mean], scene) for scene, mean in means.items()])
+    assert interval(many) == interval(few)
+    assert interval(few).units == 4
 
 
 def test_the_interval_of_many_clips_is_that_of_students_t():
