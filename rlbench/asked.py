@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     import torch
 
     from rlbench.engine import Engine
+    from rlbench.regress import Baseline
     from rlbench.source import Stored
 
 
@@ -114,6 +116,20 @@ def weights(text: str | None) -> tuple[str, str | None]:
     if not Path(file).is_file():
         raise AskedError(f"--weights {text}: there is no file {file}; 'rlbench train' makes one")
     return called, file
+
+
+def part(
+    table: pd.DataFrame, baseline: Baseline, methods: Collection[str]
+) -> tuple[pd.DataFrame, Baseline]:
+    """The rows and the entries of some methods. Raises AskedError for one that neither has."""
+    have = {*table["method"], *(entry.method for entry in baseline.entries)}
+    if unknown := sorted(set(methods) - have):
+        raise AskedError(
+            f"--only {','.join(unknown)}: neither results nor baseline have it; there is: "
+            f"{', '.join(sorted(have)) or 'nothing'}"
+        )
+    entries = tuple(entry for entry in baseline.entries if entry.method in methods)
+    return table[table["method"].isin(methods)], replace(baseline, entries=entries)
 
 
 def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:

@@ -77,8 +77,8 @@ class Outcome:
 
     @property
     def empty(self) -> bool:
-        """Is there not one result to speak of, as where a name was mistyped?"""
-        return all(change.verdict == "skipped" for change in self.changes)
+        """Is there not one result that stands beside an entry?"""
+        return all(None in (change.expected, change.found) for change in self.changes)
 
     def of(self, verdict: str) -> list[Change]:
         """The lines of one verdict."""
@@ -118,7 +118,8 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Ou
 
     An entry is worse when it fell by more than its tolerance, and better when it rose by more. A
     result without an entry is new. An entry without a result is missing, or skipped where `table`
-    is known to be a subset. A result of which any frame has no value counts as missing either way.
+    is known to be a subset and has other results of that method. A result of which any frame has no
+    value counts as missing either way. Raises BaselineError as `measured` does.
     """
     found, expected = measured(table), {entry.key: entry for entry in baseline.entries}
     if len(expected) < len(baseline.entries):
@@ -135,12 +136,13 @@ def update(table: pd.DataFrame, path: Path, preset: str = "", command: str = "")
 
     Entries without a result are dropped: run the whole preset first. Cells that were refused, as
     half a sample by a method that needs one, are left out. Raises BaselineError if a frame has no
-    value, which cannot be a baseline.
+    value, or if a cell has none that the old baseline has one of, and as `measured` does.
     """
     old = load(path) if path.exists() else Baseline()
     limits = {entry.key: entry.tolerance_db for entry in old.entries}
     found = measured(table[table["frame"] != WHOLE_CLIP])
-    holes = [_name(key) for key, psnr in found.items() if psnr is None]
+    lost = {key for key, psnr in measured(table).items() if psnr is None} & limits.keys()
+    holes = [_name(key) for key in sorted({k for k, psnr in found.items() if psnr is None} | lost)]
     if holes or not found:
         raise BaselineError(f"cannot be a baseline: no PSNR of {', '.join(holes) or 'anything'}")
     entries = tuple(
@@ -154,8 +156,16 @@ def update(table: pd.DataFrame, path: Path, preset: str = "", command: str = "")
 
 
 def measured(table: pd.DataFrame) -> dict[Key, float | None]:
-    """PSNR of each method, scene and budget in dB, or None where a frame of it has no value."""
+    """PSNR of each method, scene and budget in dB, or None where a frame of it has no value.
+
+    Raises BaselineError where results of several devices would be averaged.
+    """
     rows = table[table["metric"] == "psnr"]
+    if len(devices := sorted(set(rows["device"]) - {""})) > 1:
+        raise BaselineError(
+            f"the results are of {len(devices)} devices ({', '.join(devices)}); measure with one "
+            "into a folder of its own"
+        )
     groups = rows.groupby(["method", "scene", "spp"])["value"]
     means = groups.agg(lambda values: values.mean(skipna=False)).reset_index()
     keys = zip(means["method"], means["scene"], means["spp"], strict=True)
@@ -169,7 +179,8 @@ def _change(
     limit = baseline.tolerance_db if entry.tolerance_db is None else entry.tolerance_db
     psnr = found.get(entry.key)
     if psnr is None:
-        verdict = "skipped" if subset and entry.key not in found else "missing"
+        others = entry.method in {method for method, _, _ in found}
+        verdict = "skipped" if subset and others and entry.key not in found else "missing"
         return Change(entry.key, verdict, entry.psnr, None, limit)
     rise = round(psnr - entry.psnr, DECIMALS)  # 29.95 - 30 is to be -0.05, which is within 0.05
     verdict = "worse" if rise < -limit else "better" if rise > limit else "same"

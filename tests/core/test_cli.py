@@ -310,9 +310,8 @@ def test_a_method_that_nobody_measured_does_not_pass(clip_folder, tmp_path):
     words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
     rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
     rlbench("regress", *words, "--update")
-    assert "FAILED: nothing was compared, 1 skipped" in rlbench(
-        "regress", *words, "--only", "maen", code=1
-    )
+    told = rlbench("regress", *words, "--only", "mean,maen", code=2)
+    assert "error: --only maen: neither results nor baseline have it; there is: mean" in told
 
 
 def test_a_baseline_is_not_rewritten_by_a_part(clip_folder, tmp_path):

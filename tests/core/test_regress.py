@@ -60,9 +60,36 @@ def test_a_missing_entry_fails():
 
 
 def test_a_missing_entry_of_a_subset_is_skipped():
-    outcome = compare(frame_of(rows(30.0, scene="hall")), baseline(), subset=True)
-    assert verdicts(outcome)["ours", "city", 2.0] == "skipped"
+    table = frame_of(rows(30.0))
+    written = replace(baseline(), entries=(*baseline().entries, Entry("ours", "hall", 2.0, 30.0)))
+    outcome = compare(table, written, subset=True)
+    assert verdicts(outcome)["ours", "hall", 2.0] == "skipped"
     assert outcome.passed
+
+
+def test_a_method_without_any_result_is_missing_even_in_a_subset():
+    outcome = compare(frame_of(rows(12.0, method="mean")), baseline(), subset=True)
+    assert verdicts(outcome)["ours", "city", 2.0] == "missing"
+    assert not outcome.passed
+
+
+def test_results_without_entries_are_no_comparison():
+    outcome = compare(frame_of(rows(30.0, scene="hall")), Baseline())
+    assert "FAILED: nothing was compared, 1 new" in outcome.text()
+
+
+def test_results_of_several_devices_are_not_averaged():
+    other = [replace(row, device="a GPU", value=row.value + 9) for row in rows(20.0)]
+    ours = [replace(row, device="a CPU") for row in rows(30.0)]
+    with pytest.raises(BaselineError, match="2 devices .a CPU, a GPU."):
+        compare(frame_of(ours + other), baseline())
+
+
+def test_an_entry_is_not_dropped_from_a_baseline_because_its_method_crashed(tmp_path):
+    update(frame_of(rows(30.0)), tmp_path / "b.json")
+    crashed = replace(rows(0.0)[0], frame=-1, value=math.nan, note="RuntimeError: ...")
+    with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
+        update(frame_of([crashed, *rows(12.0, method="mean")]), tmp_path / "b.json")
 
 
 @pytest.mark.parametrize("entries", [baseline(), Baseline()])
