@@ -106,4 +106,5 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, l
             f"{s.name}, here {s.row}" for s in stated if s.row not in shown
         ],
         "Not run": scores.reasons(table[table["metric"] == METRIC]),
+        "Remarks": scores.remarks(table[table["metric"] == METRIC]),
     }

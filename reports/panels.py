@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 LOG_FROM = 10.0  # what spans more than this factor stands on a logarithmic axis
 WINDOW = 10.0  # dB below the best that a panel shows
+MOST = 8  # scenes that have a panel each
 WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top of the height
 KEY_ROOM = 9.0  # inches of the width for the key of methods
 OVERALL = "mean of all scenes"
@@ -27,13 +28,16 @@ FRONT, BEATEN = "another is faster and better", "#EFEFEF"
 def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
     """The figure: the mean over scenes at the left, a panel a scene at the right, keys below.
 
-    With one scene that is the only panel.
+    With one scene that is the only panel; with more than MOST, their mean is.
     """
     scenes = [scene for scene in sorted(set(plotted["scene"])) if scene != OVERALL]
-    scenes = [OVERALL, *scenes] if len(scenes) > 1 else scenes
+    single = scenes if len(scenes) <= MOST else []
+    scenes = [OVERALL, *single] if len(scenes) > 1 else scenes
     looks = style.looks(plotted["method"])
     columns = _columns(looks)
-    room = 1.25 + 0.27 * math.ceil((len(looks) + 1) / columns)  # inches for keys and caption
+    lines = texts["caption"].count("\n") - 1  # of the caption, beyond two
+    # inches for keys and caption
+    room = 1.25 + 0.17 * lines + 0.27 * math.ceil((len(looks) + 1) / columns)
     figure = Figure(figsize=(WIDTH, HEIGHT + room))
     panels = _panels(figure, scenes, room / (HEIGHT + room))
     sizes = _sizes(plotted["spp"])
@@ -70,8 +74,10 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
 
     A method that falls out of that window is named, with its range, at the lower edge.
     """
-    left, right = points["total_ms"].min(), points["total_ms"].max()
     low, high = points["value"].min(), points["value"].max()
+    bottom = max(low, high - WINDOW) if better == "high" else low
+    seen = points[points["value"] >= bottom]["total_ms"]
+    left, right = seen.min(), seen.max()
     if left > 0 and right / left > LOG_FROM:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=20))
@@ -84,7 +90,6 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
         axes.set_yscale("log")
         axes.set_ylim(low / 1.3, high * 1.3)
         return
-    bottom = max(low, high - WINDOW) if better == "high" else low
     margin = 0.07 * (high - bottom or 1)
     axes.set_ylim(bottom - margin, high + margin)
     style.name_below(axes, points, bottom - margin)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pandas as pd
 
-from reports import beside, names, scores, style
+from reports import beside, scores, style
 from reports.published import Published, published
 from rlbench.table import LacksError
 
@@ -106,7 +106,7 @@ def _cost(profile: str) -> str:
 def _others(table: pd.DataFrame, here: pd.DataFrame) -> str:
     """The rows that are measured and not drawn, as lines of the caption."""
     scored = table[(table["metric"] == METRIC) & table["value"].notna()]
-    left = sorted({names.row(m) for m in scored["method"]} - set(here["method"]))
+    left = sorted(set(scored["method"]) - set(here["method"]))
     untimed = sorted(set(here.loc[here["total_ms"].isna(), "method"]))
     told = {"Measured, but not in the paper or not on every scene": left, "Without a time": untimed}
     return "".join(f"\n{what}: {', '.join(which)}." for what, which in told.items() if which)

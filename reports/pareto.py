@@ -39,15 +39,15 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     `front` is true for a point of its panel that none is both faster and better than.
     """
     per_scene = scores.points(table, metric)
-    per_scene = per_scene[per_scene["total_ms"].notna()]
-    if per_scene.empty:
+    mean = scores.overall(per_scene).assign(scene=OVERALL)
+    every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
+    every = every[every["total_ms"].notna()].reset_index(drop=True)
+    if every.empty:
         found = sorted(set(table.loc[table["value"].notna(), "metric"])) or ["nothing"]
         raise scores.ReportError(
             f"no cell has {metric}, plan_ms, denoise_ms and sample_ms, so no time can be plotted; "
             f"measured were: {', '.join(found)}; rlbench run --cost takes a published sample_ms"
         )
-    mean = scores.overall(per_scene).assign(scene=OVERALL)
-    every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
     every["front"] = False
     better = scores.about(table, metric, "better")
     for _, panel in every.groupby("scene"):
@@ -68,4 +68,17 @@ def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
         f"Time: plan + denoise (p50) on {device or 'a device not named'}\n+ samples bought per "
         f"pixel x time of one sample per pixel ({scores.profile(table) or 'source not named'})."
     )
+    caption += _missing(table, metric)
     return {"value": value, "direction": direction, "better": better, "caption": caption}
+
+
+def _missing(table: pd.DataFrame, metric: str) -> str:
+    """What has no mean over scenes though it was measured, as lines of the caption."""
+    per_scene = scores.points(table, metric)
+    untimed = set(per_scene.loc[per_scene["total_ms"].isna(), "method"])
+    scored = table.loc[(table["metric"] == metric) & table["value"].notna()]
+    whole = scores.overall(per_scene).groupby("method")["spp"].nunique()
+    asked = scored.groupby("method")["spp"].nunique()
+    partly = {method for method, budgets in asked.items() if whole.get(method, 0) < budgets}
+    told = {"Not on every scene and frame": partly, "Without a time on every scene": untimed}
+    return "".join(f"\n{what}: {', '.join(sorted(who))}." for what, who in told.items() if who)

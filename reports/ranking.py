@@ -50,7 +50,8 @@ def _rank(rows: pd.DataFrame, better: str, seed: int, draws: int) -> list[dict[s
             found, tie = {"difference": gap.mean, "low": gap.low, "high": gap.high}, gap.tie
         counts = {"clips": part["clip"].nunique(), "frames": len(part)}
         ranked.append(
-            {"method": method, "mean": means[method], **found, "best": method == best, "tie": tie}
+            {"method": method, "mean": means[method], **found, "tie": tie}
+            | {"best": bool(best) and means[method] == means[best]}
             | counts
         )
     return ranked

@@ -134,12 +134,20 @@ def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
 
 
 def overall(per_scene: pd.DataFrame) -> pd.DataFrame:
-    """Mean over scenes of what `points` or `scene_means` gives, where every scene is there."""
+    """Mean over scenes of what `points` or `scene_means` gives, where every scene is there.
+
+    A time that a scene lacks has no mean.
+    """
     scenes = per_scene["scene"].nunique()
     groups = per_scene.groupby(["method", "spp"])
-    means = groups.mean(numeric_only=True).reset_index()
+    numbers = per_scene.select_dtypes("number").columns.drop("spp")
+    means = groups[list(numbers)].agg(_whole_mean).reset_index()
     whole = groups["scene"].nunique().to_numpy() == scenes
     return pd.DataFrame(means[whole].reset_index(drop=True))
+
+
+def _whole_mean(part: pd.Series[float]) -> float:
+    return float(part.mean(skipna=False))
 
 
 def front(times: pd.Series, values: pd.Series, better: str) -> list[int]:

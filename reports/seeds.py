@@ -51,8 +51,9 @@ def deviations(table: pd.DataFrame) -> pd.DataFrame:
     """
     _differ(table)
     made = []
-    for series, trained in table.groupby(table["method"].map(names.series)):
-        made += [{"series": series, **row} for row in _spread(_means(trained))]
+    means = _means(table)
+    for series, trained in means.groupby(means["method"].map(names.series)):
+        made += [{"series": series, **row} for row in _spread(trained)]
     return pd.DataFrame(made)
 
 
@@ -141,4 +142,5 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
         "Trained once, so not shown": single,
         "Left out of the means": scores.gaps(table, METRIC),
         "Not run": scores.reasons(table[table["metric"] == METRIC]),
+        "Remarks": scores.remarks(table[table["metric"] == METRIC]),
     }

@@ -25,11 +25,14 @@ COLOURS = {
     "imcd": "#B8860B",
     "svgf": "#56B4E9",
     "restir": "#7A4FA3",
+    "oidn-intel": "#20808D",
+    "restir+oidn": "#4B8B3B",
+    "eaw": "#8C564B",
 }
 SPARE = ("#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
-LETTERS = 70  # of a line of what is named in a panel
+LETTER = 0.072  # inches of a letter of what is named in a panel
 INK, FAINT = "#222222", "#8A8A8A"
 RC: Any = {
     "font.family": "sans-serif",
@@ -80,7 +83,10 @@ def looks(methods: Iterable[str]) -> dict[str, Look]:
         variants = [name for name in names if family_of(name) == family]
         for i, name in enumerate(variants):
             color = COLOURS.get(family) or spare[family]
-            marker, dash = MARKERS[(place + i) % len(MARKERS)], DASHES[i % len(DASHES)]
+            marker, dash = (
+                MARKERS[(place + i) % len(MARKERS)],
+                DASHES[(i + i // len(MARKERS)) % len(DASHES)],
+            )
             face, edge, rim = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
             found[name] = Look(color, marker, dash, face, edge, rim)
     return found
@@ -91,7 +97,8 @@ def name_below(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
     least = points.groupby("method")["value"].min()
     outside = [f"{method} from {value:.1f}" for method, value in least.items() if value < bottom]
     if outside:
-        told = fill("below: " + ", ".join(outside), LETTERS)
+        width = axes.bbox.width / axes.figure.dpi  # inches
+        told = fill("below: " + ", ".join(outside), max(20, int(width / LETTER)))
         axes.text(
             0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5, color=FAINT,
             zorder=4,

@@ -179,4 +179,5 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
         "Left out of the means": scores.gaps(table, METRIC),
         "Left out, as they ran with named weights": named,
         "Not run": scores.reasons(scored),
+        "Remarks": scores.remarks(scored),
     }
