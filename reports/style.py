@@ -25,14 +25,14 @@ COLOURS = {
     "imcd": "#B8860B",
     "svgf": "#56B4E9",
     "restir": "#7A4FA3",
-    "oidn-intel": "#20808D",
+    "oidn-intel": "#1A1A1A",
     "restir+oidn": "#4B8B3B",
     "eaw": "#8C564B",
 }
 SPARE = ("#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
-LETTER = 0.072  # inches of a letter of what is named in a panel
+LETTER, NARROW = 0.072, 4.0  # inches: of a letter, and of a panel in which nothing is named
 INK, FAINT = "#222222", "#8A8A8A"
 RC: Any = {
     "font.family": "sans-serif",
@@ -83,22 +83,24 @@ def looks(methods: Iterable[str]) -> dict[str, Look]:
         variants = [name for name in names if family_of(name) == family]
         for i, name in enumerate(variants):
             color = COLOURS.get(family) or spare[family]
-            marker, dash = (
-                MARKERS[(place + i) % len(MARKERS)],
-                DASHES[(i + i // len(MARKERS)) % len(DASHES)],
-            )
+            marker = MARKERS[(place + i) % len(MARKERS)]
+            dash = DASHES[(i + i // len(MARKERS)) % len(DASHES)]  # no pair twice
             face, edge, rim = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
             found[name] = Look(color, marker, dash, face, edge, rim)
     return found
 
 
 def name_below(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
-    """Name, at the lower edge, the methods with a value below it, each with its least."""
+    """Name, at the lower edge, the methods with a value below it, each with its least.
+
+    A narrow panel says how many.
+    """
     least = points.groupby("method")["value"].min()
     outside = [f"{method} from {value:.1f}" for method, value in least.items() if value < bottom]
     if outside:
         width = axes.bbox.width / axes.figure.dpi  # inches
-        told = fill("below: " + ", ".join(outside), max(20, int(width / LETTER)))
+        told = fill("below: " + ", ".join(outside), int(width / LETTER))
+        told = told if width > NARROW else f"{len(outside)} below"
         axes.text(
             0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5, color=FAINT,
             zorder=4,

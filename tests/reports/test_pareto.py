@@ -11,7 +11,7 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.image import imread
 
 from reports import pareto, style
-from reports.panels import OVERALL, WINDOW, draw
+from reports.panels import MOST, OVERALL, WINDOW, draw
 from reports.scores import ReportError
 from rlbench.table import frame_of
 
@@ -71,6 +71,39 @@ def test_the_csv_holds_what_is_plotted(results, files):
 
 def test_there_is_a_panel_for_each_scene(figure):
     assert [a.get_title(loc="left") for a in figure.axes] == [OVERALL, *sorted(SCENES)]
+
+
+def test_a_mean_of_some_scenes_is_not_drawn_as_that_of_all_and_is_told(tmp_path):
+    made = rows(["ours", "oidn"])
+    table = frame_of(
+        [r for r in made if (r.method, r.scene, r.metric) != ("oidn", "hall", "sample_ms")]
+    )
+    found = pareto.curves(table)
+    assert set(found[found["scene"] == OVERALL]["method"]) == {"ours"}
+    assert set(found[found["scene"] == "city"]["method"]) == {"ours", "oidn"}
+    files = pareto.write(table, tmp_path)
+    assert "Without a time on every scene: oidn" in pareto._texts(table, "psnr", "x")["caption"]
+    assert all(file.exists() for file in files)
+
+
+def test_a_frame_that_is_missing_is_told():
+    table = frame_of([r for r in rows() if (r.method, r.clip, r.frame) != ("ours", "city-0", 2)])
+    caption = pareto._texts(table, "psnr", "x")["caption"]
+    assert "Not on every scene and frame: ours." in caption
+
+
+def test_many_scenes_are_one_panel_of_their_mean():
+    every = pareto.curves(frame_of(rows()))
+    parts = [every.assign(scene=f"generated-{number}") for number in range(MOST + 1)]
+    axes = draw(pd.concat([every[every["scene"] == OVERALL], *parts]), TEXTS).axes
+    assert [a.get_title(loc="left") for a in axes] == [OVERALL]
+
+
+def test_times_of_what_is_not_shown_stretch_no_axis(results):
+    every = pareto.curves(results)
+    far = every.iloc[[0]].assign(method="mean", value=every["value"].max() - 50, total_ms=1e6)
+    for axes in draw(pd.concat([every, far.assign(scene=OVERALL, front=False)]), TEXTS).axes[:1]:
+        assert axes.get_xlim()[1] < 1e4
 
 
 def test_one_scene_is_one_panel():

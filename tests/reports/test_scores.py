@@ -73,6 +73,22 @@ def test_a_method_that_lacks_a_scene_has_no_overall_mean():
     assert set(scores.overall(scores.points(incomplete()))["method"]) == {"ours"}
 
 
+def untimed():
+    """oidn has no cost of a sample in the hall."""
+    made = [r for r in rows(["ours", "oidn"]) if r.metric != "sample_ms"]
+    costs = [r for r in rows(["ours", "oidn"]) if r.metric == "sample_ms"]
+    return frame_of(made + [r for r in costs if (r.method, r.scene) != ("oidn", "hall")])
+
+
+def test_a_method_that_lacks_the_time_of_a_scene_has_no_overall_time():
+    found = scores.overall(scores.points(untimed())).set_index(["method", "spp"])
+    assert found["total_ms"].isna().groupby("method").all().to_dict() == {
+        "oidn": True,
+        "ours": False,
+    }
+    assert found["value"].notna().all()
+
+
 def test_what_was_left_out_is_told():
     lines = scores.gaps(incomplete(), "psnr")
     assert "ntas on city at 1 spp: psnr of 6 frames, others have 8" in lines

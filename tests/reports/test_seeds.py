@@ -121,6 +121,14 @@ def test_a_training_that_lacks_a_scene_is_left_out_and_told(tmp_path):
     assert "- ours@seed2 at 1 spp: no psnr on hall" in page
 
 
+def test_trainings_that_all_lack_a_scene_have_no_mean_beside_those_that_have_it(tmp_path):
+    other = trained(name="ours/A2@seed", method="ours")
+    made = trained() + [r for r in other if r.scene != "hall"]
+    page = written(made, tmp_path)[0]
+    assert {cells[0] for cells in lines(page)} == {"ours@seed0, ..."}
+    assert "- ours/A2@seed1 at 1 spp: no psnr on hall" in page
+
+
 def test_folds_of_a_crossvalidation_are_no_seeds(tmp_path):
     """Each fold is scored on the scene that it was not trained on, so no two can be compared."""
     folds = dict(zip(SCENES, range(4), strict=True))

@@ -19,6 +19,11 @@ def test_no_two_methods_look_the_same():
     assert len(set(looks(ZOO).values())) == len(ZOO)
 
 
+def test_as_many_variants_as_ours_has_look_different():
+    names = [f"ours/{number}" for number in range(32)]
+    assert len({(look.marker, str(look.dash)) for look in looks(names).values()}) == 32
+
+
 def test_families_differ_in_grey_print_too():
     found = looks(["ours", "ntas", "oidn", "mean", "svgf", "dasr", "imcd", "restir"])
     assert len({look.marker for look in found.values()}) == 8
