@@ -82,9 +82,9 @@ def clips(
     wanted = split(scenes or [])
     named = {clip: {clip.header.scene, clip.header.name} for clip in found}
     kept = tuple(clip for clip, names in named.items() if not wanted or names & set(wanted))
-    if not kept:
+    if unknown := [name for name in wanted if not any(name in names for names in named.values())]:
         have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
-        raise AskedError(f"--scenes {','.join(wanted)}: the clips given show: {have}")
+        raise AskedError(f"--scenes {','.join(unknown)}: the clips given show: {have}")
     return kept
 
 
@@ -142,7 +142,9 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
 
     known = set(table["method"])  # of plugins too, which need not be here
     exact = [name for name in methods if AT in name or name in known]
-    found = table[whose(table, exact + registry.expand(n for n in methods if n not in exact))]
+    patterns = [name for name in methods if name not in exact]
+    wanted = registry.expand(patterns, trained=False)  # what has rows had weights
+    found = table[whose(table, exact + wanted)]
     if found.empty:
         have = ", ".join(sorted(known)) or "no rows"
         raise AskedError(f"{results} has no rows of {', '.join(methods)}; it has: {have}")

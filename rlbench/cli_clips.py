@@ -91,8 +91,14 @@ def render(
     own = (camera, frames, size, exposure, define, out, tracer)
     with opened(engine, ray_address) as workers:
         if scene or any(own):
-            if retime:
-                raise asked.AskedError("--retime is of a preset's clips, not of --scene")
+            for option, value in (
+                ("retime", retime),
+                ("cap", cap),
+                ("views", views),
+                ("takes", takes),
+            ):
+                if value:
+                    raise asked.AskedError(f"--{option} is of a preset's clips, not of --scene")
             given = scenes or (seeds and [seeds]) or None
             folders = [asked.own_scene(scene, given, preset, *own, workers)]
         else:

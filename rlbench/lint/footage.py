@@ -39,7 +39,8 @@ class Footage:
         Depth keeps +inf, which is background.
         """
         view = {
-            name: _sound(v, torch.inf if name == "depth" else 0.0) for name, v in self.view.items()
+            name: _sound(v, torch.inf if name.startswith("depth") else 0.0)
+            for name, v in self.view.items()
         }
         pools = {kind: _sound(p) for kind, p in self.pools.items()}
         return Footage(self.header, view, pools, _sound(self.a), _sound(self.b))

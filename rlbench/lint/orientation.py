@@ -78,7 +78,7 @@ def _pool(kind: str) -> str:
 
 
 def _plain(name: str, image: Tensor) -> Tensor:
-    return 1 / image.abs().clamp_min(1e-6) if name == "depth" else image
+    return 1 / image.abs().clamp_min(1e-6) if name.startswith("depth") else image
 
 
 def _log(radiance: Tensor) -> Tensor:

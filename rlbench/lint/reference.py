@@ -39,6 +39,13 @@ def halves(footage: Footage) -> Finding:
         if alike > max(FILTERED, SIGMAS * error):
             told = f"their noise correlates by {alike:.2f} with that of the next pixel"
             return wrong(check, told, "no denoiser and no filter wider than a pixel on references")
+    return _predicted(footage, check)
+
+
+def _predicted(footage: Footage, check: str) -> Finding:
+    """Are they as noisy as the samples and their numbers say?"""
+    if 0 in footage.header.reference_spp[: len(footage)]:
+        return odd(check, "reference_spp is not known, so nothing is predicted", "say it, if known")
     value, error = half_noise(footage)
     told = f"noise {value:.2f} +- {error:.2f} times what the samples predict"
     if math.isnan(value):
@@ -71,7 +78,8 @@ def ceiling(footage: Footage) -> Finding:
     """How large a PSNR does the reference's own noise allow?"""
     check, value = "noise ceiling", ceiling_db(footage)
     spp = sorted(set(footage.header.reference_spp))
-    told = f"a perfect image would have {value:.1f} dB PSNR; reference of {spp[0]} to {spp[-1]} spp"
+    source = f"reference of {spp[0]} to {spp[-1]} spp" if spp[0] else "reference_spp is not known"
+    told = f"a perfect image would have {value:.1f} dB PSNR; {source}"
     if value < TOO_LOW:
         return wrong(check, told, "trace the reference with more samples")
     if value < LOW:

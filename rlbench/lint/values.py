@@ -16,7 +16,7 @@ def finite(footage: Footage) -> Finding:
     bad = {}
     for name, image in _all(footage).items():
         broken = ~image.isfinite()
-        bad[name] = broken & ~image.isposinf() if name == "depth" else broken
+        bad[name] = broken & ~image.isposinf() if name.startswith("depth") else broken
     remedy = "find out what made them; a NaN in one sample spreads through every filter"
     return _told("finite", bad, "NaN or infinite", remedy)
 

@@ -35,6 +35,7 @@ COMMANDS = (
     "regress",
     "doctor",
 )
+UNSHIPPED = ("ours", "ours/encoder-small", "ours/encoder-large@seed1")
 
 
 def rlbench(*words: object, code: int = 0) -> str:
@@ -125,6 +126,7 @@ def test_only_the_first_frames_are_run_if_asked(clip_folder, tmp_path):
         (("--cost", "mine"), "error: no cost profile 'mine'; there are: measured, paper-2080ti"),
         (("--device", "abacus"), "error: --device abacus cannot be used here"),
         (("--scenes", "cellar"), "error: --scenes cellar: the clips given show: noise"),
+        (("--scenes", "noise,celar"), "error: --scenes celar: the clips given show: noise"),
         (("--plugin", "nowhere.py"), "error: no plugin file at"),
         (("--takes", "main"), "error: --takes is of a preset's scenes; of --clips"),
     ],
@@ -294,6 +296,12 @@ def test_list_says_what_a_method_is_and_needs():
     assert {"name", "paper", "licence", "needs", "spp", "adapts", "question"} <= set(row)
 
 
+@pytest.mark.parametrize("words", [("--cap", 64), ("--views", "object"), ("--takes", "all")])
+def test_what_belongs_to_presets_is_refused_for_a_scene_of_ones_own(words, tmp_path):
+    told = rlbench("render", "--scene", tmp_path / "k.xml", *words, code=2)
+    assert f"error: {words[0]} is of a preset's clips, not of --scene" in told
+
+
 def test_regress_fails_where_quality_fell(clip_folder, tmp_path):
     words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
     rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
@@ -320,6 +328,11 @@ def test_a_baseline_is_not_rewritten_by_a_part(clip_folder, tmp_path):
     told = rlbench("regress", *words, "--only", "mean", "--update", code=2)
     assert "error: --update writes the whole baseline anew" in told
     assert not (tmp_path / "base.json").exists()
+
+
+def test_a_pattern_finds_rows_of_variants_that_are_not_shipped(tmp_path):
+    found = table.frame_of([Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in UNSHIPPED])
+    assert set(asked.rows(found, ["ours/*"], tmp_path)["method"]) == set(UNSHIPPED)
 
 
 def test_reports_are_written_where_asked(clip_folder, tmp_path):

@@ -19,7 +19,8 @@ from rlbench.lint.geometry import VIEW, rotation
 from rlbench.lint.motion import motion as check_motion
 from rlbench.lint.noise import bounded, correlation, ratio
 from rlbench.lint.reading import STORED, Reading, readings
-from rlbench.lint.reference import ceiling_db, half_noise
+from rlbench.lint.reference import ceiling, ceiling_db, half_noise, halves
+from rlbench.lint.values import finite
 from tests.lint.plants import FAULTS, break_values, clean, store
 
 QUICK = (  # one of each module runs always, all of them when slow tests do
@@ -116,6 +117,20 @@ def test_what_fails_says_what_would_do(footage, tmp_path):
     faulty = store(FAULTS["motion is in NDC"][1](footage), tmp_path / "faulty")
     (found,) = (f for f in examine(read_footage(faulty)) if f.verdict is Verdict.FAIL)
     assert found.remedy == "convert it from (x, y) in NDC (-1..1), to the previous frame"
+
+
+def test_nothing_behind_a_pane_is_background_too(footage):
+    behind = footage.view["depth"].clone()
+    behind[0, 0, 3, 4] = torch.inf
+    more = replace(footage, view={**footage.view, "depth_behind": behind})
+    assert finite(more).verdict is Verdict.PASS
+    assert more.sound.view["depth_behind"][0, 0, 3, 4] == torch.inf
+
+
+def test_a_number_of_samples_that_is_not_known_predicts_nothing(footage):
+    header = replace(footage.header, reference_spp=(0,) * len(footage))
+    told = [check(replace(footage, header=header)) for check in (halves, ceiling)]
+    assert all("reference_spp is not known" in finding.found for finding in told)
 
 
 def test_a_static_clip_needs_no_motion(tmp_path):
