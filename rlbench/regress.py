@@ -124,7 +124,8 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Ou
     found, expected = measured(table), {entry.key: entry for entry in baseline.entries}
     if len(expected) < len(baseline.entries):
         raise BaselineError("the baseline has two entries of one method, scene and budget")
-    changes = [_change(entry, baseline, found, subset) for entry in baseline.entries]
+    partly = {method for method, _, _ in found} if subset else set()
+    changes = [_change(entry, baseline, found, partly) for entry in baseline.entries]
     for key in sorted(found.keys() - expected.keys()):
         if found[key] is not None:
             changes.append(Change(key, "new", None, found[key], baseline.tolerance_db))
@@ -174,13 +175,14 @@ def measured(table: pd.DataFrame) -> dict[Key, float | None]:
 
 
 def _change(
-    entry: Entry, baseline: Baseline, found: dict[Key, float | None], subset: bool
+    entry: Entry, baseline: Baseline, found: dict[Key, float | None], partly: set[str]
 ) -> Change:
+    """`partly` are the methods of which cells may be absent."""
     limit = baseline.tolerance_db if entry.tolerance_db is None else entry.tolerance_db
     psnr = found.get(entry.key)
     if psnr is None:
-        others = entry.method in {method for method, _, _ in found}
-        verdict = "skipped" if subset and others and entry.key not in found else "missing"
+        absent = entry.key not in found
+        verdict = "skipped" if absent and entry.method in partly else "missing"
         return Change(entry.key, verdict, entry.psnr, None, limit)
     rise = round(psnr - entry.psnr, DECIMALS)  # 29.95 - 30 is to be -0.05, which is within 0.05
     verdict = "worse" if rise < -limit else "better" if rise > limit else "same"

@@ -59,7 +59,7 @@ def train(
     batches = Batches.planned(train_on, plan, traits, device)
     budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
     progress = _begin(learner, out, _asked(name, plan, _data(train_on, traits.pool)), altered)
-    if progress.seen >= plan.frames and _told(name, out) == progress.seen:
+    if progress.seen >= plan.frames and _frames_shipped(name, out) == progress.seen:
         return progress
     began, before = time.monotonic(), progress.seconds
     with ahead(batches) as draw, curves.told(out, progress.seen) as told:
@@ -96,7 +96,7 @@ def shipped(name: str, out: Path) -> Path:
     return out / f"{variant or family}.safetensors"
 
 
-def _told(name: str, out: Path) -> int | None:
+def _frames_shipped(name: str, out: Path) -> int | None:
     """The frames that whole weights in `out` have seen; a kill may leave others, or a part."""
     file = shipped(name, out)
     try:

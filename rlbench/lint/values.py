@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from rlbench.folder import not_finite
 from rlbench.lint.finding import Finding, fine, wrong
 from rlbench.lint.footage import Footage
 
@@ -13,10 +14,10 @@ SHOWN = 3  # places that are told
 
 def finite(footage: Footage) -> Finding:
     """Is every value finite, but for depth's background?"""
-    bad = {}
-    for name, image in _all(footage).items():
-        broken = ~image.isfinite()
-        bad[name] = broken & ~image.isposinf() if name.startswith("depth") else broken
+    bad = {
+        name: torch.from_numpy(not_finite(name, image.numpy()))
+        for name, image in _all(footage).items()
+    }
     remedy = "find out what made them; a NaN in one sample spreads through every filter"
     return _told("finite", bad, "NaN or infinite", remedy)
 
