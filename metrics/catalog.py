@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,9 +18,10 @@ class Metric:
 
     `score(image, a, b)` takes the image and both independent halves of its reference, [n 3 h w] of
     linear radiance where 1.0 is display white, and returns [n]. Scores are finite, whatever the
-    image holds; the halves must be finite. `fit(height, width)` is the metric that is defined at
-    that size, under a name of its own, where not every size is. One that is `temporal` takes two
-    frames of each, the one before and this one, [n 2 3 h w]; a clip's first frame has no score.
+    image holds, or NaN at a size at which there are none; the halves must be finite. `fit(height,
+    width)` is the metric that is defined at that size, under a name of its own, where not every
+    size is. One that is `temporal` takes two frames of each, the one before and this one,
+    [n 2 3 h w]; a clip's first frame has no score.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Metric:
     fit: Callable[[int, int], Metric] | None = None
     halves: bool = False  # is it only defined where `a` and `b` are independent?
     temporal: bool = False  # does it look at the frame before, too?
+    packages: tuple[str, ...] = ()  # distributions that make its scores; measured anew with others
 
     def at(self, height: int, width: int) -> Metric:
         """This metric, or the one that stands in for it at a size at which it is not defined."""
@@ -78,13 +81,19 @@ def _ms_ssim(image: Tensor, a: Tensor, b: Tensor, scales: int) -> Tensor:
     return ms_ssim(image, (a + b) / 2, scales)
 
 
+def _undefined(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    return image.new_full(image.shape[:1], math.nan)
+
+
 def _ms_ssim_at(height: int, width: int) -> Metric:
-    """MS-SSIM of as many scales as fit, at least one; fewer than five are named in the name."""
+    """MS-SSIM of as many scales as fit; fewer than five are named in the name, of none is NaN."""
     from metrics.image import most_scales
 
-    scales = max(most_scales(height, width), 1)
+    scales = most_scales(height, width)
     if scales == 5:
         return MS_SSIM
+    if scales == 0:
+        return replace(MS_SSIM, convention="not defined below 11 pixels", score=_undefined)
     return replace(
         MS_SSIM,
         name=f"ms_ssim_{scales}",
@@ -113,6 +122,7 @@ MS_SSIM = Metric(
     f"5 scales; {_SSIM_CONVENTION}",
     partial(_ms_ssim, scales=5),
     _ms_ssim_at,
+    packages=("pytorch-msssim",),
 )
 RELMSE = Metric("relmse", "", "low", "linear radiance, per channel, reference^2 + 0.01", _relmse)
 MSE_DEBIASED = Metric(

@@ -90,7 +90,7 @@ def relmse(
     Relative squared error after Rousselle et al. 2011, for each channel by itself. Values are
     taken within the range of half floats, and a pixel that is not finite as the worst of these.
     """
-    truth = reference.double()
+    truth = _held(reference)
     error = (_held(image) - truth).square() / (truth.square() + RELMSE_EPS)
     return error.flatten(1).mean(1).float()
 
@@ -105,7 +105,7 @@ def mse_debiased(
     Values beyond half floats and broken pixels are treated as in `relmse`.
     """
     held = _held(image)
-    return ((held - a.double()) * (held - b.double())).flatten(1).mean(1).float()
+    return ((held - _held(a)) * (held - _held(b))).flatten(1).mean(1).float()
 
 
 def bias(
@@ -118,7 +118,7 @@ def bias(
     the samples that also decided where to sample. Values beyond half floats and broken pixels are
     treated as in `relmse`; the mean of a reference counts as at least 1e-4.
     """
-    truth = reference.double().flatten(1).mean(1)
+    truth = _held(reference).flatten(1).mean(1)
     error = _held(image).flatten(1).mean(1) - truth
     return (100 * error / truth.clamp_min(DARKEST)).float()
 

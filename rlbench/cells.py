@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -108,19 +109,23 @@ class Names:
 
         Of the first frames alone it says so, so that whole clips are not replaced by it.
         """
-        pool, header = registry.variant(cell.method).traits.pool, cell.clip.header
-        charged = (header.sample_ms_of(pool), header.device)  # where it is measured
+        pool, header = self.pools[cell.method], cell.clip.header
+        charged: tuple[object, ...] = ()  # a profile knows what path samples cost, in every scene
+        if self.request.cost == cost.MEASURED:
+            charged = (header.sample_ms_of(pool), header.device)
+        elif pool != "path":
+            charged = (header.sample_ms_of(pool), header.sample_ms_of("path"), header.device)
         content = (
             *(
                 cell.method,
-                cell.clip.content(self.pools[cell.method]),
+                cell.clip.content(pool),
                 cell.spp,
                 cell.seed,
                 self.device,
             ),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
             *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
-            *(charged if self.request.cost == cost.MEASURED else ()),
+            *(*charged, self.seen(cell)),
             *(self.half if self.request.halves(cell.method) else ()),
         )
         told = sha256(repr(content).encode()).hexdigest()[:16]
@@ -133,10 +138,20 @@ class Names:
         return f"{told} {cell.spp:g}spp seed{cell.seed} {device}"
 
     def method(self, name: str) -> str:
-        """What a method is called in the results: another row for named weights or precision."""
-        called = table.CROSSVAL if self.request.without else self.request.called
+        """What a method is called in the results: another row for other weights or precision.
+
+        Weights without a name are called as their file is, where shipped ones have the plain row.
+        """
+        called = self.request.called
+        if registry.variant(name).shipped and self.request.weights and not called:
+            called = re.sub(r"[^\w+-]", "-", Path(self.request.weights).stem, flags=re.ASCII)
+        called = table.CROSSVAL if self.request.without else called
         told = "-".join(filter(None, (table.HALF if self.request.halves(name) else "", called)))
         return f"{name}{table.AT}{told}" if told and registry.variant(name).learned else name
+
+    def seen(self, cell: Cell) -> bool:
+        """Were the method's weights trained on the clip, as far as their card says?"""
+        return cell.clip.header.name in self.trained_on[cell.method]
 
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""
@@ -174,7 +189,9 @@ class Names:
         """Hash of the metrics, their names and their code, and of the code that asks for them."""
         known = registry.entries("metrics")
         modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
-        return f"{list(known)} {provenance.code_hash(set().union(*modules), core=MEASURE)}"
+        told = provenance.code_hash(set().union(*modules), core=MEASURE)
+        brought = sorted({each for m in registry.metrics().values() for each in m.packages})
+        return f"{list(known)} {told} {provenance.releases(brought)}"
 
     @cached_property
     def pools(self) -> dict[str, str]:
@@ -223,11 +240,13 @@ class Names:
 
 
 def _code(target: str) -> str:
-    """Hash of what builds a method and what that imports of its package; of a loose file, that."""
+    """Hash of what builds a method, and of what that imports of its package and of others'."""
     module = target.partition(":")[0]
     loose = registry.loose_file(module)
-    told = provenance.code_hash([] if loose else provenance.closure(module, _others()))
-    return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16] if loose else told
+    if loose is None:
+        return provenance.code_hash(provenance.closure(module, _others()))
+    told = provenance.code_hash(provenance.closure_of_file(loose, _others()))
+    return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16]
 
 
 def _others() -> set[str]:

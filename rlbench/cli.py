@@ -109,7 +109,7 @@ def run(
     from rlbench.cells import Request
     from rlbench.cluster import opened
 
-    names = tuple(registry.expand(asked.split(methods)))
+    names = asked.methods(methods)
     called, weights = asked.weights(weights)
     if (half or weights) and not any(registry.variant(name).learned for name in names):
         typer.echo("--half, --weights: no method that was asked for has networks", err=True)
@@ -197,7 +197,7 @@ def report(
         rows = asked.rows(rows, wanted, results)
     for each in registry.names("reports") if name == "all" else [name]:
         try:
-            for file in registry.load("reports", each)(rows, out):
+            for file in registry.usable("reports", each)(rows, out):
                 typer.echo(file)
         except Exception as error:
             if not _expected(error):

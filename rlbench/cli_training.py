@@ -86,7 +86,7 @@ def train(
         found = again(replay, str(asked.device(device)))
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
         return
-    names = registry.expand(asked.split(methods), trained=False)
+    names = asked.methods(methods, trained=False)
     learning = course.learners(names)
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
@@ -153,11 +153,11 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     use(plugin)
-    from rlbench import course, registry, show
+    from rlbench import course, show
     from rlbench import crossval as leaving
     from rlbench.cells import Request
 
-    names = tuple(registry.expand(asked.split(methods)))
+    names = asked.methods(methods)
     plan = course.planned(frames, batch, crop, budget, half, norm, seed)
     where, command = asked.device(device), shlex.join(["rlbench", *sys.argv[1:]])
     lessons = course.Course(out, plan, str(where), asked.minutes(minutes), command, altered)

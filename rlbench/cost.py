@@ -82,10 +82,21 @@ def profile(name: str) -> Profile:
             f"{', '.join(sorted(wanted))}; docs/cost.md has one to copy"
         )
     read = Profile(**told)
-    bad = [k for k, v in {**read.scene_ms, "default": read.default_ms}.items() if not v >= 0]
-    if bad or read.height * read.width <= 0:
-        raise CostError(f"cost profile '{name}' has times or a size below zero: {', '.join(bad)}")
+    sides = {"height": read.height, "width": read.width}
+    given = read.scene_ms if isinstance(read.scene_ms, Mapping) else {"scene_ms": None}
+    times = {"default_ms": read.default_ms, **given}
+    bad = [key for key, time in times.items() if not _at_least(0, time)]
+    if bad := [*bad, *(key for key, side in sides.items() if not _at_least(1, side))]:
+        raise CostError(
+            f"cost profile '{name}': {', '.join(bad)} must be numbers, a time at least 0, a side "
+            "at least 1; scene_ms is a table of times by scene"
+        )
     return read
+
+
+def _at_least(least: float, value: object) -> bool:
+    """Is it a finite number of at least so much?"""
+    return isinstance(value, int | float) and least <= value < math.inf
 
 
 def published(profile: Profile, header: Header, pool: str) -> Cost:

@@ -43,6 +43,11 @@ class Machine:
     gpu: str
     os: str
 
+    @property
+    def name(self) -> str:
+        """The processor and the cores of it that work: a tracer's time needs both."""
+        return f"{self.cpu}, {self.cores} cores"
+
 
 def machine() -> Machine:
     """This machine."""
@@ -98,16 +103,30 @@ def closure(module: str, also: Collection[str] = ()) -> set[str]:
     Those of the top-level packages `also` count too. Imports are read from the sources, those
     inside functions too; nothing is imported but the packages that hold the modules.
     """
-    followed = {module.partition(".")[0], *also}
+    return _reached([module], {module.partition(".")[0], *also})
+
+
+def closure_of_file(file: Path, also: Collection[str]) -> set[str]:
+    """The modules that a loose file imports in turn, of the packages `also` and of its folder."""
+    beside = {each.stem for each in file.parent.iterdir() if each.suffix == ".py" or each.is_dir()}
+    followed = {*also, *beside - {file.stem}}
+    return _reached(_followed(_asked(file, ""), followed), followed)
+
+
+def _reached(todo: list[str], followed: Collection[str]) -> set[str]:
+    """The modules `todo`, and all that they import in turn of the top-level packages `followed`."""
     found: set[str] = set()
-    todo = [module]
     while todo:
         name = todo.pop()
         if name not in found:
             found.add(name)
-            asked = [each for each in _imports(name) if each.partition(".")[0] in followed]
-            todo += filter(_is_module, asked)
+            todo += _followed(_imports(name), followed)
     return found
+
+
+def _followed(names: Iterable[str], followed: Collection[str]) -> list[str]:
+    """Those of names that are modules of the top-level packages `followed`."""
+    return [name for name in names if name.partition(".")[0] in followed and _is_module(name)]
 
 
 def _imports(name: str) -> list[str]:
@@ -116,8 +135,13 @@ def _imports(name: str) -> list[str]:
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
         return []
     package = name if spec.submodule_search_locations else name.rpartition(".")[0]
+    return _asked(Path(spec.origin), package)
+
+
+def _asked(file: Path, package: str) -> list[str]:
+    """What a file of a package imports, with the names that may be modules."""
     try:
-        tree = ast.parse(Path(spec.origin).read_bytes())
+        tree = ast.parse(file.read_bytes())
     except SyntaxError:  # whoever imports it will hear of it
         return []
     asked: list[str] = []

@@ -44,6 +44,7 @@ __all__ = [
     "place",
     "resolve",
     "trainer",
+    "usable",
     "use_plugin",
     "variant",
 ]
@@ -60,6 +61,17 @@ def load(group: str, name: str) -> Any:
     if name not in known:
         raise PluginError(_unknown(name, f"a {group.removesuffix('s')}", known))
     return known[name].load()
+
+
+def usable(group: str, name: str) -> Any:
+    """The plugin itself. Raises PluginError where it cannot be imported, too."""
+    try:
+        return load(group, name)
+    except PluginError:
+        raise
+    except Exception as error:  # whatever a stranger's module may raise
+        told = f"{group.removesuffix('s')} '{name}' of {entries(group)[name].origin}"
+        raise PluginError(f"{told} is broken: {type(error).__name__}: {error}") from error
 
 
 def broken(group: str, name: str) -> str | None:
@@ -136,8 +148,8 @@ def learns(name: str) -> bool:
 
 
 def metrics() -> dict[str, Any]:
-    """All metrics by name."""
-    return {name: entry.load() for name, entry in entries("metrics").items()}
+    """All metrics by name. Raises PluginError where one cannot be imported."""
+    return {name: usable("metrics", name) for name in names("metrics")}
 
 
 def expand(patterns: Iterable[str], trained: bool = True) -> list[str]:

@@ -32,7 +32,7 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         samples = evenly(frame.pool, min(traits.pilot, spp))
         for share in traits.passes:
             density, before = planned(method, view, samples, state), samples
-            limits = (traits.floor, traits.cap, traits.fresh)
+            limits = (traits.floor if share == 1 else 0, traits.cap, traits.fresh)
             samples = buy(frame.pool, before, density, spp * share, *limits)
         kept = samples.after(before) if traits.fresh else samples
         image, state = method.denoise(view, kept, state)

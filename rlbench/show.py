@@ -97,7 +97,9 @@ def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
     for (method, spp), group in rows.groupby(["method", "spp"]):
         means = group.groupby("metric")["value"].mean()
         figures = [means.get(name) for name in ("psnr", "inference_ms", "total_ms")]
-        shown.add_row(str(method), f"{spp:g}", *(_figure(value) for value in figures))
+        some = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
+        of = f" ({some} of them)" if some < len(names) else ""
+        shown.add_row(f"{method}{of}", f"{spp:g}", *(_figure(value) for value in figures))
     console = Console()
     console.print(shown)
     whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & rows["value"].isna()]

@@ -79,7 +79,7 @@ class Live(Stored):
 
     def content(self, pool: str) -> str:
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
-        told = f"{super().content(pool)} live {_tracer()} {activate()} {provenance.machine().cpu}"
+        told = f"{super().content(pool)} live {_tracer()} {activate()} {provenance.machine().name}"
         return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
 SUFFIX = ".parquet"
+CELL = b"cell"  # where a file says which cell it holds
+LONGEST = 150  # letters of a file name; with what else it is called, file systems allow 255
 AT = "@"  # between a method and what its weights are called, where those are not the shipped ones
 HALF, CROSSVAL = "half", "crossval"  # such names that are not those of weights
 FOLD = "without "  # before the scene that weights of a cross-validation have not seen
@@ -70,7 +73,8 @@ def write_cell(folder: Path, cell: str, rows: Sequence[Row]) -> Path:
 
     _check(cell, rows)
     target = _file(folder, cell)
-    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=_schema())
+    told = _schema().with_metadata({CELL: cell})
+    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=told)
     with paths.replacing(target) as unfinished:
         pq.write_table(table, unfinished)
     return target
@@ -78,7 +82,13 @@ def write_cell(folder: Path, cell: str, rows: Sequence[Row]) -> Path:
 
 def cells(folder: Path) -> set[str]:
     """Names of the finished cells; a file that is unfinished or cut short does not count."""
-    return {unquote(file.name.removesuffix(SUFFIX)) for file in _finished(folder)}
+    import pyarrow.parquet as pq
+
+    names = set()
+    for file in _finished(folder):
+        told = (pq.read_schema(file).metadata or {}).get(CELL, b"").decode()
+        names.add(told or unquote(file.name.removesuffix(SUFFIX)))
+    return names
 
 
 def drop_cell(folder: Path, cell: str) -> None:
@@ -140,7 +150,10 @@ def _check(cell: str, rows: Sequence[Row]) -> None:
 
 def _file(folder: Path, cell: str) -> Path:
     name = quote(cell, safe=" =,+@")  # a slash or a leading dot must not reach the file system
-    return folder / (name.replace(".", "%2E") + SUFFIX)
+    name = name.replace(".", "%2E")
+    if len(name) > LONGEST:  # the file itself has it in full
+        name = f"{name[:LONGEST]} {sha256(cell.encode()).hexdigest()[:16]}"
+    return folder / (name + SUFFIX)
 
 
 def _finished(folder: Path) -> list[Path]:

@@ -66,8 +66,8 @@ class Times:
     def key(self, cell: Cell) -> Key:
         """What a time depends on: where nothing moves nothing is warped, which takes less."""
         header = cell.clip.header
-        size = (header.height, header.width)
-        return cell.method, size, cell.spp, header.static, header.pool_spp, cell.clip.priced
+        size, moves = (header.height, header.width), header.frames > 1 and not header.static
+        return cell.method, size, cell.spp, moves, header.pool_spp, cell.clip.priced
 
     def of(self, cell: Cell, method: Method, clip: Clip) -> Timing:
         """Times of a method on an open clip, taken now unless they are known."""
@@ -84,7 +84,7 @@ class Times:
             self._costs[key] = (
                 cost.published(self.profile, header, pool)
                 if self.profile
-                else cost.measured(header, provenance.machine().cpu, pool)
+                else cost.measured(header, provenance.machine().name, pool)
             )
         return self._costs[key]
 

@@ -77,6 +77,14 @@ class Peaked(Diary):
         return torch.arange(99.0).view(1, 1, 9, 11) ** 6
 
 
+@pytest.mark.parametrize("fresh", [False, True])
+def test_the_floor_is_of_the_last_pass_alone(fresh):
+    traits = Traits(adapts=True, passes=(0.25, 1.0), floor=1, fresh=fresh)
+    (shown,) = run_clip(Peaked(traits), procedural(size=SIZE, frames=1), 2.0)  # the first has 0.5
+    assert int(shown.samples.counts.min()) >= 1
+    assert int(shown.samples.counts.sum()) == 2 * 99
+
+
 @pytest.mark.parametrize("floor", [0, 1])
 def test_the_floor_is_kept_whatever_is_wished_for(floor):
     clip = procedural(size=SIZE, frames=1)

@@ -130,7 +130,7 @@ def add(lack: Lack, traced: Callable[[], None] = lambda: None) -> None:
                 write_pool(lack.folder, index, lack.kind.name, samples)
                 traced()
     header = read_header(lack.folder)
-    here = header.device == machine().cpu
+    here = header.device == machine().name
     taken = header.sample_ms * dearer(tracer, lack.kind) if here else math.nan
     write_header(lack.folder, _with(header, lack.kind.name, taken))
 

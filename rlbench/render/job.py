@@ -105,7 +105,7 @@ class Job:
             cuts=tuple(cut for cut in scene.cuts if cut < plan.frames),
             licence=scene.licence,
             sample_ms=sample_ms,
-            device=machine().cpu,
+            device=machine().name,
         )
 
     def claim(self) -> None:

@@ -20,7 +20,7 @@ def retime(folder: Path) -> Header:
     in pairs, which other work on the machine slows alike. Pixels are not touched. Raises ClipError
     for a clip that another machine has rendered: its times are of there.
     """
-    header, here = read_header(folder), machine().cpu
+    header, here = read_header(folder), machine().name
     if header.device != here:
         raise ClipError(
             f"clip {folder} was rendered on '{header.device}', and --retime runs on '{here}'; "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from rlbench import provenance, registry, table
 from rlbench.bench import Done, measure
 from rlbench.cells import CellsError, Names, Request, cells
 from rlbench.clips import open_clip
-from rlbench.latency import device_name
 from rlbench.source import Stored, affordable
 from tests.conftest import write_noise, write_plugin
 
@@ -199,17 +199,18 @@ def test_a_cell_that_cannot_run_is_one_row_that_says_why(tmp_path, plugin, heade
         assert (row.frame, row.metric, math.isnan(row.value)) == (-1, "psnr", True)
 
 
-def test_a_clip_that_stands_still_is_timed_by_itself(tmp_path):
+def test_a_clip_in_which_nothing_is_moved_is_timed_by_itself(tmp_path):
     seen = tmp_path / "seen"
     body = f"print(1, file=open({str(seen)!r}, 'a')); return samples.mean, None"
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     frames = []
-    for name, second in (("one", {}), ("two", {"static": True})):
+    for name, second in (("one", {}), ("two", {"static": True}), ("short", {"frames": 1})):
         seen.unlink(missing_ok=True)
         clips = [write_noise(tmp_path / name / "a"), write_noise(tmp_path / name / "b", **second)]
         measure(Request(("odd",), tuple(map(Stored, clips)), (1.0,), repeats=5), tmp_path / name)
         frames.append(len(seen.read_text().splitlines()))
-    assert frames == [2 * 3 + 7, 2 * (3 + 7)]  # scored, and timed after 2 frames of warm-up
+    # scored, and timed after 2 frames of warm-up
+    assert frames == [2 * 3 + 7, 2 * (3 + 7), 3 + 7 + 1 + 7]
 
 
 @pytest.mark.parametrize("learned", [False, True])
@@ -324,6 +325,63 @@ def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(
     assert set(table.read(tmp_path / "r")["method"]) == {"ours/A2@seed0", "mean"}
 
 
+def test_weights_without_a_name_never_replace_scores_of_those_that_ship(clip_folder, tmp_path):
+    shipped = Names(request(clip_folder, "ours/A2"))._file("ours/A2")
+    (tmp_path / "my own.safetensors").write_bytes(Path(shipped).read_bytes())
+    for weights in (None, "random", str(tmp_path / "my own.safetensors")):
+        asked = request(clip_folder, "ours/A2", "mean", weights=weights, frames=1)
+        assert measure(asked, tmp_path / "r").replaced == 0
+    rows = table.read(tmp_path / "r")
+    assert set(rows["method"]) == {"ours/A2", "ours/A2@random", "ours/A2@my-own", "mean"}
+    assert Names(replace(asked, methods=("ours/ppo",))).method("ours/ppo") == "ours/ppo"
+
+
+def test_an_older_copy_that_a_kill_has_left_is_removed_by_the_next_run(clip_folder, tmp_path):
+    asked = request(clip_folder)
+    measure(asked, tmp_path / "r")
+    (name,) = table.cells(tmp_path / "r")
+    rows = [table.Row(**row) for row in table.read(tmp_path / "r").to_dict("records")]
+    table.write_cell(tmp_path / "r", name.rpartition(" ")[0] + " 0123456789abcdef", rows)
+    assert measure(asked, tmp_path / "r") == Done(known=1)
+    assert table.cells(tmp_path / "r") == {name}
+
+
+def test_another_price_of_a_pool_is_another_cell(tmp_path):
+    """A profile knows path samples; of another pool they cost as many as was measured."""
+    found = set()
+    for price in (4.0, 8.0):
+        pools = {"pools": ("path", "restir"), "pools_ms": (2.0, price)}
+        folder = write_noise(tmp_path / "noise", **pools)
+        for file in folder.glob("pool.path.*"):
+            shutil.copy(file, folder / file.name.replace("path", "restir"))
+        asked = request(folder, "restir", "mean", cost="paper-2080ti")
+        found |= {Names(asked).of(cell) for cell in cells(asked)}
+    assert sorted(name.partition(" ")[0] for name in found) == ["mean", "restir", "restir"]
+
+
+def test_what_a_loose_file_imports_decides_its_name(clip_folder, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    plugin = write_plugin(tmp_path / "odd.py", "odd")
+    plugin.write_text("import beside_it\n" + plugin.read_text())
+    registry.use_plugin(plugin)
+    asked, names = request(clip_folder, "odd", "mean"), []
+    for width in (4, 8):
+        (tmp_path / "beside_it.py").write_text(f"WIDTH = {width}\n")
+        names.append([Names(asked).of(cell) for cell in cells(asked)])
+    (odd, mean), (changed, same) = names
+    assert odd != changed
+    assert mean == same
+
+
+@pytest.mark.parametrize("side", [9, 11])
+def test_a_clip_too_small_for_one_metric_has_scores_of_the_others(tmp_path, side):
+    measure(request(write_noise(tmp_path / "small", h=side, w=24)), tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    found = rows[rows["metric"].str.startswith("ms_ssim")]
+    assert found["value"].notna().all() == (side == 11)
+    assert rows[rows["metric"] == "psnr"]["value"].notna().all()
+
+
 def test_first_frames_never_replace_a_whole_clip(clip_folder, tmp_path):
     measure(request(clip_folder, frames=1), tmp_path / "r")
     whole = request(clip_folder)
@@ -335,7 +393,7 @@ def test_first_frames_never_replace_a_whole_clip(clip_folder, tmp_path):
 
 
 def test_a_sample_that_was_timed_anew_is_charged_anew(tmp_path):
-    here = device_name(torch.device("cpu")).partition(",")[0]
+    here = provenance.machine().name
     for price in (2.0, 99.0):
         folder = write_noise(tmp_path / "noise", sample_ms=price, device=here)
         assert measure(request(folder), tmp_path / "r").measured == 1

@@ -412,6 +412,14 @@ def test_a_broken_plugin_is_told_in_one_line(text, told, tmp_path):
     assert "is broken" in rlbench("list", "methods", *words)
 
 
+def test_all_goes_on_without_a_broken_family_and_says_so(monkeypatch, capsys):
+    monkeypatch.setenv(registry.VARIABLE, "torn=nowhere_at_all:FAMILY")
+    assert asked.methods(["all"]) == tuple(n for n in registry.names("methods") if n != "torn")
+    assert "all is without torn, which is broken: ModuleNotFound" in capsys.readouterr().err
+    with pytest.raises(ModuleNotFoundError):
+        asked.methods(["mean,torn"])
+
+
 @pytest.mark.parametrize("content", [None, b"junk"])
 def test_a_replay_of_no_halted_training_is_told(tmp_path, content):
     file = tmp_path / "halted.safetensors"

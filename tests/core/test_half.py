@@ -33,7 +33,7 @@ def test_images_are_nearly_the_same_and_in_single_precision():
 
 
 def test_rows_in_half_precision_stand_beside_the_others(clip_folder, tmp_path):
-    asked = request(clip_folder, "ours/A2", "mean", weights="random", frames=1)
+    asked = request(clip_folder, "ours/A2", "mean", frames=1)
     measure(asked, tmp_path / "r")
     halved = dataclasses.replace(asked, half=True)
     assert measure(halved, tmp_path / "r") == Done(measured=1, known=1)  # `mean` has no networks

@@ -127,19 +127,36 @@ def test_a_profile_that_cannot_be_read_is_told(tmp_path, text):
         cost.profile(str(tmp_path / "bad.toml"))
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('default_ms = "3"\n[scene_ms]', "default_ms"),
+        ("default_ms = nan\n[scene_ms]", "default_ms"),
+        ("default_ms = 3\nscene_ms = 4", "scene_ms"),
+        ("default_ms = 3\n[scene_ms]\nfoyer = -5", "foyer"),
+        ('default_ms = 3\n[scene_ms]\nfoyer = "5"', "foyer"),
+    ],
+)
+def test_a_profile_whose_values_cannot_be_is_told(tmp_path, line, told):
+    text = 'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\n'
+    (tmp_path / "bad.toml").write_text(text + line)
+    with pytest.raises(CostError, match=f"bad.toml': {told} must be numbers"):
+        cost.profile(str(tmp_path / "bad.toml"))
+
+
 def test_an_unknown_profile_lists_those_that_exist():
     with pytest.raises(CostError, match="no cost profile 'x'; there are: measured, paper-2080ti"):
         cost.profile("x")
 
 
 def test_a_clip_rendered_here_costs_what_its_renderer_wrote(clip_folder):
-    here = provenance.machine().cpu
+    here = provenance.machine().name
     header = replace(read_header(clip_folder), device=here, sample_ms=7.5)
     assert cost.measured(header, here).sample_ms == 7.5
 
 
 def test_a_scene_that_cannot_be_traced_here_has_no_cost_and_a_reason(clip_folder):
-    found = cost.measured(read_header(clip_folder), provenance.machine().cpu)
+    found = cost.measured(read_header(clip_folder), provenance.machine().name)
     assert math.isnan(found.sample_ms)
     assert "rendered on 'another machine', not here" in found.note
     assert "'noise' is not a scene" in found.note

@@ -95,6 +95,22 @@ def test_a_broken_file_is_listed_and_raises_its_own_error(tmp_path, content, err
         registry.method("torn")
 
 
+def test_a_metric_that_cannot_be_imported_is_named(monkeypatch):
+    def torn():
+        raise ImportError("no such codec")
+
+    found = {"flip": registry.Entry("flip", "flip:FLIP", "flip-metric 1.0", torn)}
+    monkeypatch.setattr(registry, "entries", lambda group: found)
+    with pytest.raises(PluginError, match=r"metric 'flip' of flip-metric 1.0 is broken: Import"):
+        registry.metrics()
+
+
+def test_a_loose_file_that_holds_no_family_is_broken(tmp_path):
+    (tmp_path / "three.py").write_text("METHODS = [3]")
+    registry.use_plugin(tmp_path / "three.py")
+    assert "holds a int where a Family is wanted" in registry.broken("methods", "three")
+
+
 def test_what_is_not_a_family_is_refused(tmp_path, monkeypatch):
     (tmp_path / "no_family.py").write_text("FAMILY = 3")
     monkeypatch.syspath_prepend(tmp_path)

@@ -46,7 +46,9 @@ def test_text_columns_are_strings_without_gaps(tmp_path):
     assert not table["note"].isna().any()
 
 
-@pytest.mark.parametrize("cell", ["a", "ours/A1 city 0.5", "../up", ".hidden", "50%2F", "größe|x"])
+@pytest.mark.parametrize(
+    "cell", ["a", "ours/A1 city 0.5", "../up", ".hidden", "50%2F", "größe|x", "東京" * 80]
+)
 def test_any_cell_name_comes_back(tmp_path, cell):
     write_cell(tmp_path / "results", cell, [ROW])
     assert cells(tmp_path / "results") == {cell}

@@ -61,6 +61,7 @@ def test_each_says_its_convention(metric):
         ((161, 161), "ms_ssim"),
         ((96, 128), "ms_ssim_4"),
         ((64, 99), "ms_ssim_3"),
+        ((11, 99), "ms_ssim_1"),
     ],
 )
 def test_ms_ssim_of_fewer_scales_has_another_name(size, name):
@@ -71,6 +72,13 @@ def test_ms_ssim_that_fits_scores_a_small_image():
     image = torch.rand(1, 3, 64, 96)
     score = MS_SSIM.at(64, 96).score(image, image, image)
     torch.testing.assert_close(score, torch.ones(1), atol=1e-5, rtol=0)  # float32 rounding
+
+
+def test_ms_ssim_below_its_window_is_not_defined():
+    image = torch.rand(2, 3, 10, 96)
+    metric = MS_SSIM.at(10, 96)
+    assert metric.score(image, image, image).isnan().tolist() == [True, True]
+    assert "below 11 pixels" in metric.convention
 
 
 def test_metrics_of_any_size_stand_for_themselves():

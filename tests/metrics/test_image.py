@@ -244,6 +244,13 @@ def test_bias_of_noise_alone_is_within_its_standard_error():
     assert (bias(image, reference).abs() < 4 * error).all()
 
 
+@pytest.mark.parametrize("metric", [relmse, bias, lambda x, r: mse_debiased(x, r, r)])
+def test_light_beyond_half_floats_is_no_error_where_the_reference_has_it_too(metric):
+    _, reference = pair(16, 16, n=1)
+    reference[0, :, 3, 3] = 1e6
+    assert float(metric(reference, reference)) == 0
+
+
 @pytest.mark.parametrize("value", BROKEN)
 def test_a_broken_pixel_is_a_bias(value):
     image, reference = pair(16, 16, n=1)
