@@ -79,7 +79,7 @@ crossval: .venv/dev.stamp
 appendix: .venv/dev.stamp
 	set -e; for row in ours:ours/ours $(foreach name,$(APPENDIX),ours/$(name):ours-$(name)/$(name)); do \
 	  $(BIN)/rlbench train -m $${row%:*} --frames 2000 --half --out runs/appendix; \
-	  $(BIN)/rlbench run -m $${row%:*} --weights runs/appendix/$${row#*:}.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
+	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
 

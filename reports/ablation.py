@@ -24,9 +24,16 @@ def write(
 ) -> list[Path]:
     """`name`.md, .csv and .tex of one family: `family`, or ours, or that of most variants.
 
+    Where all rows are of weights of one name, as `--weights NAME=FILE` gives it, they are compared
+    by it, and the title tells it; else rows of named weights are left out.
+
     Raises LacksError if the family has no variant here besides its default, and ReportError where
     rows would be averaged that must not be.
     """
+    title = f"Ablations of {{}}, {pages.runs(table)}"
+    if len(called := set(table["method"].map(names.weights))) == 1 and "" not in called:
+        title += f", weights called {called.pop()}"
+        table = table.assign(method=table["method"].map(names.row))
     family = variants.chosen(table, family)
     sections = []
     for device, rows in scores.by_device(table).items():
@@ -38,7 +45,7 @@ def write(
         grids = [_score_grid(rows, found, family), _time_grid(rows, found, family, device)]
         grids.append(_change_grid(rows, found, family))
         sections.append(pages.Section(device, grids, found, _lists(rows, found, family)))
-    return pages.write(folder, name, f"Ablations of {family}, {pages.runs(table)}", sections)
+    return pages.write(folder, name, title.format(family), sections)
 
 
 def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:

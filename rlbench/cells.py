@@ -143,7 +143,7 @@ class Names:
         Weights without a name are called as their file is, where shipped ones have the plain row.
         """
         called = self.request.called
-        if registry.variant(name).shipped and self.request.weights and not called:
+        if self.request.weights and not called and self._shipped(name).is_file():
             called = re.sub(r"[^\w+-]", "-", Path(self.request.weights).stem, flags=re.ASCII)
         called = table.CROSSVAL if self.request.without else called
         told = "-".join(filter(None, (table.HALF if self.request.halves(name) else "", called)))
@@ -232,8 +232,10 @@ class Names:
         asked = self.request.weights
         if not registry.variant(name).learned or asked == "random":
             return None
-        if asked:
-            return Path(asked)
+        return Path(asked) if asked else self._shipped(name)
+
+    def _shipped(self, name: str) -> Path:
+        """Where the weights that come with a method would be."""
         family = registry.family(name)
         beside = _found(registry.place, family.build)
         return Path(beside).parent / "cards" / family.weights(name.partition("/")[2])

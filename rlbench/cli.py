@@ -69,7 +69,7 @@ def run(
     ] = "measured",
     weights: Annotated[
         str | None,
-        typer.Option(help="a file, NAME=FILE (rows METHOD@NAME), or random; default the shipped"),
+        typer.Option(help="NAME=FILE (rows METHOD@NAME), a file, or random; default the shipped"),
     ] = None,
     half: Annotated[
         bool, typer.Option("--half", help="networks in bfloat16 (rows METHOD@half)")

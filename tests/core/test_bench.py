@@ -326,8 +326,8 @@ def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(
 
 
 def test_weights_without_a_name_never_replace_scores_of_those_that_ship(clip_folder, tmp_path):
-    shipped = Names(request(clip_folder, "ours/A2"))._file("ours/A2")
-    (tmp_path / "my own.safetensors").write_bytes(Path(shipped).read_bytes())
+    shipped = Path(registry.place("methods.ours:FAMILY")).parent / "cards" / "A2.safetensors"
+    shutil.copy(shipped, tmp_path / "my own.safetensors")
     for weights in (None, "random", str(tmp_path / "my own.safetensors")):
         asked = request(clip_folder, "ours/A2", "mean", weights=weights, frames=1)
         assert measure(asked, tmp_path / "r").replaced == 0

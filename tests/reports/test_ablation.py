@@ -44,6 +44,13 @@ def line(page, title, start):
     return [cell.strip() for cell in found.split("|")[2:-1]]
 
 
+def test_trainings_of_one_name_are_compared_by_it(page, tmp_path):
+    brief = [replace(r, method=f"{r.method}@brief") for r in configured()]
+    (named, *_) = written(frame_of(brief), tmp_path)
+    assert "weights called brief" in named.splitlines()[0]
+    assert named.splitlines()[1:] == page.splitlines()[1:]
+
+
 def test_markdown_csv_and_latex_are_written(results, tmp_path):
     files = ablation.write(results, tmp_path, draws=10)
     assert [file.name for file in files] == ["ablation.md", "ablation.csv", "ablation.tex"]
