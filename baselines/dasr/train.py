@@ -19,7 +19,7 @@ from rlbench.surrogate import Surrogate, Teach, pull
 from rlbench.training import Trainer
 
 SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets, samples per pixel, one drawn a sequence
-SHARES = {"sampler": 0.2}  # of the rate: 1e-4, as by Kuznetsov et al. 2018
+SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 STAGES = (  # share of the training by which a stage ends, and the networks that learn in it
     (25 / 70, frozenset({"denoiser"})),
     (30 / 70, frozenset({"sampler"})),
