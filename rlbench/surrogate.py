@@ -33,7 +33,9 @@ def pull(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Sampl
     Every count is >= 1. The slope is that of the mean alone: it lies in the first slot.
     """
     nought = due - due.detach()  # zero, but with a gradient
-    first = samples.radiance[:, 0] + nought * (frame.reference.mean - samples.mean).detach()
+    away = (frame.reference.mean - samples.mean).detach()
+    away = away.where(away.isfinite(), 0.0)  # what a broken sample says is nothing
+    first = samples.radiance[:, 0] + nought * away
     return replace(samples, radiance=torch.cat((first[:, None], samples.radiance[:, 1:]), 1))
 
 

@@ -20,7 +20,7 @@ from rlbench.run import unroll
 from rlbench.sampling import Samples
 from rlbench.training import Trainer
 
-SPP = tuple(float(n) for n in range(1, 9))  # budgets, samples per pixel, one drawn a sequence
+SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets, samples per pixel, one drawn a sequence
 CHANGE = 0.25  # weight of the error of the change since the last frame
 STRAIN = 1e-5  # weight of squared sharpness
 
@@ -33,8 +33,8 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
 
     Ours, for it could not be verified: the space, linear radiance with albedo, not clamped. SMAPE
     is relative by itself, so that it needs no transfer to weigh dark and bright alike, and in
-    radiance it is blind to where albedo makes up for light. Ours too: its epsilon of 0.01, whole
-    budgets from 1 to 8, and that all frames of each `bptt` count. The schedule is the one that
+    radiance it is blind to where albedo makes up for light. Ours too: its epsilon of 0.01, the
+    budgets, and that all frames of each `bptt` count. The schedule is the one that
     all methods here share.
     """
     networks = Networks()

@@ -12,15 +12,15 @@ from baselines.oidn.method import INPUTS, VARIANTS, Oidn
 from rlbench.frames import Clip
 from rlbench.memory import MemoryClip
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.losses import EVEN, mixed
+from rlbench.ops.losses import EVEN, decibels, mixed
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training import Trainer
 
 PEAK = 1e-3  # learning rate
-TUNING = 1e-4  # the same, where training starts from Intel's weights
-BUDGETS = tuple(float(n) for n in range(1, 9))  # samples per pixel
+TUNING = 4e-5  # the same, where training starts from Intel's weights
+BUDGETS = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one drawn a sequence
 
 
 def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
@@ -29,25 +29,31 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
     reference are compared in transfer space, where display white at an exposure of 1 lies at 0.319.
     Differs from it in what all methods here share: crops, schedule, averaged weights; normals
-    are not permuted; and crops below 176 pixels use the scales that fit. Raises LibraryError where
-    Intel's weights are wanted and the extra `oidn` is not installed.
+    are not permuted; and crops below 176 pixels use the scales that fit. What starts from Intel's
+    weights is tuned as `ours` is, at its rate and with the logarithm of the loss. Raises
+    LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
     """
     config = VARIANTS[variant]
-    network = UNet(INPUTS, widths=config.widths, seed=seed)
-    if not config.intel:
-        return learning(Oidn(network.to(device)))
+    network = UNet(INPUTS, widths=config.widths, seed=seed).to(device)
+    return (tuning if config.intel else learning)(Oidn(network))
+
+
+def tuning(method: Oidn) -> Trainer:
+    """How a U-Net goes on from Intel's weights. Raises LibraryError without the extra `oidn`."""
     from baselines.oidn_intel import networks
 
-    network.load_state_dict(networks.network(config.widths).state_dict())
-    return replace(learning(Oidn(network.to(device)), TUNING), origin=networks.origin())
+    known = networks.network(method.network.widths).state_dict()
+    method.network.load_state_dict(known)
+    return replace(learning(method, TUNING, even=True), origin=networks.origin())
 
 
-def learning(method: Oidn, peak: float = PEAK) -> Trainer:
-    """How a U-Net learns from the pool that the method's traits name."""
+def learning(method: Oidn, peak: float = PEAK, even: bool = False) -> Trainer:
+    """How a U-Net learns from the pool that the method's traits name; even: by decibels."""
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
-            yield _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
+            loss = _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
+            yield decibels(loss) if even else loss
 
     return Trainer(method, method.network, losses, BUDGETS, peak)
 

@@ -22,7 +22,7 @@ from methods.ours.turn import Turn
 from methods.ours.variants import VARIANTS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size, View
-from rlbench.ops.losses import mixed
+from rlbench.ops.losses import decibels, mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.sampling import Samples
@@ -33,8 +33,6 @@ SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder
 TUNING = 4e-5  # the rate where the denoiser starts from weights that are not ours
 TUNED = {"encoder": 2.0, "sampler": 6.0, "aside": 25.0}  # shares of that one
 BUDGETS = (0.05, 0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
-DECIBELS = 0.02  # of the logarithm of the loss, which is as steep as the loss where that is 0.02
-PERFECT = 1e-6  # a loss that is not worth making smaller
 EVERY = 2  # frames between steps of the sampler
 WEIGHT = 0.1  # of the learner's loss, which the sampler alone hears; matters for clipping only
 
@@ -98,7 +96,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
         for shown in unroll(explorer, clip, spp):
             loss = mixed(log_forward(shown.image), log_forward(shown.frame.reference.mean))
             if config.decibels:  # else few samples, and hard scenes, would count most
-                loss = DECIBELS * loss.clamp_min(PERFECT).log()
+                loss = decibels(loss)
             if networks.sampler is not None and shown.frame.index % EVERY == 0:
                 turn = Turn(method, shown.frame, *explorer.asked[-1], spp)
                 loss = loss + WEIGHT * learns.loss(turn, explorer.generator)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from rlbench.ops.transfer import HALF_MAX
 
@@ -13,8 +14,17 @@ DARK = 0.01  # added to albedo where a network divides by it
 
 
 def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
-    return albedo.clamp(DARKEST, 1)
+    """What radiance is divided by to give irradiance (up to pi), in [0.001, 1].
+
+    A view has the albedo of a pixel's centre, while its light is spread over the pixel: so it is
+    the mean of the pixels around, 3x3 with binomial weights, of those that reflect anything.
+    """
+    reflects = (albedo > 0).any(1, keepdim=True)
+    line = albedo.new_tensor([0.25, 0.5, 0.25])
+    kernel = torch.outer(line, line).expand(4, 1, 3, 3)
+    known = torch.cat((albedo.clamp(0, 1), reflects.to(albedo.dtype)), 1)
+    total = F.conv2d(known * reflects, kernel, padding=1, groups=4)
+    return torch.where(reflects, total[:, :3] / total[:, 3:], albedo).clamp(DARKEST, 1)
 
 
 def raised(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:

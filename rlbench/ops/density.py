@@ -1,4 +1,4 @@
-"""From a network's map to a density: its exponential, bounded so that no pixel is at zero."""
+"""From a network's map to a density: its exponential, kept in a range where all of it can learn."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ from jaxtyping import Float
 from torch import Tensor
 
 LOWEST = -30.0  # log density below which a pixel is at its floor in any case
+STEEP = 1.5  # root mean square of a map's log density; steeper maps are drawn in towards it
+FAR = 3.0  # log density above and below its mean, which none reaches
 
 
 def exponential(wish: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Density exp(x - max x) of a map x, in [exp(-30), 1], 1 where it is largest.
+    """Density exp(y - max y) of a map x, in [exp(-2 FAR), 1], 1 where it is largest.
 
-    Kuznetsov et al. 2018 take the exponential; it does not change when a constant is added to x.
+    Kuznetsov et al. 2018 take the exponential of the network's output, and so does what follows
+    them. Ours: y is x less its mean, divided by (1 + (rms / STEEP)^2)^(1/2) and bounded by
+    FAR tanh(y / FAR). Without that a map whose scale grows in training ends with one pixel above
+    all others, beyond what exponentials in float32 tell apart, and no gradient ever reaches it
+    again. Faint maps are as they were, and a constant that is added to x changes nothing.
     """
-    return (wish - wish.amax((2, 3), keepdim=True)).clamp_min(LOWEST).exp()
+    apart = wish - wish.mean((2, 3), keepdim=True)
+    size = apart.square().mean((2, 3), keepdim=True)
+    drawn = FAR * (apart / (1 + size / STEEP**2).sqrt() / FAR).tanh()
+    return (drawn - drawn.amax((2, 3), keepdim=True)).exp()

@@ -15,6 +15,8 @@ WANG = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # scales, fine to coarse: Wang 
 EVEN = (0.2, 0.2, 0.2, 0.2, 0.2)  # the same as OIDN trains its ray-tracing filter
 L1_SHARE = 0.16  # of the mixed loss: Zhao et al. 2017
 SMAPE_EPS = 1e-2  # as in OIDN's training toolkit
+EVENED = 0.02  # a loss of which the logarithm is as steep as itself
+PERFECT = 1e-6  # a loss that is not worth making smaller
 
 
 def l1(image: Float[Tensor, "n c h w"], reference: Float[Tensor, "n c h w"]) -> Float[Tensor, ""]:
@@ -51,6 +53,14 @@ def mixed(
     """
     similar = ms_ssim(image, reference, weights).mean()
     return L1_SHARE * l1(image, reference) + (1 - L1_SHARE) * (1 - similar)
+
+
+def decibels(loss: Float[Tensor, ""]) -> Float[Tensor, ""]:
+    """The logarithm of a loss, so that equal decibels count equally, at any budget, in any scene.
+
+    It is as steep as the loss where that is 0.02, and flat below 1e-6.
+    """
+    return EVENED * loss.clamp_min(PERFECT).log()
 
 
 def ms_ssim(

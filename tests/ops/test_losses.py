@@ -9,7 +9,7 @@ import pytest
 import pytorch_msssim
 import torch
 
-from rlbench.ops.losses import EVEN, WANG, l1, mixed, ms_ssim, smape, temporal_l1
+from rlbench.ops.losses import EVEN, WANG, decibels, l1, mixed, ms_ssim, smape, temporal_l1
 
 
 def pair(h: int, w: int, noise: float = 0.1, n: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
@@ -157,3 +157,18 @@ def test_temporal_l1_ignores_an_error_that_stays():
 def test_temporal_l1_counts_a_flicker_against_a_still_reference():
     x, y = pair(16, 16)
     assert float(temporal_l1(x + 0.1, x - 0.1, y, y)) == pytest.approx(0.2, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.5, 0.02, 1e-4])
+def test_a_tenth_less_is_as_much_whatever_the_loss(size):
+    loss = torch.tensor(size, requires_grad=True)
+    fall = decibels(loss) - decibels(0.9 * loss)
+    assert fall.item() == pytest.approx(-0.02 * math.log(0.9), rel=1e-4)
+    decibels(loss).backward()
+    assert float(loss.grad) == pytest.approx(0.02 / size)
+
+
+def test_a_perfect_image_has_finite_decibels_and_nothing_to_learn():
+    loss = torch.tensor(0.0, requires_grad=True)
+    decibels(loss).backward()
+    assert float(loss.grad) == 0
