@@ -18,8 +18,7 @@ from rlbench.surrogate import Surrogate
 from rlbench.training import Trainer
 
 SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets, samples per pixel, one drawn a sequence
-PEAK = 1e-3  # learning rate; 1e-4, 3e-4 and 5e-4 learn less in 2000 crops, 2e-3 as much
-SHARES = {"sampler": 0.2}  # of it
+SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 
 
 def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
@@ -38,7 +37,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         return _losses(method, clip, spp)
 
-    return Trainer(method, networks, losses, SPP, PEAK, SHARES)
+    return Trainer(method, networks, losses, SPP, shares=SHARES)
 
 
 def _losses(method: Ntas, clip: Clip, spp: float) -> Iterator[Tensor]:
