@@ -67,8 +67,9 @@ class Svgf:
     Ours: taps of the history agree at 10 % of depth and a cosine of 0.9, and its length is averaged
     like the rest; the gradient of depth is, for each axis, the lesser of two one-sided differences,
     so that silhouettes have none, and at least 1e-4 of depth, so that rounding does not stop the
-    filter on what faces the camera; albedo is multiplied back as it was divided, 0.001 or more. A
-    pixel whose mean is not finite keeps its history, or is black.
+    filter on what faces the camera; albedo is the mean of 3x3 pixels, for light is of a whole pixel
+    and a view of its centre, and is multiplied back as it was divided, 0.001 or more. A pixel whose
+    mean is not finite keeps its history, or is black.
     """
 
     config: Config = BASE

@@ -13,12 +13,27 @@ B3 = np.array([1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16])
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
+def area_albedo(albedo):
+    """What light is divided by: the albedo of the pixels around that reflect, by distance."""
+    h, w, _ = albedo.shape
+    divisor = albedo.copy()
+    for y, x in np.argwhere(albedo.max(-1) > 0):
+        total, weights = np.zeros(3), 0.0
+        for v in range(max(y - 1, 0), min(y + 2, h)):
+            for u in range(max(x - 1, 0), min(x + 2, w)):
+                if albedo[v, u].max() > 0:
+                    weight = 0.5 ** (abs(v - y) + abs(u - x))
+                    total, weights = total + weight * albedo[v, u], weights + weight
+        divisor[y, x] = total / weights
+    return np.clip(divisor, 1e-3, 1)
+
+
 def svgf(noisy, view, memory, alpha=0.2, alpha_moments=0.2, passes=5, feedback=0, sigma=4.0):
     """Image and memory of one frame; `memory` is None before the first."""
     albedo, normal, depth, motion = view
     h, w = depth.shape
     solid = np.isfinite(depth) & (albedo.max(-1) > 0)
-    divisor = np.clip(albedo, 1e-3, 1)
+    divisor = area_albedo(albedo)
     now = noisy / divisor
 
     # over time
@@ -60,7 +75,7 @@ def eaw(noisy, view, phi_light, phi_normal, phi_depth, passes=5):
     albedo, normal, depth, _ = view
     h, w = depth.shape
     solid = np.isfinite(depth) & (albedo.max(-1) > 0)
-    divisor = np.clip(albedo, 1e-3, 1)
+    divisor = area_albedo(albedo)
     image = noisy / divisor
     for i in range(passes):
         before, image = image, image.copy()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from rlbench.ops.demodulate import reflectance, sane, surface
+from tests.baselines.wavelet_twins import area_albedo
 
 
 def pixel(*values: float) -> torch.Tensor:
@@ -17,6 +19,14 @@ def pixel(*values: float) -> torch.Tensor:
 def test_what_is_divided_by_is_never_zero():
     found = reflectance(pixel(0.0, 0.5, 2.0))
     assert torch.equal(found, pixel(1e-3, 0.5, 1.0))
+
+
+def test_what_is_divided_by_is_the_mean_of_a_pixel_s_area():
+    albedo = torch.rand(2, 3, 9, 11, generator=torch.Generator().manual_seed(0))
+    albedo[:, :, 3:6, 2:4] = 0  # a lamp
+    slow = [area_albedo(each.permute(1, 2, 0).double().numpy()) for each in albedo]
+    expected = torch.from_numpy(np.stack(slow)).permute(0, 3, 1, 2).float()
+    torch.testing.assert_close(reflectance(albedo), expected)  # float32 sums
 
 
 @pytest.mark.parametrize(
