@@ -41,9 +41,10 @@ class Eaw:
     That the width in colour halves from pass to pass is not verified. Ours: no view holds
     positions, so w_x compares logarithms of depth, which know no unit; colours are compared as
     log(1 + c), so that it is not the bright light alone that stops the filter; what is filtered is
-    radiance over albedo (the mean of 3x3 pixels), so that texture is not blurred; background, and what emits without
-    reflecting, passes through; the widths are the best of a grid on training clips (`python -m
-    baselines.eaw.search`). A pixel whose mean is not finite is black before it is filtered.
+    radiance over albedo (the mean of 3x3 pixels), so that texture is not blurred; background, and
+    what emits without reflecting, passes through; the widths are the best of a grid on training
+    clips (`python -m baselines.eaw.search`). A pixel whose mean is not finite is black before it is
+    filtered.
     """
 
     config: Config = Config()
