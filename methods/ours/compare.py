@@ -28,6 +28,7 @@ from rlbench.ops.initialise import initialise
 PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
 SCENES = 4  # frames of a step: of one, gradients are so noisy that the map's contrast swings
 POINTS = 8  # scores along a training
+APART = 10**9  # between the seeds of a sampler, a critic and draws, which are streams of their own
 COLUMNS = ("learner", "mode", "seed", "side", "of", "frames", "seconds", "score")  # of: in all
 TABLE = "known_optimum.csv"
 
@@ -85,7 +86,9 @@ def by_torch(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
     mode, sampler, way = exam.mode, network(seed), TORCH[name](exam.mode)
     trained = nn.ModuleList(part for part in (sampler, way.network) if part is not None)
     optimizer = torch.optim.Adam(trained.parameters(), PEAK)
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed + 2 * APART)
+    if way.network is not None:
+        initialise(way.network, seed + APART)
     seconds, every = 0.0, max(frames // POINTS, SCENES)
     stream = scenes(seed, SCENES, exam.side)
     for seen, field in zip(range(SCENES, frames + 1, SCENES), stream, strict=False):
