@@ -24,15 +24,18 @@ def write(
 ) -> list[Path]:
     """`name`.md, .csv and .tex of one family: `family`, or ours, or that of most variants.
 
-    Where all rows are of weights of one name, as `--weights NAME=FILE` gives it, they are compared
-    by it, and the title tells it; else rows of named weights are left out.
+    Rows METHOD@NAME are left out, unless the family has none without a name and all have the same:
+    then these are compared, and the title tells it.
 
     Raises LacksError if the family has no variant here besides its default, and ReportError where
     rows would be averaged that must not be.
     """
     title = f"Ablations of {{}}, {pages.runs(table)}"
-    if len(called := set(table["method"].map(names.weights))) == 1 and "" not in called:
-        title += f", weights called {called.pop()}"
+    methods = set(table["method"])
+    named = {method for method in methods if names.weights(method)}
+    called, families = set(map(names.weights, named)), set(map(names.family, named))
+    if len(called) == 1 and families.isdisjoint(map(names.family, methods - named)):
+        title += f", rows @{called.pop()}"
         table = table.assign(method=table["method"].map(names.row))
     family = variants.chosen(table, family)
     sections = []

@@ -160,6 +160,8 @@ class _Bench:
             taken = _with(before, images) if metric.temporal and before else images
             score = math.nan if undefined else float(metric.score(*taken)[0])
             note = LACKS["halves"] if undefined else ""
+            if math.isnan(score) and not undefined:
+                note = f"the value is nan: {metric.convention}"
             told = (metric.name, score, metric.unit, metric.better, metric.convention, note)
             yield _row(replace(blank, frame=shown.frame.index, spp_realised=bought), *told)
 

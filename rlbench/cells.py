@@ -112,7 +112,7 @@ class Names:
         pool, header = self.pools[cell.method], cell.clip.header
         charged: tuple[object, ...] = ()  # a profile knows what path samples cost, in every scene
         if self.request.cost == cost.MEASURED:
-            charged = (header.sample_ms_of(pool), header.device)
+            charged = (header.sample_ms_of(pool), header.device, self.here)
         elif pool != "path":
             charged = (header.sample_ms_of(pool), header.sample_ms_of("path"), header.device)
         content = (
@@ -144,7 +144,7 @@ class Names:
         """
         called = self.request.called
         if self.request.weights and not called and self._shipped(name).is_file():
-            called = re.sub(r"[^\w+-]", "-", Path(self.request.weights).stem, flags=re.ASCII)
+            called = _stem(self.request.weights)
         called = table.CROSSVAL if self.request.without else called
         told = "-".join(filter(None, (table.HALF if self.request.halves(name) else "", called)))
         return f"{name}{table.AT}{told}" if told and registry.variant(name).learned else name
@@ -159,7 +159,7 @@ class Names:
 
     def settled(self) -> Names:
         """Itself, with every name known, so that it says the same on another machine."""
-        _ = self.run, self.device, self.code, self.weights, self.trained_on, self.half
+        _ = self.run, self.here, self.device, self.code, self.weights, self.trained_on, self.half
         return self
 
     @cached_property
@@ -172,6 +172,11 @@ class Names:
     def device(self) -> str:
         """The device's model name."""
         return latency.device_name(self.request.device)
+
+    @cached_property
+    def here(self) -> str:
+        """The machine whose path tracer samples are charged by."""
+        return provenance.machine().name
 
     @cached_property
     def half(self) -> tuple[str, ...]:
@@ -190,7 +195,9 @@ class Names:
         known = registry.entries("metrics")
         modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
         told = provenance.code_hash(set().union(*modules), core=MEASURE)
-        brought = sorted({each for m in registry.metrics().values() for each in m.packages})
+        brought = sorted(
+            {each for m in registry.metrics().values() for each in getattr(m, "packages", ())}
+        )
         return f"{list(known)} {told} {provenance.releases(brought)}"
 
     @cached_property
@@ -239,6 +246,13 @@ class Names:
         family = registry.family(name)
         beside = _found(registry.place, family.build)
         return Path(beside).parent / "cards" / family.weights(name.partition("/")[2])
+
+
+def _stem(file: str) -> str:
+    """What weights without a name are called: as their file, but never as rows of other kinds."""
+    called = re.sub(r"[^\w+-]", "-", Path(file).stem, flags=re.ASCII)
+    other = called.partition("-")[0] in (table.HALF, table.CROSSVAL)
+    return f"weights-{called}" if other else called
 
 
 def _code(target: str) -> str:

@@ -150,6 +150,8 @@ def _asked(file: Path, package: str) -> list[str]:
             asked += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = node.module or ""
+            if node.level and not package:
+                continue  # of a loose file, which is in none
             if node.level:
                 base = importlib.util.resolve_name("." * node.level + base, package)
             asked += [base, *(f"{base}.{alias.name}" for alias in node.names)]
@@ -166,13 +168,16 @@ def _is_module(name: str) -> bool:
 def _spec(name: str) -> ModuleSpec | None:
     try:
         return importlib.util.find_spec(name)
-    except (ModuleNotFoundError, ValueError):  # ValueError: loaded from a loose file, no spec
+    except Exception:  # what a parent raises that is imported for it; of a loose file, no spec
         return None
 
 
 def _sources(name: str) -> list[tuple[str, Path]]:
     """The Python files of a module or package, each with its place in it."""
     spec = _spec(name)
+    if spec and not spec.origin and spec.submodule_search_locations:  # a folder without __init__
+        folders = [Path(each) for each in spec.submodule_search_locations]
+        return [(p.relative_to(f).as_posix(), p) for f in folders for p in sorted(f.rglob("*.py"))]
     origin = spec.origin if spec else getattr(sys.modules.get(name), "__file__", None)
     if origin is None:
         raise LookupError(f"no source found for module '{name}'; is it installed?")

@@ -32,8 +32,9 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[Shown]:
         samples = evenly(frame.pool, min(traits.pilot, spp))
         for share in traits.passes:
             density, before = planned(method, view, samples, state), samples
-            limits = (traits.floor if share == 1 else 0, traits.cap, traits.fresh)
-            samples = buy(frame.pool, before, density, spp * share, *limits)
+            poor = share < 1 and spp * share < traits.floor  # then no pixel is given more than it
+            limits = (0, traits.floor) if poor else (traits.floor, traits.cap)
+            samples = buy(frame.pool, before, density, spp * share, *limits, traits.fresh)
         kept = samples.after(before) if traits.fresh else samples
         image, state = method.denoise(view, kept, state)
         yield Shown(frame, samples, image)

@@ -82,18 +82,15 @@ def write_cell(folder: Path, cell: str, rows: Sequence[Row]) -> Path:
 
 def cells(folder: Path) -> set[str]:
     """Names of the finished cells; a file that is unfinished or cut short does not count."""
-    import pyarrow.parquet as pq
-
-    names = set()
-    for file in _finished(folder):
-        told = (pq.read_schema(file).metadata or {}).get(CELL, b"").decode()
-        names.add(told or unquote(file.name.removesuffix(SUFFIX)))
-    return names
+    return {_named(file) for file in _finished(folder)}
 
 
 def drop_cell(folder: Path, cell: str) -> None:
-    """Remove a cell, if it is there."""
-    _file(folder, cell).unlink(missing_ok=True)
+    """Remove a cell, if it is there, whatever its file is called."""
+    file = _file(folder, cell)
+    found = [file] if file.is_file() else [f for f in _finished(folder) if _named(f) == cell]
+    for each in found:
+        each.unlink(missing_ok=True)
 
 
 def read(folder: Path) -> pd.DataFrame:
@@ -154,6 +151,14 @@ def _file(folder: Path, cell: str) -> Path:
     if len(name) > LONGEST:  # the file itself has it in full
         name = f"{name[:LONGEST]} {sha256(cell.encode()).hexdigest()[:16]}"
     return folder / (name + SUFFIX)
+
+
+def _named(file: Path) -> str:
+    """The cell that a finished file holds, as it says itself."""
+    import pyarrow.parquet as pq
+
+    told: bytes = (pq.read_schema(file).metadata or {}).get(CELL, b"")
+    return told.decode() or unquote(file.name.removesuffix(SUFFIX))
 
 
 def _finished(folder: Path) -> list[Path]:

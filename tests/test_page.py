@@ -77,12 +77,21 @@ class Peaked(Diary):
         return torch.arange(99.0).view(1, 1, 9, 11) ** 6
 
 
-@pytest.mark.parametrize("fresh", [False, True])
-def test_the_floor_is_of_the_last_pass_alone(fresh):
-    traits = Traits(adapts=True, passes=(0.25, 1.0), floor=1, fresh=fresh)
-    (shown,) = run_clip(Peaked(traits), procedural(size=SIZE, frames=1), 2.0)  # the first has 0.5
+@pytest.mark.parametrize(
+    ("share", "spp", "fresh"),
+    [
+        (0.25, 2.0, False),
+        (0.8, 1.25, False),
+        (0.75, 2.0, False),
+        (0.25, 1.0, False),
+        (0.25, 2.0, True),
+    ],
+)
+def test_a_floor_is_kept_though_a_first_pass_may_not_pay_for_it(share, spp, fresh):
+    traits = Traits(adapts=True, passes=(share, 1.0), floor=1, fresh=fresh)
+    (shown,) = run_clip(Peaked(traits), procedural(size=SIZE, frames=1), spp)
     assert int(shown.samples.counts.min()) >= 1
-    assert int(shown.samples.counts.sum()) == 2 * 99
+    assert int(shown.samples.counts.sum()) == round(spp * 99)
 
 
 @pytest.mark.parametrize("floor", [0, 1])

@@ -32,7 +32,7 @@ DENOISED = Family(
     name="restir+oidn",
     title="ReSTIR DI, denoised by Open Image Denoise, retrained on it",
     paper="Bitterli et al. 2020 and Áfra 2019",
-    licence="Apache-2.0 (reimplemented; the weights are ours)",
+    licence="Apache-2.0 (reimplemented; the weights are ours, from Intel's)",
     variants={
         "": Variant(
             "Does a plain U-Net gain from better direct-light samples, correlated as they are?",

@@ -373,12 +373,53 @@ def test_what_a_loose_file_imports_decides_its_name(clip_folder, tmp_path, monke
     assert mean == same
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from helpers import net",
+        "try:\n    from .net import WIDTH\nexcept ImportError:\n    pass",
+        "try:\n    from torn import WIDTH\nexcept ZeroDivisionError:\n    pass",
+    ],
+)
+def test_whatever_a_loose_file_imports_it_has_a_hash(clip_folder, tmp_path, monkeypatch, line):
+    monkeypatch.syspath_prepend(tmp_path)
+    for folder, text in (("helpers", "net"), ("torn", "__init__")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / f"{text}.py").write_text("1 / 0" if folder == "torn" else "WIDTH = 4")
+    plugin = write_plugin(tmp_path / "odd.py", "odd")
+    plugin.write_text(f"{line}\n{plugin.read_text()}")
+    registry.use_plugin(plugin)
+    first = Names(request(clip_folder, "odd")).code["odd"]
+    (tmp_path / "helpers" / "net.py").write_text("WIDTH = 8")
+    changed = Names(request(clip_folder, "odd")).code["odd"]
+    assert len(first) == len(changed) == 16
+    assert (first != changed) == ("helpers" in line)
+
+
+@pytest.mark.parametrize("name", ["half", "crossval-3"])
+def test_weights_are_never_called_as_rows_of_another_kind(clip_folder, tmp_path, name):
+    told = Names(request(clip_folder, "ours/A2", weights=f"runs/{name}.safetensors"))
+    assert told.method("ours/A2") == f"ours/A2@weights-{name}"
+
+
+def test_samples_that_another_machine_is_charged_for_are_measured_anew(clip_folder, monkeypatch):
+    asked, found = request(clip_folder), set()
+    for cores in (2, 16):
+        here = provenance.Machine("cpu", cores, "gpu", "os")
+        monkeypatch.setattr(provenance, "machine", lambda here=here: here)
+        names = Names(asked)
+        monkeypatch.setitem(names.__dict__, "device", "gpu")
+        found |= {names.of(cell) for cell in cells(asked)}
+    assert len(found) == 2
+
+
 @pytest.mark.parametrize("side", [9, 11])
 def test_a_clip_too_small_for_one_metric_has_scores_of_the_others(tmp_path, side):
     measure(request(write_noise(tmp_path / "small", h=side, w=24)), tmp_path / "r")
     rows = table.read(tmp_path / "r")
     found = rows[rows["metric"].str.startswith("ms_ssim")]
     assert found["value"].notna().all() == (side == 11)
+    assert found["note"].str.contains("below 11 pixels").all() == (side == 9)
     assert rows[rows["metric"] == "psnr"]["value"].notna().all()
 
 

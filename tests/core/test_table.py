@@ -11,7 +11,17 @@ from dataclasses import asdict, replace
 import pandas as pd
 import pytest
 
-from rlbench.table import COLUMNS, Row, TableError, cells, frame_of, read, whose, write_cell
+from rlbench.table import (
+    COLUMNS,
+    Row,
+    TableError,
+    cells,
+    drop_cell,
+    frame_of,
+    read,
+    whose,
+    write_cell,
+)
 
 ROW = Row("r", "ours/A1", "city-0", "city", 2.0, 1.99, 0, "psnr", 31.25, "dB", "high", "sRGB")
 MISSING = replace(ROW, frame=-1, value=math.nan, note="needs CUDA")
@@ -52,6 +62,10 @@ def test_text_columns_are_strings_without_gaps(tmp_path):
 def test_any_cell_name_comes_back(tmp_path, cell):
     write_cell(tmp_path / "results", cell, [ROW])
     assert cells(tmp_path / "results") == {cell}
+    (file,) = (tmp_path / "results").iterdir()
+    file.rename(file.with_name("as of another version.parquet"))
+    drop_cell(tmp_path / "results", cell)
+    assert cells(tmp_path / "results") == set()
 
 
 def test_a_second_writing_replaces_the_first(tmp_path):

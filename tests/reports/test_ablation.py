@@ -46,8 +46,8 @@ def line(page, title, start):
 
 def test_trainings_of_one_name_are_compared_by_it(page, tmp_path):
     brief = [replace(r, method=f"{r.method}@brief") for r in configured()]
-    (named, *_) = written(frame_of(brief), tmp_path)
-    assert "weights called brief" in named.splitlines()[0]
+    (named, *_) = written(frame_of([*brief, *rows(("mean",))]), tmp_path)
+    assert "rows @brief" in named.splitlines()[0]
     assert named.splitlines()[1:] == page.splitlines()[1:]
 
 
