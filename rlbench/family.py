@@ -23,9 +23,7 @@ class Traits:
     pilot: float = 0.0  # samples per pixel, evenly spread, bought before the method is first asked
     passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
     fresh: bool = False  # are samples of earlier passes, which chose where to sample, left out?
-    floor: int = (
-        0  # samples that every pixel gets, whatever the density; at last, where passes are many
-    )
+    floor: int = 0  # samples that every pixel has at last, whatever the densities
     cap: int | None = None  # most samples of one pixel that it can take in; None is as many as sold
     spp: tuple[float, float] = (0.0, 8.0)  # budgets that make sense, samples per pixel, inclusive
 
