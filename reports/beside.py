@@ -52,7 +52,7 @@ def draw(here: pd.DataFrame, theirs: pd.DataFrame, axis: Axis, caption: str) -> 
         1, 2, width_ratios=[1.25, 1],
         gridspec_kw={
             "left": 0.06, "right": 0.875, "top": 0.95, "bottom": room / (HEIGHT + room),
-            "wspace": 0.42,
+            "wspace": 0.52,
         },
     )  # fmt: skip
     here, theirs = here.dropna(subset=[axis.column]), theirs.dropna(subset=[axis.column])
