@@ -59,7 +59,7 @@ class Imcd:
 
     The paper was not at hand: equations are as two reimplementations have them. Ours: the U-Net
     sees e_t as memory where there is none, as in a first frame; there memory is e_t, so that
-    blending leaves it; light is radiance over (albedo + 0.01), or over 1.01 where
+    blending leaves it; light is radiance over (albedo of 3x3 pixels + 0.01), or over 1.01 where
     the albedo is black, as it is for lights and sky; depth enters as 1 / (1 + depth), and there
     is no roughness. Of samples, what is NaN or negative enters as 0, what is above 65504 as 65504;
     memory that is not finite is missing.

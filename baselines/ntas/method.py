@@ -57,9 +57,9 @@ class Ntas:
     where it is now; every pixel gets one sample or more. A second U-Net sees the view, the mean of
     the samples and the same history, and filters them by kernels (see `network.Denoiser`).
 
-    Ours, since of the paper only the outline was at hand: both U-Nets are that
-    of Open Image Denoise; colours enter them as `log_forward(radiance)`; what is filtered is linear
-    radiance over (albedo + 0.01), or over 1.01 where the albedo is black as it is for lights and
+    Ours, since of the paper only the outline was at hand: both U-Nets are that of Open Image
+    Denoise; colours enter them as `log_forward(radiance)`; what is filtered is linear radiance over
+    (albedo, the mean of 3x3 pixels, + 0.01), or over 1.01 where it is black as it is for lights and
     sky; what is remembered is likewise free of albedo, so that texture is not blurred from frame to
     frame and the last image is shown to the networks with the albedo of this frame. Of the means
     of samples those that are NaN or negative enter as 0, those above 65504 as 65504, as OIDN has

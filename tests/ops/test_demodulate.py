@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.ops.demodulate import reflectance, sane, surface
+from rlbench.ops.demodulate import raised, reflectance, sane, surface
 from tests.baselines.wavelet_twins import area_albedo
 
 
@@ -27,6 +27,11 @@ def test_what_is_divided_by_is_the_mean_of_a_pixel_s_area():
     slow = [area_albedo(each.permute(1, 2, 0).double().numpy()) for each in albedo]
     expected = torch.from_numpy(np.stack(slow)).permute(0, 3, 1, 2).float()
     torch.testing.assert_close(reflectance(albedo), expected)  # float32 sums
+    black = (albedo == 0).all(1, keepdim=True).expand_as(albedo)
+    torch.testing.assert_close(raised(albedo), torch.where(black, 1.0, expected) + 0.01)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(reflectance(albedo), reflectance(albedo).float())
+        torch.testing.assert_close(reflectance(albedo), expected)
 
 
 @pytest.mark.parametrize(
