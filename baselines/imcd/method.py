@@ -15,7 +15,7 @@ from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import raised
+from rlbench.ops.demodulate import of_area, raised
 from rlbench.ops.transfer import squash_depth
 from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
@@ -93,7 +93,7 @@ class Imcd:
         self, view: View, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State, Kernels]:
         """The same with the kernels that the image was filtered by."""
-        reflectance = raised(view.albedo)
+        reflectance = raised(of_area(view.albedo))
         noisy, now = self._seen(view, samples, reflectance)
 
         # move memory here; where there is none, it is what is seen now

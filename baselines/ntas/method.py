@@ -15,7 +15,7 @@ from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, Direct, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import raised
+from rlbench.ops.demodulate import of_area, raised
 from rlbench.ops.density import exponential
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.ops.warp import reproject
@@ -91,7 +91,7 @@ class Ntas:
         """The image by kernels on samples and history; state is cut off each `bptt` frames."""
         noisy = samples.mean.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
         history, valid = _history(view, state)
-        reflectance = raised(view.albedo)
+        reflectance = raised(of_area(view.albedo))
         seen = torch.cat((log_forward(noisy), _seen(view, history, valid)), 1)
         light = self.networks.denoiser(seen, noisy / reflectance, history, valid)
         age = state.age + 1
@@ -108,7 +108,7 @@ def _history(view: View, state: State) -> tuple[Float[Tensor, "n 3 h w"], Bool[T
 
 def _seen(view: View, history: Tensor, valid: Tensor) -> Float[Tensor, "n 10 h w"]:
     """What both networks see: normal, albedo, depth and the last image."""
-    last = log_forward(history * raised(view.albedo)).where(valid, MISSING)
+    last = log_forward(history * raised(of_area(view.albedo))).where(valid, MISSING)
     return torch.cat((view.normal, view.albedo, squash_depth(view.depth), last), 1)
 
 

@@ -15,13 +15,14 @@ DARK = 0.01  # added to albedo where a network divides by it
 
 def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
-    return _of_area(albedo).clamp(DARKEST, 1)
+    return of_area(albedo).clamp(DARKEST, 1)
 
 
-def _of_area(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """The mean of the pixels around, 3x3 with binomial weights, of those that reflect anything.
+def of_area(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """Albedo of a pixel's area, in [0, 1]; 0 where the pixel reflects nothing.
 
-    A view has the albedo of a pixel's centre, while its light is spread over the pixel.
+    A view has that of the pixel's centre, while light is of all of the pixel. It is estimated as
+    the mean of 3x3 pixels, with binomial weights, of those that reflect anything.
     """
     reflects = (albedo > 0).any(1, keepdim=True)
     known = torch.cat((albedo.clamp(0, 1), torch.ones_like(albedo[:, :1])), 1) * reflects
@@ -34,11 +35,10 @@ def _of_area(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
 def raised(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """What networks have light multiplied by to give radiance, in [0.01, 1.01].
 
-    That is albedo, of the pixel's area, + 0.01, and 1.01 where albedo is black, as it is for lights
-    and sky.
+    That is albedo + 0.01, and 1.01 where albedo is black, as it is for lights and sky.
     """
     black = (albedo <= 0).all(1, keepdim=True)
-    return torch.where(black, 1.0, _of_area(albedo)) + DARK
+    return torch.where(black, 1.0, albedo) + DARK
 
 
 def surface(

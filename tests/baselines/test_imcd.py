@@ -18,7 +18,7 @@ from baselines.imcd.network import Encoder, Kernels, Networks
 from baselines.imcd.train import losses, strain, trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
-from rlbench.ops.demodulate import raised
+from rlbench.ops.demodulate import of_area, raised
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
 
@@ -222,7 +222,7 @@ def test_the_same_frame_again_is_blended_with_the_first(method: Imcd) -> None:
 def test_constant_light_stays_constant(method: Imcd, age: int) -> None:
     """Weights sum to one, whatever they are."""
     view = small_clip().frames[0].view
-    reflectance = raised(view.albedo)
+    reflectance = raised(of_area(view.albedo))
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     before = State(*(torch.full((1, c, 16, 16), 0.7) for c in (32, 3, 8, 3)), age)
     image, state = method.denoise(view, samples, before)

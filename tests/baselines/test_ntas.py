@@ -14,7 +14,7 @@ from baselines.ntas.network import Networks
 from baselines.ntas.train import trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
-from rlbench.ops.demodulate import raised
+from rlbench.ops.demodulate import of_area, raised
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
 
@@ -138,7 +138,7 @@ def test_history_enters_no_pixel_that_has_only_invalid_taps() -> None:
 def test_constant_light_stays_constant(method: Ntas, age: int) -> None:
     """Kernels sum to one on every level, masked or not, whatever the weights."""
     view = next(iter(small_clip())).view
-    reflectance = raised(view.albedo)
+    reflectance = raised(of_area(view.albedo))
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     image, state = method.denoise(view, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
     # float32 through five levels and one division by reflectance

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.ops.demodulate import raised, reflectance, sane, surface
+from rlbench.ops.demodulate import of_area, raised, reflectance, sane, surface
 from tests.baselines.wavelet_twins import area_albedo
 
 
@@ -28,7 +28,7 @@ def test_what_is_divided_by_is_the_mean_of_a_pixel_s_area():
     expected = torch.from_numpy(np.stack(slow)).permute(0, 3, 1, 2).float()
     torch.testing.assert_close(reflectance(albedo), expected)  # float32 sums
     black = (albedo == 0).all(1, keepdim=True).expand_as(albedo)
-    torch.testing.assert_close(raised(albedo), torch.where(black, 1.0, expected) + 0.01)
+    torch.testing.assert_close(raised(of_area(albedo)), torch.where(black, 1.0, expected) + 0.01)
     with torch.autocast("cpu", torch.bfloat16):
         assert torch.equal(reflectance(albedo), reflectance(albedo).float())
         torch.testing.assert_close(reflectance(albedo), expected)
