@@ -25,8 +25,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from rlbench.family import Family
-
 GROUPS = ("methods", "metrics", "reports", "pools", "scenes")
 VARIABLE = "RLBENCH_METHODS"
 
@@ -162,7 +160,7 @@ def _from_file(file: Path) -> list[Entry]:
         families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
         if None in families:
             raise PluginError(f"{file.name} has neither FAMILY nor METHODS; see docs/plugins.md")
-        if odd := [type(each).__name__ for each in families if not isinstance(each, Family)]:
+        if odd := [type(each).__name__ for each in families if not hasattr(each, "variants")]:
             raise PluginError(f"{file.name} holds a {odd[0]} where a Family is wanted")
     except Exception as error:  # listed as broken, raised again when asked for
         return [Entry(file.stem, str(file), origin, partial(_raise, error))]
