@@ -98,7 +98,7 @@ def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
         means = group.groupby("metric")["value"].mean()
         figures = [means.get(name) for name in ("psnr", "inference_ms", "total_ms")]
         some = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
-        of = f" ({some} of them)" if some < len(names) else ""
+        of = f" ({some} of them)" if 0 < some < len(names) else ""
         shown.add_row(f"{method}{of}", f"{spp:g}", *(_figure(value) for value in figures))
     console = Console()
     console.print(shown)
