@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from rlbench import cost, latency, registry, table
-from rlbench.cells import Cell, Names, Request, cells, distinct, never_shortened, older
+from rlbench.cells import Cell, Names, Request, by_title, cells, distinct, never_shortened, older
 from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
@@ -54,13 +54,13 @@ def measure(
     """
     distinct(request)
     bench = _Bench(request)
-    stored = table.cells(results)
+    names = table.cells(results)
+    stored = by_title(names)
 
     def drop(name: str) -> int:
         found = older(name, stored)  # a run killed in between may have left one beside its heir
         for each in found:
             table.drop_cell(results, each)
-            stored.remove(each)
         return len(found)
 
     done = Done()
@@ -68,7 +68,7 @@ def measure(
     for cell in cells(request):
         name = bench.names.of(cell)
         never_shortened(request, name, stored)
-        if name in stored:
+        if name in names:
             done = replace(done, known=done.known + 1, replaced=done.replaced + drop(name))
             tell(cell)
         else:

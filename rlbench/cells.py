@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -79,7 +79,15 @@ def distinct(request: Request) -> None:
         )
 
 
-def never_shortened(request: Request, name: str, stored: Iterable[str]) -> None:
+def by_title(stored: Iterable[str]) -> dict[str, set[str]]:
+    """Stored cells by what they are; of one title there is more than one where a run was killed."""
+    found: dict[str, set[str]] = {}
+    for name in stored:
+        found.setdefault(name.rpartition(" ")[0], set()).add(name)
+    return found
+
+
+def never_shortened(request: Request, name: str, stored: Mapping[str, set[str]]) -> None:
     """Raise CellsError where first frames alone would replace a whole clip's scores."""
     if request.frames is None:
         return
@@ -92,10 +100,9 @@ def never_shortened(request: Request, name: str, stored: Iterable[str]) -> None:
             )
 
 
-def older(name: str, stored: Iterable[str]) -> list[str]:
+def older(name: str, stored: Mapping[str, set[str]]) -> set[str]:
     """The stored cells that a cell replaces: those of the same title and other content."""
-    title = name.rpartition(" ")[0]
-    return [each for each in stored if each != name and each.rpartition(" ")[0] == title]
+    return stored.get(name.rpartition(" ")[0], set()) - {name}
 
 
 @dataclass(frozen=True)
@@ -195,9 +202,8 @@ class Names:
         known = registry.entries("metrics")
         modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
         told = provenance.code_hash(set().union(*modules), core=MEASURE)
-        brought = sorted(
-            {each for m in registry.metrics().values() for each in getattr(m, "packages", ())}
-        )
+        metrics = registry.metrics().values()
+        brought = sorted({name for each in metrics for name in getattr(each, "packages", ())})
         return f"{list(known)} {told} {provenance.releases(brought)}"
 
     @cached_property

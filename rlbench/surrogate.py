@@ -14,9 +14,9 @@ from torch import Tensor
 from rlbench.family import Traits
 from rlbench.frames import Frame, Size, View
 from rlbench.method import Method
-from rlbench.ops.density import LOWEST
 from rlbench.sampling import Samples
 
+LOWEST = -30.0  # log density below which a pixel is at its floor in any case
 BISECTIONS = 32  # of the logarithm of a multiplier, some 30 wide: exact to float32
 NONE = 1e-20  # below any density: keeps the share of no pixel from dividing by zero
 

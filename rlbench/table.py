@@ -82,14 +82,14 @@ def write_cell(folder: Path, cell: str, rows: Sequence[Row]) -> Path:
 
 def cells(folder: Path) -> set[str]:
     """Names of the finished cells; a file that is unfinished or cut short does not count."""
-    return {_named(file) for file in _finished(folder)}
+    return set(_finished(folder).values())
 
 
 def drop_cell(folder: Path, cell: str) -> None:
     """Remove a cell, if it is there, whatever its file is called."""
     file = _file(folder, cell)
-    found = [file] if file.is_file() else [f for f in _finished(folder) if _named(f) == cell]
-    for each in found:
+    others = () if file.is_file() else _finished(folder).items()
+    for each in (file, *(other for other, held in others if held == cell)):
         each.unlink(missing_ok=True)
 
 
@@ -153,28 +153,27 @@ def _file(folder: Path, cell: str) -> Path:
     return folder / (name + SUFFIX)
 
 
-def _named(file: Path) -> str:
-    """The cell that a finished file holds, as it says itself."""
-    import pyarrow.parquet as pq
-
-    told: bytes = (pq.read_schema(file).metadata or {}).get(CELL, b"")
-    return told.decode() or unquote(file.name.removesuffix(SUFFIX))
+def _finished(folder: Path) -> dict[Path, str]:
+    """The whole files, sorted, and the cell that each holds."""
+    found = {file: _held(file) for file in sorted(folder.glob(f"*{SUFFIX}"))}
+    return {file: cell for file, cell in found.items() if cell is not None}
 
 
-def _finished(folder: Path) -> list[Path]:
-    return [file for file in sorted(folder.glob(f"*{SUFFIX}")) if _is_whole(file)]
-
-
-def _is_whole(file: Path) -> bool:
+def _held(file: Path) -> str | None:
+    """The cell that a whole file holds, as it says itself; None of one that is not whole."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     if file.name.startswith("."):
-        return False
+        return None
     try:
-        return set(COLUMNS) <= set(pq.read_schema(file).names)
+        schema = pq.read_schema(file)
     except (pa.ArrowInvalid, OSError):
-        return False
+        return None
+    if not set(COLUMNS) <= set(schema.names):
+        return None
+    told: bytes = (schema.metadata or {}).get(CELL, b"")
+    return told.decode() or unquote(file.name.removesuffix(SUFFIX))
 
 
 def _described(folder: Path) -> str:

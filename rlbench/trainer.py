@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from rlbench.frames import Clip
 from rlbench.method import Method
 
+FROM1 = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets of what needs a sample in every pixel
+
 
 class TrainingError(RuntimeError):
     """A training that cannot start or go on."""

@@ -57,7 +57,7 @@ class Dasr:
         """Nothing: every frame is its own."""
 
     def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
-        """Density in (0, 1], 1 where it is largest: exp(x - max x) of the sampler's map x."""
+        """Density in (0, 1], 1 where it is largest: the exponential of the sampler's map."""
         return exponential(self.networks.sampler(_seen(view, samples)))
 
     def denoise(

@@ -16,9 +16,9 @@ from baselines.dasr.network import Networks
 from rlbench.frames import Clip
 from rlbench.run import unroll
 from rlbench.surrogate import Surrogate, Teach, pull
+from rlbench.trainer import FROM1
 from rlbench.training import Trainer
 
-SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets, samples per pixel, one drawn a sequence
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 STAGES = (  # share of the training by which a stage ends, and the networks that learn in it
     (25 / 70, frozenset({"denoiser"})),
@@ -58,4 +58,4 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
         for name, network in networks.named_children():
             network.requires_grad_(name in learning)
 
-    return Trainer(method, networks, losses, SPP, shares=SHARES, told=told)
+    return Trainer(method, networks, losses, FROM1, shares=SHARES, told=told)

@@ -18,9 +18,9 @@ from rlbench.frames import Clip, Size, View
 from rlbench.ops.losses import smape
 from rlbench.run import unroll
 from rlbench.sampling import Samples
+from rlbench.trainer import FROM1
 from rlbench.training import Trainer
 
-SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets, samples per pixel, one drawn a sequence
 CHANGE = 0.25  # weight of the error of the change since the last frame
 STRAIN = 1e-5  # weight of squared sharpness
 
@@ -41,7 +41,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     networks.draw(seed)
     networks.to(device)
     method = Imcd(networks, traits=FAMILY.variants[variant].traits)
-    return Trainer(method, networks, partial(losses, method), SPP)
+    return Trainer(method, networks, partial(losses, method), FROM1)
 
 
 def losses(method: Imcd, clip: Clip, spp: float) -> Iterator[Float[Tensor, ""]]:

@@ -80,8 +80,8 @@ class Ntas:
         return State(torch.zeros(size.n, 3, size.h, size.w, device=weight.device), age=0)
 
     def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
-        """Density in (0, 1], 1 where it is largest: exp(x - max x) of the sampler's map x."""
-        seen = _seen(view, *_history(view, state))
+        """Density in (0, 1], 1 where it is largest: the exponential of the sampler's map."""
+        seen = _seen(view, raised(of_area(view.albedo)), *_history(view, state))
         wish: Tensor = self.networks.sampler(seen)
         return exponential(wish)
 
@@ -92,7 +92,7 @@ class Ntas:
         noisy = samples.mean.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
         history, valid = _history(view, state)
         reflectance = raised(of_area(view.albedo))
-        seen = torch.cat((log_forward(noisy), _seen(view, history, valid)), 1)
+        seen = torch.cat((log_forward(noisy), _seen(view, reflectance, history, valid)), 1)
         light = self.networks.denoiser(seen, noisy / reflectance, history, valid)
         age = state.age + 1
         remembered = light.detach() if age % self.config.bptt == 0 else light
@@ -106,9 +106,11 @@ def _history(view: View, state: State) -> tuple[Float[Tensor, "n 3 h w"], Bool[T
     return moved.where(valid, 0.0), valid
 
 
-def _seen(view: View, history: Tensor, valid: Tensor) -> Float[Tensor, "n 10 h w"]:
+def _seen(
+    view: View, reflectance: Tensor, history: Tensor, valid: Tensor
+) -> Float[Tensor, "n 10 h w"]:
     """What both networks see: normal, albedo, depth and the last image."""
-    last = log_forward(history * raised(of_area(view.albedo))).where(valid, MISSING)
+    last = log_forward(history * reflectance).where(valid, MISSING)
     return torch.cat((view.normal, view.albedo, squash_depth(view.depth), last), 1)
 
 

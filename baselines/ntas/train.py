@@ -15,9 +15,9 @@ from rlbench.frames import Clip
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.surrogate import Surrogate
+from rlbench.trainer import FROM1
 from rlbench.training import Trainer
 
-SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets, samples per pixel, one drawn a sequence
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 
 
@@ -37,7 +37,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         return _losses(method, clip, spp)
 
-    return Trainer(method, networks, losses, SPP, shares=SHARES)
+    return Trainer(method, networks, losses, FROM1, shares=SHARES)
 
 
 def _losses(method: Ntas, clip: Clip, spp: float) -> Iterator[Tensor]:

@@ -16,11 +16,11 @@ from rlbench.ops.losses import EVEN, decibels, mixed
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
+from rlbench.trainer import FROM1
 from rlbench.training import Trainer
 
 PEAK = 1e-3  # learning rate
 TUNING = 4e-5  # the same, where training starts from Intel's weights
-BUDGETS = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one drawn a sequence
 
 
 def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
@@ -55,7 +55,7 @@ def learning(method: Oidn, peak: float = PEAK, even: bool = False) -> Trainer:
             loss = _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
             yield decibels(loss) if even else loss
 
-    return Trainer(method, method.network, losses, BUDGETS, peak)
+    return Trainer(method, method.network, losses, FROM1, peak)
 
 
 def _loss(method: Oidn, still: MemoryClip, spp: float) -> Tensor:

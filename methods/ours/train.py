@@ -26,13 +26,13 @@ from rlbench.ops.losses import decibels, mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.sampling import Samples
-from rlbench.trainer import Trainer
+from rlbench.trainer import FROM1, Trainer
 
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
 TUNING = 4e-5  # the rate where the denoiser starts from weights that are not ours
 TUNED = {"encoder": 2.0, "sampler": 6.0, "aside": 25.0}  # shares of that one
-BUDGETS = (0.05, 0.25, 0.5, 1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # samples per pixel, one a sequence
+BUDGETS = (0.05, 0.25, 0.5, *FROM1)  # samples per pixel, one a sequence
 EVERY = 2  # frames between steps of the sampler
 WEIGHT = 0.1  # of the learner's loss, which the sampler alone hears; matters for clipping only
 

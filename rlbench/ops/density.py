@@ -5,7 +5,6 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
-LOWEST = -30.0  # log density below which a pixel is at its floor in any case
 STEEP = 1.5  # root mean square of a map's log density; steeper maps are drawn in towards it
 FAR = 3.0  # log density above and below its mean, which none reaches
 

@@ -31,10 +31,12 @@ def drawn(*shape: int, seed: int = 0) -> Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> MemoryClip:
+def small_clip(
+    frames: int = 3, size: Size = SIZE, seed: int = 0, textured: bool = True
+) -> MemoryClip:
     """Noise around smooth light on a coloured surface, under a slow pan."""
     n, h, w = size
-    albedo, shown = drawn(n, 3, h, w, seed=3), []
+    albedo, shown = drawn(n, 3, *((h, w) if textured else (1, 1)), seed=3).expand(n, 3, h, w), []
     for i in range(frames):
         light = drawn(n, 3, 1, 1, seed=seed) * torch.linspace(0.2, 2, w).expand(n, 3, h, w)
         truth = light * albedo
@@ -320,14 +322,14 @@ def test_there_is_one_loss_for_each_two_frames(learner: Imcd, frames: int, count
 def test_a_few_steps_bring_the_loss_down() -> None:
     made = trainer("", CPU, seed=0)
     optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
-    clip, means = small_clip(2, Size(1, 32, 32)), []
-    for _ in range(12):
+    clip, means = small_clip(2, Size(1, 32, 32), textured=False), []  # no pixel has its own albedo
+    for _ in range(24):
         for loss in losses(replace(made.method, config=Config(SMALL)), clip, 2.0):
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             means.append(loss.item())
-    assert means[-1] < 0.9 * means[0]
+    assert means[-1] < 0.8 * means[0]
 
 
 MEMORY = """

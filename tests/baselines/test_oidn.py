@@ -11,7 +11,7 @@ import torch
 
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, develop
-from baselines.oidn.train import BUDGETS, _loss, trainer
+from baselines.oidn.train import _loss, trainer
 from rlbench.frames import Frame, Reference, View
 from rlbench.memory import MemoryClip
 from rlbench.method import Method
@@ -19,6 +19,7 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
+from rlbench.trainer import FROM1
 from rlbench.weights import Card, save
 
 CPU = torch.device("cpu")
@@ -176,7 +177,7 @@ def test_random_weights_are_the_same_each_time():
 
 def test_each_frame_gives_one_loss_that_reaches_every_parameter():
     made = trainer("", CPU, seed=0)
-    losses = list(made.losses(clip(32, 32, frames=3), BUDGETS[0]))
+    losses = list(made.losses(clip(32, 32, frames=3), FROM1[0]))
     assert len(losses) == 3
     losses[0].backward()
     without = [k for k, p in made.networks.named_parameters() if p.grad is None or not p.grad.any()]
