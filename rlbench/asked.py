@@ -92,15 +92,7 @@ def methods(values: list[str], trained: bool = True) -> tuple[str, ...]:
     """Names that were asked for, as `registry.expand`; `all` goes on without broken families."""
     from rlbench import registry
 
-    patterns = []
-    for pattern in split(values):
-        key, slash, rest = pattern.partition("/")
-        for name in registry.names("methods") if key == "all" else [key]:
-            if key == "all" and (why := registry.broken("methods", name)):
-                typer.echo(f"all is without {name}, which is broken: {why}", err=True)
-            else:
-                patterns.append(f"{name}{slash}{rest}")
-    return tuple(registry.expand(patterns, trained))
+    return tuple(registry.expand(split(values), trained, lambda words: typer.echo(words, err=True)))
 
 
 def positive(option: str, number: float) -> float:

@@ -17,11 +17,12 @@ import torch
 from torch import Tensor
 
 from rlbench import cost, latency, registry, table
-from rlbench.cells import Cell, Names, Request, by_title, cells, distinct, never_shortened, older
+from rlbench.cells import Cell, Request, by_title, cells, distinct, never_shortened, older
 from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
 from rlbench.method import Method, settings
+from rlbench.names import Names
 from rlbench.ready import Ready
 from rlbench.run import Shown, run_clip
 from rlbench.table import WHOLE_CLIP, Row

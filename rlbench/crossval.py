@@ -12,8 +12,9 @@ from pathlib import Path
 
 from rlbench import asked, registry, show, trainset
 from rlbench.bench import Done, measure
-from rlbench.cells import Names, Request
+from rlbench.cells import Request
 from rlbench.course import Course
+from rlbench.names import Names
 from rlbench.render.presets import PRESETS
 from rlbench.source import Stored
 from rlbench.trainset import TrainSet

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rlbench import provenance
@@ -152,21 +152,35 @@ def metrics() -> dict[str, Any]:
     return {name: usable("metrics", name) for name in names("metrics")}
 
 
-def expand(patterns: Iterable[str], trained: bool = True) -> list[str]:
+def expand(
+    patterns: Iterable[str], trained: bool = True, tell: Callable[[str], None] | None = None
+) -> list[str]:
     """Method names without repeats: `all` is every family, `family/*` all variants of one.
 
     `all/*` is every variant of every family. A variant without shipped weights has to be named,
-    unless `trained` is not asked for. Raises PluginError for a name that is not there.
+    unless `trained` is not asked for. With someone to `tell`, `all` goes on without families that
+    are broken. Raises PluginError for a name that is not there.
     """
     found: dict[str, None] = {}
     for pattern in patterns:
         key, _, rest = pattern.partition("/")
-        for each in names("methods") if key == "all" else [key]:
+        for each in _families(tell) if key == "all" else [key]:
             full = f"{each}/{rest}" if rest else each
             for name in family(each).names() if rest == "*" else [full]:
                 if variant(name).shipped or not trained or rest != "*":
                     found[name] = None
     return list(found)
+
+
+def _families(tell: Callable[[str], None] | None) -> list[str]:
+    """All families, or those that can be loaded, with a word on each of the others."""
+    whole = []
+    for name in names("methods"):
+        if tell and (why := broken("methods", name)):
+            tell(f"all is without {name}, which is broken: {why}")
+        else:
+            whole.append(name)
+    return whole
 
 
 def _unknown(name: str, kind: str, known: Mapping[str, Entry]) -> str:

@@ -12,7 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from rlbench import table as results_table
-from rlbench.cells import Cell, Names, Request, cells
+from rlbench.cells import Cell, Request, cells
+from rlbench.names import Names
 
 if TYPE_CHECKING:
     from rlbench.bench import Done

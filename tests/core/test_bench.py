@@ -16,8 +16,9 @@ import torch
 from reports.scores import points
 from rlbench import provenance, registry, table
 from rlbench.bench import Done, measure
-from rlbench.cells import CellsError, Names, Request, cells
+from rlbench.cells import CellsError, Request, cells
 from rlbench.clips import open_clip
+from rlbench.names import Names
 from rlbench.source import Stored, affordable
 from tests.conftest import write_noise, write_plugin
 
