@@ -93,6 +93,11 @@ class Batches:
         if not self.folders:
             raise BatchError("no clips to train on; 'rlbench render --preset train' makes some")
 
+    def contents(self) -> list[str]:
+        """Name and hash of each clip, as cards and checkpoints tell what was trained on."""
+        opened = [open_clip(folder, pool=self.pool) for folder in self.folders]
+        return [f"{clip.name} {clip.digest[:12]}" for clip in opened]
+
     def draw(self, index: int) -> MemoryClip:
         """A clip of `batch` crops side by side, `length` frames long or as long as the shortest."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)

@@ -14,7 +14,6 @@ import torch
 
 from rlbench import checkpoint, curves, postmortem, provenance, registry, validation, weights
 from rlbench.batches import Batches, one_of
-from rlbench.clips import open_clip
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.memory import MemoryClip
 from rlbench.method import settings
@@ -58,7 +57,7 @@ def train(
     traits = trainer.method.traits
     batches = Batches.planned(train_on, plan, traits, device)
     budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
-    progress = _begin(learner, out, _asked(name, plan, _data(train_on, traits.pool)), altered)
+    progress = _begin(learner, out, _asked(name, plan, batches.contents()), altered)
     if progress.seen >= plan.frames and _frames_shipped(name, out) == progress.seen:
         return progress
     began, before = time.monotonic(), progress.seconds
@@ -158,11 +157,6 @@ def _sequence(
 def _keep(learner: Learner, out: Path, progress: Progress) -> None:
     parts = (learner.networks, learner.average, learner.optimizer)
     checkpoint.save(out / CHECKPOINT, *parts, asdict(progress), learner.trainer.aside)
-
-
-def _data(folders: Sequence[Path], pool: str) -> list[str]:
-    opened = [open_clip(folder, pool=pool) for folder in folders]
-    return [f"{clip.name} {clip.digest[:12]}" for clip in opened]
 
 
 def _device(device: str) -> str:

@@ -61,10 +61,14 @@ class Task:
         made.start_uniform()
         return made
 
+    def batches(self) -> Batches:
+        """Crops of the clips, one at a time."""
+        return Batches(self.folders, 1, self.crop, self.length, self.seed)
+
     def world(self) -> Episodes:
         """Episodes of crops, at the budgets that `ours` is trained at."""
-        batches = Batches(self.folders, 1, self.crop, self.length, self.seed)
-        return Episodes(self.method(), batches, [spp for spp in BUDGETS if spp >= self.floor])
+        budgets = [spp for spp in BUDGETS if spp >= self.floor]
+        return Episodes(self.method(), self.batches(), budgets)
 
 
 def by_torch(
@@ -125,7 +129,7 @@ def retrain(
     told[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
     card = Card(
         name="ours/A1" if task.floor else "ours",
-        data=(*read_card(task.weights).data, *(folder.name for folder in task.folders)),
+        data=tuple(dict.fromkeys([*read_card(task.weights).data, *task.batches().contents()])),
         frames_seen=frames,
         seed=task.seed,
         command=command,

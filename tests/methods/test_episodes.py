@@ -82,4 +82,14 @@ def test_every_learner_retrains_the_sampler_and_leaves_the_rest(name, task, tmp_
         if not key.startswith("sampler."):
             assert torch.equal(value, before[key])
     assert after["sampler.last.weight"].abs().max() > 0 == fresh["last.weight"].abs().max()
-    assert read_card(file).origin == "encoder and denoiser of ours.safetensors"
+    card, known = read_card(file), read_card(CARDS / "ours.safetensors").data
+    assert card.origin == "encoder and denoiser of ours.safetensors"
+    assert card.data == (*known, *task.batches().contents())
+
+
+def test_a_clip_that_the_kept_networks_saw_too_is_told_once(task, tmp_path):
+    retrain("ppo-pixel", task, 2, list(task.folders), tmp_path, "a command")
+    first = tmp_path / "ppo-pixel.safetensors"
+    again = replace(task, weights=first)
+    retrain("surrogate", again, 2, list(task.folders), tmp_path, "a command")
+    assert read_card(tmp_path / "surrogate.safetensors").data == read_card(first).data
