@@ -30,7 +30,7 @@ def write(
     Raises LacksError if the family has no variant here besides its default, and ReportError where
     rows would be averaged that must not be.
     """
-    title = f"Ablations of {{}}, {pages.runs(table)}"
+    title = "Ablations of {}"
     methods = set(table["method"])
     named = {method for method in methods if names.weights(method)}
     called, families = set(map(names.weights, named)), set(map(names.family, named))
@@ -48,7 +48,7 @@ def write(
         grids = [_score_grid(rows, found, family), _time_grid(rows, found, family, device)]
         grids.append(_change_grid(rows, found, family))
         sections.append(pages.Section(device, grids, found, _lists(rows, found, family)))
-    return pages.write(folder, name, title.format(family), sections)
+    return pages.write(folder, name, title.format(family), table, sections)
 
 
 def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
@@ -77,7 +77,8 @@ def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: st
     )
     caption = (
         f"Whole frame in ms (plan + denoise, p50, + samples) less that of {family}, mean over "
-        f"scenes, on {device or 'a device not named'}; cost of a sample: "
+        f"scenes, on {device or 'a device not named'}; networks are timed on one clip of each "
+        f"size, so a few ms are noise; cost of a sample: "
         f"{scores.profile(table) or 'not measured'}."
     )
     return Grid(f"Frame time less that of {family}", caption, head, tuple(body))

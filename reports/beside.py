@@ -149,8 +149,8 @@ def _names(
         axes.annotate(
             "", (x, shown), (1.025, height), xycoords="data",
             textcoords=axes.get_yaxis_transform(), annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": "#BBBBBB", "lw": 0.7, "shrinkA": 0,
-                        "shrinkB": 4},
+            arrowprops={"arrowstyle": "-", "color": look.color, "alpha": 0.5, "lw": 0.7,
+                        "shrinkA": 0, "shrinkB": 4, "zorder": 1},
         )  # fmt: skip
         axes.plot(
             [1.04], [height], transform=axes.get_yaxis_transform(), clip_on=False, ls="",

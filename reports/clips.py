@@ -39,7 +39,7 @@ def write(
             "Remarks": scores.remarks(scored),
         }
         sections.append(pages.Section(device, grids, means, lists))
-    return pages.write(folder, name, f"Clip by clip, {pages.runs(table)}", sections)
+    return pages.write(folder, name, "Clip by clip", table, sections)
 
 
 def _grid(

@@ -21,13 +21,19 @@ class Section:
     lists: Mapping[str, Sequence[str]] = field(default_factory=dict)  # title: lines; none: no list
 
 
-def write(folder: Path, name: str, heading: str, sections: Sequence[Section]) -> list[Path]:
-    """The files `name`.md, .csv and .tex, a section for each device; CSV rows name theirs."""
-    pages, floats = [f"# {heading}\n"], []
+def write(
+    folder: Path, name: str, heading: str, table: pd.DataFrame, sections: Sequence[Section]
+) -> list[Path]:
+    """The files `name`.md, .csv and .tex, a section for each device; CSV rows name theirs.
+
+    The title says of which clips the table is, the last line of which runs.
+    """
+    pages, floats = [f"# {heading}: {clips(table)}\n"], []
     for section in sections:
         pages += [f"## {section.device or 'Device not named'}\n"]
         pages += [*map(markdown, section.grids), _lists(section.lists)]
         floats += [f"% {section.device}\n", *map(latex, section.grids)]
+    pages += [f"Runs: {', '.join(sorted(set(table['run'])))}\n"]
     records = [section.records.assign(device=section.device) for section in sections]
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{kind}" for kind in ("md", "csv", "tex")]
@@ -37,9 +43,17 @@ def write(folder: Path, name: str, heading: str, sections: Sequence[Section]) ->
     return files
 
 
-def runs(table: pd.DataFrame) -> str:
-    """The runs whose rows these are."""
-    return ", ".join(sorted(set(table["run"]))) or "no run"
+def clips(table: pd.DataFrame) -> str:
+    """The clips whose rows these are: `preset mini, 4 clips of 8 frames`."""
+    presets = sorted(set(table["preset"]) - {""})
+    frames = sorted(set(table[table["frame"] >= 0].groupby("clip")["frame"].nunique()))
+    count = table["clip"].nunique()
+    told = ["preset" + "s" * (len(presets) > 1) + " " + " and ".join(presets)] * bool(presets)
+    told.append(f"{count} clip{'s' * (count != 1)}")
+    if frames:
+        many = f"{frames[0]}" if len(frames) == 1 else f"{frames[0]} to {frames[-1]}"
+        told[-1] += f" of {many} frame{'s' * (many != '1')}"
+    return ", ".join(told)
 
 
 def _lists(lists: Mapping[str, Sequence[str]]) -> str:

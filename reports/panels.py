@@ -30,9 +30,10 @@ def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
 
     With one scene that is the only panel; with more than MOST, their mean is.
     """
-    scenes = [scene for scene in sorted(set(plotted["scene"])) if scene != OVERALL]
+    found = set(plotted["scene"])
+    scenes = sorted(found - {OVERALL})
     single = scenes if len(scenes) <= MOST else []
-    scenes = [OVERALL, *single] if len(scenes) > 1 else scenes
+    scenes = [*found & {OVERALL}, *single] if len(scenes) > 1 else scenes
     looks = style.looks(plotted["method"])
     columns = _columns(looks)
     lines = texts["caption"].count("\n") - 1  # of the caption, beyond two

@@ -7,8 +7,8 @@ from pathlib import Path
 import matplotlib as mpl
 import pandas as pd
 
-from reports import scores, style
-from reports.panels import OVERALL, draw
+from reports import pages, scores, style
+from reports.panels import MOST, OVERALL, draw
 
 
 def write(
@@ -48,6 +48,11 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
             f"no cell has {metric}, plan_ms, denoise_ms and sample_ms, so no time can be plotted; "
             f"measured were: {', '.join(found)}; rlbench run --cost takes a published sample_ms"
         )
+    if OVERALL not in set(every["scene"]) and every["scene"].nunique() > MOST:
+        raise scores.ReportError(
+            f"no method has {metric} and times at one budget on each of {every['scene'].nunique()} "
+            f"scenes, and more than {MOST} have no panels of their own; plot fewer scenes"
+        )
     every["front"] = False
     better = scores.about(table, metric, "better")
     for _, panel in every.groupby("scene"):
@@ -62,9 +67,8 @@ def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
     value = f"{title} [{unit}]" if unit else title
     direction = {"high": "  (up is better)", "low": "  (down is better)"}.get(better, "")
     counted = table[(table["metric"] == metric) & table["value"].notna()]
-    clips, frames = counted["clip"].nunique(), len(counted.drop_duplicates(["clip", "frame"]))
     caption = (
-        f"{title}: {scores.about(table, metric, 'convention')}; {frames} frames of {clips} clips. "
+        f"{title}: {scores.about(table, metric, 'convention')}; {pages.clips(counted)}. "
         f"Time: plan + denoise (p50) on {device or 'a device not named'}\n+ samples bought per "
         f"pixel x time of one sample per pixel ({scores.profile(table) or 'source not named'})."
     )

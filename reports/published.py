@@ -8,6 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
+import pandas as pd
+
+from reports import scores
+from rlbench.table import LacksError
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -75,3 +80,23 @@ def published() -> Published:
         deviation_row=seeds["row"],
         trainings=seeds["trainings"],
     )
+
+
+def by_device(table: pd.DataFrame, metric: str) -> dict[str, pd.DataFrame]:
+    """The rows of each device that has any of the paper's methods on every scene.
+
+    Raises LacksError where none has, and ReportError where rows would be averaged that must not be.
+    """
+    found = {}
+    for device, rows in scores.by_device(table).items():
+        scores.check(rows)
+        means = scores.overall(scores.points(rows, metric))
+        if any(published().of(method) for method in means["method"]):
+            found[device] = rows
+    if not found:
+        have = ", ".join(sorted(set(table["method"]))) or "nothing"
+        raise LacksError(
+            f"no row of the paper has {metric} on every scene; the results are of: {have}; "
+            "rlbench run --methods all measures the paper's"
+        )
+    return found

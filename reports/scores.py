@@ -35,6 +35,13 @@ def check(table: pd.DataFrame) -> None:
     if len(devices) > 1:
         raise ReportError(f"rows of {len(devices)} devices in one column: {', '.join(devices)}")
     known = table[table["value"].notna() & (table["metric"] != "sample_ms")]
+    for (scene, clip), rows in known.groupby(["scene", "clip"]):
+        presets = [preset or "none" for preset in sorted(set(rows["preset"]))]
+        if len(presets) > 1:
+            raise ReportError(
+                f"clip {clip} of scene {scene} is of {len(presets)} presets ({', '.join(presets)}),"
+                " which share no pixel; measure each into a folder of its own (rlbench run --out)"
+            )
     # in a cross-validation each scene has weights of its own
     apart = known["scene"].where(known["weights"].str.startswith(FOLD), "")
     for column in VERSION:

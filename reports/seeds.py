@@ -40,7 +40,7 @@ def write(table: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
             "no row was scored with two trainings; it takes rows such as ours@seed0 and ours@seed1,"
             f" and rows of named weights are: {', '.join(have) or 'none'}"
         )
-    return pages.write(folder, name, f"Seeds of training, {pages.runs(table)}", sections)
+    return pages.write(folder, name, "Seeds of training", table, sections)
 
 
 def deviations(table: pd.DataFrame) -> pd.DataFrame:

@@ -103,7 +103,7 @@ def name_below(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
         told = told if width > NARROW else f"{len(outside)} below"
         axes.text(
             0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5, color=FAINT,
-            zorder=4,
+            zorder=4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
         )  # fmt: skip
 
 

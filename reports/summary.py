@@ -38,7 +38,7 @@ def write(
         grids = [*_score_grids(rows, ranks), *_time_grids(rows, device), *_scene_grids(rows, ranks)]
         records = pd.concat(ranks or [pd.DataFrame()])
         sections.append(pages.Section(device, grids, records, _lists(rows)))
-    return pages.write(folder, name, f"Summary of {pages.runs(table)}", sections)
+    return pages.write(folder, name, "Summary", table, sections)
 
 
 def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:

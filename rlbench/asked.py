@@ -142,7 +142,7 @@ def part(
 def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
     """The rows of methods, by any name that the table has or a pattern leads to.
 
-    Raises AskedError where there are none, and PluginError for a name that is in neither.
+    Raises AskedError where a single name has none, and PluginError for one that is in neither.
     """
     from rlbench import registry
     from rlbench.table import AT, whose
@@ -150,11 +150,14 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
     known = set(table["method"])  # of plugins too, which need not be here
     exact = [name for name in methods if AT in name or name in known]
     patterns = [name for name in methods if name not in exact]
-    wanted = registry.expand(patterns, trained=False)  # what has rows had weights
-    found = table[whose(table, exact + wanted)]
-    if found.empty:
+    wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
+    found = table[whose(table, wanted)]
+    many = [name for name in patterns if name.startswith("all") or name.endswith("/*")]
+    single = [name for name in methods if name not in many]
+    absent = [name for name in single if not whose(table, [name]).any()]
+    if absent := absent or many * found.empty:
         have = ", ".join(sorted(known)) or "no rows"
-        raise AskedError(f"{results} has no rows of {', '.join(methods)}; it has: {have}")
+        raise AskedError(f"{results} has no rows of {', '.join(absent)}; it has: {have}")
     return found
 
 

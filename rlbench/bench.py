@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from rlbench import cost, latency, registry, table
-from rlbench.cells import Cell, Request, by_title, cells, distinct, never_shortened, older
+from rlbench.cells import Cell, Request, by_title, cells, distinct, never_lost, older
 from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
@@ -49,9 +49,9 @@ def measure(
     """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
 
     `timed` hears of each whose times were taken before. Raises PluginError for an unknown method,
-    CostError for an unknown profile and CellsError for clips that share a name, or where first
-    frames alone would replace whole clips, before anything is measured; EngineError where no cell
-    can be run.
+    CostError for an unknown profile and CellsError for clips that share a name, or where scores of
+    whole clips or of another preset's would be lost, before anything is measured; EngineError where
+    no cell can be run.
     """
     distinct(request)
     bench = _Bench(request)
@@ -68,7 +68,7 @@ def measure(
     todo = []
     for cell in cells(request):
         name = bench.names.of(cell)
-        never_shortened(request, name, stored)
+        never_lost(name, stored)
         if name in names:
             done = replace(done, known=done.known + 1, replaced=done.replaced + drop(name))
             tell(cell)
@@ -168,7 +168,7 @@ class _Bench:
 
     def _timing(self, blank: Row, times: Timing, cell: Cell) -> list[Row]:
         price = self.times.cost(cell)
-        told = f"{times.inference.n} frames after {latency.WARM_UP} of warm-up"
+        told = f"{times.inference.n} frames of {times.clip} after {latency.WARM_UP} of warm-up"
         rows = []
         for part in ("plan", "denoise", "buy", "inference"):
             spread = getattr(times, part)
@@ -209,6 +209,7 @@ class _Bench:
             metric="",
             value=math.nan,
             seed=cell.seed,
+            preset=header.preset,
             device=self.names.device,
             dtype="bfloat16" if self.request.halves(cell.method) else "float32",
             code=self.names.code[cell.method],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
+from urllib.parse import quote, unquote
 
 import torch
 
@@ -13,7 +14,7 @@ from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
 FAILED = "failed"  # instead of a hash
-LIMITED = "first-"  # before the hash of a cell that is of the first frames alone
+FIRST = "first"  # before the hash of a cell that is of the first frames alone
 
 
 class CellsError(ValueError):
@@ -76,16 +77,31 @@ def by_title(stored: Iterable[str]) -> dict[str, set[str]]:
     return found
 
 
-def never_shortened(request: Request, name: str, stored: Mapping[str, set[str]]) -> None:
-    """Raise CellsError where first frames alone would replace a whole clip's scores."""
-    if request.frames is None:
-        return
+def content(preset: str, frames: int | None, told: str) -> str:
+    """The end of a cell's name: the clip's preset, whether it is cut short, and a hash of all."""
+    return f"{quote(preset, safe='')},{FIRST if frames else ''},{told}"
+
+
+def never_lost(name: str, stored: Mapping[str, set[str]]) -> None:
+    """Raise CellsError where first frames alone would replace a whole clip's scores, or a preset's
+    clip those of another preset's clip of the same name.
+    """
+    preset, first, _ = name.rpartition(" ")[2].split(",")
     for each in older(name, stored):
-        title, _, content = each.rpartition(" ")
-        if content != FAILED and not content.startswith(LIMITED):
+        title, _, known = each.rpartition(" ")
+        if known.count(",") != 2:  # of one that failed, or of a version that did not tell
+            continue
+        other, known_first, _ = known.split(",")
+        if other != preset:
+            is_, was = (f"preset {unquote(it)}" if it else "no preset" for it in (preset, other))
             raise CellsError(
-                f"'{title}' is known of the whole clip, and --limit-frames {request.frames} would "
-                "replace it; give --out another folder"
+                f"'{title}' is known of {was}, and that of {is_} would replace it, for clips are "
+                "told apart by name; give --out another folder"
+            )
+        if first and not known_first:
+            raise CellsError(
+                f"'{title}' is known of the whole clip, and --limit-frames would replace it; give "
+                "--out another folder"
             )
 
 

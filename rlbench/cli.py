@@ -130,8 +130,7 @@ def run(
         with show.progress(request) as bar:
             done = measure(request, out, bar.tell, workers, bar.timed)
     show.done(done, out)
-    show.table(request, out)
-    if done.refused and not done.measured + done.known:
+    if not show.table(request, out):
         raise typer.Exit(1)
 
 
@@ -172,7 +171,9 @@ app.command()(check)
 def report(
     name: Annotated[str, typer.Argument(help="a report's name, or all")] = "all",
     results: Results = Path("results"),
-    out: Annotated[Path, typer.Option(help="folder to write to")] = Path("results/report"),
+    out: Annotated[
+        Path | None, typer.Option(help="folder to write to; default RESULTS/report")
+    ] = None,
     methods: Annotated[
         list[str] | None, typer.Option("--methods", "-m", help="names a,b; default every row")
     ] = None,
@@ -197,7 +198,7 @@ def report(
         rows = asked.rows(rows, wanted, results)
     for each in registry.names("reports") if name == "all" else [name]:
         try:
-            for file in registry.usable("reports", each)(rows, out):
+            for file in registry.usable("reports", each)(rows, out or results / "report"):
                 typer.echo(file)
         except Exception as error:
             if not _expected(error):

@@ -43,6 +43,7 @@ class Timing:
     buy: Spread  # to hand out stored samples, those of a pilot left out; charged to nobody
     denoise: Spread
     inference: Spread  # plan + denoise of the same frame
+    clip: str  # whose frames were timed: clips of one size take as long, and are timed once
 
 
 def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) -> Timing:
@@ -59,7 +60,7 @@ def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) 
         readings.append(watch.clock.reading())
     plan, buy, denoise = zip(*readings[WARM_UP:], strict=True)
     both = [p + d for p, d in zip(plan, denoise, strict=True)]
-    return Timing(_spread(plan), _spread(buy), _spread(denoise), _spread(both))
+    return Timing(_spread(plan), _spread(buy), _spread(denoise), _spread(both), clip.name)
 
 
 def device_name(device: torch.device) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from rlbench import cost, latency, provenance, registry, table
-from rlbench.cells import FAILED, LIMITED, Cell, Request, cells
+from rlbench.cells import FAILED, Cell, Request, cells, content
 from rlbench.weights import WeightsError, read_card
 
 MEASURE = (
@@ -30,17 +30,14 @@ class Names:
     request: Request
 
     def of(self, cell: Cell) -> str:
-        """What the cell is, and after the last space a hash of its content.
-
-        Of the first frames alone it says so, so that whole clips are not replaced by it.
-        """
+        """What the cell is, and after the last space its content (`cells.content`)."""
         pool, header = self.pools[cell.method], cell.clip.header
         charged: tuple[object, ...] = ()  # a profile knows what path samples cost, in every scene
         if self.request.cost == cost.MEASURED:
             charged = (header.sample_ms_of(pool), header.device, self.here)
         elif pool != "path":
             charged = (header.sample_ms_of(pool), header.sample_ms_of("path"), header.device)
-        content = (
+        everything = (
             *(
                 cell.method,
                 cell.clip.content(pool),
@@ -53,8 +50,8 @@ class Names:
             *(*charged, self.seen(cell)),
             *(self.half if self.request.halves(cell.method) else ()),
         )
-        told = sha256(repr(content).encode()).hexdigest()[:16]
-        return f"{self.title(cell)} {LIMITED if self.request.frames else ''}{told}"
+        told = sha256(repr(everything).encode()).hexdigest()[:16]
+        return f"{self.title(cell)} {content(header.preset, self.request.frames, told)}"
 
     def title(self, cell: Cell) -> str:
         """What the cell is, without spaces at its end: at most one such cell is kept."""

@@ -119,8 +119,14 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Ou
     An entry is worse when it fell by more than its tolerance, and better when it rose by more. A
     result without an entry is new. An entry without a result is missing, or skipped where `table`
     is known to be a subset and has other results of that method. A result of which any frame has no
-    value counts as missing either way. Raises BaselineError as `measured` does.
+    value counts as missing either way. Raises BaselineError for results of another preset, and as
+    `measured` does.
     """
+    if len(table) and (preset := _preset(table)) != baseline.preset:
+        raise BaselineError(
+            f"the results are of preset {preset or 'none'}, the baseline of "
+            f"{baseline.preset or 'none'}: run that, or give --baseline another file"
+        )
     found, expected = measured(table), {entry.key: entry for entry in baseline.entries}
     if len(expected) < len(baseline.entries):
         raise BaselineError("the baseline has two entries of one method, scene and budget")
@@ -132,8 +138,8 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Ou
     return Outcome(tuple(changes))
 
 
-def update(table: pd.DataFrame, path: Path, preset: str = "", command: str = "") -> Baseline:
-    """Rewrite the baseline at `path` from the results; tolerances, and what is not said, are kept.
+def update(table: pd.DataFrame, path: Path) -> Baseline:
+    """Rewrite the baseline at `path` from the results; tolerances and command are kept.
 
     Entries without a result are dropped: run the whole preset first. Cells that were refused, as
     half a sample by a method that needs one, are left out. Raises BaselineError if a frame has no
@@ -151,7 +157,7 @@ def update(table: pd.DataFrame, path: Path, preset: str = "", command: str = "")
         for key, psnr in sorted(found.items())
         if psnr is not None
     )
-    new = replace(old, preset=preset or old.preset, command=command or old.command, entries=entries)
+    new = replace(old, preset=_preset(table), entries=entries)
     _write(new, path)
     return new
 
@@ -172,6 +178,15 @@ def measured(table: pd.DataFrame) -> dict[Key, float | None]:
     keys = zip(means["method"], means["scene"], means["spp"], strict=True)
     values = [round(psnr, DECIMALS) if psnr == psnr else None for psnr in means["value"]]
     return dict(zip(keys, values, strict=True))
+
+
+def _preset(table: pd.DataFrame) -> str:
+    """The preset of all clips. Raises BaselineError where they are of several."""
+    found = sorted(set(table["preset"]))
+    if len(found) > 1:
+        told = ", ".join(preset or "none" for preset in found)
+        raise BaselineError(f"the results are of {len(found)} presets ({told}); measure one alone")
+    return found[0] if found else ""
 
 
 def _change(

@@ -80,8 +80,8 @@ def done(what: Done, out: Path) -> None:
     console.print(f"{told}; results are in {out}")
 
 
-def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
-    """Mean PSNR and frame time of what was asked for, and why cells have no numbers.
+def table(request: Request, out: Path, methods: Iterable[str] = ()) -> bool:
+    """Mean PSNR and frame time of what was asked for, and why cells have no numbers; are there any?
 
     `methods` are names in the results that the request does not lead to.
     """
@@ -111,6 +111,7 @@ def table(request: Request, out: Path, methods: Iterable[str] = ()) -> None:
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
     for (method, note), _ in scored.groupby(["method", "note"]):
         console.print(f"{method}: {note}", style="yellow", markup=False)
+    return bool(rows["value"].notna().any())
 
 
 def listed(found: dict[str, list[dict[str, Any]]]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,6 +51,7 @@ class Row:
     convention: str = ""  # how it was measured: peak, colour space, cost profile
     note: str = ""  # why there is no value, or what to know of it
     seed: int = 0
+    preset: str = ""  # of the clip's frames, empty where they are somebody's own
     device: str = ""  # the machine's part that ran it, by its model name
     dtype: str = ""  # precision of the method, such as float32
     code: str = ""  # hash of the method's code
@@ -59,6 +60,7 @@ class Row:
 
 
 COLUMNS = tuple(field.name for field in fields(Row))
+GIVEN = {field.name: field.default for field in fields(Row) if field.default is not MISSING}
 _KINDS = {field.name: str(field.type) for field in fields(Row)}
 
 
@@ -105,8 +107,9 @@ def read(folder: Path) -> pd.DataFrame:
     found = _finished(folder)
     if not found:
         raise TableError(f"no results in {folder}: {_described(folder)}; rlbench run writes them")
-    parts = [pq.read_table(file, schema=_schema()).to_pandas() for file in found]
-    table: pd.DataFrame = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
+    parts = [pq.ParquetFile(file).read().to_pandas() for file in found]
+    given = [part.assign(**{k: v for k, v in GIVEN.items() if k not in part}) for part in parts]
+    table: pd.DataFrame = pd.concat(given, ignore_index=True)[list(COLUMNS)]
     return table
 
 
@@ -170,7 +173,7 @@ def _held(file: Path) -> str | None:
         schema = pq.read_schema(file)
     except (pa.ArrowInvalid, OSError):
         return None
-    if not set(COLUMNS) <= set(schema.names):
+    if not set(COLUMNS) - GIVEN.keys() <= set(schema.names):
         return None
     told: bytes = (schema.metadata or {}).get(CELL, b"")
     return told.decode() or unquote(file.name.removesuffix(SUFFIX))

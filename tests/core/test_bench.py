@@ -429,8 +429,21 @@ def test_first_frames_never_replace_a_whole_clip(clip_folder, tmp_path):
     whole = request(clip_folder)
     assert measure(whole, tmp_path / "r").replaced == 1  # the other way round is meant
     before = _files(tmp_path / "r")
-    with pytest.raises(CellsError, match=r"mean noise 1spp.*--limit-frames 2.*--out"):
+    with pytest.raises(CellsError, match=r"mean noise 1spp.*whole clip.*--limit-frames.*--out"):
         measure(replace(whole, frames=2), tmp_path / "r")
+    assert _files(tmp_path / "r") == before
+
+
+def test_a_clip_of_another_preset_never_replaces_one_of_its_name(tmp_path):
+    mini, standard, own = (
+        write_noise(tmp_path / preset / "noise", preset=preset) for preset in ("mini", "big", "")
+    )
+    measure(request(mini), tmp_path / "r")
+    assert set(table.read(tmp_path / "r")["preset"]) == {"mini"}
+    before = _files(tmp_path / "r")
+    for other, named in ((standard, "preset big"), (own, "no preset")):
+        with pytest.raises(CellsError, match=f"mean noise 1spp.*preset mini.*{named}.*--out"):
+            measure(request(other), tmp_path / "r")
     assert _files(tmp_path / "r") == before
 
 

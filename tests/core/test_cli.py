@@ -262,6 +262,23 @@ def test_a_reason_is_shown_where_there_is_no_number(clip_folder, tmp_path):
     assert "odd: no psnr on noise: RuntimeError: no luck" in told
 
 
+def test_a_run_without_any_number_fails_again_when_it_is_repeated(clip_folder, tmp_path):
+    words = ("run", "-m", "eaw", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 0.5)
+    assert "1 not possible" in rlbench(*words, code=1)
+    assert "nothing to do" in rlbench(*words, code=1)
+
+
+def test_a_method_without_rows_is_never_left_out_of_a_report_in_silence(clip_folder, tmp_path):
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    words = ("report", "summary", "--results", tmp_path / "r")
+    for absent in ("svgf", "mean@sede1"):
+        told = rlbench(*words, "-m", f"mean,{absent}", code=2)
+        assert f"has no rows of {absent}; it has: mean" in told
+    assert not (tmp_path / "r" / "report").exists()
+    rlbench(*words, "-m", "all,mean")  # a pattern takes what is there
+    assert (tmp_path / "r" / "report" / "summary.md").is_file()  # beside the table it is of
+
+
 @pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
 def test_nothing_is_trained_on_what_is_scored(preset):
     told = rlbench("train", "-m", "oidn", "--preset", preset, code=2)

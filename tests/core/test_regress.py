@@ -16,7 +16,7 @@ from rlbench.table import Row, frame_of
 
 def rows(psnr, method="ours", scene="city", spp=2.0):
     """Two frames whose mean is `psnr`, and a row of another metric that must not count."""
-    row = Row("r", method, f"{scene}-0", scene, spp, spp, 0, "psnr", psnr - 1)
+    row = Row("r", method, f"{scene}-0", scene, spp, spp, 0, "psnr", psnr - 1, preset="mini")
     other = replace(row, frame=-1, metric="relmse", value=99.0)
     return [row, replace(row, frame=1, value=psnr + 1), other]
 
@@ -74,7 +74,7 @@ def test_a_method_without_any_result_is_missing_even_in_a_subset():
 
 
 def test_results_without_entries_are_no_comparison():
-    outcome = compare(frame_of(rows(30.0, scene="hall")), Baseline())
+    outcome = compare(frame_of(rows(30.0, scene="hall")), Baseline("mini"))
     assert "FAILED: nothing was compared, 1 new" in outcome.text()
 
 
@@ -124,6 +124,14 @@ def test_the_text_of_equal_results_is_one_line():
     assert compare(frame_of(rows(30.0)), baseline()).text() == "passed: 1 same"
 
 
+def test_results_of_another_preset_are_no_regression_and_no_success():
+    other = [replace(row, preset="standard") for row in rows(30.0)]
+    with pytest.raises(BaselineError, match="of preset standard, the baseline of mini"):
+        compare(frame_of(other), baseline())
+    with pytest.raises(BaselineError, match="2 presets"):
+        compare(frame_of([*rows(30.0), *other]), baseline())
+
+
 def test_columns_of_the_text_line_up():
     table = frame_of(rows(29.0) + rows(9.0, method="a-much-longer/name", scene="temple", spp=0.25))
     head, first, second, _ = compare(table, baseline()).text().splitlines()
@@ -138,15 +146,16 @@ def test_the_mean_is_over_frames_and_clips():
 
 def test_a_rewritten_baseline_equals_its_results(tmp_path):
     table = frame_of(rows(30.123456) + rows(12.0, method="ntas"))
-    written = update(table, tmp_path / "b.json", preset="mini", command="rlbench run --preset mini")
+    written = update(table, tmp_path / "b.json")
     assert load(tmp_path / "b.json") == written
     assert compare(table, written).text() == "passed: 2 same"
 
 
 def test_a_rewritten_baseline_keeps_tolerances_and_command(tmp_path):
     path = tmp_path / "b.json"
-    update(frame_of(rows(30.0)), path, preset="mini", command="rlbench run")
+    update(frame_of(rows(30.0)), path)
     content = json.loads(path.read_text())
+    content["command"] = "rlbench run"
     content["tolerance_db"] = 0.1
     content["entries"][0]["tolerance_db"] = 0.3
     path.write_text(json.dumps(content))

@@ -9,6 +9,7 @@ import sys
 from dataclasses import asdict, replace
 
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from rlbench.table import (
@@ -92,6 +93,15 @@ def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
     assert done.returncode == 9
     assert len(os.listdir(tmp_path)) == 1  # the unfinished file did reach the disk
     assert cells(tmp_path) == set()
+
+
+def test_a_cell_of_a_version_without_a_column_is_read_with_it_empty(tmp_path):
+    file = write_cell(tmp_path, "a", [replace(ROW, preset="mini")])
+    told = pq.read_table(file)
+    pq.write_table(told.drop_columns(["preset"]), file)
+    assert cells(tmp_path) == {"a"}
+    assert list(read(tmp_path)["preset"]) == [""]
+    assert list(read(tmp_path).columns) == list(COLUMNS)
 
 
 def test_a_missing_folder_has_no_cells(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -148,6 +149,24 @@ def test_the_caption_names_device_and_cost_profile(results, tmp_path, monkeypatc
     svg = pareto.write(results, tmp_path)[2].read_text()
     for text in ("profile paper-2080ti", "NVIDIA RTX 2080 Ti", "up is better"):
         assert text in svg
+
+
+def test_methods_without_a_scene_in_common_have_no_panel_of_their_mean(tmp_path):
+    table = frame_of([r for r in rows(["ours"]) if r.scene == "city"])
+    other = frame_of([r for r in rows(["ntas"]) if r.scene == "hall"])
+    pareto.write(pd.concat([table, other]), tmp_path)
+    assert set(pd.read_csv(tmp_path / "pareto.csv")["scene"]) == {"city", "hall"}
+    assert (tmp_path / "pareto.png").is_file()
+
+
+def test_many_scenes_without_a_common_method_are_refused(tmp_path):
+    parts = [
+        replace(row, method=f"mine-{place}", scene=f"{row.scene}{place}", clip=f"c{place}")
+        for place in range(3)
+        for row in rows(["ours"])
+    ]
+    with pytest.raises(ReportError, match="12 scenes.*fewer scenes"):
+        pareto.write(frame_of(parts), tmp_path)
 
 
 def test_each_device_has_a_plot_of_its_own(tmp_path):

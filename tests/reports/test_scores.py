@@ -108,6 +108,13 @@ def test_two_devices_do_not_share_a_column():
         scores.check(mixed)
 
 
+def test_a_clip_of_two_presets_is_refused():
+    one = [replace(row, preset="mini") for row in rows(["ours"])]
+    other = [replace(row, preset="standard") for row in rows(["ours/small"])]
+    with pytest.raises(scores.ReportError, match=r"city-0 .* 2 presets \(mini, standard\)"):
+        scores.check(frame_of(one + other))
+
+
 def test_rows_are_split_by_device():
     mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
     parts = {name: set(part["method"]) for name, part in scores.by_device(mixed).items()}

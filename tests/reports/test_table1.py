@@ -140,6 +140,13 @@ def test_a_table_without_any_row_of_the_paper_is_refused(tmp_path):
         table1.write(strange, tmp_path)
 
 
+def test_a_device_without_rows_of_the_paper_keeps_no_other_from_its_table(tmp_path):
+    strange = [replace(row, method="mine") for row in rows(["ntas"], device="H100")]
+    page = table1.write(frame_of(rows(["ours"]) + strange), tmp_path)[0].read_text()
+    assert "## NVIDIA RTX 2080 Ti" in page
+    assert "H100" not in page
+
+
 def test_the_csv_has_a_row_for_each_method_and_budget(results, tmp_path):
     table1.write(results, tmp_path, draws=10)
     found = pd.read_csv(tmp_path / "table1.csv")
