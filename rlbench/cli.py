@@ -1,4 +1,4 @@
-"""The command line: run, list, render, import, lint, train, crossval, check, report, doctor."""
+"""The command line: every command, and how its errors are told."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from rlbench import asked
 from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, Takes, lint, render
+from rlbench.cli_images import images
 from rlbench.cli_methods import Device, Methods, Plugins, check, use
 from rlbench.cli_training import crossval, train
 from rlbench.importing.command import import_
@@ -132,6 +133,9 @@ def run(
     show.done(done, out)
     if not show.table(request, out):
         raise typer.Exit(1)
+
+
+app.command()(images)
 
 
 @app.command("list")

@@ -24,6 +24,7 @@ from tests.conftest import write_noise, write_plugin
 CHECKOUT = Path(__file__).parents[2]
 COMMANDS = (
     "run",
+    "images",
     "list",
     "render",
     "import",

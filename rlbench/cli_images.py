@@ -1,0 +1,65 @@
+"""The command that shows images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench import asked
+from rlbench.cli_clips import Preset, Scenes, Takes
+from rlbench.cli_methods import Device, Methods, Plugins, use
+
+
+def images(
+    methods: Methods,
+    scenes: Scenes = None,
+    spp: Annotated[str, typer.Option(help="budgets, samples per pixel")] = "1",
+    frame: Annotated[int, typer.Option(help="which; -1 is the last")] = -1,
+    preset: Preset = "mini",
+    takes: Takes = None,
+    clips: Annotated[
+        list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of the order of sale and of rounding")] = 0,
+    device: Device = "auto",
+    weights: Annotated[
+        str | None, typer.Option(help="NAME=FILE, a file, or random; default the shipped")
+    ] = None,
+    half: Annotated[bool, typer.Option("--half", help="networks in bfloat16")] = False,
+    plugin: Plugins = None,
+    out: Annotated[Path, typer.Option(help="folder to write to")] = Path("images"),
+) -> None:
+    """Write what methods show of one frame: PNG (clipped sRGB), EXR (linear), and a sheet of all.
+
+    The sheet has images, errors and samples of each pixel. Pixels that are not finite are magenta.
+
+    Examples:
+
+      rlbench images -m ours,ntas,mean --scenes city
+
+      rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
+    """
+    use(plugin)
+    from rlbench import registry, show
+    from rlbench.cells import Request
+    from rlbench.images import write
+
+    names = asked.methods(methods)
+    called, weights = asked.weights(weights)
+    kinds = {registry.variant(name).traits.pool for name in names}
+    request = Request(
+        methods=names,
+        clips=asked.clips(clips, scenes, preset, kinds=kinds, takes=takes),
+        spp=asked.numbers("--spp", spp, float),
+        seeds=(seed,),
+        device=asked.device(device),
+        weights=weights,
+        called=called,
+        half=half,
+    )
+    with show.progress(request) as bar:
+        sheets = list(write(request, frame, out, bar.tell))
+    for sheet in sheets:
+        typer.echo(sheet)
