@@ -5,6 +5,7 @@ Command: python -m reports.known_optimum docs, after python -m methods.ours.comp
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -141,4 +142,9 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs"))
+    parser = argparse.ArgumentParser(
+        prog="python -m reports.known_optimum",
+        description=f"Draw FOLDER/{TABLE}.csv, which python -m methods.ours.compare writes.",
+    )
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs"))
+    main(parser.parse_args().folder)

@@ -44,6 +44,25 @@ app = typer.Typer(
     "A first look:  rlbench run --methods ours,ntas && rlbench report all",
 )
 
+
+def _version(asked_for: bool) -> None:
+    if asked_for:
+        from importlib.metadata import version
+
+        typer.echo(version("rlbench"))
+        raise typer.Exit
+
+
+@app.callback()
+def _any(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="print it, and no more"),
+    ] = False,
+) -> None:
+    """Nothing that belongs to all commands is left to do once options are read."""
+
+
 Results = Annotated[Path, typer.Option(help="folder of the results table")]
 
 

@@ -122,7 +122,8 @@ def listed(found: dict[str, list[dict[str, Any]]]) -> None:
         columns = COLUMNS.get(kind) or tuple(fine[0] if fine else ("name",))
         shown = Table(title=kind, title_justify="left")
         for column in columns:
-            shown.add_column(column, no_wrap=column == "name")  # names are there to be copied
+            copied = column == "name"  # names are there to be copied
+            shown.add_column(column, no_wrap=copied, overflow="ellipsis" if copied else "fold")
         for row in fine:
             shown.add_row(*(_told(row[column]) for column in columns))
         console.print(shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,12 +40,19 @@ def _score(method: Eaw, clips: Sequence[MemoryClip]) -> float:
     return sum(scores) / len(scores)
 
 
-def main(folders: Sequence[str]) -> None:
+def main() -> None:
     """Write one line for each configuration, best first."""
+    parser = argparse.ArgumentParser(
+        prog="python -m baselines.eaw.search",
+        description="PSNR of eaw by the widths of its weights, on the first frames of clips.",
+        epilog="example: python -m baselines.eaw.search ~/.cache/rlbench/clips/train/*",
+    )
+    parser.add_argument("clips", type=Path, nargs="+", help="clip folders, of training scenes")
     needs = Eaw().traits.needs
-    for config, score in search([open_clip(Path(folder), needs) for folder in folders]).items():
+    clips = [open_clip(folder, needs) for folder in parser.parse_args().clips]
+    for config, score in search(clips).items():
         sys.stdout.write(f"{score:.2f} dB  {config}\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

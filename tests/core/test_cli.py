@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import re
@@ -307,6 +308,16 @@ def test_what_learns_nothing_is_told():
 def test_list_is_the_same_for_scripts_and_for_people(kind):
     rows = json.loads(CliRunner().invoke(app, ["list", kind, "--json"]).output)[kind]
     assert all(row["name"] in rlbench("list", kind) for row in rows)
+
+
+def test_a_narrow_terminal_shows_every_word_of_a_list(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    told = rlbench("list", "methods")
+    assert "…" not in told
+
+
+def test_the_version_is_that_of_the_package():
+    assert rlbench("--version").strip() == importlib.metadata.version("rlbench")
 
 
 def test_list_says_what_a_method_is_and_needs():
