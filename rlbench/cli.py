@@ -107,19 +107,19 @@ def run(
 
       rlbench run --methods ours,ntas
 
-      rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti
+      rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti --out paper
 
-      rlbench run -m mine --plugin mine.py --clips my_renders/
+      rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
 
-      rlbench run -m ours --scenes temple --pool live
+      rlbench run -m ours --scenes temple --pool live --out live
 
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
 
       rlbench run -m ours,oidn --half
 
-      rlbench run -m ours,oidn --preset standard --takes main
+      rlbench run -m ours,oidn --preset standard --takes main --out large
 
-      rlbench run -m all --preset standard --engine ray --ray-address auto
+      rlbench run -m all --preset standard --engine ray --ray-address auto --out large
     """
     use(plugin)
     if out.exists() and not out.is_dir():
