@@ -62,4 +62,6 @@ def images(
     with show.progress(request) as bar:
         sheets = list(write(request, frame, out, bar.tell))
     for sheet in sheets:
-        typer.echo(sheet)
+        typer.echo(sheet.file)
+        for method, why in sheet.without.items():
+            typer.echo(f"{sheet.file.name} is without {method}: {why}", err=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -49,14 +49,20 @@ class Picture:
         return int((~np.isfinite(self.radiance).all(-1)).sum())
 
 
+class Sheet(NamedTuple):
+    """A picture of all methods, and which are not on it, each with the reason."""
+
+    file: Path
+    without: dict[str, str]
+
+
 def write(
     request: Request, frame: int, out: Path, tell: Callable[[Cell], None] = lambda cell: None
-) -> Iterator[Path]:
+) -> Iterator[Sheet]:
     """Write pictures of one frame, -1 for a clip's last, into OUT/CLIP-SPPspp-FRAME; yields sheets.
 
-    Frames before it are run too, for what methods remember. Methods that cannot run on a clip or at
-    a budget are left out of its sheet. Raises ImagesError where a clip has no such frame, and where
-    no method can run, with the reasons.
+    Frames before it are run too, for what methods remember. Raises ImagesError where a clip has no
+    such frame, and where no method can be run on it, with the reasons.
     """
     ready, names = Ready(request), Names(request)
     for clip, spp in product(request.clips, request.spp):
@@ -66,23 +72,26 @@ def write(
                 f"--frame {frame}: clip '{clip.header.name}' has frames 0 to "
                 f"{clip.header.frames - 1}"
             )
-        made, reference, reasons = [], None, {}
+        made: list[Picture] = []
+        without: dict[str, str] = {}
         for cell in (Cell(method, clip, spp, request.seeds[0]) for method in request.methods):
-            if why := ready.unusable(cell):
-                reasons[cell.method] = why
+            try:
+                shown = _frame(ready, cell, index)
+            except Exception as error:  # whatever a stranger's method may raise is what is told
+                own = isinstance(error, (ImagesError, registry.PluginError))
+                without[cell.method] = str(error) if own else f"{type(error).__name__}: {error}"
             else:
-                shown = frame_of(run_clip(ready.method(cell), ready.clip(cell), spp), index)
                 made.append(picture(names.method(cell.method), shown))
                 reference = _pixels(shown.frame.reference.mean)
             tell(cell)
-        if reference is None:
-            raise ImagesError("; ".join(f"{method}: {why}" for method, why in reasons.items()))
-        folder = out / f"{clip.header.name}-{spp:g}spp-{index:02}"
-        _save(folder / "reference", reference)
+        if not made:
+            raise ImagesError("; ".join(f"{method}: {why}" for method, why in without.items()))
+        name = f"{clip.header.name}-{spp:g}spp-{index:02}"
+        _save(out / name / "reference", reference)
         for each in made:
-            _save(folder / each.method.replace("/", "-"), each.radiance)
+            _save(out / name / each.method.replace("/", "-"), each.radiance)
         title = f"{clip.header.name}, frame {index}, {spp:g} spp"
-        yield _sheet(made, reference, title, folder.with_suffix(".png"))
+        yield Sheet(_sheet(made, reference, title, out / f"{name}.png"), without)
 
 
 def display(radiance: Float[Array, "h w 3"]) -> UInt8[Array, "h w 3"]:
@@ -101,6 +110,12 @@ def _curve(radiance: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     finite = np.nan_to_num(radiance, nan=0.0).clip(0, 1)
     curved: Tensor = linear_rgb_to_rgb(torch.from_numpy(finite).movedim(-1, 0))
     return curved.movedim(0, -1).clamp(0, 1).numpy()
+
+
+def _frame(ready: Ready, cell: Cell, index: int) -> Shown:
+    if why := ready.unusable(cell):
+        raise ImagesError(why)
+    return frame_of(run_clip(ready.method(cell), ready.clip(cell), cell.spp), index)
 
 
 def frame_of(run: Iterable[Shown], index: int) -> Shown:

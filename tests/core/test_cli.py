@@ -316,6 +316,13 @@ def test_a_narrow_terminal_shows_every_word_of_a_list(monkeypatch):
     assert "…" not in told
 
 
+def test_images_says_which_sheets_it_wrote_and_who_is_missing(clip_folder, tmp_path):
+    words = ("images", "-m", "mean,eaw", "--clips", clip_folder, "--spp", 0.5, "--out", tmp_path)
+    told = rlbench(*words)
+    assert f"{tmp_path}/noise-0.5spp-02.png" in told
+    assert "noise-0.5spp-02.png is without eaw: supports 1 to 8 spp" in told
+
+
 def test_the_version_is_that_of_the_package():
     assert rlbench("--version").strip() == importlib.metadata.version("rlbench")
 

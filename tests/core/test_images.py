@@ -27,8 +27,8 @@ def request(folder, *methods, spp=(1.0,)):
 
 def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
     (sheet,) = write(request(clip_folder, "mean"), 1, tmp_path)
-    assert sheet == tmp_path / "noise-1spp-01.png"
-    assert imread(sheet).std() > 0
+    assert sheet.file == tmp_path / "noise-1spp-01.png"
+    assert imread(sheet.file).std() > 0
     shown = frame_of(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 1)
     for name, image in (("mean", shown.image), ("reference", shown.frame.reference.mean)):
         h, w = image.shape[-2:]
@@ -49,10 +49,12 @@ def test_the_score_on_a_sheet_is_that_of_the_bench(clip_folder, tmp_path):
 
 def test_a_budget_and_a_clip_have_a_sheet_each_by_default_of_the_last_frame(tmp_path):
     clips = tuple(Stored(write_noise(tmp_path / name)) for name in ("attic", "foyer"))
-    sheets = list(write(Request(("mean", "eaw"), clips, (1.0, 2.0)), -1, tmp_path / "o"))
-    names = [f"{clip}-{spp}spp-02.png" for clip in ("attic", "foyer") for spp in (1, 2)]
-    assert [sheet.name for sheet in sheets] == names
-    assert len(list((tmp_path / "o").glob("*/*.exr"))) == 4 * 3  # both methods and the reference
+    sheets = list(write(Request(("mean", "eaw"), clips, (0.5, 2.0)), -1, tmp_path / "o"))
+    names = [f"{clip}-{spp}spp-02.png" for clip in ("attic", "foyer") for spp in (0.5, 2)]
+    assert [sheet.file.name for sheet in sheets] == names
+    assert (
+        len(list((tmp_path / "o").glob("*/*.exr"))) == 2 * 2 + 2 * 3
+    )  # eaw takes no half samples; the reference is there, too
 
 
 def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_path):
@@ -68,9 +70,18 @@ def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_pat
 def test_a_method_that_cannot_run_is_left_out_and_alone_it_is_told(clip_folder, tmp_path):
     asked = request(clip_folder, "eaw", "mean", spp=(0.5,))
     (sheet,) = write(asked, 0, tmp_path)
-    assert not list(sheet.with_suffix("").glob("eaw*"))
+    assert sheet.without == {"eaw": "supports 1 to 8 spp, asked for 0.5"}
+    assert {file.name for file in tmp_path.glob("*/*.png")} == {"mean.png", "reference.png"}
     with pytest.raises(ImagesError, match="eaw: supports 1 to 8 spp, asked for 0.5"):
         list(write(request(clip_folder, "eaw", spp=(0.5,)), 0, tmp_path))
+
+
+def test_a_method_that_raises_is_told_and_the_others_are_shown(clip_folder, tmp_path):
+    registry.use_plugin(
+        write_plugin(tmp_path / "odd.py", "odd", body="raise ValueError('no luck')")
+    )
+    (sheet,) = write(request(clip_folder, "odd", "mean"), 0, tmp_path)
+    assert sheet.without == {"odd": "ValueError: no luck"}
 
 
 @pytest.mark.parametrize("frame", [3, -4])
@@ -89,6 +100,7 @@ def test_where_samples_went_is_shown_of_a_method_that_adapts(clip_folder, tmp_pa
     plugin.write_text(code)
     registry.use_plugin(plugin)
     plain, adaptive = (
-        imread(*write(request(clip_folder, name), 0, tmp_path / name)) for name in ("mean", "left")
+        imread(next(write(request(clip_folder, name), 0, tmp_path / name)).file)
+        for name in ("mean", "left")
     )
     assert adaptive.shape[0] > plain.shape[0]  # a row more
