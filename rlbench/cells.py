@@ -93,9 +93,9 @@ def never_lost(name: str, stored: Mapping[str, set[str]]) -> None:
             continue
         other, known_first, _ = known.split(",")
         if other != preset:
-            is_, was = (f"preset {unquote(it)}" if it else "no preset" for it in (preset, other))
+            now, was = (f"preset {unquote(it)}" if it else "no preset" for it in (preset, other))
             raise CellsError(
-                f"'{title}' is known of {was}, and that of {is_} would replace it, for clips are "
+                f"'{title}' is known of {was}, and that of {now} would replace it, for clips are "
                 "told apart by name; give --out another folder"
             )
         if first and not known_first:
