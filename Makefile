@@ -85,12 +85,12 @@ appendix: .venv/dev.stamp
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
 
-# what another seed of training gives: five short trainings of three rows; goes on where it was killed
+# what another seed of training gives, on unseen scenes: five short trainings of three rows; goes on where it was killed
 seeds: .venv/dev.stamp
 	set -e; for seed in $(SEEDS); do \
 	  $(BIN)/rlbench train -m ours,ours/A1,ours/A2 --frames 1000 --half --seed $$seed --out runs/seed$$seed; \
 	  for row in $(TRAINED); do \
-	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --spp 1,2,4 --out $(RESULTS)/seeds; \
+	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/seeds; \
 	  done; \
 	done
 	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs
