@@ -48,12 +48,13 @@ def clips(table: pd.DataFrame) -> str:
     presets = sorted(set(table["preset"]) - {""})
     frames = sorted(set(table[table["frame"] >= 0].groupby("clip")["frame"].nunique()))
     count = table["clip"].nunique()
-    told = ["preset" + "s" * (len(presets) > 1) + " " + " and ".join(presets)] * bool(presets)
-    told.append(f"{count} clip{'s' * (count != 1)}")
+    told = f"{count} clip{'s' * (count != 1)}"
     if frames:
         many = f"{frames[0]}" if len(frames) == 1 else f"{frames[0]} to {frames[-1]}"
-        told[-1] += f" of {many} frame{'s' * (many != '1')}"
-    return ", ".join(told)
+        told += f" of {many} frame{'s' * (many != '1')}"
+    if presets:
+        told = f"preset{'s' * (len(presets) > 1)} {' and '.join(presets)}, {told}"
+    return told
 
 
 def _lists(lists: Mapping[str, Sequence[str]]) -> str:

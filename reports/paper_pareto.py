@@ -9,7 +9,7 @@ import matplotlib as mpl
 import pandas as pd
 
 from reports import beside, scores, style
-from reports.published import Published, by_device, published
+from reports.published import Published, lacking, published
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +25,13 @@ def write(table: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
     table has it; the paper's = inference + spp x 26.3 ms. Rows that the paper does not have are
     named, not drawn. Raises LacksError if none of the paper's rows was measured.
     """
-    parts = by_device(table, METRIC)
+    parts = {}
+    for device, rows in scores.by_device(table).items():
+        scores.check(rows)
+        if len(measured(rows)):
+            parts[device] = rows
+    if not parts:
+        raise lacking(table, METRIC)
     written = []
     for device, rows in parts.items():
         suffix = "" if len(parts) == 1 else f"-{style.slug(device)}"

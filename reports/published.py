@@ -10,7 +10,6 @@ from importlib.resources import files
 
 import pandas as pd
 
-from reports import scores
 from rlbench.table import LacksError
 
 
@@ -82,21 +81,10 @@ def published() -> Published:
     )
 
 
-def by_device(table: pd.DataFrame, metric: str) -> dict[str, pd.DataFrame]:
-    """The rows of each device that has any of the paper's methods on every scene.
-
-    Raises LacksError where none has, and ReportError where rows would be averaged that must not be.
-    """
-    found = {}
-    for device, rows in scores.by_device(table).items():
-        scores.check(rows)
-        means = scores.overall(scores.points(rows, metric))
-        if any(published().of(method) for method in means["method"]):
-            found[device] = rows
-    if not found:
-        have = ", ".join(sorted(set(table["method"]))) or "nothing"
-        raise LacksError(
-            f"no row of the paper has {metric} on every scene; the results are of: {have}; "
-            "rlbench run --methods all measures the paper's"
-        )
-    return found
+def lacking(table: pd.DataFrame, metric: str) -> LacksError:
+    """The error of a table in which no device has a row of the paper on every scene."""
+    have = ", ".join(sorted(set(table["method"]))) or "nothing"
+    return LacksError(
+        f"no row of the paper has {metric} on every scene; the results are of: {have}; "
+        "rlbench run --methods all measures the paper's"
+    )

@@ -11,7 +11,7 @@ import pandas as pd
 
 from reports import names, pages, scores
 from reports.grids import Grid, gap_text
-from reports.published import by_device, published
+from reports.published import lacking, published
 from reports.spread import Agreement, agreement
 from reports.statistics import DRAWS, TOLD, UNKNOWN, interval, paired
 
@@ -33,11 +33,16 @@ def write(
     be averaged that must not be.
     """
     sections = []
-    for device, rows in by_device(table, METRIC).items():
+    for device, rows in scores.by_device(table).items():
+        scores.check(rows)
         found = compared(rows, seed, draws)
+        if not any(published().of(method) for method in found.get("method", ())):
+            continue  # another device has the paper's rows, or none has
         alike = orders(found, seed, draws)
         grid = _grid(rows, found, alike, device)
         sections.append(pages.Section(device, [grid], found, _lists(rows, found)))
+    if not sections:
+        raise lacking(table, METRIC)
     heading = f"Table 1 of {published().title}, and ours"
     return pages.write(folder, name, heading, table, sections)
 

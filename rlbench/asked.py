@@ -152,12 +152,11 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
     patterns = [name for name in methods if name not in exact]
     wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
     found = table[whose(table, wanted)]
-    many = [name for name in patterns if name.startswith("all") or name.endswith("/*")]
-    single = [name for name in methods if name not in many]
+    single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
     absent = [name for name in single if not whose(table, [name]).any()]
-    if absent := absent or many * found.empty:
+    if absent or found.empty:
         have = ", ".join(sorted(known)) or "no rows"
-        raise AskedError(f"{results} has no rows of {', '.join(absent)}; it has: {have}")
+        raise AskedError(f"{results} has no rows of {', '.join(absent or methods)}; it has: {have}")
     return found
 
 

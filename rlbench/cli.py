@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from rlbench import asked
-from rlbench.cli_clips import Engine, Preset, RayAddress, Scenes, Takes, lint, render
+from rlbench.cli_clips import Clips, Engine, Preset, RayAddress, Scenes, Takes, lint, render
 from rlbench.cli_images import images
 from rlbench.cli_methods import Device, Methods, Plugins, check, use
 from rlbench.cli_training import crossval, train
@@ -73,9 +73,7 @@ def run(
     spp: Annotated[str, typer.Option(help="budgets, samples per pixel")] = "0.5,1,2,4",
     preset: Preset = "mini",
     takes: Takes = None,
-    clips: Annotated[
-        list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
-    ] = None,
+    clips: Clips = None,
     pool: Annotated[
         str, typer.Option(help="stored samples, or live: traced when they are bought")
     ] = "stored",

@@ -19,6 +19,9 @@ Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench 
 Takes = Annotated[
     str | None, typer.Option(help="main or all, of each scene; default the preset's choice")
 ]
+Clips = Annotated[
+    list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
+]
 Engine = Annotated[str, typer.Option(help="who does the work: local, or ray, many at a time")]
 RayAddress = Annotated[
     str | None,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rlbench import asked
-from rlbench.cli_clips import Preset, Scenes, Takes
+from rlbench.cli_clips import Clips, Preset, Scenes, Takes
 from rlbench.cli_methods import Device, Methods, Plugins, use
 
 
@@ -19,9 +19,7 @@ def images(
     frame: Annotated[int, typer.Option(help="which; -1 is the last")] = -1,
     preset: Preset = "mini",
     takes: Takes = None,
-    clips: Annotated[
-        list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
-    ] = None,
+    clips: Clips = None,
     seed: Annotated[int, typer.Option(min=0, help="of the order of sale and of rounding")] = 0,
     device: Device = "auto",
     weights: Annotated[

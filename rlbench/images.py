@@ -115,10 +115,10 @@ def _curve(radiance: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
 def _frame(ready: Ready, cell: Cell, index: int) -> Shown:
     if why := ready.unusable(cell):
         raise ImagesError(why)
-    return frame_of(run_clip(ready.method(cell), ready.clip(cell), cell.spp), index)
+    return reached(run_clip(ready.method(cell), ready.clip(cell), cell.spp), index)
 
 
-def frame_of(run: Iterable[Shown], index: int) -> Shown:
+def reached(run: Iterable[Shown], index: int) -> Shown:
     """The frame of that number; those after it are not run."""
     return next(shown for shown in run if shown.frame.index == index)
 
@@ -162,10 +162,11 @@ def _sheet(
     for axes in grid.flat:
         axes.set_axis_off()
     _show(grid[0, 0], display(reference), "reference")
+    truth = _curve(reference)
     for column, each in enumerate(made, 1):
         broken = f", {each.broken} broken" if each.broken else ""
         _show(grid[0, column], display(each.radiance), f"{each.method}  {each.psnr:.2f} dB{broken}")
-        error = np.abs(_curve(each.radiance) - _curve(reference)).mean(-1)
+        error = np.abs(_curve(each.radiance) - truth).mean(-1)
         errors = _show(grid[1, column], error, "error", cmap="magma", vmin=0, vmax=WORST)
         if adapts:
             told = f"{each.counts.min()} to {each.counts.max()} samples a pixel"

@@ -15,7 +15,7 @@ from rlbench.bench import measure
 from rlbench.cells import Request
 from rlbench.clips import open_clip
 from rlbench.exr import read_exr
-from rlbench.images import BROKEN, ImagesError, display, frame_of, picture, write
+from rlbench.images import BROKEN, ImagesError, display, picture, reached, write
 from rlbench.run import run_clip
 from rlbench.source import Stored
 from tests.conftest import write_noise, write_plugin
@@ -29,7 +29,7 @@ def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
     (sheet,) = write(request(clip_folder, "mean"), 1, tmp_path)
     assert sheet.file == tmp_path / "noise-1spp-01.png"
     assert imread(sheet.file).std() > 0
-    shown = frame_of(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 1)
+    shown = reached(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 1)
     for name, image in (("mean", shown.image), ("reference", shown.frame.reference.mean)):
         h, w = image.shape[-2:]
         stored = read_exr(tmp_path / "noise-1spp-01" / f"{name}.exr", "RGB", h, w)
@@ -43,7 +43,7 @@ def test_the_score_on_a_sheet_is_that_of_the_bench(clip_folder, tmp_path):
     measure(request(clip_folder, "mean"), tmp_path)
     rows = table.read(tmp_path)
     score = rows[(rows["metric"] == "psnr") & (rows["frame"] == 2)]["value"].item()
-    shown = frame_of(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 2)
+    shown = reached(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 2)
     assert picture("mean", shown).psnr == pytest.approx(score, abs=1e-9)
 
 
@@ -58,7 +58,7 @@ def test_a_budget_and_a_clip_have_a_sheet_each_by_default_of_the_last_frame(tmp_
 
 
 def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_path):
-    shown = frame_of(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 0)
+    shown = reached(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 0)
     image = shown.image.clone()
     image[0, 1, 3, 4], image[0, 2, 5, 6] = torch.nan, torch.inf
     broken = picture("mean", replace(shown, image=image))

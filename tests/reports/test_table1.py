@@ -147,6 +147,12 @@ def test_a_device_without_rows_of_the_paper_keeps_no_other_from_its_table(tmp_pa
     assert "H100" not in page
 
 
+def test_named_weights_on_more_scenes_keep_no_row_out_of_the_table(tmp_path):
+    some = [row for row in rows(["ours"]) if row.scene in ("city", "hall")]
+    named = [replace(row, method="ours@seed0") for row in rows(["ours"])]
+    assert "\n| ours |" in table1.write(frame_of(some + named), tmp_path)[0].read_text()
+
+
 def test_the_csv_has_a_row_for_each_method_and_budget(results, tmp_path):
     table1.write(results, tmp_path, draws=10)
     found = pd.read_csv(tmp_path / "table1.csv")
