@@ -19,7 +19,7 @@ from methods.ours.network import Networks
 from methods.ours.policy import Policy, learner
 from methods.ours.start import start
 from methods.ours.turn import Turn
-from methods.ours.variants import VARIANTS
+from methods.ours.variants import BASE, VARIANTS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size, View
 from rlbench.ops.losses import decibels, mixed
@@ -107,4 +107,14 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
 
     budgets = tuple(spp for spp in BUDGETS if traits.refuses(spp) is None)
     peak, shares = (PEAK, SHARES) if not origin else (TUNING, TUNED)
+    shares = {**shares, "sampler": shares["sampler"] * narrowed(config.sampler)}
     return Trainer(method, networks, losses, budgets, peak, shares, origin=origin, aside=aside)
+
+
+def narrowed(widths: tuple[int, ...]) -> float:
+    """What the rate of a sampler that is wider than that of `ours` is multiplied by.
+
+    Steps of Adam move the output of a layer by as much at any width where the rate falls with the
+    width (Yang et al. 2021, table 3). At the full rate a sampler 16 times as wide ends as stripes.
+    """
+    return min(1.0, BASE.sampler[0] / widths[0]) if widths else 1.0
