@@ -77,7 +77,7 @@ crossval: .venv/dev.stamp
 	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --half --out $(RESULTS)/crossval
 	$(call page,clips,$(RESULTS)/crossval/results,crossval)
 
-# the variants whose weights are not shipped, and ours trained as briefly: an hour and a half of one core, 10 minutes of scoring
+# the variants whose weights are not shipped, and ours trained as briefly: two and a half hours of one core, 20 minutes of scoring
 appendix: .venv/dev.stamp
 	set -e; for row in ours:ours/ours $(foreach name,$(APPENDIX),ours/$(name):ours-$(name)/$(name)); do \
 	  $(BIN)/rlbench train -m $${row%:*} --frames 2000 --half --out runs/appendix; \

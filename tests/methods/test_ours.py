@@ -275,6 +275,25 @@ def test_an_untrained_sampler_is_uniform():
     assert wish.unique().numel() == 1
 
 
+def contrast(variant: str, steps: int = 6) -> float:
+    """Mean absolute action after steps of Adam towards random actions, at the variant's rate."""
+    made, generator = trainer(variant, CPU, seed=0), torch.Generator().manual_seed(0)
+    sampler = made.networks.sampler
+    adam = torch.optim.Adam(sampler.parameters(), made.peak * made.shares["sampler"])
+    seen = torch.rand(1, made.networks.foreseen, 16, 16, generator=generator)
+    wanted = torch.rand(1, 1, 16, 16, generator=generator) * 2 - 1
+    for _ in range(steps):
+        adam.zero_grad()
+        (-sampler(seen) * wanted).mean().backward()
+        adam.step()
+    return float(sampler(seen).detach().abs().mean())
+
+
+def test_steps_move_the_map_of_a_wider_sampler_no_further():
+    """At the full rate six steps end at 0.91, with nearly all of the map at its bounds."""
+    assert 0 < contrast("sampler-large") <= contrast("")
+
+
 @pytest.mark.parametrize("variant", ["", "paper", "B1"])
 def test_the_samplers_last_layer_is_shown_where_the_last_frame_was_rough(variant):
     """What it is shown of the last frame: its image, its state, or its samples."""
