@@ -7,11 +7,11 @@ REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn/tuned,mean
 
 # the paper's Table 1, its ablations, and what they are held against; at the paper's budgets
-TABLE1 := ours,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,ntas,dasr,restir+oidn,svgf,oidn,restir,mean,oidn/tuned,oidn-intel
+TABLE1 := ours,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/antilag,ours/paper,imcd,ntas,dasr,restir+oidn,svgf,oidn,restir,mean,oidn/tuned,oidn-intel
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
 # the nearest rivals, on many clips
-RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
+RIVALS := ours,ours/A1,ours/A2,ours/C,ours/antilag,oidn/tuned,oidn-intel
 
 APPENDIX := ppo C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 

@@ -41,6 +41,11 @@ FAMILY = Family(
             UNIFORM,
             borrows="",
         ),
+        "antilag": Variant(
+            "Does it pay to forget light that new samples contradict? (weights of ours)",
+            TRAITS,
+            borrows="",
+        ),
         "sampler-small": Variant("Is a sampler of one level enough?", TRAITS, shipped=False),
         "sampler-large": Variant(
             "Does a sampler of the first U-Net's size pay?", TRAITS, shipped=False

@@ -32,7 +32,7 @@ class Light(NamedTuple):
 def measured(samples: Samples) -> Light:
     """The light of the samples of one frame, which are finite."""
     weight = samples.counts.to(samples.radiance.dtype)
-    square = _luminance(samples.radiance).square().sum(1) / weight.clamp_min(1)
+    square = luminance(samples.radiance).square().sum(1) / weight.clamp_min(1)
     return Light(samples.mean, square, weight)
 
 
@@ -56,7 +56,7 @@ def alike(
 
 def told(light: Light) -> Float[Tensor, "n 5 h w"]:
     """What networks see of it: colour in log transfer, relative spread and weight in [0, 1)."""
-    bright = _luminance(light.mean)
+    bright = luminance(light.mean)
     spread = (light.square - bright.square()).clamp_min(1e-8).sqrt()
     relative = spread / (spread + bright + 1e-3)
     return torch.cat((log_forward(light.mean), relative, light.weight / (light.weight + MUCH)), 1)
@@ -82,13 +82,14 @@ def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Light:
     rough = crop(F.interpolate(below, scale_factor=2.0, mode="bilinear"), h, w)
     known = light.weight > 0
     mean = torch.where(known, light.mean, rough * texture)
-    return Light(mean, torch.where(known, light.square, _luminance(mean).square()), light.weight)
+    return Light(mean, torch.where(known, light.square, luminance(mean).square()), light.weight)
 
 
 def _mean(level: Tensor) -> Tensor:
     return level[:, :3] / level[:, 3:].clamp_min(1e-6)
 
 
-def _luminance(radiance: Tensor) -> Tensor:
+def luminance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 1 h w"]:
+    """Of linear radiance, by Rec. 709."""
     weights = radiance.new_tensor(LUMINANCE).view(3, 1, 1)
     return (radiance * weights).sum(-3, keepdim=True)

@@ -49,6 +49,11 @@ class Moved(NamedTuple):
     same: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
     still: Bool[Tensor, "n 1 h w"]  # was the same thing there already?
 
+    def believed(self, share: Float[Tensor, "n 1 h w"]) -> Moved:
+        """The same, with so much of the light's weight and of the last image."""
+        light = self.light._replace(weight=self.light.weight * share)
+        return self._replace(light=light, same=self.same * share)
+
 
 class Known(NamedTuple):
     """What is known of a frame before it is sampled."""

@@ -12,6 +12,7 @@ from torch.nn import functional as F
 
 from baselines.oidn.method import inputs
 from methods.ours import FAMILY
+from methods.ours.antilag import holds
 from methods.ours.light import filled, gathered, measured
 from methods.ours.memory import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
 from methods.ours.network import Networks
@@ -97,11 +98,13 @@ class Ours:
         if self.config.light == "none":
             image = log_inverse(self._paint(latent))
         else:
-            light = measured(samples)
-            if known.moved is not None:
-                light = gathered(known.moved.light, light, trust)
+            light, moved = measured(samples), known.moved
+            if moved is not None:
+                if self.config.antilag:
+                    moved = moved.believed(holds(moved.light, light))
+                light = gathered(moved.light, light, trust)
             light = filled(light, view.albedo)
-            image = self._develop(view, light.mean, latent, known.moved)
+            image = self._develop(view, light.mean, latent, moved)
             spent = samples.counts.float().mean((1, 2, 3), keepdim=True)
             past = Past(light, image, looked(view), spent) if self.config.gathers else None
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}

@@ -1,0 +1,125 @@
+"""Forgetting light that has changed: what is chance, what is not, and what it gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from methods.ours.antilag import CELL, ERRORS, FEW, WINDOWS, doubted, holds
+from methods.ours.light import Light, luminance
+from methods.ours.method import build
+from rlbench.frames import Frame, Reference, Size
+from rlbench.memory import MemoryClip
+from rlbench.procedural import procedural
+from rlbench.run import run_clip
+from rlbench.sampling import StoredPool
+
+
+def light(samples: Tensor) -> Light:
+    """Of so many samples [s 1 h w] in each pixel, all of them grey."""
+    weight = torch.full_like(samples[:1], len(samples))
+    return Light(
+        samples.mean(0, True).expand(-1, 3, -1, -1), samples.square().mean(0, True), weight
+    )
+
+
+def noisy(count: int, side: int = 64, seed: int = 0, rare: float = 0.1) -> Tensor:
+    """Samples of mean 1, of which the share `rare` is bright and the others are dark."""
+    generator = torch.Generator().manual_seed(seed)
+    return (torch.rand(count, 1, side, side, generator=generator) < rare).float() / rare
+
+
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("rare", [0.5, 0.1, 0.01])
+def test_chance_is_hardly_taken_for_a_change(count, rare):
+    """At two standard errors and three windows; even where one sample in a hundred is bright."""
+    share = holds(light(noisy(16, rare=rare)), light(noisy(count, seed=1, rare=rare)))
+    assert share.mean() > 0.95
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_a_light_that_is_switched_is_forgotten(factor):
+    share = holds(light(noisy(16)), light(factor * noisy(4, seed=1)))
+    assert share.mean() < 0.01
+
+
+def test_what_changes_in_one_half_is_kept_in_the_other():
+    after = noisy(4, seed=1, rare=0.5)
+    after[..., :32] /= 8
+    share = holds(light(noisy(16, rare=0.5)), light(after))[0, 0]
+    # the largest window reaches 26 pixels, but what it doubts is diluted by what has not changed
+    assert share[:, :24].mean() < 0.01
+    assert share[:, 60:].mean() > 0.9
+
+
+def test_where_either_has_no_samples_there_is_no_doubt():
+    old, new = light(noisy(16)), light(noisy(4) / 8)
+    none = torch.zeros_like(new.weight)
+    assert (holds(old._replace(weight=none), new) == 1).all()
+    assert (holds(old, new._replace(weight=none)) == 1).all()
+
+
+def by_loops(old: Light, new: Light) -> np.ndarray:
+    """The doubt of each cell, from the pixels of its windows."""
+    h, w = new.weight.shape[-2:]
+    both = ((old.weight > 0) & (new.weight > 0))[0, 0].numpy()
+    then, now = (luminance(x.mean)[0, 0].double().numpy() for x in (old, new))
+    square = old.square[0, 0].double().numpy()
+    counts = [x.weight[0, 0].double().numpy() for x in (old, new)]
+    most = np.zeros((-(-h // CELL), -(-w // CELL)))
+    for i, j in np.ndindex(most.shape):
+        for side in WINDOWS:
+            reach = side // 2
+            top, left = max(0, i - reach) * CELL, max(0, j - reach) * CELL
+            at = np.s_[top : (i + reach + 1) * CELL, left : (j + reach + 1) * CELL]
+            used = both[at]
+            if used.sum() <= FEW:
+                continue
+            a, b = then[at][used], now[at][used]
+            spread = np.maximum(square[at][used] - a**2, 0)
+            foretold = (spread / counts[0][at][used] + spread / counts[1][at][used]).mean()
+            error = np.sqrt(max(np.var(b - a), foretold) / used.sum())
+            doubt = max(abs((b - a).mean()) - ERRORS * error, 0) / max(a.mean(), b.mean(), 1e-4)
+            most[i, j] = max(most[i, j], doubt)
+    return most
+
+
+@pytest.mark.parametrize(("h", "w"), [(32, 32), (30, 41)])
+def test_doubts_are_those_of_loops_over_pixels(h, w):
+    """Some pixels have no new samples. 1e-4: float32 sums against float64."""
+    old, new = light(noisy(8, 64, rare=0.5)), light(noisy(2, 64, seed=2, rare=0.5) * 0.8)
+    holes = torch.rand(new.weight.shape, generator=torch.Generator().manual_seed(3)) < 0.5
+    old, new = (
+        Light(*(x[..., :h, :w] for x in y)) for y in (old, new._replace(weight=new.weight * holes))
+    )
+    wanted = by_loops(old, new)
+    assert np.allclose(doubted(old, new)[0, 0], wanted, rtol=0, atol=1e-4)
+    assert 0.02 < wanted.mean() < 0.3
+
+
+def dimmed(frame: Frame, factor: float) -> Frame:
+    assert isinstance(frame.pool, StoredPool)
+    pool, reference = frame.pool, frame.reference
+    return replace(
+        frame,
+        pool=StoredPool(pool.radiance * factor, pool.keys),
+        reference=Reference(reference.a * factor, reference.b * factor),
+    )
+
+
+def test_after_a_light_is_switched_ours_shows_the_new_one():
+    """With the shipped weights; the first frame of the other light, and no loss before it."""
+    frames = list(procedural(seed=3, size=Size(1, 64, 64), frames=4))
+    clip = MemoryClip(
+        "switched", "test", "", [dimmed(f, 4.0 if f.index < 3 else 1.0) for f in frames]
+    )
+    errors = {}
+    for variant in ("", "antilag"):
+        shown = run_clip(build(variant, torch.device("cpu"), None), clip, 4.0)
+        errors[variant] = [float((s.image - s.frame.reference.mean).square().mean()) for s in shown]
+    assert errors["antilag"][3] < 0.1 * errors[""][3]
+    assert max(errors["antilag"][:3]) < 1.2 * max(errors[""][:3])
