@@ -12,7 +12,7 @@ from methods.ours.light import Light, luminance
 CELL = 4  # pixels a side, of which sums are taken before windows are
 WINDOWS = (3, 5, 13)  # cells a side: what changed may be small, or too dim to show in few pixels
 ERRORS = 2.0  # standard errors of a change that are taken for noise
-STEEP = 3.0  # a change of one part in so many, of what is left, forgets all
+STEEP = 3.0  # a sure change of one part in so many forgets all
 FEW = 3.0  # pixels that a window needs
 
 
@@ -20,9 +20,9 @@ FEW = 3.0  # pixels that a window needs
 def holds(old: Light, new: Light) -> Float[Tensor, "n 1 h w"]:
     """The share of the old light that is still believed, in [0, 1]; 1 where nothing says otherwise.
 
-    Schied, Peters and Dachsbacher 2018, section 4.3: memory is given up by |change| over the larger
-    of both. They compare samples of the same random numbers; ours are other ones, so the change is
-    a window's mean, of pixels that have both, less what may be chance. Its error is that which is
+    Schied, Peters and Dachsbacher 2018: memory is given up by |change| over the larger of both.
+    They compare samples of the same random numbers; ours are other ones, so the change is a
+    window's mean, of pixels that have both, less what may be chance. Its error is that which is
     seen or, if larger, that which the old light's spread foretells: where few samples are bright, a
     window without any looks as if it had gone dark.
     """

@@ -85,11 +85,11 @@ def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Light:
     return Light(mean, torch.where(known, light.square, luminance(mean).square()), light.weight)
 
 
-def _mean(level: Tensor) -> Tensor:
-    return level[:, :3] / level[:, 3:].clamp_min(1e-6)
-
-
 def luminance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 1 h w"]:
     """Of linear radiance, by Rec. 709."""
     weights = radiance.new_tensor(LUMINANCE).view(3, 1, 1)
     return (radiance * weights).sum(-3, keepdim=True)
+
+
+def _mean(level: Tensor) -> Tensor:
+    return level[:, :3] / level[:, 3:].clamp_min(1e-6)
