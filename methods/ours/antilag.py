@@ -7,7 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.ours.light import Light, luminance
+from methods.ours.light import Light
+from rlbench.ops.exposure import luminance
+from rlbench.ops.pad import crop
 
 CELL = 4  # pixels a side, of which sums are taken before windows are
 WINDOWS = (3, 5, 13)  # cells a side: what changed may be small, or too dim to show in few pixels
@@ -28,7 +30,7 @@ def holds(old: Light, new: Light) -> Float[Tensor, "n 1 h w"]:
     """
     h, w = new.weight.shape[-2:]
     doubt = F.interpolate(doubted(old, new), scale_factor=float(CELL), mode="bilinear")
-    return (1 - STEEP * doubt[..., :h, :w]).clamp(0, 1)
+    return (1 - STEEP * crop(doubt, h, w)).clamp(0, 1)
 
 
 def doubted(old: Light, new: Light) -> Float[Tensor, "n 1 h2 w2"]:

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rlbench.ops.demodulate import raised
-from rlbench.ops.exposure import LUMINANCE
+from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import log_forward
 from rlbench.sampling import Samples
@@ -83,12 +83,6 @@ def filled(light: Light, albedo: Float[Tensor, "n 3 h w"]) -> Light:
     known = light.weight > 0
     mean = torch.where(known, light.mean, rough * texture)
     return Light(mean, torch.where(known, light.square, luminance(mean).square()), light.weight)
-
-
-def luminance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 1 h w"]:
-    """Of linear radiance, by Rec. 709."""
-    weights = radiance.new_tensor(LUMINANCE).view(3, 1, 1)
-    return (radiance * weights).sum(-3, keepdim=True)
 
 
 def _mean(level: Tensor) -> Tensor:

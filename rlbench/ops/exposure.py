@@ -12,6 +12,11 @@ DARK = 1e-8  # tiles of less luminance say nothing: OIDN
 LUMINANCE = (0.212671, 0.715160, 0.072169)  # of linear sRGB
 
 
+def luminance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 1 h w"]:
+    """Of linear radiance, by LUMINANCE."""
+    return (radiance * radiance.new_tensor(LUMINANCE).view(3, 1, 1)).sum(-3, keepdim=True)
+
+
 def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]:
     """Factor that brings the log-average luminance of each image to 0.18; 1 for a black image.
 
@@ -21,9 +26,9 @@ def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]
     half precision the exposure of a scene that brightens would move in steps.
     """
     h, w = radiance.shape[-2:]
-    luminance = (radiance * radiance.new_tensor(LUMINANCE).view(1, 3, 1, 1)).sum(1)
+    light = luminance(radiance)[:, 0]
     with torch.autocast(radiance.device.type, enabled=False):
-        tiles = (_tiles(h, luminance) @ luminance @ _tiles(w, luminance).T).flatten(1)
+        tiles = (_tiles(h, light) @ light @ _tiles(w, light).T).flatten(1)
     bright = tiles > DARK
     logs = tiles.clamp_min(DARK).log2().where(bright, 0.0)
     mean = logs.sum(1) / bright.sum(1).clamp_min(1)

@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from methods.ours.antilag import CELL, ERRORS, FEW, WINDOWS, doubted, holds
-from methods.ours.light import Light, luminance
+from methods.ours.light import Light
 from methods.ours.method import build
 from rlbench.frames import Frame, Reference, Size
 from rlbench.memory import MemoryClip
+from rlbench.ops.exposure import luminance
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
 from rlbench.sampling import StoredPool
