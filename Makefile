@@ -69,7 +69,7 @@ equal: .venv/dev.stamp
 # who leads where cameras stand, shots are cut, lights are switched and nothing moves: hours of rendering
 takes: .venv/dev.stamp
 	$(BIN)/rlbench render --preset standard --retime
-	$(BIN)/rlbench run -m '$(RIVALS),ours/antilag' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
+	$(BIN)/rlbench run -m '$(RIVALS),ours/lag' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
 	$(call page,clips,$(RESULTS)/takes,takes)
 
 # the papers' protocol, small: 1000 crops of the other three scenes; half an hour

@@ -41,7 +41,7 @@ FAMILY = Family(
             UNIFORM,
             borrows="",
         ),
-        "antilag": Variant(
+        "lag": Variant(
             "Does it pay to forget light that new samples contradict? (weights of ours)",
             TRAITS,
             borrows="",

@@ -10,16 +10,18 @@ from torch.nn import functional as F
 from methods.ours.light import Light
 from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop
+from rlbench.ops.transfer import log_inverse
 
 CELL = 4  # pixels a side, of which sums are taken before windows are
 WINDOWS = (3, 5, 13)  # cells a side: what changed may be small, or too dim to show in few pixels
 ERRORS = 2.0  # standard errors of a change that are taken for noise
 STEEP = 3.0  # a sure change of one part in so many forgets all
 FEW = 3.0  # pixels that a window needs
+FAINT = 0.1  # radiance beside which what is darker counts no more
 
 
 @torch.no_grad()
-def holds(old: Light, new: Light) -> Float[Tensor, "n 1 h w"]:
+def holds(old: Light, new: Light, image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
     """The share of the old light that is still believed, in [0, 1]; 1 where nothing says otherwise.
 
     Schied, Peters and Dachsbacher 2018: memory is given up by |change| over the larger of both.
@@ -27,18 +29,22 @@ def holds(old: Light, new: Light) -> Float[Tensor, "n 1 h w"]:
     window's mean, of pixels that have both, less what may be chance. Its error is that which is
     seen or, if larger, that which the old light's spread foretells: where few samples are bright, a
     window without any looks as if it had gone dark.
+
+    Pixels count by what they are of the last `image` (in log transfer), else a lamp that stays
+    hides what goes dark around it; not of the old light: what is dark there by chance brightens.
     """
     h, w = new.weight.shape[-2:]
-    doubt = F.interpolate(doubted(old, new), scale_factor=float(CELL), mode="bilinear")
+    doubt = F.interpolate(doubted(old, new, image), scale_factor=float(CELL), mode="bilinear")
     return (1 - STEEP * crop(doubt, h, w)).clamp(0, 1)
 
 
-def doubted(old: Light, new: Light) -> Float[Tensor, "n 1 h2 w2"]:
+def doubted(old: Light, new: Light, image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h2 w2"]:
     """What part of the light has surely changed, of cells: that of the window where it is most."""
     h, w = new.weight.shape[-2:]
     both = ((new.weight > 0) & (old.weight > 0)).to(new.mean.dtype)
-    then, now = luminance(old.mean), luminance(new.mean)
-    change, spread = now - then, (old.square - then.square()).clamp_min(0)
+    scale = 1 / (luminance(log_inverse(image)).clamp_min(0) + FAINT)
+    then, now = luminance(old.mean) * scale, luminance(new.mean) * scale
+    change, spread = now - then, old.variance * scale.square()
     foretold = spread * (1 / new.weight.clamp_min(1) + 1 / old.weight.clamp_min(1))
     each = both * torch.cat((both, change, change.square(), foretold, then, now), 1)
     cells = F.avg_pool2d(F.pad(each, (0, -w % CELL, 0, -h % CELL)), CELL)

@@ -28,6 +28,11 @@ class Light(NamedTuple):
     square: Float[Tensor, "n 1 h w"]  # of the luminance
     weight: Float[Tensor, "n 1 h w"]  # samples
 
+    @property
+    def variance(self) -> Float[Tensor, "n 1 h w"]:
+        """Of one sample's luminance."""
+        return (self.square - luminance(self.mean).square()).clamp_min(0)
+
 
 def measured(samples: Samples) -> Light:
     """The light of the samples of one frame, which are finite."""
@@ -56,9 +61,8 @@ def alike(
 
 def told(light: Light) -> Float[Tensor, "n 5 h w"]:
     """What networks see of it: colour in log transfer, relative spread and weight in [0, 1)."""
-    bright = luminance(light.mean)
-    spread = (light.square - bright.square()).clamp_min(1e-8).sqrt()
-    relative = spread / (spread + bright + 1e-3)
+    spread = light.variance.clamp_min(1e-8).sqrt()
+    relative = spread / (spread + luminance(light.mean) + 1e-3)
     return torch.cat((log_forward(light.mean), relative, light.weight / (light.weight + MUCH)), 1)
 
 

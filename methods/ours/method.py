@@ -53,9 +53,10 @@ class Ours:
     Image Denoise (Afra 2019), and then the state, and starts from Intel's weights, where there are
     any of its size. In all but B1 and B2 besides: beside the state there is light, gathered over
     frames, of which the encoder says how far it is trusted; the denoiser says how much of the last
-    image is kept; sampler and encoder also see that light and that image. A pixel that stands still
-    and got no sample keeps its state and its light. The sampler is told how many samples the last
-    frame got, and how far its map is from uniform follows from that.
+    image is kept; new samples that contradict them make both forgotten (antilag.py); sampler and
+    encoder also see that light and that image. A pixel that stands still and got no sample keeps
+    its state and its light. The sampler is told how many samples the last frame got, and how far
+    its map is from uniform follows from that.
     """
 
     config: Config
@@ -101,7 +102,7 @@ class Ours:
             light, moved = measured(samples), known.moved
             if moved is not None:
                 if self.config.antilag:
-                    moved = moved.believed(holds(moved.light, light))
+                    moved = moved.believed(holds(moved.light, light, moved.image))
                 light = gathered(moved.light, light, trust)
             light = filled(light, view.albedo)
             image = self._develop(view, light.mean, latent, moved)

@@ -34,7 +34,7 @@ class Config:
     decibels: bool = True  # is the logarithm of the loss learned from?
     learner: str = "ppo-pixel+surrogate"  # how the sampler learns (methods/ours/policy)
     flat: bool = False  # is the sampler's map ignored?
-    antilag: bool = False  # is light forgotten where new samples contradict it?
+    antilag: bool = True  # is light forgotten where new samples contradict it?
 
     @property
     def gathers(self) -> bool:
@@ -56,7 +56,7 @@ VARIANTS = {
     "C+count": replace(BASE, samples="mean and count"),
     "small": replace(BASE, sampler=(1, 2), kernel=1, denoiser=FAST),
     "flat": replace(BASE, flat=True),  # what does the map give, all else equal?
-    "antilag": replace(BASE, antilag=True),  # a light may be switched
+    "lag": replace(BASE, antilag=False),  # what if light is never forgotten?
     "sampler-small": replace(BASE, sampler=(1, 2)),
     "sampler-large": replace(BASE, sampler=(64, 128, 256, 512, 1024)),
     "encoder-small": replace(BASE, kernel=1),

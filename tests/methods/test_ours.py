@@ -78,7 +78,7 @@ def test_a_step_is_as_long_where_the_loss_is_large_as_where_it_is_small():
         ("C+count", {"samples"}),
         ("small", {"sampler", "kernel", "denoiser"}),
         ("flat", {"flat"}),
-        ("antilag", {"antilag"}),
+        ("lag", {"antilag"}),
         ("sampler-small", {"sampler"}),
         ("sampler-large", {"sampler"}),
         ("encoder-small", {"kernel"}),
