@@ -69,8 +69,10 @@ equal: .venv/dev.stamp
 # who leads where cameras stand, shots are cut, lights are switched and nothing moves: hours of rendering
 takes: .venv/dev.stamp
 	$(BIN)/rlbench render --preset standard --retime
-	$(BIN)/rlbench run -m '$(RIVALS),ours/lag' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
+	$(BIN)/rlbench run -m '$(RIVALS),ours/lag,imcd,ntas,svgf' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
 	$(call page,clips,$(RESULTS)/takes,takes)
+	$(BIN)/rlbench images -m ours/lag,ours,oidn-intel --preset standard --scenes hall-cut --spp 4 --frame 15 --out docs/made
+	mv docs/made/hall-cut-4spp-15.png docs/switched.png && rm -r docs/made
 
 # the papers' protocol, small: 1000 crops of the other three scenes; half an hour
 crossval: .venv/dev.stamp
