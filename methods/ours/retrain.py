@@ -24,7 +24,7 @@ from methods.ours.network import Networks, Sampler
 from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, learner
 from methods.ours.start import show_contrast
 from methods.ours.train import BUDGETS
-from methods.ours.variants import BASE, VARIANTS
+from methods.ours.variants import BASE
 from rlbench import paths, validation
 from rlbench.batches import Batches
 from rlbench.ops.initialise import initialise
@@ -51,9 +51,8 @@ class Task:
         networks = Networks(BASE)
         equip(networks, str(self.weights), self.weights, "cpu")
         networks.sampler = self.sampler().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        return Ours(
-            VARIANTS["lag"], replace(FAMILY.variants[""].traits, floor=self.floor), networks
-        )
+        traits = replace(FAMILY.variants[""].traits, floor=self.floor)
+        return Ours(BASE.training, traits, networks)
 
     def sampler(self) -> Sampler:
         """A sampler with seeded weights and a uniform density, as every training begins with."""

@@ -6,7 +6,7 @@ Command: rlbench train --methods ours
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -78,11 +78,9 @@ class Explorer:
 def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     """Networks with seeded weights and a uniform sampler, and the losses that train them.
 
-    In clips of training no light is switched, and nothing is forgotten (docs/training.md).
-
     Raises LibraryError where training starts from Intel's weights and the extra `oidn` is missing.
     """
-    config, traits = replace(VARIANTS[variant], antilag=False), FAMILY.variants[variant].traits
+    config, traits = VARIANTS[variant].training, FAMILY.variants[variant].traits
     networks = Networks(config)
     origin = start(networks, config, seed)
     networks.to(device)

@@ -41,6 +41,11 @@ class Config:
         """Is light remembered from frame to frame?"""
         return self.light == "gathered"
 
+    @property
+    def training(self) -> Config:
+        """The same, as it trains: its clips switch no light, and nothing is forgotten."""
+        return replace(self, antilag=False)
+
 
 BASE = Config()
 VARIANTS = {
