@@ -103,7 +103,7 @@ class Names:
     @cached_property
     def half(self) -> tuple[str, ...]:
         """What half precision adds: its own code."""
-        return (provenance.code_hash(["rlbench.half"], core=()),)
+        return (provenance.code_hash(["rlbench.wrappers"], core=()),)
 
     @cached_property
     def cost(self) -> str:

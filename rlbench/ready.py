@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from rlbench import registry
 from rlbench.cells import Cell, Request
 from rlbench.frames import Clip
-from rlbench.half import Half
 from rlbench.method import Method
 from rlbench.source import Short, unusable
+from rlbench.wrappers import Half
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from rlbench.check import worlds
 from rlbench.check.finding import Finding, moot, wrong
 from rlbench.check.subject import Run, Subject
 from rlbench.check.watched import Watched, flaw
-from rlbench.half import Half
 from rlbench.run import Shown, run_clip, unroll
+from rlbench.wrappers import Half
 
 
 def built(subject: Subject) -> Finding | None:

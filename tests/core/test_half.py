@@ -10,11 +10,11 @@ import torch
 from rlbench import registry, show, table
 from rlbench.bench import Done, measure
 from rlbench.frames import Size
-from rlbench.half import Half
 from rlbench.ops.packed import packed, unpacked
 from rlbench.ops.unet import SMALL, UNet
 from rlbench.procedural import procedural
 from rlbench.run import run_clip
+from rlbench.wrappers import Half
 from tests.core.test_bench import request
 
 CPU = torch.device("cpu")
