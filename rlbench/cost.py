@@ -15,8 +15,9 @@ from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
-from rlbench import paths, provenance, registry
+from rlbench import registry
 from rlbench.clips import Header
+from rlbench.system import paths, provenance
 
 MEASURED = "measured"
 

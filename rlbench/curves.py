@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rlbench import paths
 from rlbench.plan import Progress
+from rlbench.system import paths
 from rlbench.validation import Validated
 
 LOG = "log.jsonl"  # one line a validation

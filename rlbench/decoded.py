@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench import paths, provenance
 from rlbench.exr import read_exr
 from rlbench.folder import channels, exr_path, not_finite
 from rlbench.header import ClipError, Header
+from rlbench.system import paths, provenance
 
 Arrays = Mapping[str, NDArray[np.floating]]  # c h w, as precise as the file
 

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench import paths, provenance, registry
+from rlbench import registry
 from rlbench.clips import read_header
 from rlbench.header import ClipError
+from rlbench.system import paths, provenance
 
 EXTRAS = {  # extra: what it gives, and a module of each package in it
     "oidn": ("Intel's own Open Image Denoise beside our retrained network", ("pyoidn",)),

@@ -10,7 +10,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from rlbench.header import ClipError
-from rlbench.paths import replacing
+from rlbench.system.paths import replacing
 
 TYPES: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
 

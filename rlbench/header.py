@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from rlbench.paths import replacing
+from rlbench.system.paths import replacing
 
 VERSION = 1
 FILE = "clip.toml"

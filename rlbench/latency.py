@@ -15,12 +15,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench import provenance
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size, View
 from rlbench.method import Method, State
 from rlbench.run import run_clip
 from rlbench.sampling import Samples
+from rlbench.system import provenance
 
 WARM_UP = 2  # frames run before the first that counts
 REPEATS = 10  # frames that count

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench import paths, registry
+from rlbench import registry
 from rlbench.batches import Batches, one_of
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.plan import Plan, Progress
+from rlbench.system import paths
 from rlbench.trainer import Trainer
 
 LOW, HIGH = 1e-6, 1e-1  # learning rates at the first and at the last sequence

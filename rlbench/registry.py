@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from rlbench import provenance
 from rlbench.family import Family, Variant
 from rlbench.plugins import (
     GROUPS,
@@ -19,6 +18,7 @@ from rlbench.plugins import (
     resolve,
     use_plugin,
 )
+from rlbench.system import provenance
 
 if TYPE_CHECKING:
     import torch

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rlbench import paths
+from rlbench.system import paths
 from rlbench.table import WHOLE_CLIP
 
 if TYPE_CHECKING:

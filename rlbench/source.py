@@ -13,13 +13,14 @@ from typing import Protocol
 
 import torch
 
-from rlbench import provenance, registry
+from rlbench import registry
 from rlbench.clips import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
 from rlbench.header import FILE
 from rlbench.render.live import open_live, scene_of
 from rlbench.render.llvm import activate
+from rlbench.system import provenance
 
 POOLS = ("stored", "live")  # samples read from the clip's files, or traced when they are bought
 

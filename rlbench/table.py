@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
-from rlbench import paths
+from rlbench.system import paths
 
 if TYPE_CHECKING:
     import pandas as pd

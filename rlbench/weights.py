@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors import torch as safetensors
 from torch import Tensor, nn
 
-from rlbench import paths
+from rlbench.system import paths
 
 DTYPE = torch.float16  # of floating weights in the file
 

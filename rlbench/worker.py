@@ -14,8 +14,9 @@ from typing import Any
 
 import torch
 
-from rlbench import plugins, provenance
+from rlbench import plugins
 from rlbench.engine import EngineError
+from rlbench.system import provenance
 
 PREFIX = "RLBENCH_"  # of the variables that a worker takes over
 THREADS = f"{PREFIX}THREADS"  # of the path tracer

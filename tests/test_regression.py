@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import asked, paths, registry, regress, table
+from rlbench import asked, registry, regress, table
 from rlbench.bench import measure
 from rlbench.cells import Request
 from rlbench.render.llvm import activate
 from rlbench.render.record import ensure
 from rlbench.source import Stored
+from rlbench.system import paths
 
 BASELINE = Path(__file__).parent / "regression" / "mini.json"
 

@@ -28,9 +28,10 @@ from methods.ours.memory import Memory
 from methods.ours.method import Ours, build
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.turn import Turn
-from rlbench import paths, registry
+from rlbench import registry
 from rlbench.clips import open_clip
 from rlbench.frames import Frame
+from rlbench.system import paths
 
 BLOCK = 8  # pixels: side of what has one value
 RATE = 0.05  # of Adam, on values of which tanh is the action

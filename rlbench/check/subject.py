@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rlbench import provenance, registry
+from rlbench import registry
 from rlbench.check import worlds
 from rlbench.check.finding import Finding
 from rlbench.check.watched import Watched
@@ -19,6 +19,7 @@ from rlbench.frames import Clip, Size
 from rlbench.header import VIEWS
 from rlbench.method import Method
 from rlbench.run import Shown, run_clip
+from rlbench.system import provenance
 
 if TYPE_CHECKING:
     from rlbench.memory import MemoryClip

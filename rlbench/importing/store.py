@@ -6,13 +6,13 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
-from rlbench import paths
 from rlbench.clips import Header, has_frame, write_frame, write_header
 from rlbench.folder import kinds
 from rlbench.header import FILE
 from rlbench.importing import doors
 from rlbench.importing.possible import possible
 from rlbench.importing.sequence import Sequence, SourceError
+from rlbench.system import paths
 
 MARK = "source.txt"  # beside the frames: what they were imported from
 

@@ -14,7 +14,7 @@ from rlbench.lint.finding import Finding, Verdict
 from rlbench.lint.footage import Footage
 from rlbench.lint.reference import shown
 from rlbench.ops.warp import reproject
-from rlbench.paths import replacing
+from rlbench.system.paths import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

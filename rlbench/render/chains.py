@@ -21,12 +21,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from rich.progress import Progress
 
-from rlbench import paths, registry
+from rlbench import registry
 from rlbench.clips import Header, read_header, write_header
 from rlbench.folder import exr_path, write_pool
 from rlbench.header import FILE
 from rlbench.pools import Chains, PoolKind
-from rlbench.provenance import machine
 from rlbench.render import llvm
 from rlbench.render.job import POOLS, Job
 from rlbench.render.scene import Scene
@@ -34,6 +33,8 @@ from rlbench.render.staged import Staged
 from rlbench.render.studio import SEED
 from rlbench.render.tracer import LANES
 from rlbench.render.wavefront import Wavefront
+from rlbench.system import paths
+from rlbench.system.provenance import machine
 
 TOGETHER = 4  # samples of each pixel in a frame whose time is taken
 

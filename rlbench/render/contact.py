@@ -19,12 +19,12 @@ from numpy import ndarray as Array
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from rlbench import paths
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.presets import FOUR
 from rlbench.render.record import named
 from rlbench.render.scene import Scene
 from rlbench.render.trace import open_tracer
+from rlbench.system import paths
 
 TIME = 4.0  # the frame that is shown
 STREAM = "referenceA"

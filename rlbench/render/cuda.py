@@ -6,8 +6,8 @@ import glob
 import importlib.metadata
 from pathlib import Path
 
-from rlbench import paths
 from rlbench.render import probe
+from rlbench.system import paths
 
 DRIVERS = (
     "/usr/lib/*/libcuda.so.1",

@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench import paths
 from rlbench.clips import ClipError, has_frame
 from rlbench.frames import BUFFERS
 from rlbench.header import FILE, Header
-from rlbench.provenance import machine
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.presets import Preset
 from rlbench.render.rounds import NOTES, noted, stored_ceiling_db
 from rlbench.render.scene import Scene
+from rlbench.system import paths
+from rlbench.system.provenance import machine
 
 POOLS = ("path",)
 MARK = "scene.txt"  # beside the frames: what they were rendered from

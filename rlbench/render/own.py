@@ -13,7 +13,6 @@ from pathlib import Path
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench import paths
 from rlbench.engine import LOCAL, Engine
 from rlbench.render import flight, llvm, sight
 from rlbench.render.job import POOLS, Job
@@ -22,6 +21,7 @@ from rlbench.render.presets import Preset
 from rlbench.render.record import finish
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.trace import open_tracer
+from rlbench.system import paths
 
 FOLDER = "own-"  # of these clips in the cache, with the preset's name
 STEP = 16  # pixels: widths and heights that are chosen here are multiples of it

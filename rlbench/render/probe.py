@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from rlbench import paths
+from rlbench.system import paths
 
 
 def tried(code: str, setting: dict[str, str]) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from rlbench import paths, registry
+from rlbench import registry
 from rlbench.clips import Header, write_header
 from rlbench.engine import LOCAL, Engine, Tell
 from rlbench.render import chains, llvm
@@ -26,6 +26,7 @@ from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
 from rlbench.render.studio import SEED, Shot, Studio, keep, share
 from rlbench.render.trace import Tracer, open_tracer
+from rlbench.system import paths
 
 TRIAL = 8  # samples per pixel that are traced to guess how long all of them take
 PATIENCE = 3600.0  # seconds of progress that a guess of the rest looks back on, if by whole frames

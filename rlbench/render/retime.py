@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from rlbench.clips import ClipError, Header, read_header, write_header
-from rlbench.provenance import machine
 from rlbench.render.record import named
 from rlbench.render.trace import sample_ms
+from rlbench.system.provenance import machine
 
 
 def retime(folder: Path) -> Header:

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench import paths
 from rlbench.exr import read_exr
 from rlbench.folder import CHANNELS, exr_path
 from rlbench.render.presets import Preset
 from rlbench.render.tracer import Tracer
+from rlbench.system import paths
 
 HALVES = ("A", "B")
 NOTES = "rounds.*.txt"  # beside the frames, where rounds end by themselves

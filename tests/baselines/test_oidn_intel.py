@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from baselines.oidn_intel import FAMILY, TRAITS
-from rlbench import provenance, registry
+from rlbench import registry
 from rlbench.frames import Size
 from rlbench.memory import MemoryClip
 from rlbench.procedural import procedural
 from rlbench.run import Shown, run_clip
 from rlbench.sampling import Samples
+from rlbench.system import provenance
 
 installed = pytest.mark.skipif(
     bool(provenance.missing(["pyoidn"])), reason="the extra oidn is not installed"

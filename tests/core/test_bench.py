@@ -14,12 +14,13 @@ import pytest
 import torch
 
 from reports.scores import points
-from rlbench import provenance, registry, table
+from rlbench import registry, table
 from rlbench.bench import Done, measure
 from rlbench.cells import CellsError, Request, cells
 from rlbench.clips import open_clip
 from rlbench.names import Names
 from rlbench.source import Stored, affordable
+from rlbench.system import provenance
 from tests.conftest import write_noise, write_plugin
 
 MS = "_ms"  # end of the names of times, which no two runs share

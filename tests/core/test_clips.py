@@ -15,7 +15,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rlbench import clips, decoded, paths
+from rlbench import clips, decoded
 from rlbench.clips import (
     ClipError,
     Header,
@@ -27,6 +27,7 @@ from rlbench.clips import (
     write_header,
 )
 from rlbench.exr import write_exr
+from rlbench.system import paths
 
 H, W, FRAMES, STORED = 5, 7, 2, 4
 HEADER = Header(

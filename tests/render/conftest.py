@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import paths
 from rlbench.render.llvm import activate, libraries
+from rlbench.system import paths
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
 

@@ -18,7 +18,6 @@ from numpy import ndarray as Array
 from rich.console import Console
 from rich.progress import Progress
 
-from rlbench import paths
 from rlbench.clips import write_frame, write_header
 from rlbench.render import rounds, sight
 from rlbench.render.cycles import passes
@@ -29,6 +28,7 @@ from rlbench.render.job import Job
 from rlbench.render.own import Wish, job_of, told
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
+from rlbench.system import paths
 
 SPAN = 32  # samples of a reference's picture: so much is lost at most when it is killed
 LOOK = (32, 32)  # pixels of the pictures that the exposure is chosen by: 8 x 8 areas of 4 x 4

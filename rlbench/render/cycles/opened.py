@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench import paths
 from rlbench.render import flight
 from rlbench.render.cycles.order import RECIPE, Parameters, inquiry, turned
 from rlbench.render.cycles.process import VERSION, CyclesError, run
 from rlbench.render.opened import Opened
 from rlbench.render.own import Wish
 from rlbench.render.scene import Camera, Scene, SceneError
+from rlbench.system import paths
 
 FORMATS = (".blend", ".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".fbx", ".obj")
 CENTRED = 1e-4  # share of the picture's width that the lens may be shifted by

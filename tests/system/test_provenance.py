@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.provenance import CORE, Machine, closure, code_hash, commit, machine, versions
+from rlbench.system.provenance import CORE, Machine, closure, code_hash, commit, machine, versions
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_what_is_imported_in_turn_is_found_though_it_goes_round(plugin):
 
 def test_the_formulas_of_metrics_are_found_and_torch_is_not_imported():
     code = (
-        "import sys; from rlbench.provenance import closure;"
+        "import sys; from rlbench.system.provenance import closure;"
         "print(sorted(closure('metrics.catalog')), 'torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -122,8 +122,14 @@ def test_parts_of_other_packages_are_followed_where_that_is_asked_for(plugin):
 def test_all_of_the_core_that_makes_images_is_hashed():
     """What is left out decides no number: names, places on disk, errors."""
     used = closure("rlbench.run") | closure("rlbench.clips")
-    left = {"rlbench", "rlbench.digest", "rlbench.family", "rlbench.paths", "rlbench.plugins"}
-    assert used - set(CORE) == left | {"rlbench.provenance"}
+    left = {
+        "rlbench",
+        "rlbench.digest",
+        "rlbench.family",
+        "rlbench.system.paths",
+        "rlbench.plugins",
+    }
+    assert used - set(CORE) == left | {"rlbench.system.provenance"}
 
 
 def test_an_unknown_module_is_an_error():
@@ -180,5 +186,5 @@ def test_the_machine_is_described():
 
 
 def test_provenance_needs_no_torch():
-    code = "import sys, rlbench.provenance, rlbench.pools; assert 'torch' not in sys.modules"
+    code = "import sys, rlbench.system.provenance, rlbench.pools; assert 'torch' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

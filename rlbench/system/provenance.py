@@ -71,7 +71,7 @@ def missing(packages: Iterable[str]) -> list[str]:
     return [name for name in packages if _version(name) == "none"]
 
 
-def commit(folder: Path = Path(__file__).parent) -> str:
+def commit(folder: Path = Path(__file__).parents[1]) -> str:
     """The commit of the checkout that tracks this code, 12 hex digits, with "+" if it was changed.
 
     Empty where the code is no checkout, as when it was installed from a package.
