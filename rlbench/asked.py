@@ -90,7 +90,7 @@ def clips(
 
 def methods(values: list[str], trained: bool = True) -> tuple[str, ...]:
     """Names that were asked for, as `registry.expand`; `all` goes on without broken families."""
-    from rlbench import registry
+    from rlbench.registry import lookup as registry
 
     return tuple(registry.expand(split(values), trained, lambda words: typer.echo(words, err=True)))
 
@@ -144,7 +144,7 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
 
     Raises AskedError where a single name has none, and PluginError for one that is in neither.
     """
-    from rlbench import registry
+    from rlbench.registry import lookup as registry
     from rlbench.table import AT, whose
 
     known = set(table["method"])  # of plugins too, which need not be here
@@ -266,8 +266,8 @@ def rendered(
     Scenes, `takes` of each (main or all), and seeds of generated scenes replace those of the
     preset.
     """
-    from rlbench import registry
     from rlbench.engine import LOCAL
+    from rlbench.registry import lookup as registry
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench import cost, latency, registry, table
+from rlbench import cost, latency, table
 from rlbench.cells import Cell, Request, by_title, cells, distinct, never_lost, older
 from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
@@ -24,6 +24,7 @@ from rlbench.latency import Timing
 from rlbench.method import Method, settings
 from rlbench.names import Names
 from rlbench.ready import Ready
+from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.table import WHOLE_CLIP, Row
 from rlbench.times import Times

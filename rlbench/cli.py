@@ -122,10 +122,11 @@ def run(
     use(plugin)
     if out.exists() and not out.is_dir():
         raise asked.AskedError(f"--out {out} is a file; results are a folder")
-    from rlbench import registry, show
+    from rlbench import show
     from rlbench.bench import measure
     from rlbench.cells import Request
     from rlbench.cluster import opened
+    from rlbench.registry import lookup as registry
 
     names = asked.methods(methods)
     called, weights = asked.weights(weights)
@@ -211,7 +212,8 @@ def report(
 
       rlbench report ablation --methods 'ours/*'
     """
-    from rlbench import registry, table
+    from rlbench import table
+    from rlbench.registry import lookup as registry
 
     rows = table.read(results)
     failed: dict[str, list[str]] = {}  # by reason

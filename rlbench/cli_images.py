@@ -40,9 +40,10 @@ def images(
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
     use(plugin)
-    from rlbench import registry, show
+    from rlbench import show
     from rlbench.cells import Request
     from rlbench.images import write
+    from rlbench.registry import lookup as registry
 
     names = asked.methods(methods)
     called, weights = asked.weights(weights)

@@ -21,8 +21,8 @@ Device = Annotated[str, typer.Option(help="auto, cpu, cuda, or a torch device")]
 
 def use(plugins: list[Path] | None, listed: bool = False) -> None:
     """Make loose files known. Raises PluginError for a broken one, unless it is to be listed."""
-    from rlbench import registry
-    from rlbench.plugins import flaw
+    from rlbench.registry import lookup as registry
+    from rlbench.registry.discovery import flaw
 
     for path in plugins or []:
         registry.use_plugin(path)

@@ -78,7 +78,8 @@ def train(
       rlbench train --replay runs/ours/halted-at-draw-71.safetensors
     """
     use(plugin)
-    from rlbench import course, curves, registry, trainset
+    from rlbench import course, curves, trainset
+    from rlbench.registry import lookup as registry
 
     if replay is not None:
         from rlbench.training import replay as again

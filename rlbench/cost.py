@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
-from rlbench import registry
 from rlbench.clips import Header
+from rlbench.registry import lookup as registry
 from rlbench.system import paths, provenance
 
 MEASURED = "measured"

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rlbench import asked, range_test, registry, show
+from rlbench import asked, range_test, show
 from rlbench.plan import Plan
+from rlbench.registry import lookup as registry
 from rlbench.training import check, shipped, train
 from rlbench.trainset import TrainSet
 

@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rlbench import asked, registry, show, trainset
+from rlbench import asked, show, trainset
 from rlbench.bench import Done, measure
 from rlbench.cells import Request
 from rlbench.course import Course
 from rlbench.names import Names
+from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
 from rlbench.source import Stored
 from rlbench.trainset import TrainSet

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench import registry
 from rlbench.clips import read_header
 from rlbench.header import ClipError
+from rlbench.registry import lookup as registry
 from rlbench.system import paths, provenance
 
 EXTRAS = {  # extra: what it gives, and a module of each package in it

@@ -13,11 +13,11 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray as Array
 from torch import Tensor
 
-from rlbench import registry
 from rlbench.cells import Cell, Request
 from rlbench.exr import write_exr
 from rlbench.names import Names
 from rlbench.ready import Ready
+from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.system import paths
 

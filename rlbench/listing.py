@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rlbench import cost, registry
+from rlbench import cost
 from rlbench.family import Variant
+from rlbench.registry import lookup as registry
 
 Listed = dict[str, list[dict[str, Any]]]
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.plugins import PluginError
+from rlbench.registry.discovery import PluginError
 from rlbench.sampling import Samples
 
 State = Any  # opaque to the bench: returned by the method, carried to its next frame

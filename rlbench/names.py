@@ -11,8 +11,9 @@ from pathlib import Path
 
 import torch
 
-from rlbench import cost, latency, registry, table
+from rlbench import cost, latency, table
 from rlbench.cells import FAILED, Cell, Request, cells, content
+from rlbench.registry import lookup as registry
 from rlbench.system import provenance
 from rlbench.weights import WeightsError, read_card
 

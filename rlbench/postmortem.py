@@ -10,11 +10,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench import checkpoint, registry
+from rlbench import checkpoint
 from rlbench.frames import Clip, Frame, Reference, View
 from rlbench.learner import Learner, NotFinite, NotFiniteError
 from rlbench.memory import MemoryClip
 from rlbench.plan import Plan
+from rlbench.registry import lookup as registry
 from rlbench.sampling import StoredPool
 from rlbench.trainer import TrainingError
 

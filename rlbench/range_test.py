@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench import registry
 from rlbench.batches import Batches, one_of
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.plan import Plan, Progress
+from rlbench.registry import lookup as registry
 from rlbench.system import paths
 from rlbench.trainer import Trainer
 

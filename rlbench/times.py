@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from rlbench import cost, latency, registry
+from rlbench import cost, latency
 from rlbench.cells import Cell
 from rlbench.cost import Cost, Profile
 from rlbench.engine import Engine, Share, Tell
@@ -17,6 +17,7 @@ from rlbench.frames import Clip
 from rlbench.latency import Timing
 from rlbench.method import Method
 from rlbench.ready import Ready
+from rlbench.registry import lookup as registry
 from rlbench.system import provenance
 
 Key = tuple[object, ...]

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from rlbench import checkpoint, curves, postmortem, registry, validation, weights
+from rlbench import checkpoint, curves, postmortem, validation, weights
 from rlbench.batches import Batches, one_of
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.memory import MemoryClip
@@ -20,6 +20,7 @@ from rlbench.method import settings
 from rlbench.plan import Plan, Progress
 from rlbench.postmortem import replay
 from rlbench.prefetch import ahead
+from rlbench.registry import lookup as registry
 from rlbench.system import provenance
 from rlbench.trainer import Trainer, TrainingError
 

@@ -12,10 +12,12 @@ from typing import NamedTuple
 
 import torch
 
-from rlbench import plugins, registry, trainset
+from rlbench import trainset
 from rlbench.batches import Batches, one_of
 from rlbench.learner import Learner
 from rlbench.plan import Plan
+from rlbench.registry import discovery as plugins
+from rlbench.registry import lookup as registry
 from rlbench.trainer import Trainer
 
 PARTS = {  # functions of the core, in the order in which they run

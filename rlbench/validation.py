@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rlbench import registry
 from rlbench.clips import open_clip
 from rlbench.method import Method
+from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 
 BUDGETS = (1.0, 4.0)  # samples per pixel, unless others are trained for

@@ -14,8 +14,8 @@ from typing import Any
 
 import torch
 
-from rlbench import plugins
 from rlbench.engine import EngineError
+from rlbench.registry import discovery as plugins
 from rlbench.system import provenance
 
 PREFIX = "RLBENCH_"  # of the variables that a worker takes over

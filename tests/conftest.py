@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench import registry
 from rlbench.clips import Header, write_frame, write_header
+from rlbench.registry import lookup as registry
 
 
 @pytest.fixture(autouse=True)

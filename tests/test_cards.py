@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import registry
 from rlbench.procedural import procedural
+from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from rlbench.weights import Card, digest, read_card
 

@@ -8,11 +8,11 @@ from functools import cache
 import pytest
 import torch
 
-from rlbench import registry
 from rlbench.check.claims import CLAIMS
 from rlbench.check.finding import Verdict
 from rlbench.check.subject import Subject
 from rlbench.check.suite import examine, judge
+from rlbench.registry import lookup as registry
 
 GIVEN = os.environ.get(registry.VARIABLE, "")  # methods beside the installed ones
 METHODS = [

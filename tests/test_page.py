@@ -10,8 +10,8 @@ import torch
 from metrics.image import bias
 from rlbench.family import Traits
 from rlbench.frames import Size
-from rlbench.plugins import PluginError
 from rlbench.procedural import procedural
+from rlbench.registry.discovery import PluginError
 from rlbench.run import run_clip
 from rlbench.sampling import BudgetError
 

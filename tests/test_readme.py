@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rlbench import registry
 from rlbench.check.finding import Verdict
 from rlbench.check.subject import Subject
 from rlbench.check.suite import examine
 from rlbench.frames import Size
 from rlbench.procedural import procedural
+from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 
 README = Path(__file__).parent.parent / "README.md"

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import asked, registry, regress, table
+from rlbench import asked, regress, table
 from rlbench.bench import measure
 from rlbench.cells import Request
+from rlbench.registry import lookup as registry
 from rlbench.render.llvm import activate
 from rlbench.render.record import ensure
 from rlbench.source import Stored

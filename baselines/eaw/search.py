@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from baselines.eaw.method import Config, Eaw
-from rlbench import registry
 from rlbench.clips import StoredClip, open_clip
 from rlbench.memory import MemoryClip
+from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 
 BUDGETS = (1.0, 4.0)  # samples per pixel

@@ -28,9 +28,9 @@ from methods.ours.memory import Memory
 from methods.ours.method import Ours, build
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.turn import Turn
-from rlbench import registry
 from rlbench.clips import open_clip
 from rlbench.frames import Frame
+from rlbench.registry import lookup as registry
 from rlbench.system import paths
 
 BLOCK = 8  # pixels: side of what has one value

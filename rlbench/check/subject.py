@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rlbench import registry
 from rlbench.check import worlds
 from rlbench.check.finding import Finding
 from rlbench.check.watched import Watched
@@ -18,6 +17,7 @@ from rlbench.family import Traits
 from rlbench.frames import Clip, Size
 from rlbench.header import VIEWS
 from rlbench.method import Method
+from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.system import provenance
 

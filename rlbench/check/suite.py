@@ -8,10 +8,10 @@ from pathlib import Path
 
 import torch
 
-from rlbench import registry
 from rlbench.check.claims import CLAIMS, Claim
 from rlbench.check.finding import Finding, Verdict, moot, wrong
 from rlbench.check.subject import Subject
+from rlbench.registry import lookup as registry
 
 HOLDS = Finding(Verdict.HOLDS)
 

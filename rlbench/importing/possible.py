@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rlbench import registry
 from rlbench.header import Header
+from rlbench.registry import lookup as registry
 from rlbench.source import unusable
 
 

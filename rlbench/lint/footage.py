@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench import registry
 from rlbench.exr import read_exr
 from rlbench.folder import channels, exr_path, images
 from rlbench.header import Header, read_header
+from rlbench.registry import lookup as registry
 
 
 @dataclass(frozen=True)

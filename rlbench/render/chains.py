@@ -21,11 +21,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from rich.progress import Progress
 
-from rlbench import registry
 from rlbench.clips import Header, read_header, write_header
 from rlbench.folder import exr_path, write_pool
 from rlbench.header import FILE
 from rlbench.pools import Chains, PoolKind
+from rlbench.registry import lookup as registry
 from rlbench.render import llvm
 from rlbench.render.job import POOLS, Job
 from rlbench.render.scene import Scene

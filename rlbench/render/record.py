@@ -17,9 +17,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from rlbench import registry
 from rlbench.clips import Header, write_header
 from rlbench.engine import LOCAL, Engine, Tell
+from rlbench.registry import lookup as registry
 from rlbench.render import chains, llvm
 from rlbench.render.job import Job
 from rlbench.render.presets import GENERATED, Preset, preset

@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from baselines.oidn_intel import FAMILY, TRAITS
-from rlbench import registry
 from rlbench.frames import Size
 from rlbench.memory import MemoryClip
 from rlbench.procedural import procedural
+from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.sampling import Samples
 from rlbench.system import provenance

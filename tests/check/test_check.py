@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import registry
 from rlbench.check.claims import CLAIMS
 from rlbench.check.finding import Verdict
 from rlbench.check.subject import Subject
 from rlbench.check.suite import examine
 from rlbench.cli import app
+from rlbench.registry import lookup as registry
 from tests.check.plants import FAULTS, LESSER, SIZE
 from tests.conftest import write_plugin
 

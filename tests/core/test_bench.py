@@ -14,11 +14,12 @@ import pytest
 import torch
 
 from reports.scores import points
-from rlbench import registry, table
+from rlbench import table
 from rlbench.bench import Done, measure
 from rlbench.cells import CellsError, Request, cells
 from rlbench.clips import open_clip
 from rlbench.names import Names
+from rlbench.registry import lookup as registry
 from rlbench.source import Stored, affordable
 from rlbench.system import provenance
 from tests.conftest import write_noise, write_plugin

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import asked, registry, table, trainset
+from rlbench import asked, table, trainset
 from rlbench.cli import app
+from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
 from rlbench.table import Row
 from tests.conftest import write_noise, write_plugin

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import registry, table
+from rlbench import table
 from rlbench.bench import Done
 from rlbench.cells import Request
 from rlbench.cli import app
 from rlbench.course import Course
 from rlbench.crossval import Fold, crossval, taught, told
 from rlbench.plan import Plan
+from rlbench.registry import lookup as registry
 from rlbench.source import Stored
 from rlbench.trainset import TrainSet
 from rlbench.weights import read_card

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import curves, registry
+from rlbench import curves
+from rlbench.registry import lookup as registry
 from rlbench.training import Plan, train
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner

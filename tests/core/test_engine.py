@@ -14,7 +14,7 @@ from rlbench.bench import Done, measure
 from rlbench.cells import Request
 from rlbench.cluster import Cluster, opened
 from rlbench.engine import LOCAL, EngineError
-from rlbench.registry import VARIABLE, use_plugin
+from rlbench.registry.lookup import VARIABLE, use_plugin
 from rlbench.render.job import Job
 from rlbench.render.record import finish
 from rlbench.source import Stored

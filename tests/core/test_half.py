@@ -7,12 +7,13 @@ import dataclasses
 import pytest
 import torch
 
-from rlbench import registry, show, table
+from rlbench import show, table
 from rlbench.bench import Done, measure
 from rlbench.frames import Size
 from rlbench.ops.packed import packed, unpacked
 from rlbench.ops.unet import SMALL, UNet
 from rlbench.procedural import procedural
+from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from rlbench.wrappers import Half
 from tests.core.test_bench import request

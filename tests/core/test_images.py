@@ -10,12 +10,13 @@ import torch
 from matplotlib.image import imread
 
 from metrics.display import display as of_the_metrics
-from rlbench import registry, table
+from rlbench import table
 from rlbench.bench import measure
 from rlbench.cells import Request
 from rlbench.clips import open_clip
 from rlbench.exr import read_exr
 from rlbench.images import BROKEN, ImagesError, display, picture, reached, write
+from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from rlbench.source import Stored
 from tests.conftest import write_noise, write_plugin

@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from rlbench import registry
 from rlbench.frames import Size
 from rlbench.learner import Learner, NotFiniteError
 from rlbench.procedural import procedural
+from rlbench.registry import lookup as registry
 from rlbench.trainer import Trainer
 
 CLIP = procedural(0, Size(1, 16, 16), frames=1)

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import range_test, registry
+from rlbench import range_test
 from rlbench.plan import Plan
 from rlbench.range_test import Point, averaged, proposed
+from rlbench.registry import lookup as registry
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 

@@ -14,13 +14,14 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench import checkpoint, registry, show, validation
+from rlbench import checkpoint, show, validation
 from rlbench.batches import Augmentation, BatchError, Batches
 from rlbench.course import Course, start_anew
 from rlbench.frames import Size
 from rlbench.learner import Learner
 from rlbench.ops.warp import reproject
 from rlbench.procedural import procedural
+from rlbench.registry import lookup as registry
 from rlbench.training import Plan, Progress, TrainingError, train
 from rlbench.weights import digest, read_card
 from tests.conftest import write_noise

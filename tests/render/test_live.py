@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench import registry
 from rlbench.clips import ClipError, open_clip, read_header
 from rlbench.exr import precision
 from rlbench.family import Traits
+from rlbench.registry import lookup as registry
 from rlbench.render.job import Job
 from rlbench.render.live import LiveClip, LivePool, open_live
 from rlbench.render.presets import Preset

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench import registry
 from rlbench.clips import ClipError, open_clip, read_header, write_header
 from rlbench.ops.warp import reproject
+from rlbench.registry import lookup as registry
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.live import open_live
 from rlbench.render.presets import PRESETS, Preset

@@ -127,7 +127,7 @@ def test_all_of_the_core_that_makes_images_is_hashed():
         "rlbench.digest",
         "rlbench.family",
         "rlbench.system.paths",
-        "rlbench.plugins",
+        "rlbench.registry.discovery",
     }
     assert used - set(CORE) == left | {"rlbench.system.provenance"}
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import registry
 from rlbench.family import Family
-from rlbench.registry import PluginError
+from rlbench.registry import lookup as registry
+from rlbench.registry.lookup import PluginError
 from tests.conftest import write_plugin
 
 
@@ -163,7 +163,7 @@ def test_what_learns_nothing_has_no_trainer():
 def test_families_are_read_without_torch():
     code = """
         import sys
-        from rlbench import registry
+        from rlbench.registry import lookup as registry
         for name in registry.names("methods"):
             registry.family(name)
         for name in registry.names("metrics"):
@@ -198,7 +198,7 @@ def test_a_package_of_its_own_is_found_by_its_entry_point(tmp_path):
     code = f"""
         import sys
         sys.path.insert(0, {str(place)!r})
-        from rlbench import registry
+        from rlbench.registry import lookup as registry
         origin = registry.entries("methods")["stranger"].origin
         print(origin, registry.method("stranger").traits.pool)
     """

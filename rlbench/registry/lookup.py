@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rlbench.family import Family, Variant
-from rlbench.plugins import (
+from rlbench.registry.discovery import (
     GROUPS,
     VARIABLE,
     Entry,

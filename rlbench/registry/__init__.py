@@ -1,0 +1,1 @@
+"""Families, metrics, reports, pools and scenes: found, loaded and named."""
