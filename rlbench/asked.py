@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
-    from rlbench.engine import Engine
+    from rlbench.parallel.executor import Engine
     from rlbench.regress import Baseline
     from rlbench.source import Stored
 
@@ -198,7 +198,7 @@ def own_scene(
             "--camera, --frames, --size, --exposure, --define, --out and --tracer belong to "
             "--scene FILE, which is given without --scenes and --seeds"
         )
-    from rlbench.engine import LOCAL
+    from rlbench.parallel.executor import LOCAL
     from rlbench.render.cycles.clip import ensure_cycles
     from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
@@ -266,7 +266,7 @@ def rendered(
     Scenes, `takes` of each (main or all), and seeds of generated scenes replace those of the
     preset.
     """
-    from rlbench.engine import LOCAL
+    from rlbench.parallel.executor import LOCAL
     from rlbench.registry import lookup as registry
     from rlbench.render.presets import PRESETS
     from rlbench.render.record import ensure

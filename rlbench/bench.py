@@ -18,11 +18,11 @@ from torch import Tensor
 
 from rlbench import cost, latency, table
 from rlbench.cells import Cell, Request, by_title, cells, distinct, never_lost, older
-from rlbench.engine import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.header import LACKS, Header
 from rlbench.latency import Timing
 from rlbench.method import Method, settings
 from rlbench.names import Names
+from rlbench.parallel.executor import LOCAL, Engine, Outcome, Share, Tell
 from rlbench.ready import Ready
 from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip

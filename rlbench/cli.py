@@ -125,7 +125,7 @@ def run(
     from rlbench import show
     from rlbench.bench import measure
     from rlbench.cells import Request
-    from rlbench.cluster import opened
+    from rlbench.parallel.ray_executor import opened
     from rlbench.registry import lookup as registry
 
     names = asked.methods(methods)

@@ -89,7 +89,7 @@ def render(
 
       rlbench render --preset standard --retime
     """
-    from rlbench.cluster import opened
+    from rlbench.parallel.ray_executor import opened
 
     own = (camera, frames, size, exposure, define, out, tracer)
     with opened(engine, ray_address) as workers:

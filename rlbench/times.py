@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from rlbench import cost, latency
 from rlbench.cells import Cell
 from rlbench.cost import Cost, Profile
-from rlbench.engine import Engine, Share, Tell
 from rlbench.frames import Clip
 from rlbench.latency import Timing
 from rlbench.method import Method
+from rlbench.parallel.executor import Engine, Share, Tell
 from rlbench.ready import Ready
 from rlbench.registry import lookup as registry
 from rlbench.system import provenance

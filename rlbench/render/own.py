@@ -13,7 +13,7 @@ from pathlib import Path
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.engine import LOCAL, Engine
+from rlbench.parallel.executor import LOCAL, Engine
 from rlbench.render import flight, llvm, sight
 from rlbench.render.job import POOLS, Job
 from rlbench.render.opened import Opened, opened

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench.clips import Header, write_header
-from rlbench.engine import LOCAL, Engine, Tell
+from rlbench.parallel.executor import LOCAL, Engine, Tell
 from rlbench.registry import lookup as registry
 from rlbench.render import chains, llvm
 from rlbench.render.job import Job

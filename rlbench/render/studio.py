@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.clips import write_frame
-from rlbench.engine import Share, Tell
+from rlbench.parallel.executor import Share, Tell
 from rlbench.render import llvm, rounds
 from rlbench.render.job import Job
 from rlbench.render.trace import Tracer, open_tracer

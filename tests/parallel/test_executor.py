@@ -9,11 +9,13 @@ from functools import partial
 
 import pytest
 
-from rlbench import cluster, table, worker
+from rlbench import table
 from rlbench.bench import Done, measure
 from rlbench.cells import Request
-from rlbench.cluster import Cluster, opened
-from rlbench.engine import LOCAL, EngineError
+from rlbench.parallel import ray_executor as cluster
+from rlbench.parallel import worker
+from rlbench.parallel.executor import LOCAL, EngineError
+from rlbench.parallel.ray_executor import Cluster, opened
 from rlbench.registry.lookup import VARIABLE, use_plugin
 from rlbench.render.job import Job
 from rlbench.render.record import finish

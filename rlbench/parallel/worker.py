@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from rlbench.engine import EngineError
+from rlbench.parallel.executor import EngineError
 from rlbench.registry import discovery as plugins
 from rlbench.system import provenance
 

@@ -17,8 +17,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rlbench import worker
-from rlbench.engine import LOCAL, ONE, Engine, EngineError, J, Outcome, R, Share, Tell, Work
+from rlbench.parallel import worker
+from rlbench.parallel.executor import (
+    LOCAL,
+    ONE,
+    Engine,
+    EngineError,
+    J,
+    Outcome,
+    R,
+    Share,
+    Tell,
+    Work,
+)
 from rlbench.system import provenance
 
 ENGINES = ("local", "ray")
