@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rlbench.dither import choose
 from rlbench.frames import Size
+from rlbench.ops.dither import choose
 
 TOLERANCE = 1e-3  # samples by which the shares of an image may miss the budget before rounding
 STEPS = 64  # most refinements of the multiplier; 5 to 10 are usual
@@ -155,7 +155,7 @@ def spend(
 
     The share of a pixel is clip(k * density, low, high) with k such that shares sum to `cost`. Its
     count is the share rounded down or up, up with the probability of the remainder and in even
-    spread over the image (rlbench.dither), so that counts follow density below one sample too:
+    spread over the image (rlbench.ops.dither), so that counts follow density below one sample too:
     to give what is left to the largest remainders would flatten any density between 0.5 and 1.5
     at 1 spp, and follow the grain of one that is all but flat at 0.5. A density without a positive
     value is uniform. A pixel that nobody wants still takes what full pixels cannot. Differs from

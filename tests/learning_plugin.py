@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import torch
 
 from rlbench.family import Family, Traits, Variant
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.run import unroll
 from rlbench.trainer import Trainer
 from rlbench.weights import equip

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.ops.pad import crop, pad
-from rlbench.ops.rise import Rise
+from rlbench.ops.upsample import Rise
 
 INPUTS = 10  # colour, albedo, normal, depth
 ENCODER = (32, 43, 57, 76, 101)  # channels of both convolutions of a level, fine to coarse

@@ -12,9 +12,9 @@ from torch import Tensor
 from baselines.eaw import FAMILY
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import reflectance, sane, surface
-from rlbench.ops.flat import Flat
-from rlbench.ops.taps import holes
+from rlbench.ops.demodulation import reflectance, sane, surface
+from rlbench.ops.padded_rows import Flat
+from rlbench.ops.stencils import holes
 from rlbench.sampling import Samples
 
 FAR = 1e4  # stands for the logarithm of a depth that is none: weights to it are exactly 0

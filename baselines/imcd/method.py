@@ -15,9 +15,9 @@ from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import of_area, raised
+from rlbench.ops.demodulation import of_area, raised
+from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import squash_depth
-from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
 from rlbench.weights import equip
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.ops.pad import crop, pad
 
 VIEW = 7  # normal, albedo, depth

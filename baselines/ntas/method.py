@@ -15,10 +15,10 @@ from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, Direct, Networks
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import of_area, raised
+from rlbench.ops.demodulation import of_area, raised
 from rlbench.ops.density import exponential
+from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import log_forward, squash_depth
-from rlbench.ops.warp import reproject
 from rlbench.sampling import Samples
 from rlbench.weights import equip
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.ops.kernels import gather
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse

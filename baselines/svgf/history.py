@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rlbench.ops.flat import Flat
+from rlbench.ops.padded_rows import Flat
 
 NEARER = 0.1  # two depths of one surface differ by at most this share (RTXDI, Q2RTX)
 ALIGNED = 0.9  # and the cosine between its normals is at least this (ours, after ReSTIR's tests)

@@ -15,9 +15,9 @@ from baselines.svgf.history import Mean, Past, accumulate, find, luminance, noth
 from baselines.svgf.wavelet import Edges, spread
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import reflectance, sane, surface
-from rlbench.ops.flat import Flat
-from rlbench.ops.taps import box, holes
+from rlbench.ops.demodulation import reflectance, sane, surface
+from rlbench.ops.padded_rows import Flat
+from rlbench.ops.stencils import box, holes
 from rlbench.sampling import Samples
 
 SHORT = 4.0  # frames; the variance of a shorter history is estimated in space

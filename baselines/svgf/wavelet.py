@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.ops.flat import Flat
-from rlbench.ops.taps import Tap
+from rlbench.ops.padded_rows import Flat
+from rlbench.ops.stencils import Tap
 
 SQUARINGS = 7  # cosines enter with the power 128 = 2^7
 

@@ -22,7 +22,7 @@ from methods.ours.network import Sampler
 from methods.ours.policy import Both, Learner, Policy, Situation, appo, learner
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.variants import BASE
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.system import paths
 
 PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.ops.demodulate import raised
+from rlbench.ops.demodulation import raised
 from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import log_forward

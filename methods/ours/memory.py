@@ -12,8 +12,8 @@ from methods.ours.light import Light, alike, told
 from methods.ours.network import VIEW
 from methods.ours.variants import SAMPLES, Config
 from rlbench.frames import Size, View
+from rlbench.ops.reprojection import reproject, reproject_sharp
 from rlbench.ops.transfer import log_forward, squash_depth
-from rlbench.ops.warp import reproject, reproject_sharp
 
 MISSING = -1.0  # a sample that was not bought, a state that is not there
 STILL = 1e-3  # pixels: what moves by less stands still

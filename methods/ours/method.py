@@ -19,10 +19,10 @@ from methods.ours.network import Networks
 from methods.ours.variants import SLOTS, VARIANTS, Config, Density
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.ops.demodulate import sane
+from rlbench.ops.demodulation import sane
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.initialise import initialise
-from rlbench.ops.packed import unpacked
+from rlbench.ops.init import initialise
+from rlbench.ops.memory_format import unpacked
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import (
     LOG_SCALE,

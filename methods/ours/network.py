@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from methods.ours.variants import SAMPLES, Config
-from rlbench.ops.packed import packed
+from rlbench.ops.memory_format import packed
 from rlbench.ops.unet import UNet
 
 VIEW = 7  # normal 3, albedo 3, depth 1

@@ -27,7 +27,7 @@ from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
 from rlbench import validation
 from rlbench.batches import Batches
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.system import paths
 from rlbench.weights import Card, equip, read_card, save
 

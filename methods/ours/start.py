@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from methods.ours.network import SPREAD, TOLD, VIEW, Encoder, Networks, Sampler
 from methods.ours.variants import SAMPLES, Config
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.ops.unet import BASE, FAST, UNet
 
 FAINT = 0.1  # share of a random weight that is left beside a wired one

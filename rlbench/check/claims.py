@@ -124,12 +124,12 @@ _ALL = (
     Claim("it keeps apart clips that are advanced in turn", _STATE, remembered.alone, _COMPARED),
     Claim(
         "it needs no motion where nothing moves",
-        "view.motion is None there, which rlbench/ops/warp.py takes",
+        "view.motion is None there, which rlbench/ops/reprojection.py takes",
         remembered.static,
     ),
     Claim(
         "it remembers nothing where another shot begins",
-        "move the state by rlbench.ops.warp.recall: what comes from outside is missing",
+        "move the state by rlbench.ops.reprojection.recall: what comes from outside is missing",
         remembered.cut,
         _COMPARED,
     ),

@@ -12,7 +12,7 @@ from torch import Tensor
 from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.lint.footage import Footage
 from rlbench.lint.reading import DIRECTIONS, OPPOSITE, STORED, Reading, readings
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 
 CHECK = "motion"
 FLOOR = 0.01  # standard deviations: differences below it are rounding and interpolation

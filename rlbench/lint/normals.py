@@ -11,7 +11,7 @@ from torch import Tensor
 from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.lint.footage import Footage
 from rlbench.lint.geometry import KINDS, Fit, positions
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 
 CHECK = "normal"
 UNIT = 0.02  # how far from 1 a length may be: half precision gives 0.001

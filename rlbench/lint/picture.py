@@ -13,7 +13,7 @@ from torch import Tensor
 from rlbench.lint.finding import Finding, Verdict
 from rlbench.lint.footage import Footage
 from rlbench.lint.reference import shown
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 from rlbench.system.paths import replacing
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.initialise import initialise
-from rlbench.ops.packed import packed
-from rlbench.ops.rise import Rise
+from rlbench.ops.init import initialise
+from rlbench.ops.memory_format import packed
+from rlbench.ops.upsample import Rise
 
 STRIDE = 16  # four poolings: both sides of the input divide by this
 

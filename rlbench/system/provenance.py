@@ -19,7 +19,7 @@ CORE = (
     "rlbench.frames",
     "rlbench.method",
     "rlbench.sampling",
-    "rlbench.dither",
+    "rlbench.ops.dither",
     "rlbench.run",
     "rlbench.ops",
     "rlbench.clips",

@@ -17,8 +17,8 @@ from baselines.eaw import search
 from baselines.eaw.method import Config, Eaw, smooth
 from rlbench.clips import open_clip
 from rlbench.frames import View
-from rlbench.ops.demodulate import reflectance
-from rlbench.ops.flat import Flat
+from rlbench.ops.demodulation import reflectance
+from rlbench.ops.padded_rows import Flat
 from rlbench.sampling import Samples
 from tests.baselines import wavelet_twins as twin
 from tests.baselines.moving import frame

@@ -18,7 +18,7 @@ from baselines.imcd.network import Encoder, Kernels, Networks
 from baselines.imcd.train import losses, strain, trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
-from rlbench.ops.demodulate import of_area, raised
+from rlbench.ops.demodulation import of_area, raised
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
 

@@ -14,7 +14,7 @@ from baselines.ntas.network import Networks
 from baselines.ntas.train import trainer
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.memory import MemoryClip
-from rlbench.ops.demodulate import of_area, raised
+from rlbench.ops.demodulation import of_area, raised
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
 

@@ -12,10 +12,10 @@ from torch.nn import functional as F
 
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import ms_ssim
-from rlbench.ops.rise import Rise
+from rlbench.ops.reprojection import reproject, reproject_sharp
 from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import FAST, UNet
-from rlbench.ops.warp import reproject, reproject_sharp
+from rlbench.ops.upsample import Rise
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 KORNIA = kornia.losses.MS_SSIMLoss(alpha=1.0, compensation=1.0, reduction="mean")  # no L1

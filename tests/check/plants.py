@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from rlbench.family import Family, Traits, Variant
 from rlbench.frames import Size
-from rlbench.ops.warp import recall
+from rlbench.ops.reprojection import recall
 
 SIZE, LESSER = Size(1, 19, 31), Size(1, 17, 23)  # pixels: faults are as plain in small frames
 SOUND = Traits(needs=frozenset({"albedo", "motion"}), adapts=True, temporal=True)

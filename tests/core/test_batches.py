@@ -11,7 +11,7 @@ from torch import Tensor
 from rlbench.batches import BatchError, Batches, one_of
 from rlbench.clips import open_clip
 from rlbench.memory import MemoryClip
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 from rlbench.prefetch import ahead
 from tests.conftest import write_noise
 from tests.procedural_folder import write_world

@@ -469,7 +469,9 @@ def test_a_score_on_a_clip_that_was_trained_on_says_that_it_is_no_test(tmp_path,
     assert remark not in set(rows[rows["method"] == "mean"]["note"])
 
 
-@pytest.mark.parametrize("part", ["rlbench.dither", "baselines.oidn.method", "methods.ours.light"])
+@pytest.mark.parametrize(
+    "part", ["rlbench.ops.dither", "baselines.oidn.method", "methods.ours.light"]
+)
 def test_what_ours_is_made_of_decides_its_name(clip_folder, monkeypatch, part):
     asked = request(clip_folder, "ours")
     (cell,) = cells(asked)

@@ -10,7 +10,7 @@ import torch
 from rlbench import show, table
 from rlbench.bench import Done, measure
 from rlbench.frames import Size
-from rlbench.ops.packed import packed, unpacked
+from rlbench.ops.memory_format import packed, unpacked
 from rlbench.ops.unet import SMALL, UNet
 from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 from rlbench import world
 from rlbench.frames import Frame, Size
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 from rlbench.procedural import procedural
 
 SMALL = Size(1, 12, 16)

@@ -19,7 +19,7 @@ from rlbench.batches import Augmentation, BatchError, Batches
 from rlbench.course import Course, start_anew
 from rlbench.frames import Size
 from rlbench.learner import Learner
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry
 from rlbench.training import Plan, Progress, TrainingError, train

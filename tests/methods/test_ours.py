@@ -17,7 +17,7 @@ from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, SLOTS, VARIANTS
 from rlbench.frames import Frame, Size, View
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.procedural import procedural

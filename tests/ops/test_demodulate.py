@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.ops.demodulate import of_area, raised, reflectance, sane, surface
+from rlbench.ops.demodulation import of_area, raised, reflectance, sane, surface
 from tests.baselines.wavelet_twins import area_albedo
 
 

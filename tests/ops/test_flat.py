@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rlbench.ops import flat as module
-from rlbench.ops.flat import Flat
-from rlbench.ops.taps import box, holes
+from rlbench.ops import padded_rows as module
+from rlbench.ops.padded_rows import Flat
+from rlbench.ops.stencils import box, holes
 
 SIZES = [(1, 1, 1, 3), (1, 5, 7, 3), (2, 4, 6, 5), (3, 9, 2, 8)]
 every_size = pytest.mark.parametrize("size", SIZES, ids=str)

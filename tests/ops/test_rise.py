@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rlbench.ops.rise import Rise
+from rlbench.ops.upsample import Rise
 
 
 def joined(layer, coarse, skip):

@@ -8,7 +8,7 @@ import kornia
 import pytest
 import torch
 
-from rlbench.ops.warp import recall, reproject, reproject_sharp
+from rlbench.ops.reprojection import recall, reproject, reproject_sharp
 
 N, C, H, W = 2, 3, 9, 14
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from rlbench.clips import ClipError, open_clip, read_header, write_header
-from rlbench.ops.warp import reproject
+from rlbench.ops.reprojection import reproject
 from rlbench.registry import lookup as registry
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.live import open_live

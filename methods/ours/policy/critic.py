@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from methods.ours.policy.blocks import Policy
 from methods.ours.policy.learner import Situation
-from rlbench.ops.initialise import initialise
+from rlbench.ops.init import initialise
 
 SMALL = 1e-8  # squared error: keeps the scale of errors from dividing by zero
 MOST = 30.0  # times the mean error: what a pixel is cut at, so that no firefly rules the fit

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.dither import choose, hilbert, shift
+from rlbench.ops.dither import choose, hilbert, shift
 
 CPU = torch.device("cpu")
 
