@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench.clips import ALL, MemoryClip, open_clip
+from rlbench.clips.stored import ALL, MemoryClip, open_clip
 from rlbench.family import Traits
 from rlbench.frames import Frame, Reference, View
 from rlbench.plan import Plan

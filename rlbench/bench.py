@@ -18,7 +18,7 @@ from torch import Tensor
 
 from rlbench import cost, latency, table
 from rlbench.cells import Cell, Request, by_title, cells, distinct, never_lost, older
-from rlbench.header import LACKS, Header
+from rlbench.clips.header import LACKS, Header
 from rlbench.latency import Timing
 from rlbench.method import Method, settings
 from rlbench.names import Names

@@ -113,7 +113,7 @@ def render(
 
 def _retimed(folder: Path) -> str:
     """What a sample took before and takes now, in words."""
-    from rlbench.clips import read_header
+    from rlbench.clips.stored import read_header
     from rlbench.render.retime import retime
 
     before = read_header(folder).sample_ms

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
-from rlbench.clips import Header
+from rlbench.clips.stored import Header
 from rlbench.registry import lookup as registry
 from rlbench.system import paths, provenance
 

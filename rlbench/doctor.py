@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench.clips import read_header
-from rlbench.header import ClipError
+from rlbench.clips.header import ClipError
+from rlbench.clips.stored import read_header
 from rlbench.registry import lookup as registry
 from rlbench.system import paths, provenance
 

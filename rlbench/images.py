@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from torch import Tensor
 
 from rlbench.cells import Cell, Request
-from rlbench.exr import write_exr
+from rlbench.clips.exr import write_exr
 from rlbench.names import Names
 from rlbench.ready import Ready
 from rlbench.registry import lookup as registry

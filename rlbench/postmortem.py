@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from rlbench import checkpoint
+from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import Clip, Frame, Reference, View
 from rlbench.learner import Learner, NotFinite, NotFiniteError
-from rlbench.memory import MemoryClip
 from rlbench.plan import Plan
 from rlbench.registry import lookup as registry
 from rlbench.sampling import StoredPool

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
 from rlbench.batches import Batches
-from rlbench.memory import MemoryClip
+from rlbench.clips.in_memory import MemoryClip
 
 
 @contextmanager

@@ -13,10 +13,10 @@ from typing import Protocol
 
 import torch
 
-from rlbench.clips import ClipError, Header, open_clip, read_header
+from rlbench.clips.header import FILE
+from rlbench.clips.stored import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
-from rlbench.header import FILE
 from rlbench.registry import lookup as registry
 from rlbench.render.live import open_live, scene_of
 from rlbench.render.llvm import activate

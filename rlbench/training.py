@@ -14,8 +14,8 @@ import torch
 
 from rlbench import checkpoint, curves, postmortem, validation, weights
 from rlbench.batches import Batches, one_of
+from rlbench.clips.in_memory import MemoryClip
 from rlbench.learner import Learner, NotFiniteError
-from rlbench.memory import MemoryClip
 from rlbench.method import settings
 from rlbench.plan import Plan, Progress
 from rlbench.postmortem import replay

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rlbench.clips import open_clip
+from rlbench.clips.stored import open_clip
 from rlbench.method import Method
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip

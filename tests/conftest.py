@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.clips import Header, write_frame, write_header
+from rlbench.clips.stored import Header, write_frame, write_header
 from rlbench.registry import lookup as registry
 
 

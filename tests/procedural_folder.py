@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rlbench.clips import Header, write_frame, write_header
+from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.stored import Header, write_frame, write_header
 from rlbench.frames import Size
-from rlbench.procedural import procedural
 
 
 def write_world(folder: Path, seed: int = 0, side: int = 48, frames: int = 3) -> Path:

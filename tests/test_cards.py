@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.procedural import procedural
+from rlbench.clips.procedural.clip import procedural
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from rlbench.weights import Card, digest, read_card

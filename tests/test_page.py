@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from metrics.image import bias
+from rlbench.clips.procedural.clip import procedural
 from rlbench.family import Traits
 from rlbench.frames import Size
-from rlbench.procedural import procedural
 from rlbench.registry.discovery import PluginError
 from rlbench.run import run_clip
 from rlbench.sampling import BudgetError

@@ -8,8 +8,8 @@ from pathlib import Path
 from rlbench.check.finding import Verdict
 from rlbench.check.subject import Subject
 from rlbench.check.suite import examine
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 

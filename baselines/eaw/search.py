@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from baselines.eaw.method import Config, Eaw
-from rlbench.clips import StoredClip, open_clip
-from rlbench.memory import MemoryClip
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.stored import StoredClip, open_clip
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from baselines.oidn.method import INPUTS, VARIANTS, Oidn
+from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import Clip
-from rlbench.memory import MemoryClip
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import EVEN, decibels, mixed
 from rlbench.ops.transfer import pu_forward

@@ -28,7 +28,7 @@ from methods.ours.memory import Memory
 from methods.ours.method import Ours, build
 from methods.ours.policy.ppo_pixel import PpoPixel
 from methods.ours.turn import Turn
-from rlbench.clips import open_clip
+from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame
 from rlbench.registry import lookup as registry
 from rlbench.system import paths

@@ -13,16 +13,16 @@ from torch import Tensor
 from rlbench.check import worlds
 from rlbench.check.finding import Finding
 from rlbench.check.watched import Watched
+from rlbench.clips.header import VIEWS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size
-from rlbench.header import VIEWS
 from rlbench.method import Method
 from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.system import provenance
 
 if TYPE_CHECKING:
-    from rlbench.memory import MemoryClip
+    from rlbench.clips.in_memory import MemoryClip
 
 USUAL = 0.6  # samples per pixel: leaves pixels without one where the method allows that
 

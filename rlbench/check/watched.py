@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rlbench.clips.header import VIEWS
 from rlbench.family import Traits
 from rlbench.frames import Size, View
-from rlbench.header import VIEWS
 from rlbench.method import Method, State
 from rlbench.sampling import Samples
 

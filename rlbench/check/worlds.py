@@ -9,9 +9,9 @@ from functools import cache
 import torch
 from torch import Tensor
 
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Reference, Size, View
-from rlbench.memory import MemoryClip
-from rlbench.procedural import procedural
 from rlbench.run import Shown
 from rlbench.sampling import StoredPool
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rlbench.header import Header
+    from rlbench.clips.header import Header
 
 
 def import_(
@@ -36,8 +36,9 @@ def import_(
 
       rlbench import my_renders/ --format oidn --out clips/ && rlbench run -m mean --clips clips/
     """
-    from rlbench.importing import formats, store
-    from rlbench.importing.sequence import span
+    from rlbench.clips.importers import formats
+    from rlbench.clips.importers import writer as store
+    from rlbench.clips.importers.sequence import span
 
     found = formats.sequences(source, format_, span(frames) if frames else None)
     plans = [(each, store.plan(each, samples, exposure), out / each.name) for each in found]
@@ -63,8 +64,8 @@ def _bar(frames: int) -> Iterator[Callable[[], None]]:
 
 def _tell(header: Header, folder: Path, news: str) -> None:
     """What became of one clip, what it lacks of the format, and what can be measured on it."""
-    from rlbench.header import LACKS
-    from rlbench.importing.possible import possible
+    from rlbench.clips.compatibility import possible
+    from rlbench.clips.header import LACKS
 
     size = f"{header.frames} frames of {header.width} x {header.height}"
     typer.echo(f"{folder}: {news}, {size}, of each pixel {header.pool_spp} samples of 1 spp")

@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.exr import read_exr
-from rlbench.folder import channels, exr_path, images
-from rlbench.header import Header, read_header
+from rlbench.clips.exr import read_exr
+from rlbench.clips.frame_files import channels, exr_path, images
+from rlbench.clips.header import Header, read_header
 from rlbench.registry import lookup as registry
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from rlbench.folder import not_finite
+from rlbench.clips.frame_files import not_finite
 from rlbench.lint.finding import Finding, fine, wrong
 from rlbench.lint.footage import Footage
 

@@ -21,9 +21,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from rich.progress import Progress
 
-from rlbench.clips import Header, read_header, write_header
-from rlbench.folder import exr_path, write_pool
-from rlbench.header import FILE
+from rlbench.clips.frame_files import exr_path, write_pool
+from rlbench.clips.header import FILE
+from rlbench.clips.stored import Header, read_header, write_header
 from rlbench.pools import Chains, PoolKind
 from rlbench.registry import lookup as registry
 from rlbench.render import llvm

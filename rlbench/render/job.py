@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench.clips import ClipError, has_frame
+from rlbench.clips.header import FILE, Header
+from rlbench.clips.stored import ClipError, has_frame
 from rlbench.frames import BUFFERS
-from rlbench.header import FILE, Header
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.presets import Preset
 from rlbench.render.rounds import NOTES, noted, stored_ceiling_db

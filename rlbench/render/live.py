@@ -14,9 +14,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from rlbench.clips import ClipError, StoredClip, read_header, sale
-from rlbench.exr import precision
-from rlbench.folder import exr_path
+from rlbench.clips.exr import precision
+from rlbench.clips.frame_files import exr_path
+from rlbench.clips.stored import ClipError, StoredClip, read_header, sale
 from rlbench.frames import Frame, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.job import POOLS, marked

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
-from rlbench.header import EXTRAS
+from rlbench.clips.header import EXTRAS
 
 FOUR = ("city", "temple", "hall", "ripples")
 BOTH = ("path", "restir")  # pools, by entry point of the group rlbench.pools

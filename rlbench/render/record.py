@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from rlbench.clips import Header, write_header
+from rlbench.clips.stored import Header, write_header
 from rlbench.parallel.executor import LOCAL, Engine, Tell
 from rlbench.registry import lookup as registry
 from rlbench.render import chains, llvm

@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from rlbench.clips import ClipError, Header, read_header, write_header
+from rlbench.clips.stored import ClipError, Header, read_header, write_header
 from rlbench.render.record import named
 from rlbench.render.trace import sample_ms
 from rlbench.system.provenance import machine

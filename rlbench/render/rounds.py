@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.exr import read_exr
-from rlbench.folder import CHANNELS, exr_path
+from rlbench.clips.exr import read_exr
+from rlbench.clips.frame_files import CHANNELS, exr_path
 from rlbench.render.presets import Preset
 from rlbench.render.tracer import Tracer
 from rlbench.system import paths

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.clips import write_frame
+from rlbench.clips.stored import write_frame
 from rlbench.parallel.executor import Share, Tell
 from rlbench.render import llvm, rounds
 from rlbench.render.job import Job

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from rlbench.clips.header import VIEWS
 from rlbench.frames import BUFFERS
-from rlbench.header import VIEWS
 from rlbench.render.pose import Pose
 from rlbench.render.through import albedo, reflectance, through
 from rlbench.render.tracer import Tracer

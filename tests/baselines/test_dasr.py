@@ -17,9 +17,9 @@ from baselines.dasr.losses import edges, relative
 from baselines.dasr.method import Dasr, build
 from baselines.dasr.network import Networks
 from baselines.dasr.train import trainer
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Reference, Size, View
-from rlbench.memory import MemoryClip
-from rlbench.procedural import procedural
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
 from rlbench.training import Plan, train

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from baselines.eaw import search
 from baselines.eaw.method import Config, Eaw, smooth
-from rlbench.clips import open_clip
+from rlbench.clips.stored import open_clip
 from rlbench.frames import View
 from rlbench.ops.demodulation import reflectance
 from rlbench.ops.padded_rows import Flat

@@ -16,8 +16,8 @@ from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.method import Config, Imcd, State, build
 from baselines.imcd.network import Encoder, Kernels, Networks
 from baselines.imcd.train import losses, strain, trainer
+from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import Frame, Reference, Size, View
-from rlbench.memory import MemoryClip
 from rlbench.ops.demodulation import of_area, raised
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
@@ -337,7 +337,7 @@ import resource, torch
 torch.set_num_threads(1)
 from baselines.imcd.method import build
 from rlbench.frames import Size
-from rlbench.procedural import procedural
+from rlbench.clips.procedural.clip import procedural
 from rlbench.run import run_clip
 
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -12,8 +12,8 @@ import torch
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, develop
 from baselines.oidn.train import _loss, trainer
+from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import Frame, Reference, View
-from rlbench.memory import MemoryClip
 from rlbench.method import Method
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward

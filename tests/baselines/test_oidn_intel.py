@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from baselines.oidn_intel import FAMILY, TRAITS
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.memory import MemoryClip
-from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.sampling import Samples

@@ -13,10 +13,10 @@ from torch.nn import functional as F
 
 from baselines.oidn import method, tza
 from baselines.oidn.method import INPUTS, VARIANTS, Oidn, build
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.memory import MemoryClip
 from rlbench.ops.unet import UNet
-from rlbench.procedural import procedural
 from rlbench.run import Shown, run_clip
 from rlbench.sampling import Samples
 from rlbench.weights import load_into

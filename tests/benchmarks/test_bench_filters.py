@@ -13,9 +13,9 @@ from torch import Tensor
 from baselines.eaw.method import Config, Eaw, smooth
 from baselines.svgf.method import BASE, LOG2E, build, gradient, wavelet
 from baselines.svgf.wavelet import Edges
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size
 from rlbench.ops.padded_rows import Flat
-from rlbench.procedural import procedural
 from rlbench.sampling import Samples
 from tests.benchmarks import plain_filters as plain
 

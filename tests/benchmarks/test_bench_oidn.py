@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from baselines.oidn import method, tza
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.procedural import procedural
 from rlbench.run import run_clip
 
 WEIGHTS = Path(tza.__file__).parent / "cards" / "oidn.safetensors"

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from rlbench.batches import BatchError, Batches, one_of
-from rlbench.clips import open_clip
-from rlbench.memory import MemoryClip
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.stored import open_clip
 from rlbench.ops.reprojection import reproject
 from rlbench.prefetch import ahead
 from tests.conftest import write_noise

@@ -17,7 +17,7 @@ from reports.scores import points
 from rlbench import table
 from rlbench.bench import Done, measure
 from rlbench.cells import CellsError, Request, cells
-from rlbench.clips import open_clip
+from rlbench.clips.stored import open_clip
 from rlbench.names import Names
 from rlbench.registry import lookup as registry
 from rlbench.source import Stored, affordable

@@ -9,10 +9,10 @@ import torch
 
 from rlbench import show, table
 from rlbench.bench import Done, measure
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.ops.memory_format import packed, unpacked
 from rlbench.ops.unet import SMALL, UNet
-from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from rlbench.wrappers import Half

@@ -13,8 +13,8 @@ from metrics.display import display as of_the_metrics
 from rlbench import table
 from rlbench.bench import measure
 from rlbench.cells import Request
-from rlbench.clips import open_clip
-from rlbench.exr import read_exr
+from rlbench.clips.exr import read_exr
+from rlbench.clips.stored import open_clip
 from rlbench.images import BROKEN, ImagesError, display, picture, reached, write
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.learner import Learner, NotFiniteError
-from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry
 from rlbench.trainer import Trainer
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pytest
 import torch
 
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.procedural import procedural
 from rlbench.run import run_clip, unroll
 from tests.test_page import Diary
 

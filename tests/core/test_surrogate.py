@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural.clip import procedural
 from rlbench.family import Traits
 from rlbench.frames import Frame, Reference, Size, View
-from rlbench.memory import MemoryClip
-from rlbench.procedural import procedural
 from rlbench.run import unroll
 from rlbench.sampling import Samples, StoredPool, spend
 from rlbench.surrogate import Surrogate, pull, shares

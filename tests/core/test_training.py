@@ -16,11 +16,11 @@ from torch import nn
 
 from rlbench import checkpoint, show, validation
 from rlbench.batches import Augmentation, BatchError, Batches
+from rlbench.clips.procedural.clip import procedural
 from rlbench.course import Course, start_anew
 from rlbench.frames import Size
 from rlbench.learner import Learner
 from rlbench.ops.reprojection import reproject
-from rlbench.procedural import procedural
 from rlbench.registry import lookup as registry
 from rlbench.training import Plan, Progress, TrainingError, train
 from rlbench.weights import digest, read_card

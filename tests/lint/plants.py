@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from rlbench.clips import Header, write_frame, write_header
-from rlbench.exr import write_exr
-from rlbench.folder import exr_path
+from rlbench.clips.exr import write_exr
+from rlbench.clips.frame_files import exr_path
+from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.stored import Header, write_frame, write_header
 from rlbench.frames import Size
 from rlbench.lint.footage import Footage
-from rlbench.procedural import procedural
 
 POOL, HALF = 8, 256  # samples of the pool, and of each half of the reference
 Fault = Callable[[Footage], Footage]
@@ -111,7 +111,7 @@ def normalised(footage: Footage) -> Footage:
 
 def camera_space(footage: Footage) -> Footage:
     """Normals turned into the axes of the procedural camera of each frame."""
-    from rlbench import world
+    from rlbench.clips.procedural import world
 
     seed = footage.header.name.rsplit("-", 1)[1]
     own = world.draw([f"{seed}/0"], torch.device("cpu"))

@@ -11,7 +11,7 @@ import torch
 from typer.testing import CliRunner
 
 from rlbench.cli import app
-from rlbench.clips import ClipError, open_clip
+from rlbench.clips.stored import ClipError, open_clip
 from rlbench.lint.checks import examine, geometry
 from rlbench.lint.finding import Verdict
 from rlbench.lint.footage import Footage, read_footage

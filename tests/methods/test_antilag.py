@@ -14,11 +14,11 @@ from methods.ours.light import Light
 from methods.ours.method import build
 from methods.ours.train import trainer
 from methods.ours.variants import VARIANTS
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Reference, Size
-from rlbench.memory import MemoryClip
 from rlbench.ops.exposure import luminance
 from rlbench.ops.transfer import log_forward
-from rlbench.procedural import procedural
 from rlbench.run import run_clip
 from rlbench.sampling import StoredPool
 

@@ -10,8 +10,8 @@ import torch
 from methods.ours.ceiling import ceiling, improved
 from methods.ours.method import build
 from methods.ours.turn import Turn
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size
-from rlbench.procedural import procedural
 from rlbench.sampling import StoredPool
 from tests.conftest import write_noise
 

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from methods.ours.light import Light, alike, filled, gathered, measured, told
 from methods.ours.method import build
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size, View
-from rlbench.procedural import procedural
 from rlbench.sampling import Samples
 
 SIZE = (1, 40, 56)

@@ -16,11 +16,11 @@ from methods.ours.method import build
 from methods.ours.network import Encoder, Networks, Sampler
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, SLOTS, VARIANTS
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size, View
 from rlbench.ops.init import initialise
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
-from rlbench.procedural import procedural
 from rlbench.run import run_clip, unroll
 from rlbench.sampling import Samples
 

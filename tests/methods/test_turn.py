@@ -12,8 +12,8 @@ from methods.ours.policy.gamma import gamma_each
 from methods.ours.policy.surrogate import pull_each
 from methods.ours.train import trainer
 from methods.ours.turn import Turn
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.procedural import procedural
 from rlbench.run import unroll
 from rlbench.sampling import Samples
 

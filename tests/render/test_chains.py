@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.clips import open_clip, read_header, verify
+from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
 from rlbench.render import chains
 from rlbench.render.job import Job

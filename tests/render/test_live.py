@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.clips import ClipError, open_clip, read_header
-from rlbench.exr import precision
+from rlbench.clips.exr import precision
+from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.registry import lookup as registry
 from rlbench.render.job import Job

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from rlbench import table
 from rlbench.cli import app
-from rlbench.clips import open_clip, read_header, verify
+from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.render import flight, sight
 from rlbench.render.opened import opened
 from rlbench.render.own import Wish, ensure_own

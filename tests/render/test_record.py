@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.clips import ClipError, open_clip, read_header, verify
+from rlbench.clips.stored import ClipError, open_clip, read_header, verify
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.job import Job
 from rlbench.render.presets import PRESETS, Preset, preset

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from metrics.image import psnr
-from rlbench.clips import open_clip, read_header
+from rlbench.clips.stored import open_clip, read_header
 from rlbench.render import rounds
 from rlbench.render.job import Job
 from rlbench.render.presets import Preset

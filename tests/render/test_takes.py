@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.clips import ClipError, open_clip, read_header, write_header
+from rlbench.clips.stored import ClipError, open_clip, read_header, write_header
 from rlbench.ops.reprojection import reproject
 from rlbench.registry import lookup as registry
 from rlbench.render.fingerprint import fingerprint

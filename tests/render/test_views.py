@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rlbench.header import VIEWS
+from rlbench.clips.header import VIEWS
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Scene
 from rlbench.render.trace import open_tracer

@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 from rich.console import Console
 from rich.progress import Progress
 
-from rlbench.clips import write_frame, write_header
+from rlbench.clips.stored import write_frame, write_header
 from rlbench.render import rounds, sight
 from rlbench.render.cycles import passes
 from rlbench.render.cycles.opened import Found, opened

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.exr import read_exr
+from rlbench.clips.exr import read_exr
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 

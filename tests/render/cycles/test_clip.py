@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.clips import open_clip, read_header, verify
+from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.lint.checks import examine
 from rlbench.lint.finding import Verdict
 from rlbench.lint.footage import read_footage

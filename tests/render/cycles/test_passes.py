@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rlbench.exr import write_exr
+from rlbench.clips.exr import write_exr
 from rlbench.render.cycles import passes
 from rlbench.render.scene import Camera, Scene
 

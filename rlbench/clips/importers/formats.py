@@ -6,12 +6,12 @@ import importlib
 from collections import Counter
 from pathlib import Path
 
-from rlbench.importing.sequence import Sequence, SourceError
+from rlbench.clips.importers.sequence import Sequence, SourceError
 
 FORMATS = {
-    "oidn": "rlbench.importing.oidn",
-    "noisebase": "rlbench.importing.noisebase",
-    "paper": "rlbench.importing.paper",
+    "oidn": "rlbench.clips.importers.oidn",
+    "noisebase": "rlbench.clips.importers.noisebase",
+    "paper": "rlbench.clips.importers.rl_path_tracing",
 }
 
 

@@ -13,9 +13,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench import cast, world
+from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.procedural import raycast as cast
+from rlbench.clips.procedural import world
 from rlbench.frames import Frame, Reference, Size, View
-from rlbench.memory import MemoryClip
 from rlbench.sampling import StoredPool
 
 FIREFLY = 0.003  # chance that a sample is one

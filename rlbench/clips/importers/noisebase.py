@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench.importing import doors
-from rlbench.importing.sequence import (
+from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers.sequence import (
     Pixels,
     Sequence,
     SourceError,
@@ -32,7 +32,7 @@ from rlbench.importing.sequence import (
     clip_name,
     consecutive,
 )
-from rlbench.importing.zarray import array, opened, shapes
+from rlbench.clips.importers.zarr_v2 import array, opened, shapes
 
 LAYOUT = "SEQUENCE/frame0000.zip, SEQUENCE/frame0001.zip"
 FILE = re.compile(r"frame(\d{4,})\.zip")

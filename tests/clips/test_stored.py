@@ -15,8 +15,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rlbench import clips, decoded
-from rlbench.clips import (
+from rlbench.clips import decode_cache as decoded
+from rlbench.clips import stored as clips
+from rlbench.clips.exr import write_exr
+from rlbench.clips.stored import (
     ClipError,
     Header,
     has_frame,
@@ -26,7 +28,6 @@ from rlbench.clips import (
     write_frame,
     write_header,
 )
-from rlbench.exr import write_exr
 from rlbench.system import paths
 
 H, W, FRAMES, STORED = 5, 7, 2, 4

@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 
 from rlbench import table
 from rlbench.cli import app
-from rlbench.clips import ClipError, Header, open_clip, read_header, verify
-from rlbench.importing import formats, store
-from rlbench.importing.sequence import SourceError, clip_name, span
-from tests.importing.sources import oidn, paper, radiance
+from rlbench.clips.importers import formats
+from rlbench.clips.importers import writer as store
+from rlbench.clips.importers.sequence import SourceError, clip_name, span
+from rlbench.clips.stored import ClipError, Header, open_clip, read_header, verify
+from tests.clips.importers.sources import oidn, paper, radiance
 
 
 def rlbench(*words: object, code: int = 0) -> str:
@@ -215,7 +216,7 @@ def test_frames_beyond_the_last_are_missing(source):
 
 
 def test_what_is_not_finite_is_not_imported(tmp_path):
-    from tests.importing.sources import exr
+    from tests.clips.importers.sources import exr
 
     source = oidn(tmp_path / "source")
     image = radiance(1, 0)
@@ -248,7 +249,7 @@ def test_a_clip_that_lacks_nothing_keeps_its_digest():
 
 
 def test_fireflies_are_imported_whole(tmp_path):
-    from tests.importing.sources import exr
+    from tests.clips.importers.sources import exr
 
     source = oidn(tmp_path / "source", frames=1)
     image = radiance(0, 0)

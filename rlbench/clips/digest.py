@@ -6,8 +6,8 @@ import hashlib
 import json
 from pathlib import Path
 
-from rlbench.folder import exr_path, kinds
-from rlbench.header import ClipError, Header
+from rlbench.clips.frame_files import exr_path, kinds
+from rlbench.clips.header import ClipError, Header
 from rlbench.system import paths
 
 Stamp = tuple[int, int, str]  # bytes, mtime in ns, sha256 of one file

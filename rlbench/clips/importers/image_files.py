@@ -12,9 +12,9 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.exr import TYPES
-from rlbench.importing.doors import sized
-from rlbench.importing.sequence import Pixels, SourceError
+from rlbench.clips.exr import TYPES
+from rlbench.clips.importers.limits import sized
+from rlbench.clips.importers.sequence import Pixels, SourceError
 
 COLOURS = ("R", "G", "B")
 AXES = ("X", "Y", "Z")

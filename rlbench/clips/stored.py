@@ -12,12 +12,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rlbench.decoded import Decoded, decode
-from rlbench.digest import clip_digest
-from rlbench.folder import exr_path, has_frame, images, kinds, write_frame
+from rlbench.clips.decode_cache import Decoded, decode
+from rlbench.clips.digest import clip_digest
+from rlbench.clips.frame_files import exr_path, has_frame, images, kinds, write_frame
+from rlbench.clips.header import ClipError, Header, read_header, write_header
+from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import BUFFERS, Frame, Reference, Size, View
-from rlbench.header import ClipError, Header, read_header, write_header
-from rlbench.memory import MemoryClip
 from rlbench.sampling import Pool, StoredPool
 
 __all__ = [

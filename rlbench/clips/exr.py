@@ -9,7 +9,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from rlbench.header import ClipError
+from rlbench.clips.header import ClipError
 from rlbench.system.paths import replacing
 
 TYPES: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}

@@ -29,9 +29,9 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.importing import doors
-from rlbench.importing.images import png_size, read_png
-from rlbench.importing.sequence import (
+from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers.image_files import png_size, read_png
+from rlbench.clips.importers.sequence import (
     Pixels,
     Sequence,
     SourceError,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rlbench.importing.sequence import SourceError
+from rlbench.clips.importers.sequence import SourceError
 
 MOST_FILES = 1_000_000  # below one source
 MOST_PIXELS = 2**26  # of an image: 8192 x 8192

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
-from rlbench.clips import Header, has_frame, write_frame, write_header
-from rlbench.folder import kinds
-from rlbench.header import FILE
-from rlbench.importing import doors
-from rlbench.importing.possible import possible
-from rlbench.importing.sequence import Sequence, SourceError
+from rlbench.clips.compatibility import possible
+from rlbench.clips.frame_files import kinds
+from rlbench.clips.header import FILE
+from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers.sequence import Sequence, SourceError
+from rlbench.clips.stored import Header, has_frame, write_frame, write_header
 from rlbench.system import paths
 
 MARK = "source.txt"  # beside the frames: what they were imported from

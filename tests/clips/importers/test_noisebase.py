@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.importing.sequence import SourceError
-from tests.importing.sources import (
+from rlbench.clips.importers.sequence import SourceError
+from tests.clips.importers.sources import (
     FAR,
     ZOOM,
     H,

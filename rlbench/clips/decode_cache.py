@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.exr import read_exr
-from rlbench.folder import channels, exr_path, not_finite
-from rlbench.header import ClipError, Header
+from rlbench.clips.exr import read_exr
+from rlbench.clips.frame_files import channels, exr_path, not_finite
+from rlbench.clips.header import ClipError, Header
 from rlbench.system import paths, provenance
 
 Arrays = Mapping[str, NDArray[np.floating]]  # c h w, as precise as the file
@@ -57,7 +57,9 @@ class Decoded:
 @cache
 def _reader() -> str:
     """Hash of the code that decodes: what another one left is not read."""
-    return provenance.code_hash([__name__, "rlbench.exr", "rlbench.folder"], core=())[:8]
+    return provenance.code_hash(
+        [__name__, "rlbench.clips.exr", "rlbench.clips.frame_files"], core=()
+    )[:8]
 
 
 def decode(path: Path, names: Sequence[str], header: Header) -> Arrays:

@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 
 from metrics.image import psnr
-from rlbench.importing.sequence import SourceError
-from tests.importing.sources import DRIFT, H, W, display, grid, imported, paper, pool, stored
+from rlbench.clips.importers.sequence import SourceError
+from tests.clips.importers.sources import DRIFT, H, W, display, grid, imported, paper, pool, stored
 
 
 @pytest.fixture

@@ -25,9 +25,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rlbench.importing import doors
-from rlbench.importing.images import exr_size, read_exr
-from rlbench.importing.sequence import (
+from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers.image_files import exr_size, read_exr
+from rlbench.clips.importers.sequence import (
     Pixels,
     Sequence,
     SourceError,

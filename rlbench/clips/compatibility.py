@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rlbench.header import Header
+from rlbench.clips.header import Header
 from rlbench.registry import lookup as registry
 from rlbench.source import unusable
 

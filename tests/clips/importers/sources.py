@@ -13,8 +13,9 @@ import OpenEXR
 import torch
 from PIL import Image
 
-from rlbench.clips import StoredClip, open_clip
-from rlbench.importing import formats, store
+from rlbench.clips.importers import formats
+from rlbench.clips.importers import writer as store
+from rlbench.clips.stored import StoredClip, open_clip
 
 H, W = 12, 16  # at least the window of SSIM
 ROWS, COLUMNS = np.mgrid[:H, :W]

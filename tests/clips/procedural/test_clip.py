@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from rlbench import world
+from rlbench.clips.procedural import world
+from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size
 from rlbench.ops.reprojection import reproject
-from rlbench.procedural import procedural
 
 SMALL = Size(1, 12, 16)
 SEEDS = (0, 1, 2)

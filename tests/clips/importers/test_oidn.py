@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.importing.sequence import SourceError
-from tests.importing.sources import H, W, exr, imported, oidn, pool, radiance, stored
+from rlbench.clips.importers.sequence import SourceError
+from tests.clips.importers.sources import H, W, exr, imported, oidn, pool, radiance, stored
 
 
 @pytest.fixture

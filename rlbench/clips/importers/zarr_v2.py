@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.importing.doors import MOST_BYTES
-from rlbench.importing.sequence import SourceError
+from rlbench.clips.importers.limits import MOST_BYTES
+from rlbench.clips.importers.sequence import SourceError
 
 CODECS = ("lz4", "zstd", "blosc")  # all refuse to write past the memory that they are given
 MOST_CHUNKS = 100_000

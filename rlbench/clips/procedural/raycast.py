@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.world import OBJECTS, SPHERES, World, centres, pose
+from rlbench.clips.procedural.world import OBJECTS, SPHERES, World, centres, pose
 
 FLOOR = 5.0  # half its side, metres
 WALL = 3.0  # its height, metres; it stands at y = FLOOR

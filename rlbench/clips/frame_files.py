@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.exr import write_exr
-from rlbench.header import VIEWS, ClipError, Header
+from rlbench.clips.exr import write_exr
+from rlbench.clips.header import VIEWS, ClipError, Header
 
 HALF = ("albedo", "normal")  # view buffers whose names begin so are stored in half; others float
 LARGEST_HALF = float(np.finfo(np.float16).max)

@@ -1,0 +1,1 @@
+"""Clips: their files, header, digest and decode cache."""

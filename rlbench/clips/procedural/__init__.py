@@ -1,0 +1,1 @@
+"""Clips that are computed when they are read."""
