@@ -99,7 +99,7 @@ seeds: .venv/dev.stamp
 
 # one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
 contact: .venv/run.stamp
-	$(BIN)/python -m rlbench.render.contact docs/scenes.png --spp $(SPP)
+	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/scenes.png --spp $(SPP)
 
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .

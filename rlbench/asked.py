@@ -200,8 +200,8 @@ def own_scene(
         )
     from rlbench.parallel.executor import LOCAL
     from rlbench.render.cycles.clip import ensure_cycles
-    from rlbench.render.own import Wish, ensure_own
     from rlbench.render.presets import preset as preset_of
+    from rlbench.render.user.clip import Wish, ensure_own
 
     if exposure is not None and not 0 < exposure < float("inf"):
         raise AskedError(f"--exposure takes a number above 0 and was given {exposure}")
@@ -227,7 +227,7 @@ def own_scene(
 
 def tracer_of(scene: Path, asked: str | None) -> str:
     """Which tracer renders a scene file: the one that reads its format. Raises AskedError."""
-    from rlbench.render.cycles.opened import FORMATS
+    from rlbench.render.cycles.scene_file import FORMATS
 
     reads = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
     fits = [name for name, kinds in reads.items() if scene.suffix.lower() in kinds]
@@ -268,8 +268,8 @@ def rendered(
     """
     from rlbench.parallel.executor import LOCAL
     from rlbench.registry import lookup as registry
+    from rlbench.render.jobs.render_clips import ensure
     from rlbench.render.presets import PRESETS
-    from rlbench.render.record import ensure
 
     if preset not in PRESETS:
         raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")

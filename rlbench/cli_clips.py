@@ -114,7 +114,7 @@ def render(
 def _retimed(folder: Path) -> str:
     """What a sample took before and takes now, in words."""
     from rlbench.clips.stored import read_header
-    from rlbench.render.retime import retime
+    from rlbench.render.jobs.retime import retime
 
     before = read_header(folder).sample_ms
     return f"  a sample takes {retime(folder).sample_ms:.1f} ms, was {before:.1f} ms"

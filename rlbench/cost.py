@@ -153,8 +153,8 @@ def _code(scene: str) -> str:
 def _trace(header: Header, pool: str) -> float:
     """Milliseconds of one sample per pixel of the scene, traced now."""
     scene = registry.load("scenes", header.scene)()
-    from rlbench.render.chains import trace_ms
-    from rlbench.render.trace import sample_ms
+    from rlbench.render.jobs.extra_pools import trace_ms
+    from rlbench.render.mitsuba.open_tracer import sample_ms
 
     if pool != "path":
         return float(trace_ms(scene, header.height, header.width, pool))

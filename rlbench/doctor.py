@@ -70,7 +70,7 @@ def _device() -> Iterator[Finding]:
 
 
 def _tracer() -> Iterator[Finding]:
-    from rlbench.render import llvm
+    from rlbench.render.mitsuba import llvm
 
     told = llvm.report()
     yield Finding("path tracer", "scalar" not in told.splitlines()[0], told)

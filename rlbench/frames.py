@@ -32,9 +32,9 @@ class View:
     pixel to its position in the previous frame, x right and y down; outside the image where nothing
     is remembered: for what has just come into view, and for every pixel where another shot begins.
     A buffer that was not declared as needed is absent, and reading it is an error. `motion` is None
-    where nothing moves. Some clips have more, see `rlbench.render.views`: object, albedo_first and,
-    of what lies behind glass and mirrors, normal_behind, depth_behind and object_behind. A method
-    that declares them runs on these clips alone, and reads them by `extra`.
+    where nothing moves. Some clips have more, see `rlbench.render.mitsuba.gbuffer`: object,
+    albedo_first and, of what lies behind glass and mirrors, normal_behind, depth_behind and
+    object_behind. A method that declares them runs on these clips alone, and reads them by `extra`.
     """
 
     buffers: Mapping[str, Tensor]

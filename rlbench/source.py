@@ -18,8 +18,8 @@ from rlbench.clips.stored import ClipError, Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
 from rlbench.registry import lookup as registry
-from rlbench.render.live import open_live, scene_of
-from rlbench.render.llvm import activate
+from rlbench.render.jobs.live_pool import open_live, scene_of
+from rlbench.render.mitsuba.llvm import activate
 from rlbench.system import provenance
 
 POOLS = ("stored", "live")  # samples read from the clip's files, or traced when they are bought

@@ -20,7 +20,7 @@ TIMED = (  # what measures, what stops in time, and what writes down the cost of
     "rlbench/training.py",
     "methods/ours/compare.py",
     "rlbench/training_profile.py",
-    "rlbench/render/tracer.py",
+    "rlbench/render/mitsuba/tracer.py",
     "rlbench/render/cycles/worker/worker.py",
 )
 
@@ -53,7 +53,7 @@ def test_only_few_read_a_clock(file):
 @pytest.mark.parametrize("call", [r"integrator\.sample\(", r"mi\.render\("])
 def test_light_is_traced_at_one_place(call):
     calls = [of(file) for file in SOURCES for _ in re.finditer(call, file.read_text())]
-    wanted = {"i": "rlbench/render/wavefront.py", "m": "rlbench/render/whole.py"}
+    wanted = {"i": "rlbench/render/mitsuba/wavefront.py", "m": "rlbench/render/mitsuba/scalar.py"}
     assert calls == [wanted[call[0]]]
 
 

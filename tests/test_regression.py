@@ -10,8 +10,8 @@ from rlbench import asked, regress, table
 from rlbench.bench import measure
 from rlbench.cells import Request
 from rlbench.registry import lookup as registry
-from rlbench.render.llvm import activate
-from rlbench.render.record import ensure
+from rlbench.render.jobs.render_clips import ensure
+from rlbench.render.mitsuba.llvm import activate
 from rlbench.source import Stored
 from rlbench.system import paths
 

@@ -34,7 +34,7 @@ def plugin(tmp_path: Path) -> Path:
 def worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """Three clips in the place of generated scenes, whose rendering takes minutes."""
     made = [write_world(tmp_path / "clips" / f"world-{seed}", seed) for seed in range(3)]
-    monkeypatch.setattr("rlbench.render.record.ensure", lambda *asked, **more: made)
+    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", lambda *asked, **more: made)
     return made
 
 

@@ -61,7 +61,7 @@ class Take:
     What a take does not say is as in the scene. `lights` gives, at a time, factors >= 0 on the
     emission of meshes by their names, and of `Scene.sky` by `sky0`, `sky1`, ...; a light that is
     not in it shines as it was made. From each frame of `cuts` on, another shot is seen, and history
-    is worthless there: see `rlbench.render.views`.
+    is worthless there: see `rlbench.render.mitsuba.gbuffer`.
     """
 
     name: str  # the clip is called <scene>-<name>; without a hyphen

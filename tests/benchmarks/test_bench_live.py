@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.render.live import LivePool
-from rlbench.render.llvm import activate
-from rlbench.render.record import named
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
+from rlbench.render.jobs.live_pool import LivePool
+from rlbench.render.jobs.render_clips import named
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.sampling import Samples
 
 SIDE = 720

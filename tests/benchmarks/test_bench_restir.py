@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from baselines.restir import POOL
-from rlbench.render.chains import chains
-from rlbench.render.llvm import activate
-from rlbench.render.record import named
-from rlbench.render.trace import open_tracer
+from rlbench.render.jobs.extra_pools import chains
+from rlbench.render.jobs.render_clips import named
+from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.mitsuba.open_tracer import open_tracer
 
 SIDE = 192
 COUNT = 4  # samples per pixel

@@ -181,7 +181,7 @@ def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
         wanted.append((plan.name, scenes, seeds))
         return []
 
-    monkeypatch.setattr("rlbench.render.record.ensure", ensure)
+    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
     rlbench("render", "--preset", "train", "--seeds", "0:48")
     trainset.generated("train", (30, 31))
     trainset.generated("mini", (30, 31))  # generated scenes, as large as those of mini
@@ -196,7 +196,9 @@ def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
 @pytest.mark.parametrize(("asked_for", "takes"), [(None, "all"), ("main", "main")])
 def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
     wanted = []
-    monkeypatch.setattr("rlbench.render.record.ensure", lambda plan, *_, **__: wanted.append(plan))
+    monkeypatch.setattr(
+        "rlbench.render.jobs.render_clips.ensure", lambda plan, *_, **__: wanted.append(plan)
+    )
     asked.rendered(None, "standard", takes=asked_for)
     assert [(plan.name, plan.takes) for plan in wanted] == [("standard", takes)]
 
@@ -205,7 +207,7 @@ def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
     def ensure(plan, scenes, seeds, engine):
         return [Path(plan.name, str(name)) for name in scenes or seeds]
 
-    monkeypatch.setattr("rlbench.render.record.ensure", ensure)
+    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
     held = trainset.chosen("standard", None, "hall")
     assert held.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
     assert held.validate == [Path("train", "0"), Path("train", "14")]

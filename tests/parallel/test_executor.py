@@ -17,8 +17,8 @@ from rlbench.parallel import worker
 from rlbench.parallel.executor import LOCAL, EngineError
 from rlbench.parallel.ray_executor import Cluster, opened
 from rlbench.registry.lookup import VARIABLE, use_plugin
-from rlbench.render.job import Job
-from rlbench.render.record import finish
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.render_clips import finish
 from rlbench.source import Stored
 from tests.conftest import write_noise, write_plugin
 from tests.core.test_bench import scores

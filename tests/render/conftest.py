@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.render.llvm import activate, libraries
+from rlbench.render.mitsuba.llvm import activate, libraries
 from rlbench.system import paths
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"

@@ -7,11 +7,11 @@ import pytest
 
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
-from rlbench.render import chains
-from rlbench.render.job import Job
-from rlbench.render.llvm import activate
+from rlbench.render.jobs import extra_pools as chains
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.render_clips import finish, render
+from rlbench.render.mitsuba.llvm import activate
 from rlbench.render.presets import Preset
-from rlbench.render.record import finish, render
 from rlbench.source import unusable
 from tests.render.worlds import room
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rlbench.render import contact
+from rlbench.render.jobs import contact_sheet as contact
 
 
 def test_black_stays_black_and_white_is_reached():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rlbench.render import cuda, llvm, probe
+from rlbench.render.mitsuba import cuda, llvm, probe
 
 
 @pytest.fixture

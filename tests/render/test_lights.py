@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render.load import LightError
-from rlbench.render.trace import open_tracer
+from rlbench.render.mitsuba.load import LightError
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.worlds import grey, room
 
 H, W, SPP = 12, 16, 16
@@ -65,7 +65,7 @@ def test_a_light_that_changed_shines_as_if_it_was_made_so(llvm, kind, share):
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
 def test_without_llvm_lights_change_too(kind):
-    from rlbench.render.llvm import activate
+    from rlbench.render.mitsuba.llvm import activate
 
     activate("scalar_rgb")
     light, made = MADE[kind]

@@ -11,12 +11,12 @@ from rlbench.clips.exr import precision
 from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.registry import lookup as registry
-from rlbench.render.job import Job
-from rlbench.render.live import LiveClip, LivePool, open_live
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live
+from rlbench.render.jobs.render_clips import named, render
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
-from rlbench.render.record import named, render
-from rlbench.render.sampler import STREAMS
-from rlbench.render.trace import open_tracer
 from rlbench.run import run_clip
 from rlbench.sampling import buy, nothing
 from rlbench.source import Stored, pooled
@@ -77,7 +77,7 @@ def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, tmp_
 
 
 def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
-    from rlbench.render.llvm import activate
+    from rlbench.render.mitsuba.llvm import activate
 
     activate("scalar_rgb")
     stored, live = both(rendered(tmp_path, room()), room())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.render import llvm
+from rlbench.render.mitsuba import llvm
 
 NINETEEN = llvm.Library(Path("/usr/lib/libLLVM.so.19.1"), 19)
 
@@ -61,7 +61,7 @@ def test_candidates_come_newest_first(tmp_path, monkeypatch):
 
 
 def test_without_llvm_it_is_scalar_and_says_how_to_get_the_fast_one(false_library):
-    code = "from rlbench.render import llvm; print(llvm.activate())"
+    code = "from rlbench.render.mitsuba import llvm; print(llvm.activate())"
     run = [sys.executable, "-c", code]
     done = subprocess.run(run, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["scalar_rgb"]
@@ -90,7 +90,7 @@ def test_each_version_of_llvm_has_kernels_of_its_own():
 def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
     monkeypatch.delenv("DRJIT_CACHE_DIR", raising=False)
     code = (
-        "from rlbench.render.llvm import activate, kernels, libraries\n"
+        "from rlbench.render.mitsuba.llvm import activate, kernels, libraries\n"
         "import os\n"
         "activate('llvm_ad_rgb')\n"
         "import drjit as dr, mitsuba as mi\n"
@@ -118,7 +118,7 @@ def test_the_fastest_variant_that_works_is_chosen(library, cuda_refused, variant
 
 
 def test_a_variant_that_mitsuba_lacks_is_an_error_that_lists_those_there_are(llvm):
-    from rlbench.render.llvm import activate
+    from rlbench.render.mitsuba.llvm import activate
 
     with pytest.raises(ValueError, match="no variant 'metal_rgb'; it has: .*scalar_rgb"):
         activate("metal_rgb")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render import load
-from rlbench.render.trace import open_tracer
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.worlds import ball, diffuse, room
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from rlbench.render.jobs.render_clips import named
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.pose import Pose
-from rlbench.render.record import named
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
 
 SIDE = 192
 TIME = 3.0

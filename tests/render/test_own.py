@@ -10,13 +10,14 @@ from typer.testing import CliRunner
 from rlbench import table
 from rlbench.cli import app
 from rlbench.clips.stored import open_clip, read_header, verify
-from rlbench.render import flight, sight
-from rlbench.render.opened import opened
-from rlbench.render.own import Wish, ensure_own
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
+from rlbench.render.user import auto_exposure as sight
+from rlbench.render.user import camera_path as flight
+from rlbench.render.user.clip import Wish, ensure_own
+from rlbench.render.user.scene_file import opened
 from tests.render.worlds import looking_down
 
 H, W, FOV = 32, 48, 60.0

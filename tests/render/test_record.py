@@ -7,11 +7,11 @@ import pytest
 
 from rlbench.clips.stored import ClipError, open_clip, read_header, verify
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.job import Job
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.render_clips import ensure, render
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset, preset
-from rlbench.render.record import ensure, render
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
 from tests.render.worlds import diffuse, room, square
 
 PLAN = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
+from rlbench.render.mitsuba.pool_stage import Staged
+from rlbench.render.mitsuba.wavefront import Wavefront
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.render.staged import Staged
-from rlbench.render.wavefront import Wavefront
 from tests.render.worlds import diffuse, grey, room, square
 
 H, W = 16, 24

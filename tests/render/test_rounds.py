@@ -9,11 +9,11 @@ import torch
 
 from metrics.image import psnr
 from rlbench.clips.stored import open_clip, read_header
-from rlbench.render import rounds
-from rlbench.render.job import Job
+from rlbench.render.jobs import references as rounds
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.render_clips import render
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
-from rlbench.render.record import render
-from rlbench.render.trace import open_tracer
 from tests.render.worlds import looking_down, room
 
 H, W = 16, 24

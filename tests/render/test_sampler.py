@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from rlbench.render import load, sampler
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba import rng as sampler
 
 
 def numbers(pixels, samples, key, count):

@@ -10,13 +10,13 @@ from rlbench.clips.stored import ClipError, open_clip, read_header, write_header
 from rlbench.ops.reprojection import reproject
 from rlbench.registry import lookup as registry
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.live import open_live
+from rlbench.render.jobs.live_pool import open_live
+from rlbench.render.jobs.render_clips import ensure, named
+from rlbench.render.jobs.retime import retime
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset
-from rlbench.render.record import ensure, named
-from rlbench.render.retime import retime
 from rlbench.render.scene import Camera, SceneError, Take
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
 from tests.render.worlds import room
 
 PLAN = Preset("test", "tests", (16, 24), 4, 2, ("room",), pool_spp=2, takes="all")
@@ -87,7 +87,9 @@ def test_a_preset_of_all_takes_has_a_clip_of_each_and_the_scene_is_told(clips):
 def test_a_scene_stands_for_takes_of_the_preset_and_a_clip_for_itself(
     installed, monkeypatch, tmp_path, takes, asked, made
 ):
-    monkeypatch.setattr("rlbench.render.record._render_all", lambda jobs, bar, engine: None)
+    monkeypatch.setattr(
+        "rlbench.render.jobs.render_clips._render_all", lambda jobs, bar, engine: None
+    )
     folders = ensure(replace(PLAN, takes=takes), asked, folder=tmp_path)
     assert [folder.name for folder in folders] == made
 

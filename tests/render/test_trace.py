@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render.record import named
-from rlbench.render.trace import open_tracer
+from rlbench.render.jobs.render_clips import named
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.worlds import atlas, diffuse, looking_down, room, under_a_lamp
 
 H, W = 24, 32
@@ -26,7 +26,7 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
 
 
 def test_without_llvm_pairs_are_those_of_the_stack_too():
-    from rlbench.render.llvm import activate
+    from rlbench.render.mitsuba.llvm import activate
 
     activate("scalar_rgb")
     tracer = open_tracer(room(), H, W)
@@ -130,7 +130,7 @@ def test_a_floor_below_an_atlas_of_lamps_has_the_radiance_of_the_form_factor(var
 
 
 def test_both_kinds_of_tracer_see_the_same_picture(llvm):
-    from rlbench.render.llvm import activate
+    from rlbench.render.mitsuba.llvm import activate
 
     first = open_tracer(room(), H, W).stack(256)
     activate("scalar_rgb")
@@ -169,7 +169,7 @@ def test_hardly_a_sample_of_a_real_scene_depends_on_the_wavefront(llvm, name):
 def test_no_kernel_is_compiled_after_the_first_frame(tracer):
     import drjit as dr
 
-    from rlbench.render.views import views
+    from rlbench.render.mitsuba.gbuffer import views
 
     def work(time):
         tracer.set_time(time)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rlbench.clips.header import VIEWS
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Scene
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
 from tests.render.worlds import (
     STEP,
     around_the_corner,

@@ -19,15 +19,16 @@ from rich.console import Console
 from rich.progress import Progress
 
 from rlbench.clips.stored import write_frame, write_header
-from rlbench.render import rounds, sight
 from rlbench.render.cycles import passes
-from rlbench.render.cycles.opened import Found, opened
-from rlbench.render.cycles.order import Parameters, Picture, order, seed
 from rlbench.render.cycles.process import run
-from rlbench.render.job import Job
-from rlbench.render.own import Wish, job_of, told
+from rlbench.render.cycles.scene_file import Found, opened
+from rlbench.render.cycles.worker_job import Parameters, Picture, order, seed
+from rlbench.render.jobs import references as rounds
+from rlbench.render.jobs.job import Job
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
+from rlbench.render.user import auto_exposure as sight
+from rlbench.render.user.clip import Wish, job_of, told
 from rlbench.system import paths
 
 SPAN = 32  # samples of a reference's picture: so much is lost at most when it is killed
@@ -79,9 +80,9 @@ class Shoot:
 def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -> Path:
     """The clip folder of a scene file that Cycles renders, after rendering what is missing of it.
 
-    As `rlbench.render.own.ensure_own`, with the file's own camera if it has one. Raises SceneError
-    where the scene cannot be rendered as asked, ClipError where `out` holds frames of another
-    origin, and CyclesError where Blender is missing or broke down.
+    As `rlbench.render.user.clip.ensure_own`, with the file's own camera if it has one. Raises
+    SceneError where the scene cannot be rendered as asked, ClipError where `out` holds frames of
+    another origin, and CyclesError where Blender is missing or broke down.
     """
     asked = Parameters.of(wish.parameters)
     if preset.cap < np.inf:

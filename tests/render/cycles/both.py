@@ -10,8 +10,8 @@ import json
 
 import numpy as np
 
-from rlbench.render import flight
 from rlbench.render.scene import Camera, Mesh, Scene
+from rlbench.render.user import camera_path as flight
 
 FRAMES, FPS, FOV, BOUNCES, LIGHT = 4, 24, 50.0, 6, (4.0, 3.5, 2.5)
 PACE = np.array([0.12, -0.07, 0.0])  # metres a frame, of the box

@@ -15,17 +15,17 @@ from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.lint.checks import examine
 from rlbench.lint.finding import Verdict
 from rlbench.lint.footage import read_footage
-from rlbench.render import flight
 from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
 from rlbench.render.cycles.process import CyclesError
-from rlbench.render.job import Job
-from rlbench.render.own import Wish
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.render_clips import finish
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
-from rlbench.render.record import finish
 from rlbench.render.scene import SceneError
-from rlbench.render.trace import open_tracer
-from rlbench.render.views import views
+from rlbench.render.user import camera_path as flight
+from rlbench.render.user.clip import Wish
 from tests.render.cycles import both
 
 pytestmark = pytest.mark.slow

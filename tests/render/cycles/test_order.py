@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rlbench.asked import AskedError, tracer_of
-from rlbench.render import flight
-from rlbench.render.cycles import clip, opened
-from rlbench.render.cycles.order import (
+from rlbench.render.cycles import clip
+from rlbench.render.cycles import scene_file as opened
+from rlbench.render.cycles.worker_job import (
     NUMBERS,
     STREAMS,
     Parameters,
@@ -19,9 +19,10 @@ from rlbench.render.cycles.order import (
     seed,
     turned,
 )
-from rlbench.render.own import Wish
 from rlbench.render.presets import preset
 from rlbench.render.scene import Camera, Scene, SceneError
+from rlbench.render.user import camera_path as flight
+from rlbench.render.user.clip import Wish
 from tests.render.cycles import both
 
 LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))

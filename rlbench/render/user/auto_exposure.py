@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.scene import SceneError
-from rlbench.render.tracer import Tracer
-from rlbench.render.views import views
 
 GRID = 32  # rays along each side of the picture
 AREAS = 8  # along each side; brightness is averaged over them first, as samples are noisy

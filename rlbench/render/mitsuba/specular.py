@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rlbench.render.tracer import Tracer
+from rlbench.render.mitsuba.tracer import Tracer
 
 POINTS = 16  # directions of the albedo's quadrature
 BOUNCES = 4  # mirrors and panes that are looked through

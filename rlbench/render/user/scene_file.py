@@ -25,9 +25,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render import document, flight
 from rlbench.render.fingerprint import fingerprint
+from rlbench.render.mitsuba import xml_scene as document
 from rlbench.render.scene import Camera, Document, Scene, SceneError
+from rlbench.render.user import camera_path as flight
 
 Vertices = Mapping[str, Float[Array, "v 3"]]
 UNSAID = re.compile(r"scene(_v\d+)?", re.IGNORECASE)  # file names that say nothing

@@ -13,7 +13,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench.render import cuda, probe
+from rlbench.render.mitsuba import cuda, probe
 from rlbench.system import paths
 
 OLDEST = 16  # 14 is refused by Dr.Jit, 15 aborts the process

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from rlbench.render import llvm
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.scalar import Whole
+from rlbench.render.mitsuba.tracer import Tracer
+from rlbench.render.mitsuba.wavefront import Wavefront
 from rlbench.render.scene import Scene
-from rlbench.render.tracer import Tracer
-from rlbench.render.wavefront import Wavefront
-from rlbench.render.whole import Whole
 
 __all__ = ["Tracer", "Wavefront", "Whole", "open_tracer", "sample_ms"]
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rlbench.clips.stored import ClipError, Header, read_header, write_header
-from rlbench.render.record import named
-from rlbench.render.trace import sample_ms
+from rlbench.render.jobs.render_clips import named
+from rlbench.render.mitsuba.open_tracer import sample_ms
 from rlbench.system.provenance import machine
 
 

@@ -14,13 +14,15 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.parallel.executor import LOCAL, Engine
-from rlbench.render import flight, llvm, sight
-from rlbench.render.job import POOLS, Job
-from rlbench.render.opened import Opened, opened
+from rlbench.render.jobs.job import POOLS, Job
+from rlbench.render.jobs.render_clips import finish
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
-from rlbench.render.record import finish
 from rlbench.render.scene import Camera, Scene, SceneError
-from rlbench.render.trace import open_tracer
+from rlbench.render.user import auto_exposure as sight
+from rlbench.render.user import camera_path as flight
+from rlbench.render.user.scene_file import Opened, opened
 from rlbench.system import paths
 
 FOLDER = "own-"  # of these clips in the cache, with the preset's name

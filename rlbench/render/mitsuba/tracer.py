@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from rlbench.render import load
-from rlbench.render.lights import Dimmer
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba.lights import Dimmer
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 
@@ -24,8 +24,8 @@ LANES = 2**20  # paths of one launch at most, each of about 100 bytes
 class Tracer(ABC):
     """A scene in Mitsuba, seen through a pinhole of height x width pixels with a box filter.
 
-    Streams are named in `rlbench.render.sampler`; they are independent of each other, and so are
-    the times and the samples of one stream. Radiance is linear, as the scene gives it.
+    Streams are named in `rlbench.render.mitsuba.rng`; they are independent of each other, and so
+    are the times and the samples of one stream. Radiance is linear, as the scene gives it.
     """
 
     def __init__(

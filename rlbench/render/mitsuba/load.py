@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from rlbench.render import document
+from rlbench.render.mitsuba import xml_scene as document
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 

@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render import flight
-from rlbench.render.cycles.order import RECIPE, Parameters, inquiry, turned
 from rlbench.render.cycles.process import VERSION, CyclesError, run
-from rlbench.render.opened import Opened
-from rlbench.render.own import Wish
+from rlbench.render.cycles.worker_job import RECIPE, Parameters, inquiry, turned
 from rlbench.render.scene import Camera, Scene, SceneError
+from rlbench.render.user import camera_path as flight
+from rlbench.render.user.clip import Wish
+from rlbench.render.user.scene_file import Opened
 from rlbench.system import paths
 
 FORMATS = (".blend", ".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".fbx", ".obj")

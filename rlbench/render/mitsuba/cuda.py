@@ -6,7 +6,7 @@ import glob
 import importlib.metadata
 from pathlib import Path
 
-from rlbench.render import probe
+from rlbench.render.mitsuba import probe
 from rlbench.system import paths
 
 DRIVERS = (

@@ -1,6 +1,6 @@
 """Contact sheet: one frame of each test scene in one picture, for people.
 
-    python -m rlbench.render.contact docs/scenes.png --spp 1000 --size 512
+    python -m rlbench.render.jobs.contact_sheet docs/scenes.png --spp 1000 --size 512
 
 What is traced is kept in the cache per scene, so that a killed sheet goes on with the next scene.
 """
@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench.render.fingerprint import fingerprint
+from rlbench.render.jobs.render_clips import named
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import FOUR
-from rlbench.render.record import named
 from rlbench.render.scene import Scene
-from rlbench.render.trace import open_tracer
 from rlbench.system import paths
 
 TIME = 4.0  # the frame that is shown

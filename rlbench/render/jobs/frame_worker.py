@@ -12,10 +12,11 @@ from numpy import ndarray as Array
 
 from rlbench.clips.stored import write_frame
 from rlbench.parallel.executor import Share, Tell
-from rlbench.render import llvm, rounds
-from rlbench.render.job import Job
-from rlbench.render.trace import Tracer, open_tracer
-from rlbench.render.views import views
+from rlbench.render.jobs import references as rounds
+from rlbench.render.jobs.job import Job
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 
 SEED = 0  # of the light paths; frames, samples and streams are told apart below it
 CPUS = 4  # that a frame may use: more gain little, as views and textures are made by one

@@ -12,8 +12,8 @@ from numpy import ndarray as Array
 
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import CHANNELS, exr_path
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.presets import Preset
-from rlbench.render.tracer import Tracer
 from rlbench.system import paths
 
 HALVES = ("A", "B")

@@ -17,9 +17,9 @@ from numpy import ndarray as Array
 
 from rlbench.clips.header import VIEWS
 from rlbench.frames import BUFFERS
+from rlbench.render.mitsuba.specular import albedo, reflectance, through
+from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.pose import Pose
-from rlbench.render.through import albedo, reflectance, through
-from rlbench.render.tracer import Tracer
 
 OUTSIDE = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
 HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of a first look

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render import flight
 from rlbench.render.scene import Scene, SceneError
+from rlbench.render.user import camera_path as flight
 
 RECIPE = 1  # raised whenever the worker makes other pixels of the same file
 STREAMS = {"path": 0, "referenceA": 1, "referenceB": 2, "pilot": 3}

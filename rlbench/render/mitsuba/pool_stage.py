@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rlbench.render import load
-from rlbench.render.views import views
-from rlbench.render.wavefront import Wavefront
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.wavefront import Wavefront
 
 
 @dataclass

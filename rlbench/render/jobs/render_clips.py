@@ -20,12 +20,13 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rlbench.clips.stored import Header, write_header
 from rlbench.parallel.executor import LOCAL, Engine, Tell
 from rlbench.registry import lookup as registry
-from rlbench.render import chains, llvm
-from rlbench.render.job import Job
+from rlbench.render.jobs import extra_pools as chains
+from rlbench.render.jobs.frame_worker import SEED, Shot, Studio, keep, share
+from rlbench.render.jobs.job import Job
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 from rlbench.render.presets import GENERATED, Preset, preset
 from rlbench.render.scene import Scene
-from rlbench.render.studio import SEED, Shot, Studio, keep, share
-from rlbench.render.trace import Tracer, open_tracer
 from rlbench.system import paths
 
 TRIAL = 8  # samples per pixel that are traced to guess how long all of them take

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rlbench.render.load import LightError, upload
+from rlbench.render.mitsuba.load import LightError, upload
 
 STRENGTHS = (
     "radiance.value",

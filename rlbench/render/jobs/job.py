@@ -10,8 +10,8 @@ from rlbench.clips.header import FILE, Header
 from rlbench.clips.stored import ClipError, has_frame
 from rlbench.frames import BUFFERS
 from rlbench.render.fingerprint import fingerprint
+from rlbench.render.jobs.references import NOTES, noted, stored_ceiling_db
 from rlbench.render.presets import Preset
-from rlbench.render.rounds import NOTES, noted, stored_ceiling_db
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from rlbench.render import load, sampler
-from rlbench.render.tracer import Tracer
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba import rng as sampler
+from rlbench.render.mitsuba.tracer import Tracer
 
 
 class Whole(Tracer):

@@ -26,13 +26,13 @@ from rlbench.clips.header import FILE
 from rlbench.clips.stored import Header, read_header, write_header
 from rlbench.pools import Chains, PoolKind
 from rlbench.registry import lookup as registry
-from rlbench.render import llvm
-from rlbench.render.job import POOLS, Job
+from rlbench.render.jobs.frame_worker import SEED
+from rlbench.render.jobs.job import POOLS, Job
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.pool_stage import Staged
+from rlbench.render.mitsuba.tracer import LANES
+from rlbench.render.mitsuba.wavefront import Wavefront
 from rlbench.render.scene import Scene
-from rlbench.render.staged import Staged
-from rlbench.render.studio import SEED
-from rlbench.render.tracer import LANES
-from rlbench.render.wavefront import Wavefront
 from rlbench.system import paths
 from rlbench.system.provenance import machine
 

@@ -1,0 +1,1 @@
+"""Rendering of the user's own scene files."""
