@@ -11,7 +11,7 @@ from rlbench.clips.header import EXTRAS
 
 FOUR = ("city", "temple", "hall", "ripples")
 BOTH = ("path", "restir")  # pools, by entry point of the group rlbench.pools
-GENERATED = "generated"  # clips of rlbench.scenes.generator are named generated-<seed>
+GENERATED = "generated"  # clips of rlbench.scenes.generator.scene are named generated-<seed>
 Takes = Literal["main", "all"]
 
 

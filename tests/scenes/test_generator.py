@@ -12,9 +12,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rlbench.render.scene import Scene
-from rlbench.scenes.generator import FAMILIES, LIGHTS, scene
-from rlbench.scenes.generator_looks import TILE, texture
-from rlbench.scenes.generator_places import SOLIDS
+from rlbench.scenes.generator.materials import TILE, texture
+from rlbench.scenes.generator.places import SOLIDS
+from rlbench.scenes.generator.scene import FAMILIES, LIGHTS, scene
 
 SEEDS = range(16)  # four of each family
 TIMES = (0.0, 1.0, 7.0, 30.0)
@@ -195,7 +195,8 @@ def test_textures_are_reflectances(seed):
 
 def test_neither_a_renderer_nor_a_test_scene_is_imported():
     code = (
-        "import sys, rlbench.scenes.generator; print([m for m in sys.modules if m.split('.')[-1] in"
+        "import sys, rlbench.scenes.generator.scene;"
+        " print([m for m in sys.modules if m.split('.')[-1] in"
         " ('mitsuba', 'drjit', 'torch', 'city', 'temple', 'hall', 'ripples', 'textures')])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,16 +7,20 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from rlbench.scenes import bath, car, city, glassware, lilies, office, ripples, square, trees
-from rlbench.scenes.shapes import ball
-from rlbench.scenes.windows import CELLS, behind
+from rlbench.scenes.city import car, office, square, trees
+from rlbench.scenes.city import scene as city
+from rlbench.scenes.city.windows import CELLS, behind
+from rlbench.scenes.parts import glassware
+from rlbench.scenes.parts.shapes import ball
+from rlbench.scenes.ripples import bath, lilies
+from rlbench.scenes.ripples import scene as ripples
 
 PATH = (0.0, 4.0, 8.0, 20.0, 32.0, 65.0, 95.0, 1000.0)
 
 
 @pytest.fixture(scope="module", params=("city", "ripples"))
 def scene(request):
-    return import_module(f"rlbench.scenes.{request.param}").scene()
+    return import_module(f"rlbench.scenes.{request.param}.scene").scene()
 
 
 def _gap(point, corners):

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from rlbench.render.scene import Scene
-from rlbench.scenes import shapes
+from rlbench.scenes.parts import shapes
 
 NAMES = ("city", "temple", "hall", "ripples")
 TIMES = (-1.0, 0.0, 0.5, 7.0, 40.0)
 
 
 def _scene(name: str) -> Scene:
-    return import_module(f"rlbench.scenes.{name}").scene()
+    return import_module(f"rlbench.scenes.{name}.scene").scene()
 
 
 @pytest.fixture(scope="module", params=NAMES)

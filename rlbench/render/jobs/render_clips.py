@@ -84,7 +84,9 @@ def named(clip: str) -> Scene:
     """
     kind, _, last = clip.rpartition("-")
     if kind == GENERATED and last.isdigit():
-        generated: Scene = importlib.import_module("rlbench.scenes.generator").scene(int(last))
+        generated: Scene = importlib.import_module("rlbench.scenes.generator.scene").scene(
+            int(last)
+        )
         return generated
 
     installed = registry.names("scenes")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.shapes import (
+from rlbench.scenes.parts.shapes import (
     Shape,
     boxes,
     cylinder,

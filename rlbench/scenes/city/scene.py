@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes import trees
-from rlbench.scenes.car import car
-from rlbench.scenes.shapes import Floats, Shape, merge, painted, placed, quads, yaw
-from rlbench.scenes.square import ORBIT, buildings, coating, paving
-from rlbench.scenes.takes import cut, static
-from rlbench.scenes.textures import palette
-from rlbench.scenes.trees import GREENS, Tree
+from rlbench.scenes.city import trees
+from rlbench.scenes.city.car import car
+from rlbench.scenes.city.square import ORBIT, buildings, coating, paving
+from rlbench.scenes.city.trees import GREENS, Tree
+from rlbench.scenes.parts.shapes import Floats, Shape, merge, painted, placed, quads, yaw
+from rlbench.scenes.parts.takes import cut, static
+from rlbench.scenes.parts.textures import palette
 
 TREES = (
     Tree(-5.0, -6.9, 6.8, 2.3, 3200),

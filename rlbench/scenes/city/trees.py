@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import Floats, Shape, merge, painted
+from rlbench.scenes.parts.shapes import Floats, Shape, merge, painted
 
 GREENS = (
     (0.05, 0.14, 0.025),

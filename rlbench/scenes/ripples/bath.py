@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.shapes import (
+from rlbench.scenes.parts.shapes import (
     Shape,
     ball,
     boxes,
@@ -18,16 +18,8 @@ from rlbench.scenes.shapes import (
     rotation,
     yaw,
 )
-from rlbench.scenes.stones import mosaic, travertine
-from rlbench.scenes.textures import (
-    bitmap,
-    diffuse,
-    glossy,
-    metal,
-    palette,
-    rgb,
-    tiles,
-)
+from rlbench.scenes.parts.textures import bitmap, diffuse, glossy, metal, palette, rgb, tiles
+from rlbench.scenes.ripples.stones import mosaic, travertine
 
 HALF, DEPTH = 3.0, 0.8  # metres: half the pool's side, and its depth; water stands at z = 0
 RIM = 0.45  # metres: width of the coping

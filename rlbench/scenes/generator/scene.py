@@ -14,9 +14,9 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
-from rlbench.scenes import generator_looks as looks
-from rlbench.scenes.generator_places import PLACES, SOLIDS, Floats, Place, thing
-from rlbench.scenes.shapes import Shape, boxes, grid, merge, placed, rotation, yaw
+from rlbench.scenes.generator import materials as looks
+from rlbench.scenes.generator.places import PLACES, SOLIDS, Floats, Place, thing
+from rlbench.scenes.parts.shapes import Shape, boxes, grid, merge, placed, rotation, yaw
 
 FAMILIES = ("room", "hall", "open", "water")
 LIGHTS = ("lamps", "bulbs", "sky", "sun", "sunsky")

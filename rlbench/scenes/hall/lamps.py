@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.shapes import Floats, Shape, merge, quads, yaw
+from rlbench.scenes.parts.shapes import Floats, Shape, merge, quads, yaw
 
 WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
 RING_AT, RING_HIGH = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes import office, street, trees
-from rlbench.scenes.car import BODY, car
-from rlbench.scenes.glassware import faceted
-from rlbench.scenes.houses import BAY, PAINTS, house
-from rlbench.scenes.shapes import (
+from rlbench.scenes.city import office, street, trees
+from rlbench.scenes.city.car import BODY, car
+from rlbench.scenes.city.houses import BAY, PAINTS, house
+from rlbench.scenes.city.windows import CELLS, behind, windows
+from rlbench.scenes.parts.glassware import faceted
+from rlbench.scenes.parts.shapes import (
     Shape,
     ball,
     boxes,
@@ -23,7 +24,7 @@ from rlbench.scenes.shapes import (
     quads,
     yaw,
 )
-from rlbench.scenes.textures import (
+from rlbench.scenes.parts.textures import (
     bitmap,
     diffuse,
     glossy,
@@ -34,7 +35,6 @@ from rlbench.scenes.textures import (
     rgb,
     tiles,
 )
-from rlbench.scenes.windows import CELLS, behind, windows
 
 HALF = 15.0  # metres from the fountain to the facades
 ORBIT = 6.6  # metres from the fountain to the middle of the road

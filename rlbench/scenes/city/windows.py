@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import Shape
-from rlbench.scenes.textures import Pixels
+from rlbench.scenes.parts.shapes import Shape
+from rlbench.scenes.parts.textures import Pixels
 
 Floats = NDArray[np.float64]
 CELLS = 6  # of the atlas, along each side

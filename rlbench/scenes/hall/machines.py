@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.lamps import (
+from rlbench.scenes.hall.lamps import (
     AMBER,
     CYAN,
     RING_AT,
@@ -17,9 +17,19 @@ from rlbench.scenes.lamps import (
     joined,
     moved,
 )
-from rlbench.scenes.shapes import Floats, Shape, ball, boxes, cylinder, lathe, merge, placed, yaw
-from rlbench.scenes.shapes import rotation as about
-from rlbench.scenes.sheets import ring
+from rlbench.scenes.parts.shapes import (
+    Floats,
+    Shape,
+    ball,
+    boxes,
+    cylinder,
+    lathe,
+    merge,
+    placed,
+    yaw,
+)
+from rlbench.scenes.parts.shapes import rotation as about
+from rlbench.scenes.parts.sheets import ring
 
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 11.0, 3.6), (0.2, 21.0, 2.2), (-3.2, 14.0, 4.4))
 HUB = np.array([0, RING_AT, RING_HIGH])  # metres: the middle of the rings

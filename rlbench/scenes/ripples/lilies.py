@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import Shape, ball, merge, painted, placed, quads, rotation, yaw
+from rlbench.scenes.parts.shapes import Shape, ball, merge, painted, placed, quads, rotation, yaw
 
 Height = Callable[[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.float64]]
 COLOURS = (

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.random import Generator
 
 from rlbench.render.scene import Mesh, Plugin
-from rlbench.scenes.generator_places import Floats, Place
-from rlbench.scenes.shapes import Shape, merge, placed, quads, rotation
+from rlbench.scenes.generator.places import Floats, Place
+from rlbench.scenes.parts.shapes import Shape, merge, placed, quads, rotation
 
 BRIGHTNESS = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709 luminance of linear RGB
 GREY = 0.45  # mean albedo that the light estimate assumes

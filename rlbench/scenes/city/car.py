@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import Shape, boxes, disc, lathe, merge, painted, placed, rotation
+from rlbench.scenes.parts.shapes import Shape, boxes, disc, lathe, merge, painted, placed, rotation
 
 BODY = (
     (0.42, 0.02, 0.02),  # coats

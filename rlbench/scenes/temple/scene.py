@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes import temple_stone as stone
-from rlbench.scenes import temple_things as things
-from rlbench.scenes.shapes import Floats, Shape, boxes, merge, quads
-from rlbench.scenes.takes import cut, static, still
-from rlbench.scenes.temple_paint import marble, pavement, wood, woven
-from rlbench.scenes.temple_stone import HEIGHT, LENGTH, THICK, WIDTH
-from rlbench.scenes.textures import bitmap, diffuse, metal, mix, noise, polished, rgb, tiles
+from rlbench.scenes.parts.shapes import Floats, Shape, boxes, merge, quads
+from rlbench.scenes.parts.takes import cut, static, still
+from rlbench.scenes.parts.textures import bitmap, diffuse, metal, mix, noise, polished, rgb, tiles
+from rlbench.scenes.temple import furnishings as things
+from rlbench.scenes.temple import stone
+from rlbench.scenes.temple.paint import marble, pavement, wood, woven
+from rlbench.scenes.temple.stone import HEIGHT, LENGTH, THICK, WIDTH
 
 Point = tuple[float, float, float]
 

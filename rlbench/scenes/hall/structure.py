@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.lamps import CONSOLES, HEIGHT, LENGTH, RING_AT, RING_HIGH, WIDTH
-from rlbench.scenes.shapes import Shape, boxes, cylinder, lathe, merge, placed, rotation, yaw
-from rlbench.scenes.sheets import ring, sheet
+from rlbench.scenes.hall.lamps import CONSOLES, HEIGHT, LENGTH, RING_AT, RING_HIGH, WIDTH
+from rlbench.scenes.parts.shapes import Shape, boxes, cylinder, lathe, merge, placed, rotation, yaw
+from rlbench.scenes.parts.sheets import ring, sheet
 
 UPRIGHT = rotation((1, 0, 0), np.pi / 2)  # what stands on z = 0 faces the viewer instead
 ALONG = rotation((1, 0, 0), -np.pi / 2)  # upright to along the hall

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.shapes import Shape, boxes, column, lathe, merge, placed, quads, rotation, yaw
-from rlbench.scenes.sheets import arch, blade, blocks, moulding, pierced, sheet
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    boxes,
+    column,
+    lathe,
+    merge,
+    placed,
+    quads,
+    rotation,
+    yaw,
+)
+from rlbench.scenes.parts.sheets import arch, blade, blocks, moulding, pierced, sheet
 
 WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
 NAVE = 3.3  # metres from the middle to a row of columns

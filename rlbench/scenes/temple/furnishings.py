@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.shapes import (
+from rlbench.scenes.parts.shapes import (
     Shape,
     ball,
     boxes,
@@ -15,8 +15,8 @@ from rlbench.scenes.shapes import (
     rotation,
     yaw,
 )
-from rlbench.scenes.sheets import blade, ring, sheet
-from rlbench.scenes.temple_stone import HEIGHT
+from rlbench.scenes.parts.sheets import blade, ring, sheet
+from rlbench.scenes.temple.stone import HEIGHT
 
 PIVOT = np.array([-1.9, 6.5, HEIGHT])  # where the lamp hangs from
 SPHERE = np.array([0.0, 12.5, 2.4])  # the middle of the rings

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes import hall_frame as frame
-from rlbench.scenes.hall_machines import lamps as carried
-from rlbench.scenes.hall_machines import machines
-from rlbench.scenes.lamps import RADIANCE, Lamps, fixed, joined, tubes
-from rlbench.scenes.shapes import Shape, boxes, merge, painted, placed, quads, yaw
-from rlbench.scenes.takes import cut, static, still
-from rlbench.scenes.textures import (
+from rlbench.scenes.hall import structure as frame
+from rlbench.scenes.hall.lamps import RADIANCE, Lamps, fixed, joined, tubes
+from rlbench.scenes.hall.machines import lamps as carried
+from rlbench.scenes.hall.machines import machines
+from rlbench.scenes.parts.shapes import Shape, boxes, merge, painted, placed, quads, yaw
+from rlbench.scenes.parts.takes import cut, static, still
+from rlbench.scenes.parts.textures import (
     bitmap,
     diffuse,
     glossy,

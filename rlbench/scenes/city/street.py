@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.shapes import (
+from rlbench.scenes.parts.shapes import (
     Shape,
     ball,
     boxes,

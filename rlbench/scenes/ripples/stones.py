@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.textures import Pixels, mix, noise, tiles
+from rlbench.scenes.parts.textures import Pixels, mix, noise, tiles
 
 
 def mosaic(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:

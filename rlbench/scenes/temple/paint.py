@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rlbench.scenes.textures import Pixels, bitmap, mix, noise
+from rlbench.scenes.parts.textures import Pixels, bitmap, mix, noise
 
 CREAM, ROSE = (0.66, 0.58, 0.45), (0.50, 0.24, 0.16)
 GREEN, DARK = (0.07, 0.14, 0.10), (0.05, 0.04, 0.04)

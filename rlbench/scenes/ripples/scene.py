@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes.bath import HALF, PLINTHS, clutter, fittings, room
-from rlbench.scenes.glassware import on_plinths
-from rlbench.scenes.lilies import COLOURS, afloat
-from rlbench.scenes.shapes import Shape, ball, grid, placed
-from rlbench.scenes.takes import cut, static
-from rlbench.scenes.textures import glossy, palette, rgb
+from rlbench.scenes.parts.glassware import on_plinths
+from rlbench.scenes.parts.shapes import Shape, ball, grid, placed
+from rlbench.scenes.parts.takes import cut, static
+from rlbench.scenes.parts.textures import glossy, palette, rgb
+from rlbench.scenes.ripples.bath import HALF, PLINTHS, clutter, fittings, room
+from rlbench.scenes.ripples.lilies import COLOURS, afloat
 
 DROPS = ((-1.1, 0.4, 0.0), (1.3, -0.9, 21.0), (0.5, 1.7, 43.0))  # x, y, first frame
 GLASS = {"type": "dielectric", "int_ior": 1.5}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.shapes import Shape, merge, quads
+from rlbench.scenes.parts.shapes import Shape, merge, quads
 
 Points = NDArray[np.float64]
 

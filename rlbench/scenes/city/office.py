@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.shapes import Shape, lathe, merge, placed, quads
+from rlbench.scenes.parts.shapes import Shape, lathe, merge, placed, quads
 
 RADIUS, STOREY, STOREYS = 7.5, 3.4, 7  # metres, metres, count
 PANES = 44  # around

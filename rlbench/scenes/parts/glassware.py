@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rlbench.scenes.shapes import Shape, ball, disc, lathe, merge, placed, rotation, yaw
+from rlbench.scenes.parts.shapes import Shape, ball, disc, lathe, merge, placed, rotation, yaw
 
 TIP = 0.002  # metres: radius at which a turned profile is closed by a lid
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.shapes import Floats, Shape, boxes, merge, painted, quads
-from rlbench.scenes.windows import CELLS, behind
+from rlbench.scenes.city.windows import CELLS, behind
+from rlbench.scenes.parts.shapes import Floats, Shape, boxes, merge, painted, quads
 
 FLOOR, BAY = 3.1, 2.4  # metres: height of a storey, width of a window bay
 PAINTS = (

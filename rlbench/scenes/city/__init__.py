@@ -1,0 +1,1 @@
+"""A city street and its square, with a car."""

@@ -1,0 +1,1 @@
+"""A hall with machines and lamps."""

@@ -1,0 +1,1 @@
+"""Shapes, sheets, textures, glassware and takes that several scenes use."""

@@ -1,0 +1,1 @@
+"""A bath with lilies and stones."""

@@ -1,0 +1,1 @@
+"""A temple: stone, paint and furnishings."""
