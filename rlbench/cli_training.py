@@ -78,11 +78,13 @@ def train(
       rlbench train --replay runs/ours/halted-at-draw-71.safetensors
     """
     use(plugin)
-    from rlbench import course, curves, trainset
     from rlbench.registry import lookup as registry
+    from rlbench.training import dataset as trainset
+    from rlbench.training import logger as curves
+    from rlbench.training import runs as course
 
     if replay is not None:
-        from rlbench.training import replay as again
+        from rlbench.training.loop import replay as again
 
         found = again(replay, str(asked.device(device)))
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
@@ -154,9 +156,10 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     use(plugin)
-    from rlbench import course, show
     from rlbench import crossval as leaving
+    from rlbench import show
     from rlbench.cells import Request
+    from rlbench.training import runs as course
 
     names = asked.methods(methods)
     plan = course.planned(frames, batch, crop, budget, half, norm, seed)

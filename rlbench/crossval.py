@@ -10,15 +10,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rlbench import asked, show, trainset
+from rlbench import asked, show
 from rlbench.bench import Done, measure
 from rlbench.cells import Request
-from rlbench.course import Course
 from rlbench.names import Names
 from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
 from rlbench.source import Stored
-from rlbench.trainset import TrainSet
+from rlbench.training import dataset as trainset
+from rlbench.training.dataset import TrainSet
+from rlbench.training.runs import Course
 
 
 @dataclass(frozen=True)

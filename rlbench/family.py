@@ -67,8 +67,8 @@ class Family:
     `Method`; it is imported when the method is first asked for. `weights` is the path of a file, or
     `"random"` for seeded untrained weights, or None for the shipped ones: NAME.safetensors in the
     folder `cards` beside that module, NAME as in `weights`; results are measured anew when this
-    file changes. `train` names a function in the same way (see `rlbench.training`), or is empty
-    where nothing is learned.
+    file changes. `train` names a function in the same way (see `rlbench.training.loop`), or is
+    empty where nothing is learned.
     """
 
     name: str

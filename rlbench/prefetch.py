@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
-from rlbench.batches import Batches
 from rlbench.clips.in_memory import MemoryClip
+from rlbench.training.batches import Batches
 
 
 @contextmanager

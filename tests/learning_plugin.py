@@ -12,7 +12,7 @@ import torch
 from rlbench.family import Family, Traits, Variant
 from rlbench.ops.init import initialise
 from rlbench.run import unroll
-from rlbench.trainer import Trainer
+from rlbench.training.task import Trainer
 from rlbench.weights import equip
 
 TRAITS = Traits(spp=(1.0, 4.0))

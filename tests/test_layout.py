@@ -17,9 +17,9 @@ PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
 CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Event\(")
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
     "rlbench/latency.py",
-    "rlbench/training.py",
+    "rlbench/training/loop.py",
     "methods/ours/compare.py",
-    "rlbench/training_profile.py",
+    "rlbench/training/profiler.py",
     "rlbench/render/mitsuba/tracer.py",
     "rlbench/render/cycles/worker/worker.py",
 )

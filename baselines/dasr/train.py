@@ -15,9 +15,9 @@ from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
 from rlbench.frames import Clip
 from rlbench.run import unroll
-from rlbench.surrogate import Surrogate, Teach, pull
-from rlbench.trainer import FROM1
-from rlbench.training import Trainer
+from rlbench.training.loop import Trainer
+from rlbench.training.surrogate_gradient import Surrogate, Teach, pull
+from rlbench.training.task import FROM1
 
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 STAGES = (  # share of the training by which a stage ends, and the networks that learn in it

@@ -18,8 +18,8 @@ from rlbench.frames import Clip, Size, View
 from rlbench.ops.losses import smape
 from rlbench.run import unroll
 from rlbench.sampling import Samples
-from rlbench.trainer import FROM1
-from rlbench.training import Trainer
+from rlbench.training.loop import Trainer
+from rlbench.training.task import FROM1
 
 CHANGE = 0.25  # weight of the error of the change since the last frame
 STRAIN = 1e-5  # weight of squared sharpness

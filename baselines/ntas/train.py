@@ -14,9 +14,9 @@ from baselines.ntas.network import Networks
 from rlbench.frames import Clip
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.surrogate import Surrogate
-from rlbench.trainer import FROM1
-from rlbench.training import Trainer
+from rlbench.training.loop import Trainer
+from rlbench.training.surrogate_gradient import Surrogate
+from rlbench.training.task import FROM1
 
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 

@@ -16,8 +16,8 @@ from rlbench.ops.losses import EVEN, decibels, mixed
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
-from rlbench.trainer import FROM1
-from rlbench.training import Trainer
+from rlbench.training.loop import Trainer
+from rlbench.training.task import FROM1
 
 PEAK = 1e-3  # learning rate
 TUNING = 4e-5  # the same, where training starts from Intel's weights

@@ -12,8 +12,8 @@ from methods.ours.memory import Memory
 from methods.ours.method import Ours
 from methods.ours.policy.world import Outcome
 from methods.ours.turn import Turn
-from rlbench.batches import Batches, one_of
 from rlbench.frames import Frame
+from rlbench.training.batches import Batches, one_of
 
 
 class Episodes:

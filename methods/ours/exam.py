@@ -13,7 +13,7 @@ from methods.ours.known_optimum import Mode, Moment, greedy
 from methods.ours.moving import CHANNELS, STORED, Field, scenes
 from methods.ours.policy.world import Outcome
 from rlbench.sampling import spend
-from rlbench.surrogate import shares
+from rlbench.training.surrogate_gradient import shares
 
 UNSEEN = 10**6  # seed of the scenes that are judged on
 APART = 7  # frames between two that are judged

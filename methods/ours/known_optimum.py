@@ -16,7 +16,7 @@ from methods.ours.moving import PRIOR, STORED, Field
 from methods.ours.policy.learner import Trial
 from rlbench.frames import Frame, Reference, View
 from rlbench.sampling import Samples, StoredPool, spend
-from rlbench.surrogate import Teach, shares
+from rlbench.training.surrogate_gradient import Teach, shares
 
 
 class Mode(Protocol):

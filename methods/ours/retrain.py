@@ -25,10 +25,10 @@ from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, learner
 from methods.ours.start import show_contrast
 from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
-from rlbench import validation
-from rlbench.batches import Batches
 from rlbench.ops.init import initialise
 from rlbench.system import paths
+from rlbench.training import validation
+from rlbench.training.batches import Batches
 from rlbench.weights import Card, equip, read_card, save
 
 PEAK, FALL = 1e-3, 0.1  # learning rate at the start, and of it at the end: a line between

@@ -26,7 +26,7 @@ from rlbench.ops.losses import decibels, mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.sampling import Samples
-from rlbench.trainer import FROM1, Trainer
+from rlbench.training.task import FROM1, Trainer
 
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates

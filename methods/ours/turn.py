@@ -18,7 +18,7 @@ from rlbench.frames import Frame, View
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.sampling import Samples, buy, nothing
-from rlbench.surrogate import Teach, shares
+from rlbench.training.surrogate_gradient import Teach, shares
 
 
 @dataclass(frozen=True)

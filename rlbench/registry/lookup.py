@@ -130,7 +130,7 @@ def method(name: str, device: torch.device | str = "cpu", weights: str | None = 
 
 
 def trainer(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
-    """What is trained of a method: the `rlbench.training.Trainer` that its family's `train` makes.
+    """What is trained of a method: the `rlbench.training.task.Trainer` that its `train` makes.
 
     Raises PluginError where nothing is learned.
     """

@@ -22,7 +22,7 @@ from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
-from rlbench.training import Plan, train
+from rlbench.training.loop import Plan, train
 from rlbench.weights import digest
 from tests.conftest import write_noise
 

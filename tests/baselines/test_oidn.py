@@ -19,7 +19,7 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
 from rlbench.run import run_clip
 from rlbench.sampling import Samples, StoredPool
-from rlbench.trainer import FROM1
+from rlbench.training.task import FROM1
 from rlbench.weights import Card, save
 
 CPU = torch.device("cpu")

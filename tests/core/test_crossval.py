@@ -12,12 +12,12 @@ from rlbench import table
 from rlbench.bench import Done
 from rlbench.cells import Request
 from rlbench.cli import app
-from rlbench.course import Course
 from rlbench.crossval import Fold, crossval, taught, told
-from rlbench.plan import Plan
 from rlbench.registry import lookup as registry
 from rlbench.source import Stored
-from rlbench.trainset import TrainSet
+from rlbench.training.config import Plan
+from rlbench.training.dataset import TrainSet
+from rlbench.training.runs import Course
 from rlbench.weights import read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner

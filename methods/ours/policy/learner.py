@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rlbench.surrogate import Teach
+from rlbench.training.surrogate_gradient import Teach
 
 
 class Trial(NamedTuple):

@@ -11,7 +11,7 @@ from torch import Tensor
 from methods.ours.policy.learner import Situation
 from rlbench.frames import Frame
 from rlbench.sampling import Samples
-from rlbench.surrogate import Teach
+from rlbench.training.surrogate_gradient import Teach
 
 
 def pull_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:

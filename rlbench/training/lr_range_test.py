@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench.batches import Batches, one_of
-from rlbench.learner import Learner, NotFiniteError
-from rlbench.plan import Plan, Progress
 from rlbench.registry import lookup as registry
 from rlbench.system import paths
-from rlbench.trainer import Trainer
+from rlbench.training.batches import Batches, one_of
+from rlbench.training.config import Plan, Progress
+from rlbench.training.task import Trainer
+from rlbench.training.train_state import Learner, NotFiniteError
 
 LOW, HIGH = 1e-6, 1e-1  # learning rates at the first and at the last sequence
 BLUR = 0.25  # standard deviation of the window that losses are averaged in, decades of the rate

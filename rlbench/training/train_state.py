@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from rlbench import checkpoint
 from rlbench.frames import Clip
-from rlbench.trainer import Trainer, TrainingError
+from rlbench.training import checkpoint
+from rlbench.training.task import Trainer, TrainingError
 
 
 class NotFinite(NamedTuple):

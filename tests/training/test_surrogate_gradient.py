@@ -14,7 +14,7 @@ from rlbench.family import Traits
 from rlbench.frames import Frame, Reference, Size, View
 from rlbench.run import unroll
 from rlbench.sampling import Samples, StoredPool, spend
-from rlbench.surrogate import Surrogate, pull, shares
+from rlbench.training.surrogate_gradient import Surrogate, pull, shares
 
 SIZE = Size(1, 12, 16)
 

@@ -10,14 +10,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench import checkpoint
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import Clip, Frame, Reference, View
-from rlbench.learner import Learner, NotFinite, NotFiniteError
-from rlbench.plan import Plan
 from rlbench.registry import lookup as registry
 from rlbench.sampling import StoredPool
-from rlbench.trainer import TrainingError
+from rlbench.training import checkpoint
+from rlbench.training.config import Plan
+from rlbench.training.task import TrainingError
+from rlbench.training.train_state import Learner, NotFinite, NotFiniteError
 
 
 @dataclass(frozen=True)

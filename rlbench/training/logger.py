@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rlbench.plan import Progress
 from rlbench.system import paths
-from rlbench.validation import Validated
+from rlbench.training.config import Progress
+from rlbench.training.validation import Validated
 
 LOG = "log.jsonl"  # one line a validation
 FOLDER = "tensorboard"

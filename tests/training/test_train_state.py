@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.learner import Learner, NotFiniteError
 from rlbench.registry import lookup as registry
-from rlbench.trainer import Trainer
+from rlbench.training.task import Trainer
+from rlbench.training.train_state import Learner, NotFiniteError
 
 CLIP = procedural(0, Size(1, 16, 16), frames=1)
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from rlbench import checkpoint
 from rlbench.cli import app
 from rlbench.registry import lookup as registry
-from rlbench.training import Plan, TrainingError, replay, train
+from rlbench.training import checkpoint
+from rlbench.training.loop import Plan, TrainingError, replay, train
 from rlbench.weights import read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rlbench import asked, range_test, show
-from rlbench.plan import Plan
+from rlbench import asked, show
 from rlbench.registry import lookup as registry
-from rlbench.training import check, shipped, train
-from rlbench.trainset import TrainSet
+from rlbench.training import lr_range_test as range_test
+from rlbench.training.config import Plan
+from rlbench.training.dataset import TrainSet
+from rlbench.training.loop import check, shipped, train
 
 Bar = Callable[[str, int], AbstractContextManager[Callable[[Any, float], None]]]
 

@@ -13,8 +13,8 @@ from torch import Tensor
 from rlbench.clips.stored import ALL, MemoryClip, open_clip
 from rlbench.family import Traits
 from rlbench.frames import Frame, Reference, View
-from rlbench.plan import Plan
 from rlbench.sampling import StoredPool
+from rlbench.training.config import Plan
 
 
 class BatchError(ValueError):

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import range_test
-from rlbench.plan import Plan
-from rlbench.range_test import Point, averaged, proposed
 from rlbench.registry import lookup as registry
+from rlbench.training import lr_range_test as range_test
+from rlbench.training.config import Plan
+from rlbench.training.lr_range_test import Point, averaged, proposed
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import curves
 from rlbench.registry import lookup as registry
-from rlbench.training import Plan, train
+from rlbench.training import logger as curves
+from rlbench.training.loop import Plan, train
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 

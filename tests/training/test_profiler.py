@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rlbench.plan import Plan
 from rlbench.registry import lookup as registry
-from rlbench.training_profile import PARTS, main, profile
+from rlbench.training.config import Plan
+from rlbench.training.profiler import PARTS, main, profile
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 

@@ -12,17 +12,20 @@ from typing import Any
 
 import torch
 
-from rlbench import checkpoint, curves, postmortem, validation, weights
-from rlbench.batches import Batches, one_of
+from rlbench import weights
 from rlbench.clips.in_memory import MemoryClip
-from rlbench.learner import Learner, NotFiniteError
 from rlbench.method import settings
-from rlbench.plan import Plan, Progress
-from rlbench.postmortem import replay
 from rlbench.prefetch import ahead
 from rlbench.registry import lookup as registry
 from rlbench.system import provenance
-from rlbench.trainer import Trainer, TrainingError
+from rlbench.training import checkpoint, validation
+from rlbench.training import logger as curves
+from rlbench.training import replay as postmortem
+from rlbench.training.batches import Batches, one_of
+from rlbench.training.config import Plan, Progress
+from rlbench.training.replay import replay
+from rlbench.training.task import Trainer, TrainingError
+from rlbench.training.train_state import Learner, NotFiniteError
 
 __all__ = ["Plan", "Progress", "Trainer", "TrainingError", "check", "replay", "shipped", "train"]
 

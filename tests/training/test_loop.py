@@ -14,15 +14,16 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench import checkpoint, show, validation
-from rlbench.batches import Augmentation, BatchError, Batches
+from rlbench import show
 from rlbench.clips.procedural.clip import procedural
-from rlbench.course import Course, start_anew
 from rlbench.frames import Size
-from rlbench.learner import Learner
 from rlbench.ops.reprojection import reproject
 from rlbench.registry import lookup as registry
-from rlbench.training import Plan, Progress, TrainingError, train
+from rlbench.training import checkpoint, validation
+from rlbench.training.batches import Augmentation, BatchError, Batches
+from rlbench.training.loop import Plan, Progress, TrainingError, train
+from rlbench.training.runs import Course, start_anew
+from rlbench.training.train_state import Learner
 from rlbench.weights import digest, read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
@@ -130,7 +131,7 @@ CHILD = """
 import os, signal, sys
 from pathlib import Path
 import torch
-from rlbench.training import Plan, train
+from rlbench.training.loop import Plan, train
 torch.set_num_threads(1)
 out, clip, kill = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 def report(progress, loss):

@@ -1,4 +1,4 @@
-"""Where the time of a training goes: python -m rlbench.training_profile ours --frames 60."""
+"""Where the time of a training goes: python -m rlbench.training.profiler ours --frames 60."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import NamedTuple
 
 import torch
 
-from rlbench import trainset
-from rlbench.batches import Batches, one_of
-from rlbench.learner import Learner
-from rlbench.plan import Plan
 from rlbench.registry import discovery as plugins
 from rlbench.registry import lookup as registry
-from rlbench.trainer import Trainer
+from rlbench.training import dataset as trainset
+from rlbench.training.batches import Batches, one_of
+from rlbench.training.config import Plan
+from rlbench.training.task import Trainer
+from rlbench.training.train_state import Learner
 
 PARTS = {  # functions of the core, in the order in which they run
     ("batches.py", "draw"): "read and cut a draw",
-    ("learner.py", "_remember"): "keep what a replay needs",
-    ("learner.py", "_forward"): "forward, with the loss",
+    ("train_state.py", "_remember"): "keep what a replay needs",
+    ("train_state.py", "_forward"): "forward, with the loss",
     ("losses.py", "mixed"): "of that, L1 and MS-SSIM",
-    ("learner.py", "_backward"): "backward",
-    ("learner.py", "_clip"): "clip the gradient",
-    ("learner.py", "_step"): "Adam",
-    ("learner.py", "_follow"): "average the weights",
+    ("train_state.py", "_backward"): "backward",
+    ("train_state.py", "_clip"): "clip the gradient",
+    ("train_state.py", "_step"): "Adam",
+    ("train_state.py", "_follow"): "average the weights",
 }
 OWN = 6  # functions of the method's own that are shown, the longest first
 
@@ -95,7 +95,7 @@ def _read(stats: pstats.Stats, frames: int, own: Path) -> Profile:
     found: dict[tuple[str, int, str], tuple[int, int, float, float, object]] = stats.stats  # type: ignore[attr-defined]
     for (file, _, function), (_, _, _, seconds, _) in found.items():
         told = PARTS.get((Path(file).name, function))
-        if told and Path(file).is_relative_to(Path(__file__).parent):
+        if told and Path(file).is_relative_to(Path(__file__).parents[1]):
             core[told] = Part(told, seconds)
         elif Path(file).parent == own:
             theirs.append(Part(f"`{Path(file).name}` {function}", seconds))
@@ -107,7 +107,7 @@ def _read(stats: pstats.Stats, frames: int, own: Path) -> Profile:
 
 def main(words: Sequence[str] | None = None) -> str:
     """The table of what the command line asks for."""
-    parser = argparse.ArgumentParser("python -m rlbench.training_profile", description=__doc__)
+    parser = argparse.ArgumentParser("python -m rlbench.training.profiler", description=__doc__)
     parser.add_argument("method")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--crop", type=int, default=128)

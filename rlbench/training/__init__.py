@@ -1,0 +1,1 @@
+"""Training: task, config, loop, checkpoint, dataset and logger."""
