@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import pandas as pd
 
-from rlbench.table import LacksError
+from rlbench.benchmark.results import LacksError
 
 
 @dataclass(frozen=True)

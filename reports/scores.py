@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from rlbench.table import FOLD
+from rlbench.benchmark.results import FOLD
 
 CELL = ["method", "scene", "spp"]
 SHOT = ["scene", "clip", "frame"]  # by which methods are paired

@@ -11,7 +11,7 @@ from reports.grids import Grid, gap_text, wide
 from reports.published import published
 from reports.spread import deviation
 from reports.trainings import BASE, against
-from rlbench.table import LacksError
+from rlbench.benchmark.results import LacksError
 
 METRIC = "psnr"
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from reports import names, scores
 from reports.statistics import DRAWS, interval, paired
-from rlbench.table import LacksError
+from rlbench.benchmark.results import LacksError
 
 FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has some
 METRIC = "psnr"

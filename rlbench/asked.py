@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
+    from rlbench.benchmark.clip_sources import Stored
+    from rlbench.benchmark.regression import Baseline
     from rlbench.parallel.executor import Engine
-    from rlbench.regress import Baseline
-    from rlbench.source import Stored
 
 
 class AskedError(ValueError):
@@ -69,7 +69,7 @@ def clips(
     `kinds` of sample pools are those that are wanted of a preset's, and `takes` of its scenes are
     `main` or `all`; None is all of the former, and the latter as in the preset.
     """
-    from rlbench.source import POOLS, below, pooled
+    from rlbench.benchmark.clip_sources import POOLS, below, pooled
 
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
@@ -109,7 +109,7 @@ def minutes(number: float | None) -> float:
 
 def weights(text: str | None) -> tuple[str, str | None]:
     """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
-    from rlbench.table import CROSSVAL, HALF
+    from rlbench.benchmark.results import CROSSVAL, HALF
 
     if text is None or text == "random":
         return "", text
@@ -144,8 +144,8 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
 
     Raises AskedError where a single name has none, and PluginError for one that is in neither.
     """
+    from rlbench.benchmark.results import AT, whose
     from rlbench.registry import lookup as registry
-    from rlbench.table import AT, whose
 
     known = set(table["method"])  # of plugins too, which need not be here
     exact = [name for name in methods if AT in name or name in known]

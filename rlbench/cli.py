@@ -123,8 +123,8 @@ def run(
     if out.exists() and not out.is_dir():
         raise asked.AskedError(f"--out {out} is a file; results are a folder")
     from rlbench import show
-    from rlbench.bench import measure
-    from rlbench.cells import Request
+    from rlbench.benchmark.run_plan import Request
+    from rlbench.benchmark.runner import measure
     from rlbench.parallel.ray_executor import opened
     from rlbench.registry import lookup as registry
 
@@ -212,7 +212,7 @@ def report(
 
       rlbench report ablation --methods 'ours/*'
     """
-    from rlbench import table
+    from rlbench.benchmark import results as table
     from rlbench.registry import lookup as registry
 
     rows = table.read(results)
@@ -254,8 +254,8 @@ def regress(
 
       rlbench regress --update
     """
-    from rlbench import regress as gate
-    from rlbench import table
+    from rlbench.benchmark import regression as gate
+    from rlbench.benchmark import results as table
 
     wanted = asked.split(only or [])
     if update and wanted:

@@ -135,8 +135,8 @@ def lint(
 
       rlbench lint my_renders/ --picture lint.png --frames 0
     """
+    from rlbench.benchmark.clip_sources import below
     from rlbench.lint.clip import lint as examine
-    from rlbench.source import below
 
     folders = [folder for place in clips for folder in below(place)]
     raise typer.Exit(0 if examine(folders, picture, frames) else 1)

@@ -41,8 +41,8 @@ def images(
     """
     use(plugin)
     from rlbench import show
-    from rlbench.cells import Request
-    from rlbench.images import write
+    from rlbench.benchmark.image_sheet import write
+    from rlbench.benchmark.run_plan import Request
     from rlbench.registry import lookup as registry
 
     names = asked.methods(methods)

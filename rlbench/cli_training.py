@@ -156,9 +156,9 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     use(plugin)
-    from rlbench import crossval as leaving
     from rlbench import show
-    from rlbench.cells import Request
+    from rlbench.benchmark import crossval as leaving
+    from rlbench.benchmark.run_plan import Request
     from rlbench.training import runs as course
 
     names = asked.methods(methods)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rlbench import cost
+from rlbench.benchmark import cost
 from rlbench.family import Variant
 from rlbench.registry import lookup as registry
 

@@ -11,12 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rlbench import table as results_table
-from rlbench.cells import Cell, Request, cells
-from rlbench.names import Names
+from rlbench.benchmark import results as results_table
+from rlbench.benchmark.cell_ids import Names
+from rlbench.benchmark.run_plan import Cell, Request, cells
 
 if TYPE_CHECKING:
-    from rlbench.bench import Done
+    from rlbench.benchmark.runner import Done
     from rlbench.doctor import Finding
 
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on

@@ -16,7 +16,7 @@ SOURCES = sorted(file for name in PACKAGES for file in (CHECKOUT / name).rglob("
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
 CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Event\(")
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
-    "rlbench/latency.py",
+    "rlbench/benchmark/latency.py",
     "rlbench/training/loop.py",
     "methods/ours/compare.py",
     "rlbench/training/profiler.py",
@@ -68,7 +68,9 @@ def test_modules_are_short_enough_to_read(file):
     assert len(file.read_text().splitlines()) <= 300
 
 
-@pytest.mark.parametrize("file", [f for f in SOURCES if of(f) != "rlbench/bench.py"], ids=of)
+@pytest.mark.parametrize(
+    "file", [f for f in SOURCES if of(f) != "rlbench/benchmark/runner.py"], ids=of
+)
 def test_only_the_bench_makes_rows(file):
     made = re.search(r"(?<!class )\bRow\(", file.read_text())
-    assert not made or of(file) == "rlbench/table.py"
+    assert not made or of(file) == "rlbench/benchmark/results.py"

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import asked, regress, table
-from rlbench.bench import measure
-from rlbench.cells import Request
+from rlbench import asked
+from rlbench.benchmark import regression as regress
+from rlbench.benchmark import results as table
+from rlbench.benchmark.clip_sources import Stored
+from rlbench.benchmark.run_plan import Request
+from rlbench.benchmark.runner import measure
 from rlbench.registry import lookup as registry
 from rlbench.render.jobs.render_clips import ensure
 from rlbench.render.mitsuba.llvm import activate
-from rlbench.source import Stored
 from rlbench.system import paths
 
 BASELINE = Path(__file__).parent / "regression" / "mini.json"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import table
+from rlbench.benchmark import results as table
 from rlbench.cli import app
 from rlbench.weights import read_card
 from tests.procedural_folder import write_world

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from rlbench.benchmark.clip_sources import unusable
 from rlbench.clips.header import Header
 from rlbench.registry import lookup as registry
-from rlbench.source import unusable
 
 
 def possible(header: Header) -> str:

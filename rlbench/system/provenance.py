@@ -28,7 +28,7 @@ CORE = (
     "rlbench.clips.in_memory",
     "rlbench.clips.decode_cache",
     "rlbench.clips.exr",
-    "rlbench.source",
+    "rlbench.benchmark.clip_sources",
     "rlbench.weights",
 )  # the core's modules that decide what image a method makes of a clip
 PACKAGES = ("torch", "mitsuba", "rlbench")

@@ -16,11 +16,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import asked, table
+from rlbench import asked
+from rlbench.benchmark import results as table
+from rlbench.benchmark.results import Row
 from rlbench.cli import app
 from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
-from rlbench.table import Row
 from rlbench.training import dataset as trainset
 from tests.conftest import write_noise, write_plugin
 

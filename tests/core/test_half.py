@@ -7,8 +7,9 @@ import dataclasses
 import pytest
 import torch
 
-from rlbench import show, table
-from rlbench.bench import Done, measure
+from rlbench import show
+from rlbench.benchmark import results as table
+from rlbench.benchmark.runner import Done, measure
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.ops.memory_format import packed, unpacked
@@ -16,7 +17,7 @@ from rlbench.ops.unet import SMALL, UNet
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from rlbench.wrappers import Half
-from tests.core.test_bench import request
+from tests.benchmark.test_runner import request
 
 CPU = torch.device("cpu")
 

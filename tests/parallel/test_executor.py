@@ -9,9 +9,10 @@ from functools import partial
 
 import pytest
 
-from rlbench import table
-from rlbench.bench import Done, measure
-from rlbench.cells import Request
+from rlbench.benchmark import results as table
+from rlbench.benchmark.clip_sources import Stored
+from rlbench.benchmark.run_plan import Request
+from rlbench.benchmark.runner import Done, measure
 from rlbench.parallel import ray_executor as cluster
 from rlbench.parallel import worker
 from rlbench.parallel.executor import LOCAL, EngineError
@@ -19,9 +20,8 @@ from rlbench.parallel.ray_executor import Cluster, opened
 from rlbench.registry.lookup import VARIABLE, use_plugin
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import finish
-from rlbench.source import Stored
+from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
-from tests.core.test_bench import scores
 from tests.render.test_record import PLAN, contents
 from tests.render.worlds import room
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rlbench.benchmark.clip_sources import unusable
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools as chains
@@ -12,7 +13,6 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import finish, render
 from rlbench.render.mitsuba.llvm import activate
 from rlbench.render.presets import Preset
-from rlbench.source import unusable
 from tests.render.worlds import room
 
 PLAN = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)

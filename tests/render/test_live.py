@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from rlbench.benchmark.clip_sources import Stored, pooled
 from rlbench.clips.exr import precision
 from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
@@ -19,7 +20,6 @@ from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
 from rlbench.run import run_clip
 from rlbench.sampling import buy, nothing
-from rlbench.source import Stored, pooled
 from tests.conftest import write_noise
 from tests.render.worlds import grey, room
 

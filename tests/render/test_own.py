@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import table
+from rlbench.benchmark import results as table
 from rlbench.cli import app
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.render.mitsuba.gbuffer import views

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rlbench.table import Row, frame_of
+from rlbench.benchmark.results import Row, frame_of
 
 SCENES = {"city": 0.0, "temple": -2.0, "hall": -4.0, "ripples": 1.5}  # dB
 SAMPLE_MS = {"city": 16.6, "temple": 17.6, "hall": 34.5, "ripples": 36.6}

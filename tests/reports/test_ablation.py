@@ -11,7 +11,7 @@ from conftest import rows
 
 from reports import ablation, variants
 from reports.scores import ReportError
-from rlbench.table import LacksError, frame_of
+from rlbench.benchmark.results import LacksError, frame_of
 
 SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/small": '{"bptt": 1, "sampler": []}'}
 

@@ -6,7 +6,7 @@ import pytest
 from conftest import SCENES, psnr, rows
 
 from reports import clips
-from rlbench.table import frame_of
+from rlbench.benchmark.results import frame_of
 
 FRAMES = range(4)
 

@@ -14,7 +14,7 @@ from scipy.optimize import isotonic_regression
 
 from reports import beside, paper_pareto
 from reports.published import published
-from rlbench.table import LacksError, frame_of
+from rlbench.benchmark.results import LacksError, frame_of
 
 OFFSET = sum(SCENES.values()) / 4
 

@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from reports import pareto, style
 from reports.panels import MOST, OVERALL, WINDOW, draw
 from reports.scores import ReportError
-from rlbench.table import frame_of
+from rlbench.benchmark.results import frame_of
 
 TEXTS = {"value": "PSNR", "direction": "", "better": "high", "caption": "profile paper-2080ti"}
 

@@ -6,7 +6,7 @@ import pytest
 
 from reports import names
 from reports.published import published
-from rlbench import cost
+from rlbench.benchmark import cost
 from rlbench.registry import lookup as registry
 
 TABLE = {stated.name: stated for stated in published().table}

@@ -10,7 +10,7 @@ import pytest
 from conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
 
 from reports import scores
-from rlbench.table import frame_of
+from rlbench.benchmark.results import frame_of
 
 
 @pytest.mark.parametrize("scene", SCENES)

@@ -12,7 +12,7 @@ from conftest import SCENES, rows
 from scipy import stats
 
 from reports import scores, seeds, trainings
-from rlbench.table import LacksError, frame_of
+from rlbench.benchmark.results import LacksError, frame_of
 
 SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 2)
 

@@ -13,7 +13,7 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from reports import summary
 from reports.grids import Bold, Grid, latex, markdown
 from reports.ranking import ranking
-from rlbench.table import frame_of
+from rlbench.benchmark.results import frame_of
 
 OFFSET = sum(SCENES.values()) / 4
 

@@ -11,7 +11,7 @@ from conftest import METHODS, SCENES, rows
 
 from reports import table1
 from reports.published import published
-from rlbench.table import LacksError, frame_of
+from rlbench.benchmark.results import LacksError, frame_of
 
 OFFSET = sum(SCENES.values()) / 4
 

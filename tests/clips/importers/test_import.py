@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import table
+from rlbench.benchmark import results as table
 from rlbench.cli import app
 from rlbench.clips.importers import formats
 from rlbench.clips.importers import writer as store

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from rlbench import cost, latency
-from rlbench.cells import Cell
-from rlbench.cost import Cost, Profile
+from rlbench.benchmark import cost, latency
+from rlbench.benchmark.cell_loader import Ready
+from rlbench.benchmark.cost import Cost, Profile
+from rlbench.benchmark.latency import Timing
+from rlbench.benchmark.run_plan import Cell
 from rlbench.frames import Clip
-from rlbench.latency import Timing
 from rlbench.method import Method
 from rlbench.parallel.executor import Engine, Share, Tell
-from rlbench.ready import Ready
 from rlbench.registry import lookup as registry
 from rlbench.system import provenance
 

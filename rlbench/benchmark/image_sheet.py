@@ -13,10 +13,10 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray as Array
 from torch import Tensor
 
-from rlbench.cells import Cell, Request
+from rlbench.benchmark.cell_ids import Names
+from rlbench.benchmark.cell_loader import Ready
+from rlbench.benchmark.run_plan import Cell, Request
 from rlbench.clips.exr import write_exr
-from rlbench.names import Names
-from rlbench.ready import Ready
 from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
 from rlbench.system import paths

@@ -10,15 +10,15 @@ import torch
 from matplotlib.image import imread
 
 from metrics.display import display as of_the_metrics
-from rlbench import table
-from rlbench.bench import measure
-from rlbench.cells import Request
+from rlbench.benchmark import results as table
+from rlbench.benchmark.clip_sources import Stored
+from rlbench.benchmark.image_sheet import BROKEN, ImagesError, display, picture, reached, write
+from rlbench.benchmark.run_plan import Request
+from rlbench.benchmark.runner import measure
 from rlbench.clips.exr import read_exr
 from rlbench.clips.stored import open_clip
-from rlbench.images import BROKEN, ImagesError, display, picture, reached, write
 from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
-from rlbench.source import Stored
 from tests.conftest import write_noise, write_plugin
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from rlbench.table import (
+from rlbench.benchmark.results import (
     COLUMNS,
     Row,
     TableError,
@@ -85,7 +85,7 @@ def test_a_truncated_cell_is_not_finished(tmp_path):
 
 def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
     kill = (
-        "import os, sys; from pathlib import Path; from rlbench import table;"
+        "import os, sys; from pathlib import Path; from rlbench.benchmark import results as table;"
         "os.replace = lambda *a: os._exit(9);"
         "table.write_cell(Path(sys.argv[1]), 'a', [table.Row('r','m','c','s',1,1,0,'psnr',1.0)])"
     )
@@ -139,7 +139,8 @@ def test_frame_of_is_what_read_gives(tmp_path):
 
 
 def test_the_table_does_not_import_torch():
-    look = "import sys, rlbench.table; sys.exit('torch' in sys.modules or 'pandas' in sys.modules)"
+    names = "'torch' in sys.modules or 'pandas' in sys.modules"
+    look = f"import sys, rlbench.benchmark.results; sys.exit({names})"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
 
 

@@ -11,17 +11,18 @@ from pathlib import Path
 
 import torch
 
-from rlbench import cost, latency, table
-from rlbench.cells import FAILED, Cell, Request, cells, content
+from rlbench.benchmark import cost, latency
+from rlbench.benchmark import results as table
+from rlbench.benchmark.run_plan import FAILED, Cell, Request, cells, content
 from rlbench.registry import lookup as registry
 from rlbench.system import provenance
 from rlbench.weights import WeightsError, read_card
 
 MEASURE = (
-    "rlbench.bench",
-    "rlbench.times",
-    "rlbench.latency",
-    "rlbench.cost",
+    "rlbench.benchmark.runner",
+    "rlbench.benchmark.timing_cache",
+    "rlbench.benchmark.latency",
+    "rlbench.benchmark.cost",
 )  # what makes numbers of images
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from rlbench import cost
+from rlbench.benchmark import cost
+from rlbench.benchmark.cost import Cost, CostError
+from rlbench.benchmark.latency import WARM_UP, device_name, time_method
 from rlbench.clips.procedural.clip import procedural
 from rlbench.clips.stored import read_header
-from rlbench.cost import Cost, CostError
 from rlbench.family import Traits
 from rlbench.frames import Size
-from rlbench.latency import WARM_UP, device_name, time_method
 from rlbench.system import provenance
 
 SIZE = Size(1, 8, 8)

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rlbench.benchmark.results import WHOLE_CLIP
 from rlbench.system import paths
-from rlbench.table import WHOLE_CLIP
 
 if TYPE_CHECKING:
     import pandas as pd

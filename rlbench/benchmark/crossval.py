@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rlbench import asked, show
-from rlbench.bench import Done, measure
-from rlbench.cells import Request
-from rlbench.names import Names
+from rlbench.benchmark.cell_ids import Names
+from rlbench.benchmark.clip_sources import Stored
+from rlbench.benchmark.run_plan import Request
+from rlbench.benchmark.runner import Done, measure
 from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
-from rlbench.source import Stored
 from rlbench.training import dataset as trainset
 from rlbench.training.dataset import TrainSet
 from rlbench.training.runs import Course

@@ -9,9 +9,9 @@ from urllib.parse import quote, unquote
 
 import torch
 
-from rlbench import cost, latency
+from rlbench.benchmark import cost, latency
+from rlbench.benchmark.clip_sources import Source
 from rlbench.registry import lookup as registry
-from rlbench.source import Source
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
 FAILED = "failed"  # instead of a hash

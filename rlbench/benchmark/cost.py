@@ -61,14 +61,14 @@ class Profile:
 
 def profiles() -> list[str]:
     """Names of the profiles that are shipped."""
-    there = (files("rlbench") / "profiles").iterdir()
+    there = (files("rlbench.benchmark") / "profiles").iterdir()
     return sorted(file.name.removesuffix(".toml") for file in there if file.name.endswith(".toml"))
 
 
 def profile(name: str) -> Profile:
     """A profile by name, or by the path of a TOML file. Raises CostError."""
     shipped = name in profiles()
-    place = files("rlbench") / "profiles" / f"{name}.toml" if shipped else Path(name)
+    place = files("rlbench.benchmark") / "profiles" / f"{name}.toml" if shipped else Path(name)
     if not place.is_file():
         have = ", ".join([MEASURED, *profiles()])
         raise CostError(f"no cost profile '{name}'; there are: {have}, or the path of a TOML file")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rlbench.cells import Cell, Request
+from rlbench.benchmark.clip_sources import Short, unusable
+from rlbench.benchmark.run_plan import Cell, Request
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.registry import lookup as registry
-from rlbench.source import Short, unusable
 from rlbench.wrappers import Half
 
 

@@ -16,18 +16,19 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench import cost, latency, table
-from rlbench.cells import Cell, Request, by_title, cells, distinct, never_lost, older
+from rlbench.benchmark import cost, latency
+from rlbench.benchmark import results as table
+from rlbench.benchmark.cell_ids import Names
+from rlbench.benchmark.cell_loader import Ready
+from rlbench.benchmark.latency import Timing
+from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.run_plan import Cell, Request, by_title, cells, distinct, never_lost, older
+from rlbench.benchmark.timing_cache import Times
 from rlbench.clips.header import LACKS, Header
-from rlbench.latency import Timing
 from rlbench.method import Method, settings
-from rlbench.names import Names
 from rlbench.parallel.executor import LOCAL, Engine, Outcome, Share, Tell
-from rlbench.ready import Ready
 from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
-from rlbench.table import WHOLE_CLIP, Row
-from rlbench.times import Times
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,16 @@ from dataclasses import replace
 
 import pytest
 
-from rlbench.regress import Baseline, BaselineError, Entry, compare, load, measured, update
-from rlbench.table import Row, frame_of
+from rlbench.benchmark.regression import (
+    Baseline,
+    BaselineError,
+    Entry,
+    compare,
+    load,
+    measured,
+    update,
+)
+from rlbench.benchmark.results import Row, frame_of
 
 
 def rows(psnr, method="ours", scene="city", spp=2.0):
@@ -210,5 +218,5 @@ def test_an_entry_twice_is_refused():
 
 
 def test_the_gate_does_not_import_torch():
-    look = "import sys, rlbench.regress; sys.exit('torch' in sys.modules)"
+    look = "import sys, rlbench.benchmark.regression; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

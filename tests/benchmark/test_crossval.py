@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import table
-from rlbench.bench import Done
-from rlbench.cells import Request
+from rlbench.benchmark import results as table
+from rlbench.benchmark.clip_sources import Stored
+from rlbench.benchmark.crossval import Fold, crossval, taught, told
+from rlbench.benchmark.run_plan import Request
+from rlbench.benchmark.runner import Done
 from rlbench.cli import app
-from rlbench.crossval import Fold, crossval, taught, told
 from rlbench.registry import lookup as registry
-from rlbench.source import Stored
 from rlbench.training.config import Plan
 from rlbench.training.dataset import TrainSet
 from rlbench.training.runs import Course

@@ -14,13 +14,13 @@ import pytest
 import torch
 
 from reports.scores import points
-from rlbench import table
-from rlbench.bench import Done, measure
-from rlbench.cells import CellsError, Request, cells
+from rlbench.benchmark import results as table
+from rlbench.benchmark.cell_ids import Names
+from rlbench.benchmark.clip_sources import Stored, affordable
+from rlbench.benchmark.run_plan import CellsError, Request, cells
+from rlbench.benchmark.runner import Done, measure
 from rlbench.clips.stored import open_clip
-from rlbench.names import Names
 from rlbench.registry import lookup as registry
-from rlbench.source import Stored, affordable
 from rlbench.system import provenance
 from tests.conftest import write_noise, write_plugin
 

@@ -1,0 +1,1 @@
+"""Measuring: the run plan, its runner, scores, latency, cost and the results table."""
