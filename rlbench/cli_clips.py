@@ -136,7 +136,7 @@ def lint(
       rlbench lint my_renders/ --picture lint.png --frames 0
     """
     from rlbench.benchmark.clip_sources import below
-    from rlbench.lint.clip import lint as examine
+    from rlbench.checks.lint.run import lint as examine
 
     folders = [folder for place in clips for folder in below(place)]
     raise typer.Exit(0 if examine(folders, picture, frames) else 1)

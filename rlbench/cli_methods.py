@@ -49,6 +49,6 @@ def check(
       rlbench check all
     """
     use(plugin, listed="all" in asked.split(methods))
-    from rlbench.check.tell import check as examine
+    from rlbench.checks.conformance.run import check as examine
 
     raise typer.Exit(0 if examine(asked.split(methods), asked.device(device)) else 1)

@@ -8,10 +8,10 @@ from functools import cache
 import pytest
 import torch
 
-from rlbench.check.claims import CLAIMS
-from rlbench.check.finding import Verdict
-from rlbench.check.subject import Subject
-from rlbench.check.suite import examine, judge
+from rlbench.checks.conformance.checks import CLAIMS
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.conformance.suite import examine, judge
+from rlbench.checks.result import Verdict
 from rlbench.registry import lookup as registry
 
 GIVEN = os.environ.get(registry.VARIABLE, "")  # methods beside the installed ones

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rlbench.check.finding import Verdict
-from rlbench.check.subject import Subject
-from rlbench.check.suite import examine
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.conformance.suite import examine
+from rlbench.checks.result import Verdict
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.registry import lookup as registry

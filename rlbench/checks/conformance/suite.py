@@ -8,9 +8,9 @@ from pathlib import Path
 
 import torch
 
-from rlbench.check.claims import CLAIMS, Claim
-from rlbench.check.finding import Finding, Verdict, moot, wrong
-from rlbench.check.subject import Subject
+from rlbench.checks.conformance.checks import CLAIMS, Claim
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.result import Finding, Verdict, moot, wrong
 from rlbench.registry import lookup as registry
 
 HOLDS = Finding(Verdict.HOLDS)

@@ -6,9 +6,9 @@ from itertools import combinations
 
 import torch
 
-from rlbench.lint import noise
+from rlbench.checks.lint import noise_statistics as noise
+from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.lint.finding import Finding, fine, odd, wrong
-from rlbench.lint.footage import Footage
 
 ALIKE = 0.05  # correlation from which on two are not independent; a tenth of it is ours' scatter
 MUCH = 0.15
@@ -87,7 +87,7 @@ def seeds(footage: Footage) -> Finding:
 
     The difference of the halves is all noise, of mean zero: nothing that is independent of both
     can correlate with it, whatever its distribution; a sample that is in one half does. Samples
-    that are in both are told by `rlbench.lint.reference.halves`.
+    that are in both are told by `rlbench.checks.lint.reference.halves`.
     """
     check, told = "seeds", []
     apart = footage.a - footage.b

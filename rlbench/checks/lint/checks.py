@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import torch
 
-from rlbench.lint.albedo import albedo
-from rlbench.lint.depth import depth
+from rlbench.checks.lint.albedo import albedo
+from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.depth import depth
+from rlbench.checks.lint.geometry import Fit, fits
+from rlbench.checks.lint.motion import motion
+from rlbench.checks.lint.normals import normals, unit
+from rlbench.checks.lint.orientation import amiss, orientation, righted, ways
+from rlbench.checks.lint.reference import ceiling, exposure, halves
+from rlbench.checks.lint.samples import brightness, neighbours, samples, seeds
+from rlbench.checks.lint.values import finite, positive
 from rlbench.lint.finding import Finding
-from rlbench.lint.footage import Footage
-from rlbench.lint.geometry import Fit, fits
-from rlbench.lint.motion import motion
-from rlbench.lint.normals import normals, unit
-from rlbench.lint.orientation import amiss, orientation, righted, ways
-from rlbench.lint.reference import ceiling, exposure, halves
-from rlbench.lint.samples import brightness, neighbours, samples, seeds
-from rlbench.lint.values import finite, positive
 
 SHOTS = 3  # frames whose normals are compared with their depth
 

@@ -7,12 +7,12 @@ from itertools import chain, zip_longest
 import torch
 from torch import Tensor
 
-from rlbench.check import worlds
-from rlbench.check.finding import Finding, moot, wrong
-from rlbench.check.promises import unsound
-from rlbench.check.replayed import Replayed, Rewound
-from rlbench.check.subject import Subject
-from rlbench.check.watched import Watched, same
+from rlbench.checks.conformance import clips as worlds
+from rlbench.checks.conformance.interface_checks import unsound
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.conformance.recording import Watched, same
+from rlbench.checks.conformance.replay import Replayed, Rewound
+from rlbench.checks.result import Finding, moot, wrong
 from rlbench.run import run_clip
 
 CLOSE = 1e-3  # relative and absolute: convolutions add in another order for another batch, and

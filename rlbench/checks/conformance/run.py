@@ -9,10 +9,10 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 
-from rlbench.check.claims import Claim
-from rlbench.check.finding import Finding, Verdict
-from rlbench.check.subject import Subject
-from rlbench.check.suite import broken, examine, subjects
+from rlbench.checks.conformance.checks import Claim
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.conformance.suite import broken, examine, subjects
+from rlbench.checks.result import Finding, Verdict
 
 MARKS = {
     Verdict.HOLDS: "[green]✓[/green]",

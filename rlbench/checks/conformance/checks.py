@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rlbench.check import bought, promises, remembered
-from rlbench.check.finding import Finding
-from rlbench.check.subject import Subject
+from rlbench.checks.conformance import budget_checks as bought
+from rlbench.checks.conformance import interface_checks as promises
+from rlbench.checks.conformance import state_checks as remembered
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.result import Finding
 
 Test = Callable[[Subject], Finding | None]  # None where the claim holds
 

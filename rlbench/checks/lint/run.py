@@ -7,11 +7,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rlbench.lint.checks import examine
+from rlbench.checks.console import tick_list
+from rlbench.checks.lint.checks import examine
+from rlbench.checks.lint.clip_arrays import read_footage
+from rlbench.checks.lint.figure import draw
 from rlbench.lint.finding import Verdict
-from rlbench.lint.footage import read_footage
-from rlbench.lint.picture import draw
-from rlbench.lint.tell import tick_list
 
 
 def lint(folders: Sequence[Path], picture: Path | None = None, frames: int = 8) -> bool:

@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from rlbench.check.claims import CLAIMS
-from rlbench.check.finding import Verdict
-from rlbench.check.subject import Subject
-from rlbench.check.suite import examine
+from rlbench.checks.conformance.checks import CLAIMS
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.conformance.suite import examine
+from rlbench.checks.result import Verdict
 from rlbench.cli import app
 from rlbench.registry import lookup as registry
-from tests.check.plants import FAULTS, LESSER, SIZE
+from tests.checks.conformance.broken_fixtures import FAULTS, LESSER, SIZE
 from tests.conftest import write_plugin
 
 
 @pytest.fixture(autouse=True)
 def _planted(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(registry.VARIABLE, "plants=tests.check.plants:FAMILY")
+    monkeypatch.setenv(registry.VARIABLE, "plants=tests.checks.conformance.broken_fixtures:FAMILY")
 
 
 def told(name: str) -> dict[str, Verdict]:
@@ -118,7 +118,7 @@ def test_a_pilot_pass_is_no_fault(tmp_path):
 
 
 def test_a_family_that_cannot_be_loaded_is_unsound(tmp_path, monkeypatch):
-    monkeypatch.setattr("rlbench.check.tell.subjects", lambda patterns, device: [])
+    monkeypatch.setattr("rlbench.checks.conformance.run.subjects", lambda patterns, device: [])
     (tmp_path / "torn.py").write_text("1 / 0")
     lines = rlbench("check", "all", "--plugin", tmp_path / "torn.py", code=1)
     assert "  ✗ it can be loaded: ZeroDivisionError: division by zero" in lines

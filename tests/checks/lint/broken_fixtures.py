@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.clips.exr import write_exr
 from rlbench.clips.frame_files import exr_path
 from rlbench.clips.procedural.clip import procedural
 from rlbench.clips.stored import Header, write_frame, write_header
 from rlbench.frames import Size
-from rlbench.lint.footage import Footage
 
 POOL, HALF = 8, 256  # samples of the pool, and of each half of the reference
 Fault = Callable[[Footage], Footage]

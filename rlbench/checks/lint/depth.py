@@ -6,10 +6,10 @@ import math
 
 import torch
 
+from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.geometry import VIEW, Fit
+from rlbench.checks.lint.normals import unit
 from rlbench.lint.finding import Finding, fine, odd, wrong
-from rlbench.lint.footage import Footage
-from rlbench.lint.geometry import VIEW, Fit
-from rlbench.lint.normals import unit
 
 CHECK = "depth"
 CLEARLY = 0.8  # times the best of other kinds: what is left of one that fits clearly better
@@ -19,7 +19,7 @@ FAR = 1e9  # what renderers write for background that is not infinite
 def depth(footage: Footage, fits: dict[str, Fit]) -> Finding:
     """Is depth linear, along the view axis, and +inf where there is nothing?
 
-    `fits` are those of `rlbench.lint.geometry.fits`, for this footage.
+    `fits` are those of `rlbench.checks.lint.geometry.fits`, for this footage.
     """
     if "depth" not in footage.view:
         return odd(CHECK, "the clip has no depth buffer", "write one if a method is to use it")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from rlbench.check import worlds
-from rlbench.check.finding import Finding, moot, wrong
-from rlbench.check.promises import unsound
-from rlbench.check.subject import Subject
-from rlbench.check.watched import same
+from rlbench.checks.conformance import clips as worlds
+from rlbench.checks.conformance.interface_checks import unsound
+from rlbench.checks.conformance.method_under_test import Subject
+from rlbench.checks.conformance.recording import same
+from rlbench.checks.result import Finding, moot, wrong
 
 FEW = 2  # samples of each pixel in a short pool
 LEAST = 0.01  # samples per pixel: the budget of a method without a lower limit that is not zero

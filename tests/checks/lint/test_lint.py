@@ -10,18 +10,18 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from rlbench.checks.lint.checks import examine, geometry
+from rlbench.checks.lint.clip_arrays import Footage, read_footage
+from rlbench.checks.lint.geometry import VIEW, rotation
+from rlbench.checks.lint.motion import motion as check_motion
+from rlbench.checks.lint.motion_conventions import STORED, Reading, readings
+from rlbench.checks.lint.noise_statistics import bounded, correlation, ratio
+from rlbench.checks.lint.reference import ceiling, ceiling_db, half_noise, halves
+from rlbench.checks.lint.values import finite
 from rlbench.cli import app
 from rlbench.clips.stored import ClipError, open_clip
-from rlbench.lint.checks import examine, geometry
 from rlbench.lint.finding import Verdict
-from rlbench.lint.footage import Footage, read_footage
-from rlbench.lint.geometry import VIEW, rotation
-from rlbench.lint.motion import motion as check_motion
-from rlbench.lint.noise import bounded, correlation, ratio
-from rlbench.lint.reading import STORED, Reading, readings
-from rlbench.lint.reference import ceiling, ceiling_db, half_noise, halves
-from rlbench.lint.values import finite
-from tests.lint.plants import FAULTS, break_values, clean, store
+from tests.checks.lint.broken_fixtures import FAULTS, break_values, clean, store
 
 QUICK = (  # one of each module runs always, all of them when slow tests do
     "y of motion points up",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
-from rlbench.check.watched import Watched, same
+from rlbench.checks.conformance.recording import Watched, same
 from rlbench.family import Traits
 from rlbench.frames import Size, View
 from rlbench.method import Method, State

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.geometry import KINDS, Fit, positions
 from rlbench.lint.finding import Finding, fine, odd, wrong
-from rlbench.lint.footage import Footage
-from rlbench.lint.geometry import KINDS, Fit, positions
 from rlbench.ops.reprojection import reproject
 
 CHECK = "normal"
@@ -36,8 +36,8 @@ def encoded(normal: Float[Tensor, "t 3 h w"]) -> bool:
 def normals(footage: Footage, fits: dict[str, Fit], upright: bool = True) -> Finding:
     """Are normals in world space, of unit length, 0 for background?
 
-    `fits` are those of `rlbench.lint.geometry.fits`, for this footage; `upright` says that the view
-    is not itself mirrored, for then world-space normals must seem to be.
+    `fits` are those of `rlbench.checks.lint.geometry.fits`, for this footage; `upright` says that
+    the view is not itself mirrored, for then world-space normals must seem to be.
     """
     if "normal" not in footage.view:
         return odd(CHECK, "the clip has no normal buffer", "write one if a method is to use it")

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench.check import worlds
-from rlbench.check.finding import Finding, moot, wrong
-from rlbench.check.subject import Run, Subject
-from rlbench.check.watched import Watched, flaw
+from rlbench.checks.conformance import clips as worlds
+from rlbench.checks.conformance.method_under_test import Run, Subject
+from rlbench.checks.conformance.recording import Watched, flaw
+from rlbench.checks.result import Finding, moot, wrong
 from rlbench.run import Shown, run_clip, unroll
 from rlbench.wrappers import Half
 

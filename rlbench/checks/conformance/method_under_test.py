@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rlbench.check import worlds
-from rlbench.check.finding import Finding
-from rlbench.check.watched import Watched
+from rlbench.checks.conformance import clips as worlds
+from rlbench.checks.conformance.recording import Watched
+from rlbench.checks.result import Finding
 from rlbench.clips.header import VIEWS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size

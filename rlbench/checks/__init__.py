@@ -1,0 +1,1 @@
+"""Checks of methods and of clips."""
