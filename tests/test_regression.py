@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from rlbench import asked
 from rlbench.benchmark import regression as regress
 from rlbench.benchmark import results as table
 from rlbench.benchmark.clip_sources import Stored
 from rlbench.benchmark.run_plan import Request
 from rlbench.benchmark.runner import measure
+from rlbench.cli import arguments as asked
 from rlbench.registry import lookup as registry
 from rlbench.render.jobs.render_clips import ensure
 from rlbench.render.mitsuba.llvm import activate

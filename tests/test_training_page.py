@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.benchmark import results as table
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.weights import read_card
 from tests.procedural_folder import write_world
 

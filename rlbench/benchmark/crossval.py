@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rlbench import asked, show
 from rlbench.benchmark.cell_ids import Names
 from rlbench.benchmark.clip_sources import Stored
 from rlbench.benchmark.run_plan import Request
 from rlbench.benchmark.runner import Done, measure
+from rlbench.cli import arguments as asked
+from rlbench.cli import console as show
 from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset as trainset

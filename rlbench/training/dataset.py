@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
-from rlbench.asked import AskedError, rendered
+from rlbench.cli.arguments import AskedError, rendered
 
 VALIDATING = (0, 14)  # seeds of generated scenes, where it is not these that are trained on
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rlbench import asked, show
+from rlbench.cli import arguments as asked
+from rlbench.cli import console as show
 from rlbench.registry import lookup as registry
 from rlbench.training import lr_range_test as range_test
 from rlbench.training.config import Plan

@@ -13,7 +13,7 @@ from rlbench.benchmark.clip_sources import Stored
 from rlbench.benchmark.crossval import Fold, crossval, taught, told
 from rlbench.benchmark.run_plan import Request
 from rlbench.benchmark.runner import Done
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.registry import lookup as registry
 from rlbench.training.config import Plan
 from rlbench.training.dataset import TrainSet

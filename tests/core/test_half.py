@@ -7,9 +7,9 @@ import dataclasses
 import pytest
 import torch
 
-from rlbench import show
 from rlbench.benchmark import results as table
 from rlbench.benchmark.runner import Done, measure
+from rlbench.cli import console as show
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.ops.memory_format import packed, unpacked

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.benchmark import results as table
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.render.mitsuba.gbuffer import views
 from rlbench.render.mitsuba.open_tracer import open_tracer

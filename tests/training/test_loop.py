@@ -14,7 +14,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench import show
+from rlbench.cli import console as show
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.ops.reprojection import reproject

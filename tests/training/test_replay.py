@@ -8,7 +8,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.registry import lookup as registry
 from rlbench.training import checkpoint
 from rlbench.training.loop import Plan, TrainingError, replay, train

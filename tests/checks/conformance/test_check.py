@@ -9,7 +9,7 @@ from rlbench.checks.conformance.checks import CLAIMS
 from rlbench.checks.conformance.method_under_test import Subject
 from rlbench.checks.conformance.suite import examine
 from rlbench.checks.result import Verdict
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.registry import lookup as registry
 from tests.checks.conformance.broken_fixtures import FAULTS, LESSER, SIZE
 from tests.conftest import write_plugin

@@ -18,7 +18,7 @@ from rlbench.checks.lint.motion_conventions import STORED, Reading, readings
 from rlbench.checks.lint.noise_statistics import bounded, correlation, ratio
 from rlbench.checks.lint.reference import ceiling, ceiling_db, half_noise, halves
 from rlbench.checks.lint.values import finite
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.clips.stored import ClipError, open_clip
 from rlbench.lint.finding import Verdict
 from tests.checks.lint.broken_fixtures import FAULTS, break_values, clean, store

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rlbench.benchmark import results as table
-from rlbench.cli import app
+from rlbench.cli.app import app
 from rlbench.clips.importers import formats
 from rlbench.clips.importers import writer as store
 from rlbench.clips.importers.sequence import SourceError, clip_name, span

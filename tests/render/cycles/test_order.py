@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rlbench.asked import AskedError, tracer_of
+from rlbench.cli.arguments import AskedError, tracer_of
 from rlbench.render.cycles import clip
 from rlbench.render.cycles import scene_file as opened
 from rlbench.render.cycles.worker_job import (

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import asked
 from rlbench.benchmark import results as table
 from rlbench.benchmark.results import Row
-from rlbench.cli import app
+from rlbench.cli import arguments as asked
+from rlbench.cli.app import app
 from rlbench.registry import lookup as registry
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset as trainset
@@ -63,7 +63,7 @@ def test_help_of_every_command_has_an_example(command):
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys\nfrom typer.testing import CliRunner\nfrom rlbench.cli import app\n"
+        "import sys\nfrom typer.testing import CliRunner\nfrom rlbench.cli.app import app\n"
         "assert 'regress' in CliRunner().invoke(app, ['--help']).output\n"
         "print({'torch', 'mitsuba', 'pandas', 'numpy', 'matplotlib'} & set(sys.modules))"
     )
@@ -509,7 +509,13 @@ def test_a_run_that_was_killed_ends_as_an_undisturbed_one(tmp_path):
 
     def words(out: str) -> list[str]:
         fixed = ["run", "-m", "slow", "--clips", str(tmp_path / "clips"), "--plugin", str(plugin)]
-        return ["-c", "from rlbench.cli import app; app()", *fixed, "--out", str(tmp_path / out)]
+        return [
+            "-c",
+            "from rlbench.cli.app import app; app()",
+            *fixed,
+            "--out",
+            str(tmp_path / out),
+        ]
 
     child = subprocess.Popen([sys.executable, *words("killed")], cwd=CHECKOUT, env=_env())
     while child.poll() is None and len(table.cells(tmp_path / "killed")) < 3:

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from rlbench import asked
-from rlbench.cli_clips import Scenes, Seeds
-from rlbench.cli_methods import Device, Methods, Plugins, use
+from rlbench.cli import arguments as asked
+from rlbench.cli.clips import Scenes, Seeds
+from rlbench.cli.methods import Device, Methods, Plugins, use
 
 Frames = Annotated[int, typer.Option(min=1, help="crops to see, for each method")]
 Minutes = Annotated[
@@ -156,9 +156,9 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     use(plugin)
-    from rlbench import show
     from rlbench.benchmark import crossval as leaving
     from rlbench.benchmark.run_plan import Request
+    from rlbench.cli import console as show
     from rlbench.training import runs as course
 
     names = asked.methods(methods)

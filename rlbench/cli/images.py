@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from rlbench import asked
-from rlbench.cli_clips import Clips, Preset, Scenes, Takes
-from rlbench.cli_methods import Device, Methods, Plugins, use
+from rlbench.cli import arguments as asked
+from rlbench.cli.clips import Clips, Preset, Scenes, Takes
+from rlbench.cli.methods import Device, Methods, Plugins, use
 
 
 def images(
@@ -40,9 +40,9 @@ def images(
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
     use(plugin)
-    from rlbench import show
     from rlbench.benchmark.image_sheet import write
     from rlbench.benchmark.run_plan import Request
+    from rlbench.cli import console as show
     from rlbench.registry import lookup as registry
 
     names = asked.methods(methods)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rlbench import asked
+from rlbench.cli import arguments as asked
 
 Scenes = Annotated[
     list[str] | None, typer.Option("--scenes", help="scenes or clips a,b; default every one")
@@ -106,7 +106,15 @@ def render(
             folders = [asked.own_scene(scene, given, preset, *own, workers)]
         else:
             chosen = asked.seeds(seeds)
-            folders = asked.rendered(scenes, preset, cap, chosen, views, workers, takes=takes)
+            folders = asked.rendered(
+                asked.split(scenes or []),
+                preset,
+                cap,
+                chosen,
+                asked.split(views or []),
+                workers,
+                takes=takes,
+            )
     for folder in folders:
         typer.echo(f"{folder}{_retimed(folder) if retime else ''}")
 

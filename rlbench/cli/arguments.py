@@ -74,7 +74,7 @@ def clips(
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        made = rendered(scenes, preset, engine=engine, kinds=kinds, takes=takes)
+        made = rendered(split(scenes or []), preset, engine=engine, kinds=kinds, takes=takes)
         return tuple(pooled(folder, pool) for folder in made)
     if takes is not None:
         raise AskedError("--takes is of a preset's scenes; of --clips, --scenes names single clips")
@@ -273,12 +273,12 @@ def rendered(
 
     if preset not in PRESETS:
         raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
-    known, wanted = registry.names("scenes"), split(scenes or [])
+    known, wanted = registry.names("scenes"), scenes or []
     if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
         raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
     plan = plan if cap is None else plan.capped(cap)
-    plan = plan.showing(split(views)) if views else plan
+    plan = plan.showing(views) if views else plan
     plan = plan if kinds is None else plan.selling(kinds)
     plan = plan if takes is None else plan.filming(takes)
     return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

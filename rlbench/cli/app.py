@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from rlbench import asked
-from rlbench.cli_clips import Clips, Engine, Preset, RayAddress, Scenes, Takes, lint, render
-from rlbench.cli_images import images
-from rlbench.cli_methods import Device, Methods, Plugins, check, use
-from rlbench.cli_training import crossval, train
-from rlbench.importing.command import import_
+from rlbench.cli import arguments as asked
+from rlbench.cli.clips import Clips, Engine, Preset, RayAddress, Scenes, Takes, lint, render
+from rlbench.cli.images import images
+from rlbench.cli.importing import import_
+from rlbench.cli.methods import Device, Methods, Plugins, check, use
+from rlbench.cli.training import crossval, train
 
 OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
 
@@ -122,9 +122,9 @@ def run(
     use(plugin)
     if out.exists() and not out.is_dir():
         raise asked.AskedError(f"--out {out} is a file; results are a folder")
-    from rlbench import show
     from rlbench.benchmark.run_plan import Request
     from rlbench.benchmark.runner import measure
+    from rlbench.cli import console as show
     from rlbench.parallel.ray_executor import opened
     from rlbench.registry import lookup as registry
 
@@ -173,7 +173,8 @@ def list_(
       rlbench list methods --json
     """
     use(plugin, listed=True)
-    from rlbench import listing, show
+    from rlbench.cli import console as show
+    from rlbench.cli import listing
 
     found = listing.listed(kind)
     typer.echo(json.dumps(found, indent=1)) if as_json else show.listed(found)
@@ -282,8 +283,8 @@ def doctor(plugin: Plugins = None) -> None:
       rlbench doctor
     """
     use(plugin)
-    from rlbench import show
-    from rlbench.doctor import examine
+    from rlbench.cli import console as show
+    from rlbench.cli.doctor import examine
 
     show.findings(examine())
 

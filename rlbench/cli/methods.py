@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rlbench import asked
+from rlbench.cli import arguments as asked
 
 Methods = Annotated[
     list[str],

@@ -17,7 +17,7 @@ from rlbench.benchmark.run_plan import Cell, Request, cells
 
 if TYPE_CHECKING:
     from rlbench.benchmark.runner import Done
-    from rlbench.doctor import Finding
+    from rlbench.cli.doctor import Finding
 
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
 COLUMNS = {  # of `rlbench list`, in their order
