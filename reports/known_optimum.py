@@ -1,6 +1,7 @@
 """The known-optimum figure: what share of the optimal error reduction each way to train reaches.
 
-Command: python -m reports.known_optimum docs, after python -m methods.ours.compare --out docs
+Command: python -m reports.known_optimum docs, after python -m
+methods.ours.experiments.compare_learners --out docs
 """
 
 from __future__ import annotations
@@ -144,7 +145,8 @@ def main(folder: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         prog="python -m reports.known_optimum",
-        description=f"Draw FOLDER/{TABLE}.csv, which python -m methods.ours.compare writes.",
+        description=f"Draw FOLDER/{TABLE}.csv, which "
+        "python -m methods.ours.experiments.compare_learners writes.",
     )
     parser.add_argument("folder", type=Path, nargs="?", default=Path("docs"))
     main(parser.parse_args().folder)

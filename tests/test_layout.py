@@ -18,7 +18,7 @@ CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Ev
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
     "rlbench/benchmark/latency.py",
     "rlbench/training/loop.py",
-    "methods/ours/compare.py",
+    "methods/ours/experiments/compare_learners.py",
     "rlbench/training/profiler.py",
     "rlbench/render/mitsuba/tracer.py",
     "rlbench/render/cycles/worker/worker.py",

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.ours.light import Light
+from methods.ours.accumulation import Light
 from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop
 from rlbench.ops.transfer import log_inverse

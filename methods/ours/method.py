@@ -12,10 +12,10 @@ from torch.nn import functional as F
 
 from baselines.oidn.method import inputs
 from methods.ours import FAMILY
+from methods.ours.accumulation import filled, gathered, measured
 from methods.ours.antilag import holds
-from methods.ours.light import filled, gathered, measured
-from methods.ours.memory import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
-from methods.ours.network import Networks
+from methods.ours.networks import Networks
+from methods.ours.state import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
 from methods.ours.variants import SLOTS, VARIANTS, Config, Density
 from rlbench.family import Traits
 from rlbench.frames import Size, View

@@ -13,12 +13,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours import FAMILY
-from methods.ours.memory import Memory, detached
+from methods.ours.frame_problem import Turn
+from methods.ours.initialization import start
 from methods.ours.method import Ours
-from methods.ours.network import Networks
+from methods.ours.networks import Networks
 from methods.ours.policy import Policy, learner
-from methods.ours.start import start
-from methods.ours.turn import Turn
+from methods.ours.state import Memory, detached
 from methods.ours.variants import BASE, VARIANTS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size, View

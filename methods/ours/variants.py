@@ -19,7 +19,7 @@ Density = Literal["exponential", "linear"]
 
 @dataclass(frozen=True)
 class Config:
-    """What makes a variant. Channel counts follow from these (methods/ours/network.py)."""
+    """What makes a variant. Channel counts follow from these (methods/ours/networks.py)."""
 
     samples: str = "single"  # how it sees them: a key of SAMPLES
     latent: int = 32  # channels of the state

@@ -470,7 +470,7 @@ def test_a_score_on_a_clip_that_was_trained_on_says_that_it_is_no_test(tmp_path,
 
 
 @pytest.mark.parametrize(
-    "part", ["rlbench.ops.dither", "baselines.oidn.method", "methods.ours.light"]
+    "part", ["rlbench.ops.dither", "baselines.oidn.method", "methods.ours.accumulation"]
 )
 def test_what_ours_is_made_of_decides_its_name(clip_folder, monkeypatch, part):
     asked = request(clip_folder, "ours")

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from methods.ours.accumulation import Light
 from methods.ours.antilag import CELL, ERRORS, FAINT, FEW, WINDOWS, doubted, holds
-from methods.ours.light import Light
 from methods.ours.method import build
 from methods.ours.train import trainer
 from methods.ours.variants import VARIANTS

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from methods.ours.ceiling import ceiling, improved
+from methods.ours.experiments.oracle_map import ceiling, improved
+from methods.ours.frame_problem import Turn
 from methods.ours.method import build
-from methods.ours.turn import Turn
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size
 from rlbench.sampling import StoredPool

@@ -10,9 +10,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from methods.ours.experiments.retrain_sampler import Task, retrain
 from methods.ours.method import CARDS
 from methods.ours.policy import LEARNERS, RLLIB, learner
-from methods.ours.retrain import Task, retrain
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.weights import read_card

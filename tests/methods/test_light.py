@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.light import Light, alike, filled, gathered, measured, told
+from methods.ours.accumulation import Light, alike, filled, gathered, measured, told
 from methods.ours.method import build
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size, View

@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from baselines.oidn.method import Oidn
 from methods.ours import FAMILY
-from methods.ours.memory import looked
 from methods.ours.method import build
-from methods.ours.network import Encoder, Networks, Sampler
+from methods.ours.networks import Encoder, Networks, Sampler
+from methods.ours.state import looked
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, SLOTS, VARIANTS
 from rlbench.clips.procedural.clip import procedural

@@ -12,15 +12,23 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours import compare
-from methods.ours.exam import Exam, Scenes
-from methods.ours.known_optimum import MODES, Direct, Filter, Mode, Moment, density, greedy
+from methods.ours.experiments import compare_learners as compare
+from methods.ours.experiments.evaluation import Exam, Scenes
+from methods.ours.experiments.known_optimum import (
+    MODES,
+    Direct,
+    Filter,
+    Mode,
+    Moment,
+    density,
+    greedy,
+)
+from methods.ours.experiments.toy_scenes import CHANNELS, FRAMES, scenes
 from methods.ours.method import density as wished
-from methods.ours.moving import CHANNELS, FRAMES, scenes
 from methods.ours.policy import LEARNERS, Both, Draws, Learner, Policy, appo, critic, learner
-from methods.ours.policy.gamma import gamma_each
-from methods.ours.policy.ppo_pixel import PpoPixel
-from methods.ours.policy.surrogate import pull_each
+from methods.ours.policy.block_reinforce import PpoPixel
+from methods.ours.policy.gamma_gradient import gamma_each
+from methods.ours.policy.surrogate_gradient import pull_each
 from rlbench.frames import Frame, Reference, View
 from rlbench.sampling import Samples, spend
 

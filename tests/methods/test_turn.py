@@ -7,11 +7,11 @@ from functools import cache
 import pytest
 import torch
 
+from methods.ours.frame_problem import Turn
 from methods.ours.policy import LEARNERS
-from methods.ours.policy.gamma import gamma_each
-from methods.ours.policy.surrogate import pull_each
+from methods.ours.policy.gamma_gradient import gamma_each
+from methods.ours.policy.surrogate_gradient import pull_each
 from methods.ours.train import trainer
-from methods.ours.turn import Turn
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.run import unroll

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from methods.ours.policy import critic, gamma
-from methods.ours.policy.blocks import Draws, Policy
-from methods.ours.policy.both import Both
-from methods.ours.policy.learner import Learner, Situation, Trial
-from methods.ours.policy.ppo_pixel import PpoPixel
-from methods.ours.policy.surrogate import Surrogate
+from methods.ours.policy import critic
+from methods.ours.policy import gamma_gradient as gamma
+from methods.ours.policy.block_policy_gradient import Draws, Policy
+from methods.ours.policy.block_reinforce import PpoPixel
+from methods.ours.policy.combined import Both
+from methods.ours.policy.interface import Learner, Situation, Trial
+from methods.ours.policy.surrogate_gradient import Surrogate
 
 __all__ = ["LEARNERS", "Both", "Draws", "Learner", "Policy", "Situation", "Trial", "learner"]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from torch import nn
 
-from methods.ours.policy.world import World
+from methods.ours.policy.environment import World
 from rlbench.parallel.ray_executor import QUIET
 
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs

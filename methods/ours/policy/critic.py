@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn import functional as F
 
-from methods.ours.policy.blocks import Policy
-from methods.ours.policy.learner import Situation
+from methods.ours.policy.block_policy_gradient import Policy
+from methods.ours.policy.interface import Situation
 from rlbench.ops.init import initialise
 
 SMALL = 1e-8  # squared error: keeps the scale of errors from dividing by zero

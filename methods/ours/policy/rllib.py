@@ -25,8 +25,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from methods.ours.policy.appo import Appo
-from methods.ours.policy.blocks import advantage, coupling, own
-from methods.ours.policy.world import OUTCOMES, World
+from methods.ours.policy.block_policy_gradient import advantage, coupling, own
+from methods.ours.policy.environment import OUTCOMES, World
 
 MODULE = "default_policy"
 FALL = 0.1  # learning rate at the end, of that at the start

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.policy.blocks import Draws, Policy
-from methods.ours.policy.learner import Situation
+from methods.ours.policy.block_policy_gradient import Draws, Policy
+from methods.ours.policy.interface import Situation
 
 
 @dataclass

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.dasr import gamma
-from methods.ours.policy.surrogate import Surrogate
+from methods.ours.policy.surrogate_gradient import Surrogate
 from rlbench.frames import Frame
 from rlbench.sampling import Samples
 

@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from methods.ours.memory import Memory
 from methods.ours.method import Ours
 from methods.ours.policy import Trial
+from methods.ours.state import Memory
 from rlbench.frames import Frame, View
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
@@ -23,7 +23,7 @@ from rlbench.training.surrogate_gradient import Teach, shares
 
 @dataclass(frozen=True)
 class Turn:
-    """A situation (methods/ours/policy/learner.py): the frame, what was remembered, the budget."""
+    """A situation (`policy/interface.py`): the frame, what was remembered, the budget."""
 
     method: Ours
     frame: Frame

@@ -1,6 +1,7 @@
 """Who finds a known optimum? Every way to train the sampler, on the same frames, at one command.
 
-Command: python -m methods.ours.compare --out docs; goes on where it was stopped.
+Command: python -m methods.ours.experiments.compare_learners --out docs; goes on where it was
+stopped.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.exam import Exam, Scenes
-from methods.ours.known_optimum import MODES, Mode, Moment
-from methods.ours.moving import CHANNELS, scenes
-from methods.ours.network import Sampler
+from methods.ours.experiments.evaluation import Exam, Scenes
+from methods.ours.experiments.known_optimum import MODES, Mode, Moment
+from methods.ours.experiments.toy_scenes import CHANNELS, scenes
+from methods.ours.networks import Sampler
 from methods.ours.policy import Both, Learner, Policy, Situation, appo, learner
-from methods.ours.policy.ppo_pixel import PpoPixel
+from methods.ours.policy.block_reinforce import PpoPixel
 from methods.ours.variants import BASE
 from rlbench.ops.init import initialise
 from rlbench.system import paths
@@ -178,11 +179,12 @@ def _write(table: Path, rows: list[dict[str, str]]) -> None:
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m methods.ours.compare",
+        prog="python -m methods.ours.experiments.compare_learners",
         description="Train the sampler of `ours` in every way on a problem whose best allocation "
         "is known, and write the share of the optimal error reduction that each reaches to "
         f"OUT/{TABLE}. Goes on where it was stopped. The figure: python -m reports.known_optimum.",
-        epilog="example: python -m methods.ours.compare --out /tmp/try --frames 500 --seeds 0 "
+        epilog="example: python -m methods.ours.experiments.compare_learners "
+        "--out /tmp/try --frames 500 --seeds 0 "
         '--learners "surrogate;ppo-pixel"',
     )
     every = [*TORCH, *RLLIB]

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.policy.learner import Situation
+from methods.ours.policy.interface import Situation
 from rlbench.frames import Frame
 from rlbench.sampling import Samples
 from rlbench.training.surrogate_gradient import Teach

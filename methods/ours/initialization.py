@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from methods.ours.network import SPREAD, TOLD, VIEW, Encoder, Networks, Sampler
+from methods.ours.networks import SPREAD, TOLD, VIEW, Encoder, Networks, Sampler
 from methods.ours.variants import SAMPLES, Config
 from rlbench.ops.init import initialise
 from rlbench.ops.unet import BASE, FAST, UNet

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.policy.learner import Situation
-from methods.ours.policy.ppo_pixel import PpoPixel
-from methods.ours.policy.surrogate import Surrogate
+from methods.ours.policy.block_reinforce import PpoPixel
+from methods.ours.policy.interface import Situation
+from methods.ours.policy.surrogate_gradient import Surrogate
 
 
 @dataclass

@@ -1,6 +1,6 @@
 """Training the sampler of `ours` alone, behind an encoder and a denoiser that are ready.
 
-Command: python -m methods.ours.retrain --by rllib-appo --frames 2000
+Command: python -m methods.ours.experiments.retrain_sampler --by rllib-appo --frames 2000
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import FAMILY
-from methods.ours.episodes import Episodes
+from methods.ours.environment import Episodes
+from methods.ours.initialization import show_contrast
 from methods.ours.method import CARDS, Ours
-from methods.ours.network import Networks, Sampler
+from methods.ours.networks import Networks, Sampler
 from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, learner
-from methods.ours.start import show_contrast
 from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
 from rlbench.ops.init import initialise
@@ -147,11 +147,12 @@ def main() -> None:
     """Read the command line."""
     known = [*LEARNERS, RLLIB]
     parser = argparse.ArgumentParser(
-        prog="python -m methods.ours.retrain",
+        prog="python -m methods.ours.experiments.retrain_sampler",
         description="Train the sampler of `ours` alone, from a uniform density, behind the shipped "
         "encoder and denoiser, and write OUT/LEARNER.safetensors, to be scored by 'rlbench run -m "
         "ours --weights LEARNER=FILE' (of surrogate and gamma: -m ours/A1).",
-        epilog="example: python -m methods.ours.retrain --by rllib-appo --frames 200 --out /tmp/x",
+        epilog="example: python -m methods.ours.experiments.retrain_sampler "
+        "--by rllib-appo --frames 200 --out /tmp/x",
     )
     parser.add_argument("--by", default="ppo-pixel", choices=known, help="the learner")
     parser.add_argument("--frames", type=int, default=2000, help="crops that are seen")
@@ -172,7 +173,9 @@ def main() -> None:
     floor = 0 if asked.by == RLLIB else learner(asked.by, 1).floor
     chosen = tuple(clip for clip in clips if clip not in validate)
     task = Task(chosen, crop=asked.crop, seed=asked.seed, floor=floor)
-    command = shlex.join(["python", "-m", "methods.ours.retrain", *sys.argv[1:]])
+    command = shlex.join(
+        ["python", "-m", "methods.ours.experiments.retrain_sampler", *sys.argv[1:]]
+    )
     told = retrain(asked.by, task, asked.frames, validate, asked.out, command)
     for row, psnr in told.items():
         Console().print(f"{row}: {psnr:.2f} dB on the validating clips, at 1 and 4 spp")

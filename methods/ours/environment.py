@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.memory import Memory
+from methods.ours.frame_problem import Turn
 from methods.ours.method import Ours
-from methods.ours.policy.world import Outcome
-from methods.ours.turn import Turn
+from methods.ours.policy.environment import Outcome
+from methods.ours.state import Memory
 from rlbench.frames import Frame
 from rlbench.training.batches import Batches, one_of
 
@@ -19,7 +19,7 @@ from rlbench.training.batches import Batches, one_of
 class Episodes:
     """Sequences of crops, one at a time, each at a budget of its own; what acts is the sampler.
 
-    A `World` (methods/ours/policy/world.py). `turn` is the frame in which it is to act now.
+    A `World` (methods/ours/policy/environment.py). `turn` is the frame in which it is to act now.
     """
 
     turn: Turn

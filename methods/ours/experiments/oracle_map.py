@@ -1,6 +1,6 @@
 """How much could any map of samples give? The best one found for a frame by itself.
 
-Command: python -m methods.ours.ceiling --spp 1,2,4
+Command: python -m methods.ours.experiments.oracle_map --spp 1,2,4
 
 Behind the trained encoder and denoiser, and with what was remembered, the map of one frame is
 improved on its own error: what no sampler knows before it has sampled. The map has one value a
@@ -24,10 +24,10 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.memory import Memory
+from methods.ours.frame_problem import Turn
 from methods.ours.method import Ours, build
-from methods.ours.policy.ppo_pixel import PpoPixel
-from methods.ours.turn import Turn
+from methods.ours.policy.block_reinforce import PpoPixel
+from methods.ours.state import Memory
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame
 from rlbench.registry import lookup as registry
@@ -132,10 +132,11 @@ def _psnr(turns: Sequence[Turn], action: Float[Tensor, "n 1 h w"]) -> float:
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m methods.ours.ceiling",
+        prog="python -m methods.ours.experiments.oracle_map",
         description="Improve the map of one frame of each clip on its own error, and score it on "
         "other samples, beside uniform samples and the sampler's own map.",
-        epilog="example: python -m methods.ours.ceiling --spp 1,2 --steps 100 --out /tmp/c.csv",
+        epilog="example: python -m methods.ours.experiments.oracle_map "
+        "--spp 1,2 --steps 100 --out /tmp/c.csv",
     )
     parser.add_argument("--clips", type=Path, default=paths.clips() / "mini", help="folder of them")
     parser.add_argument("--spp", default="1,2,4", help="samples per pixel")

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from methods.ours.light import Light, alike, told
-from methods.ours.network import VIEW
+from methods.ours.accumulation import Light, alike, told
+from methods.ours.networks import VIEW
 from methods.ours.variants import SAMPLES, Config
 from rlbench.frames import Size, View
 from rlbench.ops.reprojection import reproject, reproject_sharp

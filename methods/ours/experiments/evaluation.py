@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from methods.ours.known_optimum import Mode, Moment, greedy
-from methods.ours.moving import CHANNELS, STORED, Field, scenes
-from methods.ours.policy.world import Outcome
+from methods.ours.experiments.known_optimum import Mode, Moment, greedy
+from methods.ours.experiments.toy_scenes import CHANNELS, STORED, Field, scenes
+from methods.ours.policy.environment import Outcome
 from rlbench.sampling import spend
 from rlbench.training.surrogate_gradient import shares
 
