@@ -7,11 +7,14 @@ from typing import Any
 
 import pandas as pd
 
-from reports import names, pages, scores, variants
+from reports import pages
+from reports.analysis import aggregate as scores
+from reports.analysis import method_names as names
+from reports.analysis import variant_differences as variants
+from reports.analysis.intervals import DRAWS, TOLD
+from reports.analysis.variant_differences import METRIC
 from reports.grids import Grid, gap_text, wide
 from reports.published import published
-from reports.statistics import DRAWS, TOLD
-from reports.variants import METRIC
 
 
 def write(

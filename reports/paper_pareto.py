@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pandas as pd
 
-from reports import beside, scores, style
+from reports import beside, style
+from reports.analysis import aggregate as scores
 from reports.published import Published, lacking, published
 
 if TYPE_CHECKING:

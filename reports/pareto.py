@@ -7,7 +7,8 @@ from pathlib import Path
 import matplotlib as mpl
 import pandas as pd
 
-from reports import pages, scores, style
+from reports import pages, style
+from reports.analysis import aggregate as scores
 from reports.panels import MOST, OVERALL, draw
 
 

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports import names, pages, scores
+from reports import pages
+from reports.analysis import aggregate as scores
+from reports.analysis import method_names as names
+from reports.analysis.correlation import deviation
+from reports.analysis.training_differences import BASE, against
 from reports.grids import Grid, gap_text, wide
 from reports.published import published
-from reports.spread import deviation
-from reports.trainings import BASE, against
 from rlbench.benchmark.results import LacksError
 
 METRIC = "psnr"

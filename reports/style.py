@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
-from reports.names import family as family_of
+from reports.analysis.method_names import family as family_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports import pages, scores
+from reports import pages
+from reports.analysis import aggregate as scores
+from reports.analysis.intervals import DRAWS, TOLD
+from reports.analysis.ranking import EVERY, ranking
 from reports.grids import Bold, Grid
-from reports.ranking import EVERY, ranking
-from reports.statistics import DRAWS, TOLD
 
 TIME_COLUMNS = {
     "plan_ms": "plan p50",

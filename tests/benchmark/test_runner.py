@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from reports.scores import points
+from reports.analysis.aggregate import points
 from rlbench.benchmark import results as table
 from rlbench.benchmark.cell_ids import Names
 from rlbench.benchmark.clip_sources import Stored, affordable

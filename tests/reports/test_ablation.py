@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 from conftest import rows
 
-from reports import ablation, variants
-from reports.scores import ReportError
+from reports import ablation
+from reports.analysis import variant_differences as variants
+from reports.analysis.aggregate import ReportError
 from rlbench.benchmark.results import LacksError, frame_of
 
 SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/small": '{"bptt": 1, "sampler": []}'}

@@ -12,8 +12,8 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.image import imread
 
 from reports import pareto, style
+from reports.analysis.aggregate import ReportError
 from reports.panels import MOST, OVERALL, WINDOW, draw
-from reports.scores import ReportError
 from rlbench.benchmark.results import frame_of
 
 TEXTS = {"value": "PSNR", "direction": "", "better": "high", "caption": "profile paper-2080ti"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports import names
+from reports.analysis import method_names as names
 from reports.published import published
 from rlbench.benchmark import cost
 from rlbench.registry import lookup as registry

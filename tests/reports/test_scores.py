@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
 
-from reports import scores
+from reports.analysis import aggregate as scores
 from rlbench.benchmark.results import frame_of
 
 

@@ -11,7 +11,9 @@ import pytest
 from conftest import SCENES, rows
 from scipy import stats
 
-from reports import scores, seeds, trainings
+from reports import seeds
+from reports.analysis import aggregate as scores
+from reports.analysis import training_differences as trainings
 from rlbench.benchmark.results import LacksError, frame_of
 
 SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 2)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy.stats import t
 
-from reports.statistics import interval, paired
+from reports.analysis.intervals import interval, paired
 
 
 def frames(clip_values, scene="city", frames=3, wobble=0.0):

@@ -11,8 +11,8 @@ import pytest
 from conftest import METHODS, SAMPLE_MS, SCENES, rows
 
 from reports import summary
+from reports.analysis.ranking import ranking
 from reports.grids import Bold, Grid, latex, markdown
-from reports.ranking import ranking
 from rlbench.benchmark.results import frame_of
 
 OFFSET = sum(SCENES.values()) / 4

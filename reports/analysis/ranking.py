@@ -6,8 +6,8 @@ import math
 
 import pandas as pd
 
-from reports import scores
-from reports.statistics import DRAWS, interval, paired
+from reports.analysis import aggregate as scores
+from reports.analysis.intervals import DRAWS, interval, paired
 
 EVERY = "all"  # the scene column of means over every scene
 COLUMNS = (

@@ -6,8 +6,9 @@ import json
 
 import pandas as pd
 
-from reports import names, scores
-from reports.statistics import DRAWS, interval, paired
+from reports.analysis import aggregate as scores
+from reports.analysis import method_names as names
+from reports.analysis.intervals import DRAWS, interval, paired
 from rlbench.benchmark.results import LacksError
 
 FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has some

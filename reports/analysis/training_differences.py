@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from reports import names
-from reports.statistics import LEVEL
+from reports.analysis import method_names as names
+from reports.analysis.intervals import LEVEL
 
 BASE = "ours"  # row that others are held against, where it was trained several times
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from reports.statistics import DRAWS, LEVEL
+from reports.analysis.intervals import DRAWS, LEVEL
 
 
 @dataclass(frozen=True)
