@@ -7,13 +7,13 @@ from typing import Any
 
 import pandas as pd
 
-from reports import pages
 from reports.analysis import aggregate as scores
 from reports.analysis import method_names as names
 from reports.analysis import variant_differences as variants
 from reports.analysis.intervals import DRAWS, TOLD
 from reports.analysis.variant_differences import METRIC
-from reports.grids import Grid, gap_text, wide
+from reports.layout import page as pages
+from reports.layout.tables import Grid, gap_text, wide
 from reports.published import published
 
 

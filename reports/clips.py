@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports import pages
 from reports.analysis import aggregate as scores
 from reports.analysis.intervals import DRAWS, TOLD, interval, paired
-from reports.grids import Bold, Grid, gap_text
+from reports.layout import page as pages
+from reports.layout.tables import Bold, Grid, gap_text
 
 METRIC = "psnr"
 BASE = "ours"  # what rows are held against, where it is there; else the best

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from reports.style import FAINT, INK, RC
+from reports.layout.style import FAINT, INK, RC
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

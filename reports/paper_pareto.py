@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pandas as pd
 
-from reports import beside, style
 from reports.analysis import aggregate as scores
+from reports.layout import paired_panels as beside
+from reports.layout import style
 from reports.published import Published, lacking, published
 
 if TYPE_CHECKING:

@@ -7,9 +7,10 @@ from pathlib import Path
 import matplotlib as mpl
 import pandas as pd
 
-from reports import pages, style
 from reports.analysis import aggregate as scores
-from reports.panels import MOST, OVERALL, draw
+from reports.layout import page as pages
+from reports.layout import style
+from reports.layout.pareto_panels import MOST, OVERALL, draw
 
 
 def write(

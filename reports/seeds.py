@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports import pages
 from reports.analysis import aggregate as scores
 from reports.analysis import method_names as names
 from reports.analysis.correlation import deviation
 from reports.analysis.training_differences import BASE, against
-from reports.grids import Grid, gap_text, wide
+from reports.layout import page as pages
+from reports.layout.tables import Grid, gap_text, wide
 from reports.published import published
 from rlbench.benchmark.results import LacksError
 

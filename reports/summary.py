@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports import pages
 from reports.analysis import aggregate as scores
 from reports.analysis.intervals import DRAWS, TOLD
 from reports.analysis.ranking import EVERY, ranking
-from reports.grids import Bold, Grid
+from reports.layout import page as pages
+from reports.layout.tables import Bold, Grid
 
 TIME_COLUMNS = {
     "plan_ms": "plan p50",

@@ -9,12 +9,12 @@ from typing import Any
 
 import pandas as pd
 
-from reports import pages
 from reports.analysis import aggregate as scores
 from reports.analysis import method_names as names
 from reports.analysis.correlation import Agreement, agreement
 from reports.analysis.intervals import DRAWS, TOLD, UNKNOWN, interval, paired
-from reports.grids import Grid, gap_text
+from reports.layout import page as pages
+from reports.layout.tables import Grid, gap_text
 from reports.published import lacking, published
 
 BASE = "ours"  # the row that all others are held against, as the paper does

@@ -11,9 +11,10 @@ import pytest
 from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.image import imread
 
-from reports import pareto, style
+from reports import pareto
 from reports.analysis.aggregate import ReportError
-from reports.panels import MOST, OVERALL, WINDOW, draw
+from reports.layout import style
+from reports.layout.pareto_panels import MOST, OVERALL, WINDOW, draw
 from rlbench.benchmark.results import frame_of
 
 TEXTS = {"value": "PSNR", "direction": "", "better": "high", "caption": "profile paper-2080ti"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.style import COLOURS, looks, slug
+from reports.layout.style import COLOURS, looks, slug
 
 ZOO = ["ours", "ours/A1", "ours/A2", "ours/small", "ntas", "oidn", "mean", "x", "y/b", "y", "z"]
 

@@ -12,7 +12,7 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 
 from reports import summary
 from reports.analysis.ranking import ranking
-from reports.grids import Bold, Grid, latex, markdown
+from reports.layout.tables import Bold, Grid, latex, markdown
 from rlbench.benchmark.results import frame_of
 
 OFFSET = sum(SCENES.values()) / 4

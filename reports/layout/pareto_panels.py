@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from reports import style
+from reports.layout import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from reports import style
+from reports.layout import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.grids import Grid, latex, markdown
+from reports.layout.tables import Grid, latex, markdown
 
 
 @dataclass(frozen=True)
