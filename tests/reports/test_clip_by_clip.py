@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from conftest import SCENES, psnr, rows
 
-from reports import clips
+from reports import per_clip as clips
 from rlbench.benchmark.results import frame_of
 
 FRAMES = range(4)

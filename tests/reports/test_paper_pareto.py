@@ -12,7 +12,7 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.colors import same_color
 from scipy.optimize import isotonic_regression
 
-from reports import paper_pareto
+from reports import published_pareto as paper_pareto
 from reports.layout import paired_panels as beside
 from reports.published import published
 from rlbench.benchmark.results import LacksError, frame_of

@@ -11,7 +11,7 @@ import pytest
 from conftest import SCENES, rows
 from scipy import stats
 
-from reports import seeds
+from reports import training_seeds as seeds
 from reports.analysis import aggregate as scores
 from reports.analysis import training_differences as trainings
 from rlbench.benchmark.results import LacksError, frame_of
