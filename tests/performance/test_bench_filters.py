@@ -17,7 +17,7 @@ from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size
 from rlbench.ops.padded_rows import Flat
 from rlbench.sampling import Samples
-from tests.benchmarks import plain_filters as plain
+from tests.performance import plain_filters as plain
 
 SIDE = 720
 WIDTHS = (Config.light, Config.normal, Config.depth)
