@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from torch import Tensor
 
-    from rlbench.frames import Size, View
-    from rlbench.sampling import Samples
+    from rlbench.frames import Samples, Size, View
 
 TRAITS = Traits()
 

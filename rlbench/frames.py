@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
-from jaxtyping import Float
+import torch
+from jaxtyping import Float, Int
 from torch import Tensor
-
-if TYPE_CHECKING:
-    from rlbench.sampling import Pool
 
 BUFFERS = ("albedo", "normal", "depth", "motion")  # 3 + 3 + 1 + 2 channels
 
@@ -122,3 +120,82 @@ class Clip(Protocol):
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What was bought. Slots beyond a pixel's count are zero: what was not bought is not here."""
+
+    radiance: Float[Tensor, "n s 3 h w"]  # linear; slots 0 .. count-1 are filled
+    counts: Int[Tensor, "n 1 h w"]
+
+    @property
+    def filled(self) -> Tensor:
+        """[n s 1 h w] True where a slot holds a bought sample."""
+        slots = torch.arange(self.radiance.shape[1], device=self.counts.device)
+        return slots.view(1, -1, 1, 1, 1) < self.counts.unsqueeze(1)
+
+    @property
+    def mean(self) -> Float[Tensor, "n 3 h w"]:
+        """The Monte-Carlo average; zero where nothing was bought."""
+        return self.radiance.sum(1) / self.counts.clamp_min(1)
+
+    def after(self, pilot: Samples) -> Samples:
+        """Those bought since `pilot`, in slots from 0 on: independent of what decided on them."""
+        stored = self.radiance.shape[1]
+        slots = torch.arange(stored, device=self.counts.device).view(1, -1, 1, 1, 1)
+        moved = (slots + pilot.counts.unsqueeze(1)).clamp_max(stored - 1)
+        radiance = self.radiance.gather(1, moved.expand_as(self.radiance))
+        rest = Samples(radiance, self.counts - pilot.counts)
+        return Samples(radiance.where(rest.filled, 0.0), rest.counts)
+
+
+class Pool(Protocol):
+    """Where the samples of a frame come from: stored images, or a live path tracer."""
+
+    @property
+    def size(self) -> Size:
+        """Clips in the batch and pixels of each."""
+
+    @property
+    def cap(self) -> int:
+        """Most samples that one pixel can have."""
+
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """One number a clip in the batch, another in each frame: decides who is rounded up."""
+
+    def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+        """Radiance of the first `counts` samples of each pixel, those of `before` included."""
+
+    def empty(self) -> Samples:
+        """No samples at all, on the pool's device."""
+
+
+@dataclass(frozen=True)
+class StoredPool:
+    """A pool of independent 1-spp images, sold in the order in which they lie."""
+
+    radiance: Float[Tensor, "n s 3 h w"]
+    keys: tuple[int, ...]
+
+    @property
+    def size(self) -> Size:
+        """Clips in the batch and pixels of each."""
+        n, _, _, h, w = self.radiance.shape
+        return Size(n, h, w)
+
+    @property
+    def cap(self) -> int:
+        """Number of stored images."""
+        return self.radiance.shape[1]
+
+    def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+        """The first `counts` stored values of each pixel, zero elsewhere (also where NaN was)."""
+        return self.radiance.where(Samples(self.radiance, counts).filled, 0.0)
+
+    def empty(self) -> Samples:
+        """No samples at all."""
+        n, h, w = self.size
+        counts = torch.zeros(n, 1, h, w, dtype=torch.int64, device=self.radiance.device)
+        return Samples(torch.zeros_like(self.radiance), counts)

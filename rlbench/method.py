@@ -10,9 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.registry.discovery import PluginError
-from rlbench.sampling import Samples
 
 State = Any  # opaque to the bench: returned by the method, carried to its next frame
 

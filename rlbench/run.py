@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.frames import Clip, Frame
+from rlbench.frames import Clip, Frame, Samples
 from rlbench.method import Method, planned
-from rlbench.sampling import Samples, buy, evenly
+from rlbench.sampling import buy, evenly
 
 
 @dataclass(frozen=True)

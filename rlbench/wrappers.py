@@ -10,9 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.method import Method, State
-from rlbench.sampling import Samples
 
 DTYPE = torch.bfloat16  # range of float32, 8 bits of mantissa; what training's --half uses
 

@@ -11,7 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.sampling import BudgetError, StoredPool, buy, nothing, spend
+from rlbench.frames import StoredPool
+from rlbench.sampling import BudgetError, buy, nothing, spend
 
 KEY = (1,)
 

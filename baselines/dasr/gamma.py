@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.frames import Frame
-from rlbench.sampling import Samples, StoredPool
+from rlbench.frames import Frame, Samples, StoredPool
 
 WINDOW = 3  # side of the square of pixels whose variances are averaged
 SPARSE = 1e-2  # gamma shapes below this are drawn as this: nearly all draws are black

@@ -13,10 +13,9 @@ from torch import Tensor
 from baselines.dasr import FAMILY
 from baselines.dasr.network import Networks
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.density import exponential
 from rlbench.ops.transfer import squash_depth
-from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"

@@ -11,11 +11,10 @@ from torch import Tensor
 
 from baselines.eaw import FAMILY
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.demodulation import reflectance, sane, surface
 from rlbench.ops.padded_rows import Flat
 from rlbench.ops.stencils import holes
-from rlbench.sampling import Samples
 
 FAR = 1e4  # stands for the logarithm of a depth that is none: weights to it are exactly 0
 LOG2E = 1 / math.log(2)  # exp(x) is 2^(LOG2E x)

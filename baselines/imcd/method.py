@@ -14,11 +14,10 @@ from baselines.imcd import FAMILY
 from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.demodulation import of_area, raised
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import squash_depth
-from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"

@@ -14,10 +14,9 @@ from baselines.imcd import FAMILY
 from baselines.imcd.method import Imcd, State
 from baselines.imcd.network import Kernels, Networks
 from rlbench.family import Traits
-from rlbench.frames import Clip, Size, View
+from rlbench.frames import Clip, Samples, Size, View
 from rlbench.ops.losses import smape
 from rlbench.run import unroll
-from rlbench.sampling import Samples
 from rlbench.training.loop import Trainer
 from rlbench.training.task import FROM1
 

@@ -14,12 +14,11 @@ from torch import Tensor
 from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, Direct, Networks
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.demodulation import of_area, raised
 from rlbench.ops.density import exponential
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import log_forward, squash_depth
-from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"

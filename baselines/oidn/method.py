@@ -12,12 +12,11 @@ from torch import Tensor, nn
 
 from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
-from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"

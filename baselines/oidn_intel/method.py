@@ -12,9 +12,8 @@ from torch import Tensor
 from baselines.oidn_intel import TRAITS
 from baselines.oidn_intel.library import Filter, Settings, version
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.transfer import HALF_MAX
-from rlbench.sampling import Samples
 
 filter_for = lru_cache(maxsize=4)(Filter)  # building one takes as long as using it
 

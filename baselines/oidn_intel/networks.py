@@ -13,9 +13,8 @@ import torch
 from baselines.oidn import tza
 from baselines.oidn.method import INPUTS, Oidn
 from baselines.oidn_intel.library import Filter, LibraryError, Settings, version
-from rlbench.frames import View
+from rlbench.frames import Samples, View
 from rlbench.ops.unet import BASE, FAST, UNet, Widths
-from rlbench.sampling import Samples
 
 QUALITIES = {BASE: "high", FAST: "fast"}  # of the library, by the network that it takes for it
 LONGEST = 8_000_000  # bytes of a network in the library, at most

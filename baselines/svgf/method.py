@@ -14,11 +14,10 @@ from baselines.svgf import FAMILY
 from baselines.svgf.history import Mean, Past, accumulate, find, luminance, nothing
 from baselines.svgf.wavelet import Edges, spread
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.demodulation import reflectance, sane, surface
 from rlbench.ops.padded_rows import Flat
 from rlbench.ops.stencils import box, holes
-from rlbench.sampling import Samples
 
 SHORT = 4.0  # frames; the variance of a shorter history is estimated in space
 REACH = 3  # pixels, of that estimate

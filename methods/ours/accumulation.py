@@ -9,11 +9,11 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.frames import Samples
 from rlbench.ops.demodulation import raised
 from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import log_forward
-from rlbench.sampling import Samples
 
 LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
 UNLIKE = 2.0  # how fast trust falls with a difference of normal and albedo, summed

@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from methods.ours.method import Ours
 from methods.ours.policy import Trial
 from methods.ours.state import Memory
-from rlbench.frames import Frame, View
+from rlbench.frames import Frame, Samples, View
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
-from rlbench.sampling import Samples, buy, nothing
+from rlbench.sampling import buy, nothing
 from rlbench.training.surrogate_gradient import Teach, shares
 
 

@@ -18,7 +18,7 @@ from methods.ours.networks import Networks
 from methods.ours.state import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
 from methods.ours.variants import SLOTS, VARIANTS, Config, Density
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.demodulation import sane
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.init import initialise
@@ -30,7 +30,6 @@ from rlbench.ops.transfer import (
     log_inverse,
     pu_inverse,
 )
-from rlbench.sampling import Samples
 from rlbench.weights import equip
 
 CARDS = Path(__file__).parent / "cards"

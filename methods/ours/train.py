@@ -21,11 +21,10 @@ from methods.ours.policy import Policy, learner
 from methods.ours.state import Memory, detached
 from methods.ours.variants import BASE, VARIANTS
 from rlbench.family import Traits
-from rlbench.frames import Clip, Size, View
+from rlbench.frames import Clip, Samples, Size, View
 from rlbench.ops.losses import decibels, mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.sampling import Samples
 from rlbench.training.task import FROM1, Trainer
 
 PEAK = 3e-4  # learning rate

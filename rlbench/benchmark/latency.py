@@ -16,10 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Clip, Size, View
+from rlbench.frames import Clip, Samples, Size, View
 from rlbench.method import Method, State
 from rlbench.run import run_clip
-from rlbench.sampling import Samples
 from rlbench.system import provenance
 
 WARM_UP = 2  # frames run before the first that counts

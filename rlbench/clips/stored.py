@@ -17,8 +17,7 @@ from rlbench.clips.digest import clip_digest
 from rlbench.clips.frame_files import exr_path, has_frame, images, kinds, write_frame
 from rlbench.clips.header import ClipError, Header, read_header, write_header
 from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import BUFFERS, Frame, Reference, Size, View
-from rlbench.sampling import Pool, StoredPool
+from rlbench.frames import BUFFERS, Frame, Pool, Reference, Size, StoredPool, View
 
 __all__ = [
     "ClipError",

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from rlbench.clips.stored import ALL, MemoryClip, open_clip
 from rlbench.family import Traits
-from rlbench.frames import Frame, Reference, View
-from rlbench.sampling import StoredPool
+from rlbench.frames import Frame, Reference, StoredPool, View
 from rlbench.training.config import Plan
 
 

@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Clip, Frame, Reference, View
+from rlbench.frames import Clip, Frame, Reference, StoredPool, View
 from rlbench.registry import lookup as registry
-from rlbench.sampling import StoredPool
 from rlbench.training import checkpoint
 from rlbench.training.config import Plan
 from rlbench.training.task import TrainingError

@@ -12,9 +12,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Frame, Size, View
+from rlbench.frames import Frame, Samples, Size, View
 from rlbench.method import Method
-from rlbench.sampling import Samples
 
 LOWEST = -30.0  # log density below which a pixel is at its floor in any case
 BISECTIONS = 32  # of the logarithm of a multiplier, some 30 wide: exact to float32

@@ -19,9 +19,8 @@ from baselines.dasr.network import Networks
 from baselines.dasr.train import trainer
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Reference, Size, View
+from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
 from rlbench.run import run_clip
-from rlbench.sampling import Samples, StoredPool
 from rlbench.training.loop import Plan, train
 from rlbench.weights import digest
 from tests.conftest import write_noise

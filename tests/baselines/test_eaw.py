@@ -16,10 +16,9 @@ from torch import Tensor
 from baselines.eaw import search
 from baselines.eaw.method import Config, Eaw, smooth
 from rlbench.clips.stored import open_clip
-from rlbench.frames import View
+from rlbench.frames import Samples, View
 from rlbench.ops.demodulation import reflectance
 from rlbench.ops.padded_rows import Flat
-from rlbench.sampling import Samples
 from tests.baselines import wavelet_twins as twin
 from tests.baselines.moving import frame
 

@@ -17,10 +17,9 @@ from baselines.imcd.method import Config, Imcd, State, build
 from baselines.imcd.network import Encoder, Kernels, Networks
 from baselines.imcd.train import losses, strain, trainer
 from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Frame, Reference, Size, View
+from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
 from rlbench.ops.demodulation import of_area, raised
 from rlbench.run import run_clip
-from rlbench.sampling import Samples, StoredPool
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)

@@ -13,10 +13,9 @@ from baselines.ntas.method import VARIANTS, Ntas, State, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import trainer
 from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Frame, Reference, Size, View
+from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
 from rlbench.ops.demodulation import of_area, raised
 from rlbench.run import run_clip
-from rlbench.sampling import Samples, StoredPool
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)

@@ -13,12 +13,11 @@ from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, develop
 from baselines.oidn.train import _loss, trainer
 from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Frame, Reference, View
+from rlbench.frames import Frame, Reference, Samples, StoredPool, View
 from rlbench.method import Method
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
 from rlbench.run import run_clip
-from rlbench.sampling import Samples, StoredPool
 from rlbench.training.task import FROM1
 from rlbench.weights import Card, save
 

@@ -13,10 +13,9 @@ import torch
 from baselines.oidn_intel import FAMILY, TRAITS
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Size
+from rlbench.frames import Samples, Size
 from rlbench.registry import lookup as registry
 from rlbench.run import Shown, run_clip
-from rlbench.sampling import Samples
 from rlbench.system import provenance
 
 installed = pytest.mark.skipif(

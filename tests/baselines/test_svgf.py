@@ -15,11 +15,10 @@ from baselines.svgf import FAMILY
 from baselines.svgf.history import Past, accumulate, find
 from baselines.svgf.method import BASE, VARIANTS, Svgf, build
 from baselines.svgf.wavelet import Edges, spread
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.ops.demodulation import reflectance
 from rlbench.ops.padded_rows import Flat
 from rlbench.ops.stencils import holes
-from rlbench.sampling import Samples
 from tests.baselines import wavelet_twins as twin
 from tests.baselines.moving import FRAMES, frame
 

@@ -15,10 +15,9 @@ from baselines.oidn import method, tza
 from baselines.oidn.method import INPUTS, VARIANTS, Oidn, build
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Size
+from rlbench.frames import Samples, Size
 from rlbench.ops.unet import UNet
 from rlbench.run import Shown, run_clip
-from rlbench.sampling import Samples
 from rlbench.weights import load_into
 
 CPU = torch.device("cpu")

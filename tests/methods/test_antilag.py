@@ -16,11 +16,10 @@ from methods.ours.train import trainer
 from methods.ours.variants import VARIANTS
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Reference, Size
+from rlbench.frames import Frame, Reference, Size, StoredPool
 from rlbench.ops.exposure import luminance
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip
-from rlbench.sampling import StoredPool
 
 
 def light(samples: Tensor) -> Light:

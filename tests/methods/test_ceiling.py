@@ -11,8 +11,7 @@ from methods.ours.experiments.oracle_map import ceiling, improved
 from methods.ours.frame_problem import Turn
 from methods.ours.method import build
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Size
-from rlbench.sampling import StoredPool
+from rlbench.frames import Frame, Size, StoredPool
 from tests.conftest import write_noise
 
 SIZE = Size(1, 32, 48)

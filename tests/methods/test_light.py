@@ -9,8 +9,7 @@ from torch import Tensor
 from methods.ours.accumulation import Light, alike, filled, gathered, measured, told
 from methods.ours.method import build
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Size, View
-from rlbench.sampling import Samples
+from rlbench.frames import Samples, Size, View
 
 SIZE = (1, 40, 56)
 

@@ -17,12 +17,11 @@ from methods.ours.state import looked
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, SLOTS, VARIANTS
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Size, View
+from rlbench.frames import Frame, Samples, Size, View
 from rlbench.ops.init import initialise
 from rlbench.ops.losses import mixed
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip, unroll
-from rlbench.sampling import Samples
 
 CPU = torch.device("cpu")
 

@@ -29,8 +29,8 @@ from methods.ours.policy import LEARNERS, Both, Draws, Learner, Policy, appo, cr
 from methods.ours.policy.block_reinforce import PpoPixel
 from methods.ours.policy.gamma_gradient import gamma_each
 from methods.ours.policy.surrogate_gradient import pull_each
-from rlbench.frames import Frame, Reference, View
-from rlbench.sampling import Samples, spend
+from rlbench.frames import Frame, Reference, Samples, View
+from rlbench.sampling import spend
 
 SIDE = 24
 NEEDED = {  # in 200 steps

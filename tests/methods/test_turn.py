@@ -13,9 +13,8 @@ from methods.ours.policy.gamma_gradient import gamma_each
 from methods.ours.policy.surrogate_gradient import pull_each
 from methods.ours.train import trainer
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Size
+from rlbench.frames import Samples, Size
 from rlbench.run import unroll
-from rlbench.sampling import Samples
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 32, 48)

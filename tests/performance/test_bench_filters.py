@@ -14,9 +14,8 @@ from baselines.eaw.method import Config, Eaw, smooth
 from baselines.svgf.method import BASE, LOG2E, build, gradient, wavelet
 from baselines.svgf.wavelet import Edges
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Size
+from rlbench.frames import Frame, Samples, Size
 from rlbench.ops.padded_rows import Flat
-from rlbench.sampling import Samples
 from tests.performance import plain_filters as plain
 
 SIDE = 720

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
+from rlbench.frames import Samples
 from rlbench.render.jobs.live_pool import LivePool
 from rlbench.render.jobs.render_clips import named
 from rlbench.render.mitsuba.gbuffer import views
 from rlbench.render.mitsuba.llvm import activate
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.sampling import Samples
 
 SIDE = 720
 SMALL = 96  # for what is slow without LLVM

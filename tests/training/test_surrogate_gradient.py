@@ -11,9 +11,9 @@ from torch import Tensor
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.family import Traits
-from rlbench.frames import Frame, Reference, Size, View
+from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
 from rlbench.run import unroll
-from rlbench.sampling import Samples, StoredPool, spend
+from rlbench.sampling import spend
 from rlbench.training.surrogate_gradient import Surrogate, pull, shares
 
 SIZE = Size(1, 12, 16)

@@ -14,8 +14,8 @@ from torch.nn import functional as F
 from methods.ours import method
 from methods.ours.experiments.toy_scenes import PRIOR, STORED, Field
 from methods.ours.policy.interface import Trial
-from rlbench.frames import Frame, Reference, View
-from rlbench.sampling import Samples, StoredPool, spend
+from rlbench.frames import Frame, Reference, Samples, StoredPool, View
+from rlbench.sampling import spend
 from rlbench.training.surrogate_gradient import Teach, shares
 
 

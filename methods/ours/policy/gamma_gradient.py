@@ -9,8 +9,7 @@ from torch import Tensor
 
 from baselines.dasr import gamma
 from methods.ours.policy.surrogate_gradient import Surrogate
-from rlbench.frames import Frame
-from rlbench.sampling import Samples
+from rlbench.frames import Frame, Samples
 
 
 def gamma_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:

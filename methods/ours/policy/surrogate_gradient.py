@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours.policy.interface import Situation
-from rlbench.frames import Frame
-from rlbench.sampling import Samples
+from rlbench.frames import Frame, Samples
 from rlbench.training.surrogate_gradient import Teach
 
 

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Reference, Size, View
+from rlbench.frames import Frame, Reference, Size, StoredPool, View
 from rlbench.run import Shown
-from rlbench.sampling import StoredPool
 
 ODD = Size(1, 77, 123)  # divides by nothing that a network halves by
 SMALL = Size(1, 37, 53)  # as odd, where size is not what is asked about

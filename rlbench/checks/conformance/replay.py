@@ -10,9 +10,8 @@ from torch import Tensor
 
 from rlbench.checks.conformance.recording import Watched, same
 from rlbench.family import Traits
-from rlbench.frames import Size, View
+from rlbench.frames import Samples, Size, View
 from rlbench.method import Method, State
-from rlbench.sampling import Samples
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from torch import Tensor
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.procedural import raycast as cast
 from rlbench.clips.procedural import world
-from rlbench.frames import Frame, Reference, Size, View
-from rlbench.sampling import StoredPool
+from rlbench.frames import Frame, Reference, Size, StoredPool, View
 
 FIREFLY = 0.003  # chance that a sample is one
 FLASH = 60.0  # times the truth that a firefly is

@@ -17,14 +17,13 @@ from torch import Tensor
 from rlbench.clips.exr import precision
 from rlbench.clips.frame_files import exr_path
 from rlbench.clips.stored import ClipError, StoredClip, read_header, sale
-from rlbench.frames import Frame, Size
+from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import POOLS, marked
 from rlbench.render.jobs.render_clips import named
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import LANES, Tracer
 from rlbench.render.scene import Scene
-from rlbench.sampling import Samples
 
 
 @dataclass(frozen=True)
