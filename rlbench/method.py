@@ -9,9 +9,9 @@ from typing import Any, Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.errors import PluginError
 from rlbench.family import Traits
 from rlbench.frames import Samples, Size, View
-from rlbench.registry.discovery import PluginError
 
 State = Any  # opaque to the bench: returned by the method, carried to its next frame
 

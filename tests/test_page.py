@@ -9,9 +9,9 @@ import torch
 
 from metrics.image import bias
 from rlbench.clips.procedural.clip import procedural
+from rlbench.errors import PluginError
 from rlbench.family import Traits
 from rlbench.frames import Size
-from rlbench.registry.discovery import PluginError
 from rlbench.run import run_clip
 from rlbench.sampling import BudgetError
 

@@ -25,12 +25,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from rlbench.errors import PluginError
+
 GROUPS = ("methods", "metrics", "reports", "pools", "scenes")
 VARIABLE = "RLBENCH_METHODS"
-
-
-class PluginError(LookupError):
-    """A name that no plugin has, two plugins of one name, or a plugin that breaks its promise."""
 
 
 @dataclass(frozen=True)

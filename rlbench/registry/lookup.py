@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from rlbench.errors import PluginError
 from rlbench.family import Family, Variant
 from rlbench.registry.discovery import (
     GROUPS,
     VARIABLE,
     Entry,
-    PluginError,
     entries,
     forget_plugins,
     loose_file,
