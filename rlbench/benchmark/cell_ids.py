@@ -15,7 +15,7 @@ from rlbench.benchmark import cost, latency
 from rlbench.benchmark import results as table
 from rlbench.benchmark.run_plan import FAILED, Cell, Request, cells, content
 from rlbench.registry import lookup as registry
-from rlbench.system import provenance
+from rlbench.system import code_hash, provenance
 from rlbench.weights import WeightsError, read_card
 
 MEASURE = (
@@ -106,7 +106,7 @@ class Names:
     @cached_property
     def half(self) -> tuple[str, ...]:
         """What half precision adds: its own code."""
-        return (provenance.code_hash(["rlbench.wrappers"], core=()),)
+        return (code_hash.code_hash(["rlbench.wrappers"], core=()),)
 
     @cached_property
     def cost(self) -> str:
@@ -118,8 +118,8 @@ class Names:
     def scores(self) -> str:
         """Hash of the metrics, their names and their code, and of the code that asks for them."""
         known = registry.entries("metrics")
-        modules = [provenance.closure(e.target.partition(":")[0]) for e in known.values()]
-        told = provenance.code_hash(set().union(*modules), core=MEASURE)
+        modules = [code_hash.closure(e.target.partition(":")[0]) for e in known.values()]
+        told = code_hash.code_hash(set().union(*modules), core=MEASURE)
         metrics = registry.metrics().values()
         brought = sorted({name for each in metrics for name in getattr(each, "packages", ())})
         return f"{list(known)} {told} {provenance.releases(brought)}"
@@ -184,8 +184,8 @@ def _code(target: str) -> str:
     module = target.partition(":")[0]
     loose = registry.loose_file(module)
     if loose is None:
-        return provenance.code_hash(provenance.closure(module, _others()))
-    told = provenance.code_hash(provenance.closure_of_file(loose, _others()))
+        return code_hash.code_hash(code_hash.closure(module, _others()))
+    told = code_hash.code_hash(code_hash.closure_of_file(loose, _others()))
     return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16]
 
 

@@ -20,7 +20,7 @@ from rlbench.frames import Clip, Frame, Size
 from rlbench.registry import lookup as registry
 from rlbench.render.jobs.live_pool import open_live, scene_of
 from rlbench.render.mitsuba.llvm import activate
-from rlbench.system import provenance
+from rlbench.system import code_hash, provenance
 
 POOLS = ("stored", "live")  # samples read from the clip's files, or traced when they are bought
 
@@ -133,7 +133,7 @@ class Short:
 @cache
 def _tracer() -> str:
     """Hash of the code that traces live samples."""
-    return provenance.code_hash(["rlbench.render", "rlbench.scenes"], core=())
+    return code_hash.code_hash(["rlbench.render", "rlbench.scenes"], core=())
 
 
 def below(place: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rlbench.clips.stored import Header
 from rlbench.registry import lookup as registry
-from rlbench.system import paths, provenance
+from rlbench.system import code_hash, paths
 
 MEASURED = "measured"
 
@@ -146,8 +146,8 @@ def _code(scene: str) -> str:
     found = registry.entries("scenes").get(scene)
     if found is None:
         return ""
-    modules = provenance.closure(found.target.partition(":")[0])
-    return provenance.code_hash(modules, core=["rlbench.render"])
+    modules = code_hash.closure(found.target.partition(":")[0])
+    return code_hash.code_hash(modules, core=["rlbench.render"])
 
 
 def _trace(header: Header, pool: str) -> float:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import channels, exr_path, not_finite
 from rlbench.clips.header import ClipError, Header
-from rlbench.system import paths, provenance
+from rlbench.system import code_hash, paths
 
 Arrays = Mapping[str, NDArray[np.floating]]  # c h w, as precise as the file
 
@@ -57,7 +57,7 @@ class Decoded:
 @cache
 def _reader() -> str:
     """Hash of the code that decodes: what another one left is not read."""
-    return provenance.code_hash(
+    return code_hash.code_hash(
         [__name__, "rlbench.clips.exr", "rlbench.clips.frame_files"], core=()
     )[:8]
 

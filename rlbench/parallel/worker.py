@@ -16,7 +16,7 @@ import torch
 
 from rlbench.parallel.executor import EngineError
 from rlbench.registry import discovery as plugins
-from rlbench.system import provenance
+from rlbench.system import code_hash, provenance
 
 PREFIX = "RLBENCH_"  # of the variables that a worker takes over
 THREADS = f"{PREFIX}THREADS"  # of the path tracer
@@ -118,4 +118,4 @@ def code() -> str:
     found = {e.target for group in plugins.GROUPS for e in plugins.installed(group)}
     tops = {"rlbench", *(target.partition(":")[0].partition(".")[0] for target in found)}
     versions = " ".join(f"{name} {version}" for name, version in provenance.versions().items())
-    return f"{versions}, code {provenance.code_hash(tops, core=())}"
+    return f"{versions}, code {code_hash.code_hash(tops, core=())}"

@@ -21,7 +21,7 @@ from rlbench.benchmark.run_plan import CellsError, Request, cells
 from rlbench.benchmark.runner import Done, measure
 from rlbench.clips.stored import open_clip
 from rlbench.registry import lookup as registry
-from rlbench.system import provenance
+from rlbench.system import code_hash, provenance
 from tests.conftest import write_noise, write_plugin
 
 MS = "_ms"  # end of the names of times, which no two runs share
@@ -475,13 +475,13 @@ def test_a_score_on_a_clip_that_was_trained_on_says_that_it_is_no_test(tmp_path,
 def test_what_ours_is_made_of_decides_its_name(clip_folder, monkeypatch, part):
     asked = request(clip_folder, "ours")
     (cell,) = cells(asked)
-    before, sources = Names(asked).of(cell), provenance._sources
+    before, sources = Names(asked).of(cell), code_hash._sources
 
     def changed(name: str) -> list[tuple[str, Path]]:
         found = sources(name)
         return [(f"{place}, changed", path) for place, path in found] if name == part else found
 
-    monkeypatch.setattr(provenance, "_sources", changed)
+    monkeypatch.setattr(code_hash, "_sources", changed)
     assert Names(asked).of(cell) != before
 
 
