@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rlbench.benchmark.clip_sources import Short, unusable
+from rlbench.benchmark.clip_sources import Short
 from rlbench.benchmark.run_plan import Cell, Request
+from rlbench.clips.compatibility import unusable
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.registry import lookup as registry

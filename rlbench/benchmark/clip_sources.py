@@ -13,11 +13,9 @@ from typing import Protocol
 
 import torch
 
-from rlbench.clips.header import FILE
-from rlbench.clips.stored import ClipError, Header, open_clip, read_header
+from rlbench.clips.stored import Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
-from rlbench.registry import lookup as registry
 from rlbench.render.jobs.live_pool import open_live, scene_of
 from rlbench.render.mitsuba.llvm import activate
 from rlbench.system import code_hash, provenance
@@ -136,14 +134,6 @@ def _tracer() -> str:
     return code_hash.code_hash(["rlbench.render", "rlbench.scenes"], core=())
 
 
-def below(place: Path) -> list[Path]:
-    """The clip folders at or directly below a folder. Raises ClipError where there is none."""
-    found = [file.parent for file in sorted([*place.glob(FILE), *place.glob(f"*/{FILE}")])]
-    if not found:
-        raise ClipError(f"no clip in {place}: a clip is a folder with {FILE} in it")
-    return found
-
-
 def pooled(folder: Path, pool: str) -> Stored:
     """A clip folder with the pool of that name, one of POOLS.
 
@@ -159,29 +149,3 @@ def affordable(traits: Traits, spp: float, stored: int) -> int:
     """Most samples of one pixel: up to the cap for a method that adapts, else ceil(spp)."""
     most = stored if traits.cap is None else min(stored, traits.cap)
     return most if traits.adapts else min(most, max(1, traits.floor, math.ceil(spp)))
-
-
-def _hint(pool: str) -> str:
-    """How a clip comes by a pool that a plugin traces."""
-    if pool not in registry.names("pools") or not registry.load("pools", pool).make:
-        return ""
-    return (
-        "; `rlbench render` adds it to clips of presets that have it, where Mitsuba traces with "
-        "LLVM or CUDA (see `rlbench doctor`)"
-    )
-
-
-def unusable(header: Header, traits: Traits, spp: float) -> str | None:
-    """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
-    if refused := traits.refuses(spp):
-        return refused
-    if traits.pool not in header.pools:
-        have = ", ".join(header.pools)
-        return f"buys from a '{traits.pool}' pool, the clip has: {have}{_hint(traits.pool)}"
-    absent = traits.needs - set(header.buffers) - ({"motion"} if header.static else set())
-    if absent:
-        have = ", ".join(header.buffers) or "none"
-        return f"reads {', '.join(sorted(absent))}, the clip has: {have}"
-    if spp > header.pool_spp:
-        return f"{spp:g} spp asked for, the clip holds {header.pool_spp} samples of each pixel"
-    return None

@@ -69,7 +69,8 @@ def clips(
     `kinds` of sample pools are those that are wanted of a preset's, and `takes` of its scenes are
     `main` or `all`; None is all of the former, and the latter as in the preset.
     """
-    from rlbench.benchmark.clip_sources import POOLS, below, pooled
+    from rlbench.benchmark.clip_sources import POOLS, pooled
+    from rlbench.clips.stored import below
 
     if pool not in POOLS:
         raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")

@@ -143,8 +143,8 @@ def lint(
 
       rlbench lint my_renders/ --picture lint.png --frames 0
     """
-    from rlbench.benchmark.clip_sources import below
     from rlbench.checks.lint.run import lint as examine
+    from rlbench.clips.stored import below
 
     folders = [folder for place in clips for folder in below(place)]
     raise typer.Exit(0 if examine(folders, picture, frames) else 1)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rlbench.benchmark.clip_sources import unusable
 from rlbench.clips.header import Header
+from rlbench.family import Traits
 from rlbench.registry import lookup as registry
 
 
@@ -21,3 +21,29 @@ def possible(header: Header) -> str:
     if most == 1:
         told += ". With one sample of each pixel, to adapt is only to leave pixels out"
     return told
+
+
+def _hint(pool: str) -> str:
+    """How a clip comes by a pool that a plugin traces."""
+    if pool not in registry.names("pools") or not registry.load("pools", pool).make:
+        return ""
+    return (
+        "; `rlbench render` adds it to clips of presets that have it, where Mitsuba traces with "
+        "LLVM or CUDA (see `rlbench doctor`)"
+    )
+
+
+def unusable(header: Header, traits: Traits, spp: float) -> str | None:
+    """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
+    if refused := traits.refuses(spp):
+        return refused
+    if traits.pool not in header.pools:
+        have = ", ".join(header.pools)
+        return f"buys from a '{traits.pool}' pool, the clip has: {have}{_hint(traits.pool)}"
+    absent = traits.needs - set(header.buffers) - ({"motion"} if header.static else set())
+    if absent:
+        have = ", ".join(header.buffers) or "none"
+        return f"reads {', '.join(sorted(absent))}, the clip has: {have}"
+    if spp > header.pool_spp:
+        return f"{spp:g} spp asked for, the clip holds {header.pool_spp} samples of each pixel"
+    return None

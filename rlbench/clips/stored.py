@@ -15,7 +15,7 @@ from torch import Tensor
 from rlbench.clips.decode_cache import Decoded, decode
 from rlbench.clips.digest import clip_digest
 from rlbench.clips.frame_files import exr_path, has_frame, images, kinds, write_frame
-from rlbench.clips.header import ClipError, Header, read_header, write_header
+from rlbench.clips.header import FILE, ClipError, Header, read_header, write_header
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.frames import BUFFERS, Frame, Pool, Reference, Size, StoredPool, View
 
@@ -162,3 +162,11 @@ def verify(folder: Path | str) -> list[str]:
             except ClipError as error:
                 problems.append(str(error))
     return problems
+
+
+def below(place: Path) -> list[Path]:
+    """The clip folders at or directly below a folder. Raises ClipError where there is none."""
+    found = [file.parent for file in sorted([*place.glob(FILE), *place.glob(f"*/{FILE}")])]
+    if not found:
+        raise ClipError(f"no clip in {place}: a clip is a folder with {FILE} in it")
+    return found

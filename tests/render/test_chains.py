@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.benchmark.clip_sources import unusable
+from rlbench.clips.compatibility import unusable
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools as chains
