@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rlbench.system import paths
-from rlbench.training.config import Progress
+from rlbench.training.progress import Progress
 from rlbench.training.validation import Validated
 
 LOG = "log.jsonl"  # one line a validation

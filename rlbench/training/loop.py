@@ -22,7 +22,8 @@ from rlbench.training import checkpoint, validation
 from rlbench.training import logger as curves
 from rlbench.training import replay as postmortem
 from rlbench.training.batches import Batches, one_of
-from rlbench.training.config import Plan, Progress
+from rlbench.training.config import Plan
+from rlbench.training.progress import Progress
 from rlbench.training.replay import replay
 from rlbench.training.task import Trainer, TrainingError
 from rlbench.training.train_state import Learner, NotFiniteError

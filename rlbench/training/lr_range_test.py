@@ -14,7 +14,8 @@ import numpy as np
 from rlbench.registry import lookup as registry
 from rlbench.system import paths
 from rlbench.training.batches import Batches, one_of
-from rlbench.training.config import Plan, Progress
+from rlbench.training.config import Plan
+from rlbench.training.progress import Progress
 from rlbench.training.task import Trainer
 from rlbench.training.train_state import Learner, NotFiniteError
 
