@@ -9,12 +9,11 @@ run is one row that says why; where that was an error, it is tried again by the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark import results as table
@@ -23,6 +22,7 @@ from rlbench.benchmark.cell_loader import Ready
 from rlbench.benchmark.latency import Timing
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.benchmark.run_plan import Cell, Request, by_title, cells, distinct, never_lost, older
+from rlbench.benchmark.scoring import _check, _row, _with
 from rlbench.benchmark.timing_cache import Times
 from rlbench.clips.header import LACKS, Header
 from rlbench.method import Method, settings
@@ -216,30 +216,4 @@ class _Bench:
             dtype="bfloat16" if self.request.halves(cell.method) else "float32",
             code=self.names.code[cell.method],
             weights=self.names.weights[cell.method],
-        )
-
-
-def _with(before: Shown, images: Sequence[Tensor]) -> list[Tensor]:
-    """Image and halves of the reference, each with that of the frame before: [n 2 3 h w]."""
-    earlier = (before.image, before.frame.reference.a, before.frame.reference.b)
-    return [torch.stack(pair, 1) for pair in zip(earlier, images, strict=True)]
-
-
-def _row(
-    blank: Row, metric: str, value: float, unit: str, better: str, how: str, note: str = ""
-) -> Row:
-    """A number; one that is not finite is no number, and the note says so."""
-    if not math.isfinite(value):
-        note, value = note or f"the value is {value}", math.nan
-    return replace(
-        blank, metric=metric, value=value, unit=unit, better=better, convention=how, note=note
-    )
-
-
-def _check(method: str, image: Tensor, like: Tensor) -> None:
-    """Raise PluginError for an image that metrics would broadcast or round without a word."""
-    if image.shape != like.shape or image.dtype != like.dtype:
-        raise registry.PluginError(
-            f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "
-            f"wanted {like.dtype} {list(like.shape)}"
         )
