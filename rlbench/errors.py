@@ -5,3 +5,7 @@ from __future__ import annotations
 
 class PluginError(LookupError):
     """A name that no plugin has, two plugins of one name, or a plugin that breaks its promise."""
+
+
+class AskedError(ValueError):
+    """An option's value that cannot be used."""

@@ -11,7 +11,7 @@ from rlbench.benchmark import results as table
 from rlbench.benchmark.clip_sources import Stored
 from rlbench.benchmark.run_plan import Request
 from rlbench.benchmark.runner import measure
-from rlbench.cli import arguments as asked
+from rlbench.cli import benchmark
 from rlbench.registry import lookup as registry
 from rlbench.render.jobs.render_clips import ensure
 from rlbench.render.mitsuba.llvm import activate
@@ -34,7 +34,7 @@ def outcome(results, scenes, methods, spp, subset) -> regress.Outcome:
     measure(Request(methods, clips, spp, repeats=1), results)
     found, known = table.read(results), regress.load(BASELINE)
     if subset:
-        found, known = asked.part(found, known, methods)
+        found, known = benchmark.part(found, known, methods)
     return regress.compare(found, known, subset=subset)
 
 

@@ -14,9 +14,9 @@ from rlbench.benchmark.cell_ids import Names
 from rlbench.benchmark.clip_sources import Stored
 from rlbench.benchmark.run_plan import Request
 from rlbench.benchmark.runner import Done, measure
-from rlbench.cli import arguments as asked
 from rlbench.cli import console as show
 from rlbench.registry import lookup as registry
+from rlbench.render.jobs import preset_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset as trainset
 from rlbench.training.dataset import TrainSet
@@ -79,7 +79,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
         Fold(
             scene,
             trainset.holdout(scene, preset, kinds),
-            tuple(Stored(folder) for folder in asked.rendered([scene], preset, kinds=kinds)),
+            tuple(Stored(folder) for folder in preset_clips.rendered([scene], preset, kinds=kinds)),
         )
         for scene in scenes or known or ["any"]
     ]

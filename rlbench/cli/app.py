@@ -9,7 +9,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from rlbench import errors
 from rlbench.cli import arguments as asked
+from rlbench.cli import benchmark
 from rlbench.cli.clips import Clips, Engine, Preset, RayAddress, Scenes, Takes, lint, render
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
@@ -121,7 +123,7 @@ def run(
     """
     use(plugin)
     if out.exists() and not out.is_dir():
-        raise asked.AskedError(f"--out {out} is a file; results are a folder")
+        raise errors.AskedError(f"--out {out} is a file; results are a folder")
     from rlbench.benchmark.run_plan import Request
     from rlbench.benchmark.runner import measure
     from rlbench.cli import console as show
@@ -219,7 +221,7 @@ def report(
     rows = table.read(results)
     failed: dict[str, list[str]] = {}  # by reason
     if wanted := asked.split(methods or []):
-        rows = asked.rows(rows, wanted, results)
+        rows = benchmark.rows(rows, wanted, results)
     for each in registry.names("reports") if name == "all" else [name]:
         try:
             for file in registry.usable("reports", each)(rows, out or results / "report"):
@@ -233,7 +235,7 @@ def report(
                 failed.setdefault(str(error), []).append(each)
     if failed:
         told = (f"{', '.join(each)} not written: {why}" for why, each in failed.items())
-        raise asked.AskedError("; ".join(told))
+        raise errors.AskedError("; ".join(told))
 
 
 @app.command()
@@ -260,7 +262,7 @@ def regress(
 
     wanted = asked.split(only or [])
     if update and wanted:
-        raise asked.AskedError("--update writes the whole baseline anew; run it without --only")
+        raise errors.AskedError("--update writes the whole baseline anew; run it without --only")
     rows = table.read(results)
     if update:
         written = gate.update(rows, baseline)
@@ -268,7 +270,7 @@ def regress(
         return
     known = gate.load(baseline)
     if wanted:
-        rows, known = asked.part(rows, known, wanted)
+        rows, known = benchmark.part(rows, known, wanted)
     outcome = gate.compare(rows, known, subset=bool(wanted))
     typer.echo(outcome.text())
     raise typer.Exit(0 if outcome.passed else 1)

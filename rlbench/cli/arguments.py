@@ -5,23 +5,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from rlbench.errors import AskedError
+from rlbench.render.jobs.preset_clips import rendered
+
 if TYPE_CHECKING:
-    import pandas as pd
     import torch
 
     from rlbench.benchmark.clip_sources import Stored
-    from rlbench.benchmark.regression import Baseline
     from rlbench.parallel.executor import Engine
-
-
-class AskedError(ValueError):
-    """An option's value that cannot be used."""
 
 
 def split(values: list[str]) -> list[str]:
@@ -126,41 +122,6 @@ def weights(text: str | None) -> tuple[str, str | None]:
     return called, file
 
 
-def part(
-    table: pd.DataFrame, baseline: Baseline, methods: Collection[str]
-) -> tuple[pd.DataFrame, Baseline]:
-    """The rows and the entries of some methods. Raises AskedError for one that neither has."""
-    have = {*table["method"], *(entry.method for entry in baseline.entries)}
-    if unknown := sorted(set(methods) - have):
-        raise AskedError(
-            f"--only {','.join(unknown)}: neither results nor baseline have it; there is: "
-            f"{', '.join(sorted(have)) or 'nothing'}"
-        )
-    entries = tuple(entry for entry in baseline.entries if entry.method in methods)
-    return table[table["method"].isin(methods)], replace(baseline, entries=entries)
-
-
-def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
-    """The rows of methods, by any name that the table has or a pattern leads to.
-
-    Raises AskedError where a single name has none, and PluginError for one that is in neither.
-    """
-    from rlbench.benchmark.results import AT, whose
-    from rlbench.registry import lookup as registry
-
-    known = set(table["method"])  # of plugins too, which need not be here
-    exact = [name for name in methods if AT in name or name in known]
-    patterns = [name for name in methods if name not in exact]
-    wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
-    found = table[whose(table, wanted)]
-    single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
-    absent = [name for name in single if not whose(table, [name]).any()]
-    if absent or found.empty:
-        have = ", ".join(sorted(known)) or "no rows"
-        raise AskedError(f"{results} has no rows of {', '.join(absent or methods)}; it has: {have}")
-    return found
-
-
 def seeds(text: str | None) -> tuple[int, ...] | None:
     """Seeds given as `0:48`, without 48, as `3,7`, or both; None if none. Raises AskedError."""
     if text is None:
@@ -178,108 +139,3 @@ def seeds(text: str | None) -> tuple[int, ...] | None:
             )
         found |= dict.fromkeys(numbers)
     return tuple(found)
-
-
-def own_scene(
-    scene: Path | None,
-    scenes: list[str] | None,
-    preset: str,
-    camera: str | None,
-    frames: int | None,
-    size: str | None,
-    exposure: float | None,
-    define: list[str] | None,
-    out: Path | None,
-    tracer: str | None = None,
-    engine: Engine | None = None,
-) -> Path:
-    """The clip folder of one's own scene; what is missing of it is rendered now."""
-    if scene is None or scenes:
-        raise AskedError(
-            "--camera, --frames, --size, --exposure, --define, --out and --tracer belong to "
-            "--scene FILE, which is given without --scenes and --seeds"
-        )
-    from rlbench.parallel.executor import LOCAL
-    from rlbench.render.cycles.clip import ensure_cycles
-    from rlbench.render.presets import preset as preset_of
-    from rlbench.render.user.clip import Wish, ensure_own
-
-    if exposure is not None and not 0 < exposure < float("inf"):
-        raise AskedError(f"--exposure takes a number above 0 and was given {exposure}")
-    if wrong := [item for item in define or () if not item.partition("=")[0] or "=" not in item]:
-        raise AskedError(f"--define takes name=value and was given '{wrong[0]}'")
-    pairs = [item.partition("=") for item in define or ()]
-    wish = Wish(
-        file=scene,
-        camera=camera or "",
-        frames=frames,
-        size=_size(size) if size else None,
-        exposure=exposure,
-        parameters=tuple((name, value) for name, _, value in pairs),
-        out=out,
-    )
-    plan, tell = preset_of(preset), lambda words: typer.echo(words, err=True)
-    if tracer_of(scene, tracer) == "mitsuba":
-        return ensure_own(wish, plan, tell, engine or LOCAL)
-    if engine not in (None, LOCAL):
-        raise AskedError("--engine ray does not render with Cycles, which uses all cores by itself")
-    return ensure_cycles(wish, plan, tell)
-
-
-def tracer_of(scene: Path, asked: str | None) -> str:
-    """Which tracer renders a scene file: the one that reads its format. Raises AskedError."""
-    from rlbench.render.cycles.scene_file import FORMATS
-
-    reads = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
-    fits = [name for name, kinds in reads.items() if scene.suffix.lower() in kinds]
-    if asked is None and not fits:
-        told = "; ".join(f"{name} reads {', '.join(kinds)}" for name, kinds in reads.items())
-        raise AskedError(f"--scene {scene}: no tracer reads it; {told}")
-    if asked is not None and asked not in fits:
-        known = (
-            f"it reads {', '.join(reads[asked])}" if asked in reads else "it is mitsuba or cycles"
-        )
-        raise AskedError(f"--tracer {asked} does not read {scene.name}; {known}")
-    return fits[0]
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Height and width of `WxH`. Raises AskedError."""
-    wide, _, high = text.partition("x")
-    if not (wide.isdecimal() and high.isdecimal() and int(wide) and int(high)):
-        raise AskedError(f"--size takes width x height, such as 320x192, and was given '{text}'")
-    return int(high), int(wide)
-
-
-def rendered(
-    scenes: list[str] | None,
-    preset: str,
-    cap: float | None = None,
-    chosen: tuple[int, ...] | None = None,
-    views: list[str] | None = None,
-    engine: Engine | None = None,
-    kinds: Collection[str] | None = None,
-    takes: str | None = None,
-) -> list[Path]:
-    """The clip folders of a preset, or of it with a radiance cap, or with more view buffers.
-
-    Missing ones are rendered now, with those `kinds` of sample pools of the preset's, or all.
-    Scenes, `takes` of each (main or all), and seeds of generated scenes replace those of the
-    preset.
-    """
-    from rlbench.parallel.executor import LOCAL
-    from rlbench.registry import lookup as registry
-    from rlbench.render.jobs.render_clips import ensure
-    from rlbench.render.presets import PRESETS
-
-    if preset not in PRESETS:
-        raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
-    known, wanted = registry.names("scenes"), scenes or []
-    if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
-        raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
-    plan = PRESETS[preset]
-    plan = plan if cap is None else plan.capped(cap)
-    plan = plan.showing(views) if views else plan
-    plan = plan if kinds is None else plan.selling(kinds)
-    plan = plan if takes is None else plan.filming(takes)
-    return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
+from rlbench import errors
 from rlbench.cli import arguments as asked
+from rlbench.cli import user_scene
+from rlbench.render.jobs import preset_clips
 
 Scenes = Annotated[
     list[str] | None, typer.Option("--scenes", help="scenes or clips a,b; default every one")
@@ -101,12 +104,12 @@ def render(
                 ("takes", takes),
             ):
                 if value:
-                    raise asked.AskedError(f"--{option} is of a preset's clips, not of --scene")
+                    raise errors.AskedError(f"--{option} is of a preset's clips, not of --scene")
             given = scenes or (seeds and [seeds]) or None
-            folders = [asked.own_scene(scene, given, preset, *own, workers)]
+            folders = [user_scene.own_scene(scene, given, preset, *own, workers)]
         else:
             chosen = asked.seeds(seeds)
-            folders = asked.rendered(
+            folders = preset_clips.rendered(
                 asked.split(scenes or []),
                 preset,
                 cap,

@@ -6,7 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
-from rlbench.cli.arguments import AskedError, rendered
+from rlbench.errors import AskedError
+from rlbench.render.jobs.preset_clips import rendered
 
 VALIDATING = (0, 14)  # seeds of generated scenes, where it is not these that are trained on
 

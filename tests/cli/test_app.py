@@ -16,11 +16,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from rlbench import errors
 from rlbench.benchmark import results as table
 from rlbench.benchmark.results import Row
 from rlbench.cli import arguments as asked
+from rlbench.cli import benchmark
 from rlbench.cli.app import app
 from rlbench.registry import lookup as registry
+from rlbench.render.jobs import preset_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset as trainset
 from tests.conftest import write_noise, write_plugin
@@ -201,7 +204,7 @@ def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
     monkeypatch.setattr(
         "rlbench.render.jobs.render_clips.ensure", lambda plan, *_, **__: wanted.append(plan)
     )
-    asked.rendered(None, "standard", takes=asked_for)
+    preset_clips.rendered(None, "standard", takes=asked_for)
     assert [(plan.name, plan.takes) for plan in wanted] == [("standard", takes)]
 
 
@@ -373,7 +376,7 @@ def test_a_baseline_is_not_rewritten_by_a_part(clip_folder, tmp_path):
 
 def test_a_pattern_finds_rows_of_variants_that_are_not_shipped(tmp_path):
     found = table.frame_of([Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in UNSHIPPED])
-    assert set(asked.rows(found, ["ours/*"], tmp_path)["method"]) == set(UNSHIPPED)
+    assert set(benchmark.rows(found, ["ours/*"], tmp_path)["method"]) == set(UNSHIPPED)
 
 
 def test_reports_are_written_where_asked(clip_folder, tmp_path):
@@ -568,12 +571,12 @@ def test_a_training_by_numbers_that_teach_nothing_is_refused(words, tmp_path):
 
 
 def test_weights_that_are_not_there_are_told_before_anything_runs():
-    with pytest.raises(asked.AskedError, match="no file b.safetensors; 'rlbench train'"):
+    with pytest.raises(errors.AskedError, match="no file b.safetensors; 'rlbench train'"):
         asked.weights("seed1=b.safetensors")
 
 
 def test_a_name_of_weights_that_no_row_could_have_is_refused():
-    with pytest.raises(asked.AskedError, match="letters, digits"):
+    with pytest.raises(errors.AskedError, match="letters, digits"):
         asked.weights("a@b=file")
-    with pytest.raises(asked.AskedError, match="METHOD@half is what rows of another kind"):
+    with pytest.raises(errors.AskedError, match="METHOD@half is what rows of another kind"):
         asked.weights("half-a=file")

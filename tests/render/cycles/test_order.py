@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rlbench.cli.arguments import AskedError, tracer_of
+from rlbench.cli.user_scene import tracer_of
+from rlbench.errors import AskedError
 from rlbench.render.cycles import clip
 from rlbench.render.cycles import scene_file as opened
 from rlbench.render.cycles.worker_job import (
