@@ -12,6 +12,7 @@ import typer
 from rlbench.cli import arguments as asked
 from rlbench.cli.clips import Scenes, Seeds
 from rlbench.cli.methods import Device, Methods, Plugins, use
+from rlbench.training.config import Plan
 
 Frames = Annotated[int, typer.Option(min=1, help="crops to see, for each method")]
 Minutes = Annotated[
@@ -93,7 +94,7 @@ def train(
     learning = course.learners(names)
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
-    plan = course.planned(frames, batch, crop, budget, half, norm, seed)
+    plan = planned(frames, batch, crop, budget, half, norm, seed)
     command = shlex.join(["rlbench", *sys.argv[1:]])
     lessons = course.Course(
         out, plan, str(asked.device(device)), asked.minutes(minutes), command, altered
@@ -162,7 +163,7 @@ def crossval(
     from rlbench.training import runs as course
 
     names = asked.methods(methods)
-    plan = course.planned(frames, batch, crop, budget, half, norm, seed)
+    plan = planned(frames, batch, crop, budget, half, norm, seed)
     where, command = asked.device(device), shlex.join(["rlbench", *sys.argv[1:]])
     lessons = course.Course(out, plan, str(where), asked.minutes(minutes), command, altered)
     lessons.check([name for name in map(leaving.taught, names) if name])
@@ -174,3 +175,12 @@ def crossval(
     done = leaving.crossval(folds, lessons, request, results, lambda words: typer.echo(words))
     show.done(done, results)
     show.table(request, results, leaving.told(request))
+
+
+def planned(
+    frames: int, batch: int, crop: int, budget: str, half: bool, norm: float, seed: int
+) -> Plan:
+    """The plan that the options of a command ask for. Raises AskedError."""
+    asked.positive("--norm", norm)
+    spp = () if budget == "any" else asked.numbers("--budget", budget, float)
+    return Plan(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)

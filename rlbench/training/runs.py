@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rlbench.cli import arguments as asked
 from rlbench.cli import console as show
 from rlbench.registry import lookup as registry
 from rlbench.training import lr_range_test as range_test
@@ -66,15 +65,6 @@ class Course:
         folder = self.out / f"{self.folder(name).name}-range"
         with self.bar(f"{name}, range test", self.plan.frames) as tell:
             return range_test.run(name, chosen.train, folder, self.plan, self.device, tell)
-
-
-def planned(
-    frames: int, batch: int, crop: int, budget: str, half: bool, norm: float, seed: int
-) -> Plan:
-    """The plan that the options of a command ask for. Raises AskedError."""
-    asked.positive("--norm", norm)
-    spp = () if budget == "any" else asked.numbers("--budget", budget, float)
-    return Plan(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)
 
 
 def start_anew(folder: Path) -> Path | None:
