@@ -25,7 +25,17 @@ from methods.ours.experiments.known_optimum import (
 )
 from methods.ours.experiments.toy_scenes import CHANNELS, FRAMES, scenes
 from methods.ours.method import density as wished
-from methods.ours.policy import LEARNERS, Both, Draws, Learner, Policy, appo, critic, learner
+from methods.ours.policy import (
+    LEARNERS,
+    Both,
+    Draws,
+    Learner,
+    Policy,
+    appo,
+    appo_config,
+    critic,
+    learner,
+)
 from methods.ours.policy.block_reinforce import PpoPixel
 from methods.ours.policy.gamma_gradient import gamma_each
 from methods.ours.policy.surrogate_gradient import pull_each
@@ -324,7 +334,7 @@ def test_a_missing_extra_is_told_with_what_would_do(monkeypatch):
 def test_rllib_learns_by_single_pixels():
     exam = Exam.of(Direct(), frames=1, n=4, side=SIDE)
     world = lambda: Scenes(Direct(), 0, SIDE)  # noqa: E731
-    trained = appo.train(world, lambda: compare.network(0), 1500, appo.Appo(rate=2e-3))
+    trained = appo.train(world, lambda: compare.network(0), 1500, appo_config.Appo(rate=2e-3))
     assert exam.score(trained) > 0.3
 
 

@@ -20,7 +20,7 @@ from methods.ours.experiments.evaluation import Exam, Scenes
 from methods.ours.experiments.known_optimum import MODES, Mode, Moment
 from methods.ours.experiments.toy_scenes import CHANNELS, scenes
 from methods.ours.networks import Sampler
-from methods.ours.policy import Both, Learner, Policy, Situation, appo, learner
+from methods.ours.policy import Both, Learner, Policy, Situation, appo, appo_config, learner
 from methods.ours.policy.block_reinforce import PpoPixel
 from methods.ours.variants import BASE
 from rlbench.ops.init import initialise
@@ -68,9 +68,9 @@ TORCH: dict[str, Callable[[Mode], Learner]] = {
     "ppo-pixel, no price": ppo(priced=0.0),
     "ppo-pixel, single pixels": ppo(block=1),
 }
-RLLIB: dict[str, Callable[[Mode], appo.Appo]] = {
-    "rllib-appo": lambda mode: appo.Appo(reach=mode.reach),
-    "rllib-appo, joint ratio": lambda mode: appo.Appo(joint=True),
+RLLIB: dict[str, Callable[[Mode], appo_config.Appo]] = {
+    "rllib-appo": lambda mode: appo_config.Appo(reach=mode.reach),
+    "rllib-appo, joint ratio": lambda mode: appo_config.Appo(joint=True),
 }
 
 

@@ -22,7 +22,7 @@ from methods.ours.environment import Episodes
 from methods.ours.initialization import show_contrast
 from methods.ours.method import CARDS, Ours
 from methods.ours.networks import Networks, Sampler
-from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, learner
+from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, appo_config, learner
 from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
 from rlbench.ops.init import initialise
@@ -106,7 +106,7 @@ def by_torch(
 
 def by_rllib(task: Task, frames: int, tell: Callable[[int, nn.Module], None]) -> nn.Module:
     """Ray's own loop, with ratios and credit for single pixels."""
-    settings = appo.Appo(rate=PEAK, reach=REACH, factors=BASE.density == "exponential")
+    settings = appo_config.Appo(rate=PEAK, reach=REACH, factors=BASE.density == "exponential")
     return appo.train(task.world, task.sampler, frames, settings, task.seed, 100, tell)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from torch import nn
 
+from methods.ours.policy.appo_config import Appo
 from methods.ours.policy.environment import World
 from rlbench.parallel.ray_executor import QUIET
 
@@ -17,24 +17,6 @@ NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
 
 class MissingError(RuntimeError):
     """An extra is not installed."""
-
-
-@dataclass(frozen=True)
-class Appo:
-    """How RLlib is asked to learn.
-
-    Clip range, length of fragments and of gradients as in the release of Scardigli et al. 2023.
-    """
-
-    joint: bool = False  # the literal recipe: one ratio for all pixels, one reward a frame
-    rate: float = 1e-3  # learning rate at the start; it falls linearly
-    spread: float = 0.3  # deviation of the action
-    reach: int = 0  # pixels around one whose errors are credited to it
-    priced: float = 1.0  # share of the price of samples that is charged
-    factors: bool = False  # do densities grow by factors with the action, or by steps?
-    clip: float = 0.15
-    fragment: int = 4  # frames of an update
-    runners: int = 0  # processes that act; 0: this one
 
 
 def train(

@@ -24,7 +24,7 @@ from ray.rllib.core.rl_module.torch import TorchRLModule
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.policy.appo import Appo
+from methods.ours.policy.appo_config import Appo
 from methods.ours.policy.block_policy_gradient import advantage, coupling, own
 from methods.ours.policy.environment import OUTCOMES, World
 
