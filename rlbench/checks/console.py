@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from rlbench.checks.finding import Finding, Verdict
 from rlbench.checks.lint.clip_arrays import Footage
-from rlbench.lint.finding import Finding, Verdict
 
 MARKS = {
     Verdict.PASS: "[green]pass[/green]",

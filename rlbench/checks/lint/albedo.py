@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint.clip_arrays import Footage
-from rlbench.lint.finding import Finding, fine, odd, wrong
 
 CHECK = "albedo"
 GAP = 3  # pixels between two that are compared: radiance is filtered over a pixel, albedo is not

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from rlbench.checks.finding import Finding
 from rlbench.checks.lint.albedo import albedo
 from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.checks.lint.depth import depth
@@ -14,7 +15,6 @@ from rlbench.checks.lint.orientation import amiss, orientation, righted, ways
 from rlbench.checks.lint.reference import ceiling, exposure, halves
 from rlbench.checks.lint.samples import brightness, neighbours, samples, seeds
 from rlbench.checks.lint.values import finite, positive
-from rlbench.lint.finding import Finding
 
 SHOTS = 3  # frames whose normals are compared with their depth
 

@@ -6,10 +6,10 @@ import math
 
 import torch
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.checks.lint.geometry import VIEW, Fit
 from rlbench.checks.lint.normals import unit
-from rlbench.lint.finding import Finding, fine, odd, wrong
 
 CHECK = "depth"
 CLEARLY = 0.8  # times the best of other kinds: what is left of one that fits clearly better

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from rlbench.checks.finding import Finding, Verdict
 from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.checks.lint.reference import shown
-from rlbench.lint.finding import Finding, Verdict
 from rlbench.ops.reprojection import reproject
 from rlbench.system.paths import replacing
 

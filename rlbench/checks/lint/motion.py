@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.checks.lint.motion_conventions import DIRECTIONS, OPPOSITE, STORED, Reading, readings
-from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.ops.reprojection import reproject
 
 CHECK = "motion"

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.checks.lint.geometry import KINDS, Fit, positions
-from rlbench.lint.finding import Finding, fine, odd, wrong
 from rlbench.ops.reprojection import reproject
 
 CHECK = "normal"

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint.clip_arrays import Footage
-from rlbench.lint.finding import Finding, fine, odd, wrong
 
 CHECK = "orientation"
 AROUND = 9  # pixels: ranks of edges are compared with their surroundings

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint import noise_statistics as noise
 from rlbench.checks.lint.clip_arrays import Footage
-from rlbench.lint.finding import Finding, fine, odd, wrong
 
 LESS, MORE = (
     0.6,

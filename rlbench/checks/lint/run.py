@@ -8,10 +8,10 @@ from pathlib import Path
 from rich.console import Console
 
 from rlbench.checks.console import tick_list
+from rlbench.checks.finding import Verdict
 from rlbench.checks.lint.checks import examine
 from rlbench.checks.lint.clip_arrays import read_footage
 from rlbench.checks.lint.figure import draw
-from rlbench.lint.finding import Verdict
 
 
 def lint(folders: Sequence[Path], picture: Path | None = None, frames: int = 8) -> bool:

@@ -6,9 +6,9 @@ from itertools import combinations
 
 import torch
 
+from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint import noise_statistics as noise
 from rlbench.checks.lint.clip_arrays import Footage
-from rlbench.lint.finding import Finding, fine, odd, wrong
 
 ALIKE = 0.05  # correlation from which on two are not independent; a tenth of it is ours' scatter
 MUCH = 0.15

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from rlbench.checks.finding import Finding, fine, wrong
 from rlbench.checks.lint.clip_arrays import Footage
 from rlbench.clips.frame_files import not_finite
-from rlbench.lint.finding import Finding, fine, wrong
 
 SHOWN = 3  # places that are told
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from rlbench.checks.finding import Verdict
 from rlbench.checks.lint.checks import examine, geometry
 from rlbench.checks.lint.clip_arrays import Footage, read_footage
 from rlbench.checks.lint.geometry import VIEW, rotation
@@ -20,7 +21,6 @@ from rlbench.checks.lint.reference import ceiling, ceiling_db, half_noise, halve
 from rlbench.checks.lint.values import finite
 from rlbench.cli.app import app
 from rlbench.clips.stored import ClipError, open_clip
-from rlbench.lint.finding import Verdict
 from tests.checks.lint.broken_fixtures import FAULTS, break_values, clean, store
 
 QUICK = (  # one of each module runs always, all of them when slow tests do

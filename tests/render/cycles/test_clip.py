@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rlbench.checks.finding import Verdict
 from rlbench.checks.lint.checks import examine
 from rlbench.checks.lint.clip_arrays import read_footage
 from rlbench.clips.stored import open_clip, read_header, verify
-from rlbench.lint.finding import Verdict
 from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
 from rlbench.render.cycles.process import CyclesError
