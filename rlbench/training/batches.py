@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -149,3 +151,23 @@ def _stack(frames: Sequence[Frame]) -> Frame:
 
 def _integer(generator: torch.Generator, below: int) -> int:
     return int(torch.randint(below, (), generator=generator))
+
+
+@contextmanager
+def ahead(batches: Batches) -> Iterator[Callable[[int], MemoryClip]]:
+    """`Batches.draw`, one draw ahead of what is asked for, in a thread of its own.
+
+    The draws are the same as without. What stops the reading of a draw is raised when that draw is
+    asked for.
+    """
+    waiting: dict[int, Future[MemoryClip]] = {}
+    with ThreadPoolExecutor(1, thread_name_prefix="draw") as reader:
+
+        def draw(index: int) -> MemoryClip:
+            asked = waiting.pop(index, None) or reader.submit(batches.draw, index)
+            waiting.clear()
+            clip = asked.result()
+            waiting[index + 1] = reader.submit(batches.draw, index + 1)
+            return clip
+
+        yield draw

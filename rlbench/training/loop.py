@@ -15,13 +15,12 @@ import torch
 from rlbench import weights
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.method import settings
-from rlbench.prefetch import ahead
 from rlbench.registry import lookup as registry
 from rlbench.system import provenance
 from rlbench.training import checkpoint, validation
 from rlbench.training import logger as curves
 from rlbench.training import replay as postmortem
-from rlbench.training.batches import Batches, one_of
+from rlbench.training.batches import Batches, ahead, one_of
 from rlbench.training.config import Plan
 from rlbench.training.progress import Progress
 from rlbench.training.replay import replay

@@ -11,8 +11,7 @@ from torch import Tensor
 from rlbench.clips.in_memory import MemoryClip
 from rlbench.clips.stored import open_clip
 from rlbench.ops.reprojection import reproject
-from rlbench.prefetch import ahead
-from rlbench.training.batches import BatchError, Batches, one_of
+from rlbench.training.batches import BatchError, Batches, ahead, one_of
 from tests.conftest import write_noise
 from tests.procedural_folder import write_world
 
