@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from rlbench.checks.finding import Finding, Verdict
-from rlbench.checks.lint.clip_arrays import Footage
+
+if TYPE_CHECKING:
+    from rlbench.checks.lint.clip_arrays import Footage
 
 MARKS = {
     Verdict.PASS: "[green]pass[/green]",
