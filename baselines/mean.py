@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from torch import Tensor
 
-    from rlbench.frames import Samples, Size, View
+    from rlbench.frames import GBuffer, Samples, Size
 
 TRAITS = Traits()
 
@@ -35,12 +35,12 @@ class Mean:
     def start(self, size: Size) -> None:
         """Nothing is remembered."""
 
-    def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
         """Ones: every pixel wants the same."""
         return samples.radiance.new_ones(samples.counts.shape)
 
     def denoise(
-        self, view: View, samples: Samples, state: None
+        self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The mean of each pixel's samples, linear radiance."""
         return samples.mean, None

@@ -26,13 +26,13 @@ class Metric:
 
     name: str
     unit: str  # "dB", or empty for a plain number
-    better: str  # "high", "low", or empty where it is a signed error, best at zero
+    direction: str  # "high", "low", or empty where it is a signed error, best at zero
     convention: str  # what must be known to reproduce the number
     score: Score
     fit: Callable[[int, int], Metric] | None = None
-    halves: bool = False  # is it only defined where `a` and `b` are independent?
+    needs_reference_halves: bool = False  # is it only defined where `a` and `b` are independent?
     temporal: bool = False  # does it look at the frame before, too?
-    packages: tuple[str, ...] = ()  # distributions that make its scores; measured anew with others
+    requires: tuple[str, ...] = ()  # distributions that make its scores; measured anew with others
 
     def at(self, height: int, width: int) -> Metric:
         """This metric, or the one that stands in for it at a size at which it is not defined."""
@@ -87,9 +87,9 @@ def _undefined(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
 
 def _ms_ssim_at(height: int, width: int) -> Metric:
     """MS-SSIM of as many scales as fit; fewer than five are named in the name, of none is NaN."""
-    from metrics.image import most_scales
+    from metrics.image import max_scales
 
-    scales = most_scales(height, width)
+    scales = max_scales(height, width)
     if scales == 5:
         return MS_SSIM
     if scales == 0:
@@ -122,7 +122,7 @@ MS_SSIM = Metric(
     f"5 scales; {_SSIM_CONVENTION}",
     partial(_ms_ssim, scales=5),
     _ms_ssim_at,
-    packages=("pytorch-msssim",),
+    requires=("pytorch-msssim",),
 )
 RELMSE = Metric("relmse", "", "low", "linear radiance, per channel, reference^2 + 0.01", _relmse)
 MSE_DEBIASED = Metric(
@@ -131,7 +131,7 @@ MSE_DEBIASED = Metric(
     "low",
     "linear radiance, mean((x-a)(x-b)) of half references",
     _mse_debiased,
-    halves=True,
+    needs_reference_halves=True,
 )
 BIAS = Metric(
     "bias",

@@ -28,7 +28,7 @@ def psnr(
     A pixel that is not finite has the worst error there is, 1 in every channel.
     """
     error = (display(image) - display(reference)).square()
-    error = error.masked_fill(broken(image), 1.0)
+    error = error.masked_fill(nonfinite_mask(image), 1.0)
     mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
     return (-10 * mse.log10()).float()
 
@@ -47,7 +47,7 @@ def tpsnr(
     change = display(frames[:, 1]) - display(frames[:, 0])
     truth = display(references[:, 1]) - display(references[:, 0])
     error = (change - truth).square()
-    error = error.masked_fill(broken(frames[:, 0]) | broken(frames[:, 1]), 4.0)
+    error = error.masked_fill(nonfinite_mask(frames[:, 0]) | nonfinite_mask(frames[:, 1]), 4.0)
     mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
     return (-10 * mse.log10()).float()
 
@@ -64,19 +64,19 @@ def ms_ssim(
     further from the reference. Raises ValueError where a side is too small for `scales`.
     """
     h, w = image.shape[-2:]
-    if scales > most_scales(h, w):
+    if scales > max_scales(h, w):
         raise ValueError(
             f"MS-SSIM of {scales} scales needs sides above {(WINDOW - 1) << (scales - 1)} pixels, "
-            f"found {h} x {w}, which allow {most_scales(h, w)}; see MS_SSIM.at(height, width)"
+            f"found {h} x {w}, which allow {max_scales(h, w)}; see MS_SSIM.at(height, width)"
         )
     truth = display(reference)
-    shown = torch.where(broken(image), (truth < 0.5).to(truth.dtype), display(image))
+    shown = torch.where(nonfinite_mask(image), (truth < 0.5).to(truth.dtype), display(image))
     if scales == len(SCALE_WEIGHTS):
         return _five_scales(shown, truth)
     return _fewer_scales(shown, truth, scales)
 
 
-def most_scales(height: int, width: int) -> int:
+def max_scales(height: int, width: int) -> int:
     """Scales of MS-SSIM, at most 5, whose coarsest image still holds a whole window; maybe 0."""
     room = (min(height, width) - 1) // (WINDOW - 1)
     return min(room.bit_length(), len(SCALE_WEIGHTS))
@@ -125,17 +125,17 @@ def bias(
 
 def nonfinite(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " n"]:
     """Number of pixels in which some channel is NaN or infinite."""
-    return broken(image).flatten(1).sum(1).float()
+    return nonfinite_mask(image).flatten(1).sum(1).float()
 
 
-def broken(image: Float[Tensor, "n 3 h w"]) -> Bool[Tensor, "n 1 h w"]:
+def nonfinite_mask(image: Float[Tensor, "n 3 h w"]) -> Bool[Tensor, "n 1 h w"]:
     """True where some channel of a pixel is NaN or infinite."""
     return ~torch.isfinite(image).all(1, keepdim=True)
 
 
 def _held(image: Tensor) -> Tensor:
     """The image in the range of half floats, in double precision so that its square is finite."""
-    return image.double().clamp(-LARGEST, LARGEST).masked_fill(broken(image), -LARGEST)
+    return image.double().clamp(-LARGEST, LARGEST).masked_fill(nonfinite_mask(image), -LARGEST)
 
 
 def _five_scales(shown: Tensor, truth: Tensor) -> Tensor:

@@ -7,12 +7,10 @@ from typing import Any
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.analysis import method_names as names
-from reports.analysis import variant_differences as variants
-from reports.analysis.intervals import DRAWS, TOLD
+from reports.analysis import aggregate, method_names, variant_differences
+from reports.analysis.intervals import DRAWS, INTERVAL_NOTE
 from reports.analysis.variant_differences import METRIC
-from reports.layout import page as pages
+from reports.layout import page
 from reports.layout.tables import Grid, gap_text, wide
 from reports.published import published
 
@@ -35,23 +33,23 @@ def write(
     """
     title = "Ablations of {}"
     methods = set(table["method"])
-    named = {method for method in methods if names.weights(method)}
-    called, families = set(map(names.weights, named)), set(map(names.family, named))
-    if len(called) == 1 and families.isdisjoint(map(names.family, methods - named)):
+    named = {method for method in methods if method_names.weights(method)}
+    called, families = set(map(method_names.weights, named)), set(map(method_names.family, named))
+    if len(called) == 1 and families.isdisjoint(map(method_names.family, methods - named)):
         title += f", rows @{called.pop()}"
-        table = table.assign(method=table["method"].map(names.row))
-    family = variants.chosen(table, family)
+        table = table.assign(method=table["method"].map(method_names.row))
+    family = variant_differences.chosen(table, family)
     sections = []
-    for device, rows in scores.by_device(table).items():
-        rows = rows[rows["method"].map(names.family) == family]
-        if not variants.of(rows).get(family):
+    for device, rows in aggregate.by_device(table).items():
+        rows = rows[rows["method"].map(method_names.family) == family]
+        if not variant_differences.families_with_scores(rows).get(family):
             continue
-        scores.check(rows)
-        found = variants.differences(rows, family, seed, draws)
+        aggregate.check(rows)
+        found = variant_differences.differences(rows, family, seed, draws)
         grids = [_score_grid(rows, found, family), _time_grid(rows, found, family, device)]
         grids.append(_change_grid(rows, found, family))
-        sections.append(pages.Section(device, grids, found, _lists(rows, found, family)))
-    return pages.write(folder, name, title.format(family), table, sections)
+        sections.append(page.Section(device, grids, found, _lists(rows, found, family)))
+    return page.write(folder, name, title.format(family), table, sections)
 
 
 def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
@@ -65,9 +63,10 @@ def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
             for line in body
         ]
     caption = (
-        f"PSNR in dB ({scores.about(table, METRIC, 'convention')}) of each variant less that of "
+        f"PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
+        f" of each variant less that of "
         f"{family}, paired by scene, clip, frame, budget and seed; mean over scenes. In brackets: "
-        f"{TOLD}; bold where it excludes zero. Another training would differ too."
+        f"{INTERVAL_NOTE}; bold where it excludes zero. Another training would differ too."
     )
     if base and any(stated.values()):
         caption += f" Paper: difference in {published().source}, {published().title}."
@@ -82,14 +81,14 @@ def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: st
         f"Whole frame in ms (plan + denoise, p50, + samples) less that of {family}, mean over "
         f"scenes, on {device or 'a device not named'}; networks are timed on one clip of each "
         f"size, so a few ms are noise; cost of a sample: "
-        f"{scores.profile(table) or 'not measured'}."
+        f"{aggregate.profile(table) or 'not measured'}."
     )
     return Grid(f"Frame time less that of {family}", caption, head, tuple(body))
 
 
 def _change_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
     head, body = wide(found, lambda row: str(row["pairs"]))
-    lines = tuple((*line, variants.changes(table, line[0], family)) for line in body)
+    lines = tuple((*line, variant_differences.changes(table, line[0], family)) for line in body)
     caption = (
         f"Settings are those that {family} and its variants wrote into the results, default -> "
         "variant; rlbench list methods says which question each answers. Numbers: pairs of scores."
@@ -107,18 +106,20 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, l
     held = {(row["method"], row["spp"]) for row in rows}
     absent = [
         f"{method} at {spp:g} spp: not scored, or {family} is not"
-        for method in variants.of(table)[family]
-        for spp in sorted(set(variants.scored(table)["spp"]))
+        for method in variant_differences.families_with_scores(table)[family]
+        for spp in sorted(set(variant_differences.scored(table)["spp"]))
         if (method, spp) not in held
     ]
     shown = set(found["method"])
-    stated = [s for s in published().table if names.family(s.row) == family and s.row != family]
+    stated = [
+        s for s in published().table if method_names.family(s.row) == family and s.row != family
+    ]
     return {
         "Scores without a partner": odd,
         "Not compared": absent,
         "Variants of the paper that are not here": [
             f"{s.name}, here {s.row}" for s in stated if s.row not in shown
         ],
-        "Not run": scores.reasons(table[table["metric"] == METRIC]),
-        "Remarks": scores.remarks(table[table["metric"] == METRIC]),
+        "Not run": aggregate.reasons(table[table["metric"] == METRIC]),
+        "Remarks": aggregate.remarks(table[table["metric"] == METRIC]),
     }

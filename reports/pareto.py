@@ -7,9 +7,8 @@ from pathlib import Path
 import matplotlib as mpl
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.layout import page as pages
-from reports.layout import style
+from reports.analysis import aggregate
+from reports.layout import page, style
 from reports.layout.pareto_panels import MOST, OVERALL, draw
 
 
@@ -21,10 +20,10 @@ def write(
     Total time = plan + denoise + samples bought per pixel x time of one sample per pixel. Cells
     without score or time are not plotted. Raises ReportError if nothing can be.
     """
-    parts = scores.by_device(table)
+    parts = aggregate.by_device(table)
     written = []
     for device, rows in parts.items():
-        scores.check(rows)
+        aggregate.check(rows)
         plotted = curves(rows, metric)
         file = name if len(parts) == 1 else f"{name}-{style.slug(device)}"
         with mpl.rc_context(style.RC):
@@ -40,39 +39,42 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
 
     `front` is true for a point of its panel that none is both faster and better than.
     """
-    per_scene = scores.points(table, metric)
-    mean = scores.overall(per_scene).assign(scene=OVERALL)
+    per_scene = aggregate.points(table, metric)
+    mean = aggregate.overall(per_scene).assign(scene=OVERALL)
     every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
     every = every[every["total_ms"].notna()].reset_index(drop=True)
     if every.empty:
         found = sorted(set(table.loc[table["value"].notna(), "metric"])) or ["nothing"]
-        raise scores.ReportError(
+        raise aggregate.ReportError(
             f"no cell has {metric}, plan_ms, denoise_ms and sample_ms, so no time can be plotted; "
             f"measured were: {', '.join(found)}; rlbench run --cost takes a published sample_ms"
         )
     if OVERALL not in set(every["scene"]) and every["scene"].nunique() > MOST:
-        raise scores.ReportError(
+        raise aggregate.ReportError(
             f"no method has {metric} and times at one budget on each of {every['scene'].nunique()} "
             f"scenes, and more than {MOST} have no panels of their own; plot fewer scenes"
         )
     every["front"] = False
-    better = scores.about(table, metric, "better")
+    better = aggregate.column_text(table, metric, "better")
     for _, panel in every.groupby("scene"):
-        kept = scores.front(panel["total_ms"], panel["value"], better)
+        kept = aggregate.pareto_front(panel["total_ms"], panel["value"], better)
         every.loc[panel.index[kept], "front"] = True
     return every
 
 
 def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
-    unit, better = scores.about(table, metric, "unit"), scores.about(table, metric, "better")
+    unit, better = (
+        aggregate.column_text(table, metric, "unit"),
+        aggregate.column_text(table, metric, "better"),
+    )
     title = metric.upper().replace("_", "-") if metric in ("psnr", "ms_ssim") else metric
     value = f"{title} [{unit}]" if unit else title
     direction = {"high": "  (up is better)", "low": "  (down is better)"}.get(better, "")
     counted = table[(table["metric"] == metric) & table["value"].notna()]
     caption = (
-        f"{title}: {scores.about(table, metric, 'convention')}; {pages.clips(counted)}. "
+        f"{title}: {aggregate.column_text(table, metric, 'convention')}; {page.clips(counted)}. "
         f"Time: plan + denoise (p50) on {device or 'a device not named'}\n+ samples bought per "
-        f"pixel x time of one sample per pixel ({scores.profile(table) or 'source not named'})."
+        f"pixel x time of one sample per pixel ({aggregate.profile(table) or 'source not named'})."
     )
     caption += _missing(table, metric)
     return {"value": value, "direction": direction, "better": better, "caption": caption}
@@ -80,10 +82,10 @@ def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
 
 def _missing(table: pd.DataFrame, metric: str) -> str:
     """What has no mean over scenes though it was measured, as lines of the caption."""
-    per_scene = scores.points(table, metric)
+    per_scene = aggregate.points(table, metric)
     untimed = set(per_scene.loc[per_scene["total_ms"].isna(), "method"])
     scored = table.loc[(table["metric"] == metric) & table["value"].notna()]
-    whole = scores.overall(per_scene).groupby("method")["spp"].nunique()
+    whole = aggregate.overall(per_scene).groupby("method")["spp"].nunique()
     asked = scored.groupby("method")["spp"].nunique()
     partly = {method for method, budgets in asked.items() if whole.get(method, 0) < budgets}
     told = {"Not on every scene and frame": partly, "Without a time on every scene": untimed}

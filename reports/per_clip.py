@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.analysis.intervals import DRAWS, TOLD, interval, paired
-from reports.layout import page as pages
+from reports.analysis import aggregate
+from reports.analysis.intervals import DRAWS, INTERVAL_NOTE, interval, paired
+from reports.layout import page
 from reports.layout.tables import Bold, Grid, gap_text
 
 METRIC = "psnr"
@@ -25,22 +25,22 @@ def write(
     bootstrap. Raises ReportError where rows would be averaged that must not be.
     """
     sections = []
-    for device, rows in scores.by_device(table).items():
-        scores.check(rows)
+    for device, rows in aggregate.by_device(table).items():
+        aggregate.check(rows)
         scored = rows[rows["metric"] == METRIC]
-        means = scores.clip_means(scored, METRIC)
-        whole = scores.overall(scores.scene_means(scored, METRIC))
-        shots = scores.shots(scored, METRIC)
-        told = scores.about(scored, METRIC, "convention")
+        means = aggregate.clip_means(scored, METRIC)
+        whole = aggregate.overall(aggregate.scene_means(scored, METRIC))
+        shots = aggregate.per_frame_scores(scored, METRIC)
+        told = aggregate.column_text(scored, METRIC, "convention")
         budgets = sorted(set(means["spp"]))
         grids = [_grid(spp, means, whole, shots, told, seed, draws) for spp in budgets]
         lists = {
-            "Not run": scores.reasons(scored),
-            "Left out of the means": scores.gaps(scored, METRIC),
-            "Remarks": scores.remarks(scored),
+            "Not run": aggregate.reasons(scored),
+            "Left out of the means": aggregate.incomplete_groups(scored, METRIC),
+            "Remarks": aggregate.remarks(scored),
         }
-        sections.append(pages.Section(device, grids, means, lists))
-    return pages.write(folder, name, "Clip by clip", table, sections)
+        sections.append(page.Section(device, grids, means, lists))
+    return page.write(folder, name, "Clip by clip", table, sections)
 
 
 def _grid(
@@ -73,7 +73,7 @@ def _grid(
     caption = (
         f"{convention}; mean over frames, best of a line bold. "
         f"Last line: mean over scenes of the difference to {base}, paired by frame; in brackets "
-        f"{TOLD}; bold where it excludes zero."
+        f"{INTERVAL_NOTE}; bold where it excludes zero."
     )
     return Grid(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), body)
 

@@ -10,11 +10,11 @@ from importlib.resources import files
 
 import pandas as pd
 
-from rlbench.benchmark.results import LacksError
+from rlbench.benchmark.results import MissingRowsError
 
 
 @dataclass(frozen=True)
-class Stated:
+class PublishedRow:
     """A row of the paper's Table 1, and the row of rlbench that is nearest."""
 
     name: str  # as the paper writes it
@@ -43,7 +43,7 @@ class Published:
     conditions: str  # size, device, renderer, protocol
     source: str  # of the table
     spp: float  # at which the table's scores are
-    table: tuple[Stated, ...]
+    table: tuple[PublishedRow, ...]
     derived: tuple[Point, ...]
     sample_ms: float  # of one sample per pixel, mean of the scenes
     scene_ms: Mapping[str, float]
@@ -51,7 +51,7 @@ class Published:
     deviation_row: str
     trainings: int
 
-    def of(self, row: str) -> Stated | None:
+    def of(self, row: str) -> PublishedRow | None:
         """What is stated of a row, or None."""
         return next((stated for stated in self.table if stated.row == row), None)
 
@@ -71,7 +71,7 @@ def published() -> Published:
         conditions=read["conditions"],
         source=table["source"],
         spp=table["spp"],
-        table=tuple(Stated(**row) for row in table["rows"]),
+        table=tuple(PublishedRow(**row) for row in table["rows"]),
         derived=tuple(Point(**point) for point in read["derived"]),
         sample_ms=sampling["mean_ms"],
         scene_ms=sampling["scene_ms"],
@@ -81,10 +81,10 @@ def published() -> Published:
     )
 
 
-def lacking(table: pd.DataFrame, metric: str) -> LacksError:
+def lacking(table: pd.DataFrame, metric: str) -> MissingRowsError:
     """The error of a table in which no device has a row of the paper on every scene."""
     have = ", ".join(sorted(set(table["method"]))) or "nothing"
-    return LacksError(
+    return MissingRowsError(
         f"no row of the paper has {metric} on every scene; the results are of: {have}; "
         "rlbench run --methods all measures the paper's"
     )

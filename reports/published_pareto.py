@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.layout import paired_panels as beside
-from reports.layout import style
+from reports.analysis import aggregate
+from reports.layout import paired_panels, style
 from reports.published import Published, lacking, published
 
 if TYPE_CHECKING:
@@ -28,8 +27,8 @@ def write(table: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
     named, not drawn. Raises LacksError if none of the paper's rows was measured.
     """
     parts = {}
-    for device, rows in scores.by_device(table).items():
-        scores.check(rows)
+    for device, rows in aggregate.by_device(table).items():
+        aggregate.check(rows)
         if len(measured(rows)):
             parts[device] = rows
     if not parts:
@@ -53,14 +52,14 @@ def figures(table: pd.DataFrame, device: str) -> dict[str, Figure]:
     told = _others(table, here)
     with mpl.rc_context(style.RC):
         return {
-            axis: beside.draw(here, theirs, beside.AXES[axis], caption + told)
+            axis: paired_panels.draw(here, theirs, paired_panels.AXES[axis], caption + told)
             for axis, caption in _captions(table, here, device).items()
         }
 
 
 def measured(table: pd.DataFrame) -> pd.DataFrame:
     """Columns method, spp, value, total_ms of the paper's rows: means over scenes, as measured."""
-    found = scores.overall(scores.points(table, METRIC))
+    found = aggregate.overall(aggregate.points(table, METRIC))
     found = found[found["method"].map(lambda method: published().of(method) is not None)]
     return pd.DataFrame(found[COLUMNS].reset_index(drop=True))
 
@@ -79,7 +78,7 @@ def stated(paper: Published) -> pd.DataFrame:
 def _captions(table: pd.DataFrame, here: pd.DataFrame, device: str) -> dict[str, str]:
     paper = published()
     told = (
-        f"Left: PSNR, {scores.about(table, METRIC, 'convention')}; mean over scenes.\n"
+        f"Left: PSNR, {aggregate.column_text(table, METRIC, 'convention')}; mean over scenes.\n"
         f"Right: {paper.title}, Table 1; {paper.conditions}; "
         "dotted: from its text.\n"
         "The two panels share a scale, not a zero: their values cannot be compared, their orders "
@@ -89,7 +88,8 @@ def _captions(table: pd.DataFrame, here: pd.DataFrame, device: str) -> dict[str,
     times = (
         f"\nPoints of a curve, from left to right: {budgets} spp, where it was run. Time here: "
         f"plan + denoise (p50) on {device or 'a device not named'} + samples bought per pixel x "
-        f"time of one sample per pixel ({_cost(scores.profile(table))}); theirs: inference + spp x "
+        f"time of one sample per pixel ({_cost(aggregate.profile(table))}); "
+        "theirs: inference + spp x "
         f"{paper.sample_ms:g} ms."
     )
     return {"spp": told, "time": told + times}

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.analysis.intervals import DRAWS, TOLD
+from reports.analysis import aggregate
+from reports.analysis.intervals import DRAWS, INTERVAL_NOTE
 from reports.analysis.ranking import EVERY, ranking
-from reports.layout import page as pages
+from reports.layout import page
 from reports.layout.tables import Bold, Grid
 
 TIME_COLUMNS = {
@@ -33,13 +33,13 @@ def write(
     that must not be.
     """
     sections = []
-    for device, rows in scores.by_device(table).items():
-        scores.check(rows)
-        ranks = [ranking(rows, metric, seed, draws) for metric in scores.metrics(rows)]
+    for device, rows in aggregate.by_device(table).items():
+        aggregate.check(rows)
+        ranks = [ranking(rows, metric, seed, draws) for metric in aggregate.metrics(rows)]
         grids = [*_score_grids(rows, ranks), *_time_grids(rows, device), *_scene_grids(rows, ranks)]
         records = pd.concat(ranks or [pd.DataFrame()])
-        sections.append(pages.Section(device, grids, records, _lists(rows)))
-    return pages.write(folder, name, "Summary", table, sections)
+        sections.append(page.Section(device, grids, records, _lists(rows)))
+    return page.write(folder, name, "Summary", table, sections)
 
 
 def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:
@@ -48,7 +48,8 @@ def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Gri
             table,
             rank[rank["scene"] == EVERY],
             "mean over scenes",
-            f"Bold is best at its budget. In brackets: {TOLD} of the paired difference to the "
+            f"Bold is best at its budget. In brackets: {INTERVAL_NOTE} "
+            "of the paired difference to the "
             "best; a tie is a difference whose interval holds zero.",
         )
         for rank in ranks
@@ -67,7 +68,7 @@ def _scene_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Gri
 def _grid(table: pd.DataFrame, rank: pd.DataFrame, of: str, caption: str) -> Grid:
     metric = str(rank["metric"].iloc[0]) if len(rank) else "score"
     unit, better, convention = (
-        scores.about(table, metric, c) for c in ("unit", "better", "convention")
+        aggregate.column_text(table, metric, c) for c in ("unit", "better", "convention")
     )
     budgets, show = sorted(set(rank["spp"])), _shown(unit)
     cells = {(row.method, row.spp): _cell(row, show) for row in rank.itertuples()}
@@ -98,10 +99,10 @@ def _shown(unit: str) -> Show:
 
 
 def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
-    metrics = scores.metrics(table)
+    metrics = aggregate.metrics(table)
     if not metrics:
         return []
-    means = scores.overall(scores.points(table, metrics[0]))
+    means = aggregate.overall(aggregate.points(table, metrics[0]))
     if means["total_ms"].isna().all():
         return []
     head = ("method", "spp", "spp bought", *TIME_COLUMNS.values())
@@ -110,7 +111,7 @@ def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
         + tuple("-" if pd.isna(row[c]) else f"{row[c]:.2f}" for c in TIME_COLUMNS)
         for _, row in means.iterrows()
     )
-    source = scores.profile(table) or "a source not named"
+    source = aggregate.profile(table) or "a source not named"
     caption = (
         f"Plan and denoise on {device or 'a device not named'}; sampling = samples bought per "
         f"pixel x time of one sample per pixel ({source}); total = plan and denoise p50 + sampling."
@@ -120,9 +121,13 @@ def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
 
 def _lists(table: pd.DataFrame) -> dict[str, list[str]]:
     """What is missing, and notes on what is not."""
-    missing = [line for metric in scores.metrics(table) for line in scores.gaps(table, metric)]
+    missing = [
+        line
+        for metric in aggregate.metrics(table)
+        for line in aggregate.incomplete_groups(table, metric)
+    ]
     return {
-        "Not run": scores.reasons(table),
+        "Not run": aggregate.reasons(table),
         "Left out of the means": missing,
-        "Remarks": scores.remarks(table),
+        "Remarks": aggregate.remarks(table),
     }

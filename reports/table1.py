@@ -9,11 +9,10 @@ from typing import Any
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.analysis import method_names as names
-from reports.analysis.correlation import Agreement, agreement
-from reports.analysis.intervals import DRAWS, TOLD, UNKNOWN, interval, paired
-from reports.layout import page as pages
+from reports.analysis import aggregate, method_names
+from reports.analysis.correlation import Agreement, kendall_tau
+from reports.analysis.intervals import DRAWS, INTERVAL_NOTE, UNKNOWN, interval, paired
+from reports.layout import page
 from reports.layout.tables import Grid, gap_text
 from reports.published import lacking, published
 
@@ -35,18 +34,18 @@ def write(
     be averaged that must not be.
     """
     sections = []
-    for device, rows in scores.by_device(table).items():
-        scores.check(rows)
+    for device, rows in aggregate.by_device(table).items():
+        aggregate.check(rows)
         found = compared(rows, seed, draws)
         if not any(published().of(method) for method in found.get("method", ())):
             continue  # another device has the paper's rows, or none has
         alike = orders(found, seed, draws)
         grid = _grid(rows, found, alike, device)
-        sections.append(pages.Section(device, [grid], found, _lists(rows, found)))
+        sections.append(page.Section(device, [grid], found, _lists(rows, found)))
     if not sections:
         raise lacking(table, METRIC)
     heading = f"Table 1 of {published().title}, and ours"
-    return pages.write(folder, name, heading, table, sections)
+    return page.write(folder, name, heading, table, sections)
 
 
 def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataFrame:
@@ -56,9 +55,11 @@ def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataF
     its interval; inference is plan and denoise, p50. What the paper
     states of its 4 spp stands at that budget alone. Rows of named weights are left out.
     """
-    table = table[table["method"].map(names.weights) == ""]
-    means = scores.overall(scores.points(table, METRIC))
-    shots = scores.shots(table, METRIC).merge(means[["method", "spp"]], on=["method", "spp"])
+    table = table[table["method"].map(method_names.weights) == ""]
+    means = aggregate.overall(aggregate.points(table, METRIC))
+    shots = aggregate.per_frame_scores(table, METRIC).merge(
+        means[["method", "spp"]], on=["method", "spp"]
+    )
     parts = {key: part for key, part in shots.groupby(["method", "spp"])}
     made = []
     for row in means.to_dict("records"):
@@ -83,7 +84,7 @@ def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataF
 def orders(found: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> Agreement:
     """How alike the paper and this table order the rows that both have at 4 spp."""
     both = found[found["published_psnr"].notna()]
-    return agreement(list(both["published_psnr"]), list(both[METRIC]), seed, draws)
+    return kendall_tau(list(both["published_psnr"]), list(both[METRIC]), seed, draws)
 
 
 def _stated(method: str, spp: float) -> dict[str, object]:
@@ -126,8 +127,9 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, alike: Agreement, device: st
         "paper, ms",
     )
     caption = (
-        f"PSNR in dB ({scores.about(table, METRIC, 'convention')}), mean over scenes; inference = "
-        f"plan + denoise, p50, on {device or 'a device not named'}. In brackets: {TOLD} "
+        f"PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
+        f", mean over scenes; inference = "
+        f"plan + denoise, p50, on {device or 'a device not named'}. In brackets: {INTERVAL_NOTE} "
         f"of the paired difference; bold where it excludes zero. Paper: "
         f"{published().title}, {published().source}; {published().conditions}. {WARNING} "
         + _agreed(alike)
@@ -163,7 +165,7 @@ def _gap(row: Record | None) -> str:
 
 def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
     there = set(found["method"])
-    named = sorted({m for m in table["method"] if names.weights(m)})
+    named = sorted({m for m in table["method"] if method_names.weights(m)})
     absent = [f"{s.name}, here {s.row}" for s in published().table if s.row not in there]
     missing = [] if BASE in there else [f"differences: '{BASE}' was not measured on every scene"]
     if published().spp not in set(found["spp"]):
@@ -175,8 +177,8 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
         "Not quite the paper's": [
             f"{s.row}: {s.note}" for s in published().table if s.note and s.row in there
         ],
-        "Left out of the means": scores.gaps(table, METRIC),
+        "Left out of the means": aggregate.incomplete_groups(table, METRIC),
         "Left out, as they ran with named weights": named,
-        "Not run": scores.reasons(scored),
-        "Remarks": scores.remarks(scored),
+        "Not run": aggregate.reasons(scored),
+        "Remarks": aggregate.remarks(scored),
     }

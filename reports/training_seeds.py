@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.analysis import method_names as names
-from reports.analysis.correlation import deviation
-from reports.analysis.training_differences import BASE, against
-from reports.layout import page as pages
+from reports.analysis import aggregate, method_names
+from reports.analysis.correlation import std_with_interval
+from reports.analysis.training_differences import BASE, differences_to
+from reports.layout import page
 from reports.layout.tables import Grid, gap_text, wide
 from reports.published import published
-from rlbench.benchmark.results import LacksError
+from rlbench.benchmark.results import MissingRowsError
 
 METRIC = "psnr"
 
@@ -26,23 +25,23 @@ def write(table: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
     two have the same weights.
     """
     sections = []
-    for device, rows in scores.by_device(table).items():
-        trained = rows[rows["method"].map(names.series) != ""]
+    for device, rows in aggregate.by_device(table).items():
+        trained = rows[rows["method"].map(method_names.training_series) != ""]
         found = deviations(trained)
         if len(found):
-            scores.check(trained)
+            aggregate.check(trained)
             grids = [_grid(trained, found, device)]
-            differ = against(_means(trained))
+            differ = differences_to(_means(trained))
             grids += [_difference_grid(trained, differ)] if len(differ) else []
             both = found.merge(differ, on=["series", "spp"], how="left")
-            sections.append(pages.Section(device, grids, both, _lists(trained, found)))
+            sections.append(page.Section(device, grids, both, _lists(trained, found)))
     if not sections:
-        have = sorted({method for method in table["method"] if names.weights(method)})
-        raise LacksError(
+        have = sorted({method for method in table["method"] if method_names.weights(method)})
+        raise MissingRowsError(
             "no row was scored with two trainings; it takes rows such as ours@seed0 and ours@seed1,"
             f" and rows of named weights are: {', '.join(have) or 'none'}"
         )
-    return pages.write(folder, name, "Seeds of training", table, sections)
+    return page.write(folder, name, "Seeds of training", table, sections)
 
 
 def deviations(table: pd.DataFrame) -> pd.DataFrame:
@@ -54,13 +53,13 @@ def deviations(table: pd.DataFrame) -> pd.DataFrame:
     _differ(table)
     made = []
     means = _means(table)
-    for series, trained in means.groupby(means["method"].map(names.series)):
+    for series, trained in means.groupby(means["method"].map(method_names.training_series)):
         made += [{"series": series, **row} for row in _spread(trained)]
     return pd.DataFrame(made)
 
 
 def _means(table: pd.DataFrame) -> pd.DataFrame:
-    return scores.overall(scores.scene_means(table, METRIC))
+    return aggregate.overall(aggregate.scene_means(table, METRIC))
 
 
 def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
@@ -68,7 +67,7 @@ def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
     for spp, part in means.groupby("spp"):
         if len(part) < 2:
             continue
-        found = deviation(list(part["value"]))
+        found = std_with_interval(list(part["value"]))
         made.append(
             {
                 "spp": spp,
@@ -88,9 +87,11 @@ def _differ(table: pd.DataFrame) -> None:
     """Raise ReportError where two trainings of a series are one: their weights are the same."""
     known = table[(table["metric"] == METRIC) & table["value"].notna() & (table["weights"] != "")]
     known = known.drop_duplicates(["method", "weights"])
-    for (_, weights), part in known.groupby([known["method"].map(names.series), "weights"]):
+    for (_, weights), part in known.groupby(
+        [known["method"].map(method_names.training_series), "weights"]
+    ):
         if len(part) > 1:
-            raise scores.ReportError(
+            raise aggregate.ReportError(
                 f"{' and '.join(sorted(part['method']))} ran with the same weights ({weights}); "
                 "a deviation between trainings needs weights of different seeds"
             )
@@ -106,13 +107,16 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
             f"{row['mean']:.2f}",
             f"{row['deviation']:.3f} [{row['low']:.3f}, {row['high']:.3f}]",
             f"{row['least']:.2f} to {row['most']:.2f}",
-            f"{paper.deviation_db:g}" if names.row(row["series"]) == paper.deviation_row else "-",
+            f"{paper.deviation_db:g}"
+            if method_names.row(row["series"]) == paper.deviation_row
+            else "-",
         )
         for row in found.to_dict("records")
     )
     head = ("trainings of", "spp", "number", "mean", "deviation", "range", "paper")
     caption = (
-        f"PSNR in dB ({scores.about(table, METRIC, 'convention')}), mean over scenes, of trainings "
+        f"PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
+        f", mean over scenes, of trainings "
         "that differ in their seed alone. Deviation: standard deviation (n - 1) and its 95 % "
         "interval by chi-square, which takes the trainings to be normal. Paper: "
         f"{paper.deviation_db:g} dB from {paper.trainings} trainings, budget not said "
@@ -128,7 +132,8 @@ def _difference_grid(table: pd.DataFrame, differ: pd.DataFrame) -> Grid:
         lambda row: gap_text(row["difference"], row["difference_low"], row["difference_high"]),
     )
     caption = (
-        f"Mean PSNR in dB ({scores.about(table, METRIC, 'convention')}) of a row's trainings less "
+        f"Mean PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
+        f" of a row's trainings less "
         f"that of the trainings of {BASE}. In brackets: 95 % interval by Welch's t-test over "
         "trainings, bold where it excludes zero. It holds for these clips; other clips would "
         "differ too."
@@ -139,10 +144,10 @@ def _difference_grid(table: pd.DataFrame, differ: pd.DataFrame) -> Grid:
 
 def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
     shown = set(found["series"])
-    single = sorted({m for m in table["method"] if names.series(m) not in shown})
+    single = sorted({m for m in table["method"] if method_names.training_series(m) not in shown})
     return {
         "Trained once, so not shown": single,
-        "Left out of the means": scores.gaps(table, METRIC),
-        "Not run": scores.reasons(table[table["metric"] == METRIC]),
-        "Remarks": scores.remarks(table[table["metric"] == METRIC]),
+        "Left out of the means": aggregate.incomplete_groups(table, METRIC),
+        "Not run": aggregate.reasons(table[table["metric"] == METRIC]),
+        "Remarks": aggregate.remarks(table[table["metric"] == METRIC]),
     }

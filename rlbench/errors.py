@@ -9,7 +9,7 @@ class PluginError(LookupError):
     """A name that no plugin has, two plugins of one name, or a plugin that breaks its promise."""
 
 
-class AskedError(ValueError):
+class OptionError(ValueError):
     """An option's value that cannot be used."""
 
 

@@ -16,30 +16,39 @@ class Traits:
     whole budget.
     """
 
-    needs: frozenset[str] = frozenset()  # view buffers it reads: albedo, normal, depth, motion
+    inputs: frozenset[str] = frozenset()  # view buffers it reads: albedo, normal, depth, motion
     pool: str = "path"  # the kind of sample pool it buys from
-    adapts: bool = False  # does `plan` ever differ from a constant?
+    adaptive: bool = False  # does `plan` ever differ from a constant?
     temporal: bool = False  # does `state` carry anything between frames?
-    pilot: float = 0.0  # samples per pixel, evenly spread, bought before the method is first asked
+    pilot_spp: float = (
+        0.0  # samples per pixel, evenly spread, bought before the method is first asked
+    )
     passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
-    fresh: bool = False  # are samples of earlier passes, which chose where to sample, left out?
-    floor: int = 0  # samples that every pixel has at last, whatever the densities
-    cap: int | None = None  # most samples of one pixel that it can take in; None is as many as sold
-    spp: tuple[float, float] = (0.0, 8.0)  # budgets that make sense, samples per pixel, inclusive
+    discard_pilot: bool = (
+        False  # are samples of earlier passes, which chose where to sample, left out?
+    )
+    min_samples: int = 0  # samples that every pixel has at last, whatever the densities
+    max_samples: int | None = (
+        None  # most samples of one pixel that it can take in; None is as many as sold
+    )
+    spp_range: tuple[float, float] = (
+        0.0,
+        8.0,
+    )  # budgets that make sense, samples per pixel, inclusive
 
     def __post_init__(self) -> None:
         """Refuse passes by which less than the budget would be bought, or less than before."""
-        if not self.pilot >= 0:
-            raise ValueError(f"the pilot is {self.pilot} samples per pixel; it is 0 or more")
+        if not self.pilot_spp >= 0:
+            raise ValueError(f"the pilot is {self.pilot_spp} samples per pixel; it is 0 or more")
         rising = all(a < b for a, b in zip((0.0, *self.passes), self.passes, strict=False))
         if not rising or self.passes[-1:] != (1.0,):
             raise ValueError(
                 f"passes are {self.passes}; they must rise from above 0 to 1.0 at last"
             )
 
-    def refuses(self, spp: float) -> str | None:
+    def unsupported_reason(self, spp: float) -> str | None:
         """Why a budget of `spp` cannot be run, or None if it can."""
-        low, high = self.spp
+        low, high = self.spp_range
         if low <= spp <= high:
             return None
         return f"supports {low:g} to {high:g} spp, asked for {spp:g}"
@@ -52,11 +61,11 @@ class Variant:
     question: str
     traits: Traits
     learned: bool = True  # does it need trained weights?
-    shipped: bool = (
+    pretrained: bool = (
         True  # do they come with it? if not, `*` passes it over, and training makes them
     )
-    borrows: str | None = None  # the variant whose weights it uses, if not its own
-    packages: tuple[str, ...] = ()  # distributions that make its images; measured anew with others
+    weights_from: str | None = None  # the variant whose weights it uses, if not its own
+    requires: tuple[str, ...] = ()  # distributions that make its images; measured anew with others
 
 
 @dataclass(frozen=True)
@@ -85,5 +94,5 @@ class Family:
 
     def weights(self, variant: str) -> str:
         """File name of a variant's shipped weights: its own name, or that of whose it borrows."""
-        borrowed = self.variants[variant].borrows
+        borrowed = self.variants[variant].weights_from
         return f"{(variant if borrowed is None else borrowed) or self.name}.safetensors"

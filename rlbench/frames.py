@@ -22,7 +22,7 @@ class Size(NamedTuple):
 
 
 @dataclass(frozen=True)
-class View:
+class GBuffer:
     """What the renderer knows of a frame before any light path is traced.
 
     albedo [n 3 h w] in [0, 1]; normal [n 3 h w] world space, unit length, zero for background;
@@ -62,9 +62,9 @@ class View:
         """A buffer that only some clips have, by its name."""
         return self._read(name)
 
-    def only(self, needs: frozenset[str]) -> View:
+    def select(self, inputs: frozenset[str]) -> GBuffer:
         """The same view without the buffers that a method did not declare."""
-        return View({k: v for k, v in self.buffers.items() if k in needs}, self.static)
+        return GBuffer({k: v for k, v in self.buffers.items() if k in inputs}, self.static)
 
     def _read(self, name: str) -> Tensor:
         if name not in self.buffers:
@@ -77,13 +77,13 @@ class View:
 class Reference:
     """Two independent halves of the converged image, so that its own noise can be measured."""
 
-    a: Float[Tensor, "n 3 h w"]
-    b: Float[Tensor, "n 3 h w"]
+    half_a: Float[Tensor, "n 3 h w"]
+    half_b: Float[Tensor, "n 3 h w"]
 
     @property
     def mean(self) -> Float[Tensor, "n 3 h w"]:
         """The reference: the mean of both halves."""
-        return (self.a + self.b) / 2
+        return (self.half_a + self.half_b) / 2
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Frame:
     """One frame as the bench holds it. A method never receives it, for it holds the reference."""
 
     index: int
-    view: View
+    gbuffer: GBuffer
     pool: Pool
     reference: Reference
 
@@ -130,7 +130,7 @@ class Samples:
     counts: Int[Tensor, "n 1 h w"]
 
     @property
-    def filled(self) -> Tensor:
+    def valid_mask(self) -> Tensor:
         """[n s 1 h w] True where a slot holds a bought sample."""
         slots = torch.arange(self.radiance.shape[1], device=self.counts.device)
         return slots.view(1, -1, 1, 1, 1) < self.counts.unsqueeze(1)
@@ -140,14 +140,14 @@ class Samples:
         """The Monte-Carlo average; zero where nothing was bought."""
         return self.radiance.sum(1) / self.counts.clamp_min(1)
 
-    def after(self, pilot: Samples) -> Samples:
+    def since(self, before: Samples) -> Samples:
         """Those bought since `pilot`, in slots from 0 on: independent of what decided on them."""
         stored = self.radiance.shape[1]
         slots = torch.arange(stored, device=self.counts.device).view(1, -1, 1, 1, 1)
-        moved = (slots + pilot.counts.unsqueeze(1)).clamp_max(stored - 1)
+        moved = (slots + before.counts.unsqueeze(1)).clamp_max(stored - 1)
         radiance = self.radiance.gather(1, moved.expand_as(self.radiance))
-        rest = Samples(radiance, self.counts - pilot.counts)
-        return Samples(radiance.where(rest.filled, 0.0), rest.counts)
+        rest = Samples(radiance, self.counts - before.counts)
+        return Samples(radiance.where(rest.valid_mask, 0.0), rest.counts)
 
 
 class Pool(Protocol):
@@ -158,14 +158,14 @@ class Pool(Protocol):
         """Clips in the batch and pixels of each."""
 
     @property
-    def cap(self) -> int:
+    def max_samples(self) -> int:
         """Most samples that one pixel can have."""
 
     @property
-    def keys(self) -> tuple[int, ...]:
+    def rounding_seeds(self) -> tuple[int, ...]:
         """One number a clip in the batch, another in each frame: decides who is rounded up."""
 
-    def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+    def read(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel, those of `before` included."""
 
     def empty(self) -> Samples:
@@ -177,7 +177,7 @@ class StoredPool:
     """A pool of independent 1-spp images, sold in the order in which they lie."""
 
     radiance: Float[Tensor, "n s 3 h w"]
-    keys: tuple[int, ...]
+    rounding_seeds: tuple[int, ...]
 
     @property
     def size(self) -> Size:
@@ -186,13 +186,13 @@ class StoredPool:
         return Size(n, h, w)
 
     @property
-    def cap(self) -> int:
+    def max_samples(self) -> int:
         """Number of stored images."""
         return self.radiance.shape[1]
 
-    def take(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+    def read(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """The first `counts` stored values of each pixel, zero elsewhere (also where NaN was)."""
-        return self.radiance.where(Samples(self.radiance, counts).filled, 0.0)
+        return self.radiance.where(Samples(self.radiance, counts).valid_mask, 0.0)
 
     def empty(self) -> Samples:
         """No samples at all."""

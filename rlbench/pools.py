@@ -27,12 +27,12 @@ class PoolKind:
 
     name: str
     title: str
-    make: str = ""
+    factory: str = ""
     recipe: int = 1  # raised whenever `make` draws other samples of the same scene
     independent: bool = True  # is the noise of each pixel and frame its own, and its mean right?
 
 
-class Stage(Protocol):
+class RenderContext(Protocol):
     """What a renderer shows to a pool: its scene at the present frame, in Mitsuba with wavefronts.
 
     Pixels count row by row from the upper left; a place on the film is in pixels, x right, y down.
@@ -65,7 +65,7 @@ class Stage(Protocol):
         """
 
 
-class Chains(Protocol):
+class SampleStreams(Protocol):
     """Chains of samples, which remember."""
 
     def __call__(self) -> Float[Array, "chains h w 3"]:

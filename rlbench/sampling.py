@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rlbench.frames import Pool, Samples
-from rlbench.ops.dither import choose
+from rlbench.ops.dither import systematic_sample
 
 TOLERANCE = 1e-3  # samples by which the shares of an image may miss the budget before rounding
 STEPS = 64  # most refinements of the multiplier; 5 to 10 are usual
@@ -18,27 +18,22 @@ class BudgetError(ValueError):
     """A density or a budget that cannot be turned into counts."""
 
 
-def nothing(pool: Pool) -> Samples:
-    """The samples of a frame before any was bought."""
-    return pool.empty()
-
-
-def evenly(pool: Pool, spp: float) -> Samples:
+def draw_pilot(pool: Pool, spp: float) -> Samples:
     """The samples of a frame before its method is asked: `spp` per pixel, evenly; often none."""
-    bought = nothing(pool)
+    bought = pool.empty()
     if spp == 0:
         return bought
-    return buy(pool, bought, torch.ones_like(bought.counts, dtype=torch.float32), spp)
+    return draw_samples(pool, bought, torch.ones_like(bought.counts, dtype=torch.float32), spp)
 
 
-def buy(
+def draw_samples(
     pool: Pool,
     samples: Samples,
     density: Float[Tensor, "n 1 h w"],
-    upto: float,
-    floor: int = 0,
-    cap: int | None = None,
-    fresh: bool = False,
+    target_spp: float,
+    min_samples: int = 0,
+    max_samples: int | None = None,
+    discard_pilot: bool = False,
 ) -> Samples:
     """Samples that follow `density`, `upto` samples per pixel on average, those at hand included.
 
@@ -50,19 +45,25 @@ def buy(
     n, h, w = pool.size
     if density.shape != (n, 1, h, w):
         raise BudgetError(f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}")
-    cost, wish = round(upto * h * w), density.detach()
-    cap = pool.cap if cap is None else min(cap, pool.cap)
-    if fresh:
-        held, low = samples.counts, torch.full_like(samples.counts, floor)
+    cost, wish = round(target_spp * h * w), density.detach()
+    max_samples = pool.max_samples if max_samples is None else min(max_samples, pool.max_samples)
+    if discard_pilot:
+        held, low = samples.counts, torch.full_like(samples.counts, min_samples)
         paid = int(held[0].sum())  # as much in every image
-        keys = tuple(key + 1 for key in pool.keys)  # or it would round up where the pilot did
-        counts = held + spend(wish, cost - paid, low, (pool.cap - held).clamp_max(cap), keys)
+        keys = tuple(
+            key + 1 for key in pool.rounding_seeds
+        )  # or it would round up where the pilot did
+        counts = held + allocate_counts(
+            wish, cost - paid, low, (pool.max_samples - held).clamp_max(max_samples), keys
+        )
     else:
-        counts = spend(wish, cost, samples.counts.clamp_min(floor), cap, pool.keys)
-    return Samples(pool.take(samples, counts), counts)
+        counts = allocate_counts(
+            wish, cost, samples.counts.clamp_min(min_samples), max_samples, pool.rounding_seeds
+        )
+    return Samples(pool.read(samples, counts), counts)
 
 
-def spend(
+def allocate_counts(
     density: Float[Tensor, "n 1 h w"],
     cost: int,
     low: Int[Tensor, "n 1 h w"],
@@ -102,19 +103,19 @@ def _spend_one(density: Tensor, low: Tensor, high: Tensor, key: int, cost: int) 
     elif int(torch.where(wanted, high, low).sum()) < cost:  # all that is wanted is full
         low = torch.where(wanted, high, low)
         density = (~wanted).to(density.dtype)
-    share = _fill(density / density.max(), cost, low, high)
+    share = _water_fill(density / density.max(), cost, low, high)
     counts = share.floor().long()
     while (left := cost - int(counts.sum())) > 0:
         free = counts < high
         rest = ((share - counts).clamp(0, 1) * FRACTION).long().where(free, 0)
         if not rest.any():
             rest = free.long()
-        counts += choose(rest, left, key)
+        counts += systematic_sample(rest, left, key)
         key += 1
     return counts
 
 
-def _fill(density: Tensor, cost: int, low: Tensor, high: Tensor) -> Tensor:
+def _water_fill(density: Tensor, cost: int, low: Tensor, high: Tensor) -> Tensor:
     """clip(k * density, low, high) with the k at which it sums to `cost`, by guarded Newton steps.
 
     The sum rises with k and is piecewise linear. The result sums to `cost` within 1e-3, or, where

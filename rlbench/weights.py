@@ -25,7 +25,7 @@ class WeightsError(ValueError):
 
 
 @dataclass(frozen=True)
-class Card:
+class ModelCard:
     """Where weights come from: what they were trained on, for how long, and how well it went.
 
     `save` fills in sha256, dtype and parameters.
@@ -62,7 +62,7 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def save(module: nn.Module, path: Path, card: Card) -> Card:
+def save(module: nn.Module, path: Path, card: ModelCard) -> ModelCard:
     """Write the weights of `module` to `path`, and their card beside it; returns the whole card.
 
     Each file is written under another name and renamed; a kill between the two leaves a pair that
@@ -82,7 +82,9 @@ def save(module: nn.Module, path: Path, card: Card) -> Card:
     return card
 
 
-def equip(module: nn.Module, asked: str | None, shipped: Path, device: torch.device | str) -> None:
+def load_for_inference(
+    module: nn.Module, asked: str | None, shipped: Path, device: torch.device | str
+) -> None:
     """Make a network ready to run, with the weights that a family's `build` is asked for.
 
     `asked` is the path of a file, or None for those `shipped`, or "random" for those it has. Raises
@@ -95,7 +97,7 @@ def equip(module: nn.Module, asked: str | None, shipped: Path, device: torch.dev
     module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-def load_into(module: nn.Module, path: Path) -> Card:
+def load_into(module: nn.Module, path: Path) -> ModelCard:
     """Put the weights at `path` into `module`, in its own dtype and device; returns their card.
 
     Raises WeightsError where the file or its card is missing, where the file is not the one the
@@ -117,7 +119,7 @@ def load_into(module: nn.Module, path: Path) -> Card:
     return card
 
 
-def read_card(path: Path) -> Card:
+def read_card(path: Path) -> ModelCard:
     """The card beside the weights at `path`; raises WeightsError where either is missing."""
     for needed in (path, card_path(path)):
         if not needed.is_file():
@@ -129,14 +131,14 @@ def read_card(path: Path) -> Card:
         found = tomllib.loads(card_path(path).read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise WeightsError(f"{card_path(path)} is not a card: {error}") from error
-    known = {field.name for field in fields(Card)}
+    known = {field.name for field in fields(ModelCard)}
     if unknown := sorted(found.keys() - known):
         raise WeightsError(f"{card_path(path)} has unknown fields: {', '.join(unknown)}")
     if absent := sorted({"name", "sha256"} - found.keys()):
         raise WeightsError(f"{card_path(path)} lacks: {', '.join(absent)}")
     found["data"] = tuple(found.get("data", ()))
     found["curve"] = tuple((int(seen), float(psnr)) for seen, psnr in found.get("curve", ()))
-    return Card(**found)
+    return ModelCard(**found)
 
 
 def _remedy(name: str) -> str:

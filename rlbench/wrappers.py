@@ -10,14 +10,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.method import Method, State
 
 DTYPE = torch.bfloat16  # range of float32, 8 bits of mantissa; what training's --half uses
 
 
 @dataclass(frozen=True)
-class Half:
+class HalfPrecision:
     """The same method; its convolutions and matrix products are in bfloat16, images in float32.
 
     By torch.autocast, which leaves sums, norms and everything else that is delicate in float32. A
@@ -41,15 +41,15 @@ class Half:
         """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """As the method's."""
         with torch.autocast(self.device.type, DTYPE):
-            return self.method.plan(view, samples, state).float()
+            return self.method.plan(gbuffer, samples, state).float()
 
     def denoise(
-        self, view: View, samples: Samples, state: State
+        self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """As the method's."""
         with torch.autocast(self.device.type, DTYPE):
-            image, state = self.method.denoise(view, samples, state)
+            image, state = self.method.denoise(gbuffer, samples, state)
         return image.float(), state

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from rlbench import registry
 from rlbench.clips.stored import Header, write_frame, write_header
-from rlbench.registry import lookup as registry
 
 
 @pytest.fixture(autouse=True)
@@ -19,7 +19,7 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv(registry.VARIABLE, raising=False)
     torch.set_num_threads(1)
     yield
-    registry.forget_plugins()
+    registry.clear_plugins()
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def write_noise(
     }
     truth = np.linspace(0.1, 0.9, h * w * 3, dtype=np.float32).reshape(h, w, 3)
     for index in range(frames):
-        view = {
+        gbuffer = {
             "albedo": truth,
             "normal": np.full((h, w, 3), 3**-0.5, np.float32),
             "depth": np.full((h, w, 1), 5, np.float32),
@@ -55,7 +55,7 @@ def write_noise(
         }
         pool = truth * rng.exponential(size=(8, h, w, 3)).astype(np.float32)
         halves = [truth + rng.normal(0, 1e-3, truth.shape).astype(np.float32) for _ in "AB"]
-        write_frame(folder, index, view, {"path": pool}, *halves)
+        write_frame(folder, index, gbuffer, {"path": pool}, *halves)
     write_header(folder, Header(**told))
     return folder
 

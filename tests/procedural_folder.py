@@ -16,10 +16,10 @@ from rlbench.frames import Size
 def write_world(folder: Path, seed: int = 0, side: int = 48, frames: int = 3) -> Path:
     """A finished clip of a moving world, of `side` x `side` pixels."""
     for frame in procedural(seed, Size(1, side, side), frames):
-        view = {name: _image(tensor) for name, tensor in frame.view.buffers.items()}
+        gbuffer = {name: _image(tensor) for name, tensor in frame.gbuffer.buffers.items()}
         pool = np.stack([_image(frame.pool.radiance[:, slot]) for slot in range(8)])
-        halves = [_image(half) for half in (frame.reference.a, frame.reference.b)]
-        write_frame(folder, frame.index, view, {"path": pool}, *halves)
+        halves = [_image(half) for half in (frame.reference.half_a, frame.reference.half_b)]
+        write_frame(folder, frame.index, gbuffer, {"path": pool}, *halves)
     header = Header(
         name=folder.name,
         scene=folder.name,

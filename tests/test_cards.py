@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from rlbench import registry
 from rlbench.clips.procedural.clip import procedural
-from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
-from rlbench.weights import Card, digest, read_card
+from rlbench.weights import ModelCard, digest, read_card
 
 ROOT = Path(__file__).parent.parent
 SHIPPED = sorted(ROOT.glob("*/*/cards/*.safetensors"))
@@ -22,7 +22,9 @@ shipped = pytest.mark.parametrize("path", SHIPPED, ids=NAMES)
 
 def test_every_method_that_claims_to_ship_weights_does():
     names = [n for family in registry.names("methods") for n in registry.family(family).names()]
-    learned = [name for name in names if registry.learns(name) and registry.variant(name).shipped]
+    learned = [
+        name for name in names if registry.is_trainable(name) and registry.variant(name).pretrained
+    ]
     assert {name.rpartition("/")[2] for name in learned} == set(NAMES)
 
 
@@ -32,7 +34,7 @@ def test_borrowed_weights_are_there():
         f.weights(key)
         for f in families
         for key, row in f.variants.items()
-        if row.learned and row.shipped
+        if row.learned and row.pretrained
     }
     assert files == {path.name for path in SHIPPED}
 
@@ -74,7 +76,7 @@ ADAPTIVE = [
     name
     for family in registry.names("methods")
     for name in registry.family(family).names()
-    if (row := registry.variant(name)).learned and row.shipped and row.traits.adapts
+    if (row := registry.variant(name)).learned and row.pretrained and row.traits.adaptive
 ]
 
 
@@ -86,6 +88,6 @@ def test_a_trained_map_has_not_collapsed(name):
         assert float((counts == counts.median()).float().mean()) < 0.99
 
 
-def _clips(card: Card) -> list[str]:
+def _clips(card: ModelCard) -> list[str]:
     """Names of the clips of a card; the hashes beside them are also of the pool that was read."""
     return [entry.split()[0] for entry in card.data]

@@ -8,17 +8,17 @@ from functools import cache
 import pytest
 import torch
 
-from rlbench.checks.conformance.checks import CLAIMS
-from rlbench.checks.conformance.method_under_test import Subject
-from rlbench.checks.conformance.suite import examine, judge
+from rlbench import registry
+from rlbench.checks.conformance.checks import CHECKS
+from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.suite import run_check, run_checks
 from rlbench.checks.result import Verdict
-from rlbench.registry import lookup as registry
 
 GIVEN = os.environ.get(registry.VARIABLE, "")  # methods beside the installed ones
 METHODS = [
-    name if registry.variant(name).shipped else pytest.param(name, marks=pytest.mark.slow)
+    name if registry.variant(name).pretrained else pytest.param(name, marks=pytest.mark.slow)
     for family in registry.names("methods")
-    if not registry.broken("methods", family)
+    if not registry.import_error("methods", family)
     for name in registry.family(family).names()
 ]
 
@@ -29,23 +29,23 @@ def _given(monkeypatch: pytest.MonkeyPatch):
 
 
 @cache
-def subject(name: str) -> Subject:
+def subject(name: str) -> MethodUnderTest:
     """The method, run once for all claims that can share a run."""
-    return Subject(name)
+    return MethodUnderTest(name)
 
 
 @pytest.mark.parametrize("family", registry.names("methods"))
 def test_every_installed_family_can_be_loaded(family):
-    assert registry.broken("methods", family) is None
+    assert registry.import_error("methods", family) is None
 
 
-@pytest.mark.parametrize("claim", CLAIMS)
+@pytest.mark.parametrize("claim", CHECKS)
 @pytest.mark.parametrize("name", METHODS)
 def test_every_claim_holds_of_every_method(name, claim):
-    finding = judge(subject(name), claim)
+    finding = run_check(subject(name), claim)
     if finding.verdict is Verdict.MOOT:
         pytest.skip(finding.found)
-    told = f"{name}: {CLAIMS[claim].sentence}: {finding.found} -> {CLAIMS[claim].remedy}"
+    told = f"{name}: {CHECKS[claim].sentence}: {finding.found} -> {CHECKS[claim].remedy}"
     if finding.error:
         raise AssertionError(told) from finding.error
     assert finding.verdict is Verdict.HOLDS, told
@@ -54,6 +54,8 @@ def test_every_claim_holds_of_every_method(name, claim):
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", METHODS)
 def test_every_claim_holds_of_every_method_on_a_gpu(name):
-    on_gpu = Subject(name, torch.device("cuda"))
-    wrong = [claim.sentence for claim, found in examine(on_gpu) if found.verdict is Verdict.FAILS]
+    on_gpu = MethodUnderTest(name, torch.device("cuda"))
+    wrong = [
+        claim.sentence for claim, found in run_checks(on_gpu) if found.verdict is Verdict.FAILS
+    ]
     assert wrong == []

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rlbench.checks.conformance.method_under_test import Subject
-from rlbench.checks.conformance.suite import examine
+from rlbench import registry
+from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.suite import run_checks
 from rlbench.checks.result import Verdict
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 
 README = Path(__file__).parent.parent / "README.md"
@@ -33,7 +33,9 @@ def test_the_method_of_the_readme_is_sound(tmp_path):
     (snippet,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     (tmp_path / "bright.py").write_text(snippet)
     registry.use_plugin(tmp_path / "bright.py")
-    found = {claim.name: finding.verdict for claim, finding in examine(Subject("bright"))}
+    found = {
+        claim.name: finding.verdict for claim, finding in run_checks(MethodUnderTest("bright"))
+    }
     assert {name for name in found if found[name] is not Verdict.HOLDS} == {"uniform", "temporal"}
     assert Verdict.FAILS not in found.values()
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.benchmark import regression as regress
+from rlbench import registry
+from rlbench.benchmark import regression
 from rlbench.benchmark import results as table
-from rlbench.benchmark.clip_sources import Stored
-from rlbench.benchmark.run_plan import Request
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
 from rlbench.cli import benchmark
-from rlbench.registry import lookup as registry
 from rlbench.render.jobs.render_clips import ensure
-from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import paths
 
 BASELINE = Path(__file__).parent / "regression" / "mini.json"
@@ -24,18 +24,18 @@ BASELINE = Path(__file__).parent / "regression" / "mini.json"
 def kept_cache(request, monkeypatch):
     """A cache that outlives the test: clips take a while to render."""
     monkeypatch.setenv("RLBENCH_CACHE", str(request.config.cache.mkdir("rlbench")))
-    if activate().startswith("scalar"):
+    if select_variant().startswith("scalar"):
         pytest.skip("no libLLVM: the scalar tracer draws other samples than the committed ones")
     return paths.cache()
 
 
-def outcome(results, scenes, methods, spp, subset) -> regress.Outcome:
-    clips = tuple(Stored(folder) for folder in ensure("mini", scenes))
-    measure(Request(methods, clips, spp, repeats=1), results)
-    found, known = table.read(results), regress.load(BASELINE)
+def outcome(results, scenes, methods, spp, subset) -> regression.RegressionReport:
+    clips = tuple(StoredSource(folder) for folder in ensure("mini", scenes))
+    measure(RunPlan(methods, clips, spp, repeats=1), results)
+    found, known = table.read(results), regression.load(BASELINE)
     if subset:
         found, known = benchmark.part(found, known, methods)
-    return regress.compare(found, known, subset=subset)
+    return regression.compare(found, known, subset=subset)
 
 
 def test_psnr_on_one_scene_is_what_was_committed(kept_cache, tmp_path):
@@ -47,7 +47,7 @@ def test_psnr_on_one_scene_is_what_was_committed(kept_cache, tmp_path):
 
 @pytest.mark.slow
 def test_psnr_is_what_was_committed(kept_cache, tmp_path):
-    committed = regress.load(BASELINE).entries
+    committed = regression.load(BASELINE).entries
     methods = tuple(registry.expand({entry.method for entry in committed}))
     spp = tuple(sorted({entry.spp for entry in committed}))
     found = outcome(tmp_path / "results", None, methods, spp, subset=False)

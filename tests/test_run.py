@@ -21,7 +21,7 @@ def test_only_training_keeps_gradients(run, traced):
 
     @dataclass(frozen=True)
     class Scaled(Diary):
-        def denoise(self, view, samples, state):
+        def denoise(self, gbuffer, samples, state):
             return samples.mean * weight, state
 
     shown = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from rlbench.frames import StoredPool
-from rlbench.sampling import BudgetError, buy, nothing, spend
+from rlbench.sampling import BudgetError, allocate_counts, draw_samples
 
 KEY = (1,)
 
@@ -30,7 +30,7 @@ def spent(
     density: list[float], cost: int, low: list[int] | None = None, high: int = 8
 ) -> list[int]:
     low = low or [0] * len(density)
-    counts = spend(image(density), cost, at_least(low), high, KEY)
+    counts = allocate_counts(image(density), cost, at_least(low), high, KEY)
     return counts.flatten().tolist()
 
 
@@ -151,7 +151,7 @@ def test_a_count_is_the_exact_share_rounded_down_or_up(wish):
 def test_the_mean_of_counts_over_keys_is_the_exact_share(density, cost, high):
     values = list(map(float, image(density).flatten()))
     keys, low = 2000, torch.zeros(2000, 1, 1, len(values), dtype=torch.int64)
-    counts = spend(image(density).expand(low.shape), cost, low, high, tuple(range(keys)))
+    counts = allocate_counts(image(density).expand(low.shape), cost, low, high, tuple(range(keys)))
     mean = counts.double().mean((0, 1, 2))
     exact = [float(s) for s in exact_shares(values, cost, [0] * len(values), high)]
     # a count is one of two neighbours, so its deviation is at most 0.5; 4.5 standard errors
@@ -210,7 +210,9 @@ def test_a_budget_that_does_not_fit_is_an_error(cost, low, high):
 @pytest.mark.parametrize("spp", [0.01, 0.5, 1.3])
 def test_a_constant_density_favours_no_quadrant(spp):
     side, zero = 128, torch.zeros(1, 1, 128, 128, dtype=torch.int64)
-    counts = spend(torch.ones(1, 1, side, side), round(spp * side * side), zero, 8, KEY)[0, 0]
+    counts = allocate_counts(torch.ones(1, 1, side, side), round(spp * side * side), zero, 8, KEY)[
+        0, 0
+    ]
     mass = counts.unfold(0, 64, 64).unfold(1, 64, 64).sum((-1, -2)).flatten()
     # a quadrant is one piece of the curve: its share of about spp * 4096, rounded down or up
     assert mass.max() - mass.min() <= 1
@@ -218,7 +220,7 @@ def test_a_constant_density_favours_no_quadrant(spp):
 
 def test_half_a_sample_everywhere_is_a_chequerboard():
     zero = torch.zeros(1, 1, 64, 64, dtype=torch.int64)
-    counts = spend(torch.ones(1, 1, 64, 64), 64 * 32, zero, 8, KEY)[0, 0]
+    counts = allocate_counts(torch.ones(1, 1, 64, 64), 64 * 32, zero, 8, KEY)[0, 0]
     odd = (torch.arange(64)[:, None] + torch.arange(64)) % 2
     assert torch.equal(counts, odd) or torch.equal(counts, 1 - odd)
 
@@ -227,13 +229,13 @@ def test_density_is_followed_below_one_sample_too():
     """Where the largest remainders were served first, all pixels got one sample here."""
     wish = torch.ones(1, 1, 32, 32)
     wish[..., :16], wish[..., 16:] = 0.7, 1.3
-    counts = spend(wish, 32 * 32, torch.zeros(1, 1, 32, 32, dtype=torch.int64), 8, KEY)
+    counts = allocate_counts(wish, 32 * 32, torch.zeros(1, 1, 32, 32, dtype=torch.int64), 8, KEY)
     assert abs(int(counts[..., :16].sum()) - 0.7 * 512) < 3  # the half is two pieces of the curve
 
 
 def test_another_key_rounds_others_up_and_the_same_key_does_not():
     zero, wish = torch.zeros(1, 1, 16, 16, dtype=torch.int64), torch.ones(1, 1, 16, 16)
-    first, again, other = (spend(wish, 100, zero, 8, (k,)) for k in (3, 3, 4))
+    first, again, other = (allocate_counts(wish, 100, zero, 8, (k,)) for k in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 
@@ -241,8 +243,8 @@ def test_another_key_rounds_others_up_and_the_same_key_does_not():
 def test_a_batch_of_two_is_two_images():
     wish = torch.rand(2, 1, 9, 11, generator=torch.Generator().manual_seed(0))
     zero = torch.zeros(2, 1, 9, 11, dtype=torch.int64)
-    both = spend(wish, 70, zero, 8, (5, 6))
-    alone = [spend(wish[i : i + 1], 70, zero[i : i + 1], 8, (5 + i,)) for i in range(2)]
+    both = allocate_counts(wish, 70, zero, 8, (5, 6))
+    alone = [allocate_counts(wish[i : i + 1], 70, zero[i : i + 1], 8, (5 + i,)) for i in range(2)]
     assert torch.equal(both, torch.cat(alone))
 
 
@@ -256,7 +258,9 @@ def pool(h: int = 6, w: int = 7, stored: int = 8, n: int = 1) -> StoredPool:
 
 def test_a_hundredth_of_a_sample_per_pixel_is_paid_to_the_sample():
     full = StoredPool(torch.zeros(1, 8, 1, 720, 720), KEY)  # one channel is enough to count
-    counts = spend(torch.rand(1, 1, 720, 720), round(0.01 * 720 * 720), full.empty().counts, 8, KEY)
+    counts = allocate_counts(
+        torch.rand(1, 1, 720, 720), round(0.01 * 720 * 720), full.empty().counts, 8, KEY
+    )
     assert int(counts.sum()) == 5184
 
 
@@ -264,61 +268,67 @@ def test_a_hundredth_of_a_sample_per_pixel_is_paid_to_the_sample():
 def test_buying_costs_the_budget(spp):
     here = pool()
     wish = torch.rand(1, 1, 6, 7, generator=torch.Generator().manual_seed(1))
-    assert int(buy(here, nothing(here), wish, upto=spp).counts.sum()) == round(spp * 42)
+    assert int(draw_samples(here, here.empty(), wish, target_spp=spp).counts.sum()) == round(
+        spp * 42
+    )
 
 
 def test_a_second_pass_keeps_what_the_first_bought():
     here = pool()
-    first = buy(here, nothing(here), torch.ones(1, 1, 6, 7), upto=1)
+    first = draw_samples(here(here), torch.ones(1, 1, 6, 7), target_spp=1)
     wish = torch.zeros(1, 1, 6, 7)
     wish[..., 0] = 1
-    second = buy(here, first, wish, upto=1.5)
+    second = draw_samples(here, first, wish, target_spp=1.5)
     assert (second.counts >= first.counts).all()
-    kept = first.filled.expand_as(first.radiance)
+    kept = first.valid_mask.expand_as(first.radiance)
     assert torch.equal(second.radiance[kept], first.radiance[kept])
 
 
 def test_what_was_not_bought_is_not_there():
     values = pool().radiance.clone()
     values[:, 1:] = math.nan
-    samples = buy(StoredPool(values, KEY), pool().empty(), torch.ones(1, 1, 6, 7), upto=1)
+    samples = draw_samples(
+        StoredPool(values, KEY), pool().empty(), torch.ones(1, 1, 6, 7), target_spp=1
+    )
     assert torch.equal(samples.radiance[:, 0], values[:, 0])
     assert (samples.radiance[:, 1:] == 0).all()
 
 
 def test_the_mean_is_that_of_the_bought():
     here = pool()
-    samples = buy(here, nothing(here), torch.ones(1, 1, 6, 7), upto=3)
+    samples = draw_samples(here(here), torch.ones(1, 1, 6, 7), target_spp=3)
     torch.testing.assert_close(samples.mean, here.radiance[:, :3].mean(1))
 
 
 def test_the_mean_of_nothing_is_zero():
-    assert (nothing(pool()).mean == 0).all()
+    assert (pool().empty().mean == 0).all()
 
 
 def test_a_floor_of_one_samples_every_pixel():
     here = pool()
     wish = torch.zeros(1, 1, 6, 7)
     wish[..., 2, 2] = 1
-    assert int(buy(here, nothing(here), wish, upto=1.2, floor=1).counts.min()) == 1
+    assert (
+        int(draw_samples(here, here.empty(), wish, target_spp=1.2, min_samples=1).counts.min()) == 1
+    )
 
 
 def test_a_floor_beyond_the_budget_is_an_error():
     here = pool()
     with pytest.raises(BudgetError, match="does not fit"):
-        buy(here, nothing(here), torch.ones(1, 1, 6, 7), upto=0.5, floor=1)
+        draw_samples(here(here), torch.ones(1, 1, 6, 7), target_spp=0.5, min_samples=1)
 
 
 def test_a_density_of_another_shape_is_an_error():
     here = pool()
     with pytest.raises(BudgetError, match=r"\[1, 1, 7, 6\], the frame \[1, 1, 6, 7\]"):
-        buy(here, nothing(here), torch.ones(1, 1, 7, 6), upto=1)
+        draw_samples(here(here), torch.ones(1, 1, 7, 6), target_spp=1)
 
 
 def test_no_gradient_flows_through_buying():
     here = pool()
     wish = torch.ones(1, 1, 6, 7, requires_grad=True)
-    assert not buy(here, nothing(here), wish, upto=1).radiance.requires_grad
+    assert not draw_samples(here, here.empty(), wish, target_spp=1).radiance.requires_grad
 
 
 def stored(slots: int = 8, h: int = 6, w: int = 7, n: int = 1) -> StoredPool:
@@ -333,9 +343,9 @@ def noise(seed: int, n: int = 1, h: int = 6, w: int = 7) -> Tensor:
 
 def test_fresh_samples_are_those_that_follow_the_pilots():
     pool = stored()
-    pilot = buy(pool, nothing(pool), noise(0), 1.0)
-    bought = buy(pool, pilot, noise(1), 3.0, fresh=True)
-    fresh = bought.after(pilot)
+    pilot = draw_samples(pool(pool), noise(0), 1.0)
+    bought = draw_samples(pool, pilot, noise(1), 3.0, discard_pilot=True)
+    fresh = bought.since(pilot)
     assert torch.equal(fresh.counts, bought.counts - pilot.counts)
     first = (pilot.counts + 1).where(fresh.counts > 0, 0)[:, None].expand(-1, -1, 3, -1, -1)
     assert torch.equal(fresh.radiance[:, :1], first.float())
@@ -344,32 +354,34 @@ def test_fresh_samples_are_those_that_follow_the_pilots():
 
 def test_a_pilot_is_paid_for_when_fresh_samples_are_bought():
     pool = stored(n=2)
-    pilot = buy(pool, nothing(pool), noise(0, n=2), 1.5)
-    bought = buy(pool, pilot, noise(1, n=2), 4.0, fresh=True)
+    pilot = draw_samples(pool(pool), noise(0, n=2), 1.5)
+    bought = draw_samples(pool, pilot, noise(1, n=2), 4.0, discard_pilot=True)
     assert bought.counts.flatten(1).sum(1).tolist() == [4 * 42, 4 * 42]
 
 
 def test_fresh_samples_follow_the_density_whatever_the_pilot_had():
     pool = stored(slots=16)
-    pilot = buy(pool, nothing(pool), noise(0), 2.0)
+    pilot = draw_samples(pool(pool), noise(0), 2.0)
     wish = torch.ones(1, 1, 6, 7)
     wish[..., :3] = 3
     share = 42 * 4 / int(wish.sum())
-    bought = buy(pool, pilot, wish, 6.0, fresh=True).after(pilot)
+    bought = draw_samples(pool, pilot, wish, 6.0, discard_pilot=True).since(pilot)
     assert ((bought.counts - share * wish).abs() < 1).all()
 
 
 def test_a_floor_holds_for_fresh_samples():
     pool = stored()
-    pilot = buy(pool, nothing(pool), noise(0), 1.0)
-    bought = buy(pool, pilot, noise(1) ** 8, 4.0, floor=1, fresh=True).after(pilot)
+    pilot = draw_samples(pool(pool), noise(0), 1.0)
+    bought = draw_samples(pool, pilot, noise(1) ** 8, 4.0, min_samples=1, discard_pilot=True).since(
+        pilot
+    )
     assert int(bought.counts.min()) == 1
 
 
 @pytest.mark.parametrize("upto", [7.0, 8.0])
 def test_pilot_and_fresh_samples_share_the_cap(upto):
     pool = stored()
-    pilot = buy(pool, nothing(pool), noise(0), 1.0)
-    bought = buy(pool, pilot, noise(1) ** 4, upto, fresh=True)
+    pilot = draw_samples(pool(pool), noise(0), 1.0)
+    bought = draw_samples(pool, pilot, noise(1) ** 4, upto, discard_pilot=True)
     assert int(bought.counts.max()) == 8
     assert int(bought.counts.sum()) == upto * 42

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench.benchmark import results as table
+from rlbench.benchmark import results
 from rlbench.cli.app import app
 from rlbench.weights import read_card
 from tests.procedural_folder import write_world
@@ -51,7 +51,7 @@ def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_pa
     words = ("--plugin", plugin, "--clips", worlds[0], "--out", tmp_path / "r", "--spp", 1)
     rlbench("run", "-m", "blur", *words, "--weights", weights)
     rlbench("run", "-m", "mean", *words)
-    rows = table.read(tmp_path / "r")
+    rows = results.read(tmp_path / "r")
     psnr = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
     assert psnr["blur"] > psnr["mean"] + 1  # dB; the clip validates, so it was not trained on
 

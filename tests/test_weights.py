@@ -12,9 +12,17 @@ import torch
 from torch import nn
 
 from rlbench.ops.unet import SMALL, UNet
-from rlbench.weights import Card, WeightsError, card_path, digest, equip, load_into, save
+from rlbench.weights import (
+    ModelCard,
+    WeightsError,
+    card_path,
+    digest,
+    load_for_inference,
+    load_into,
+    save,
+)
 
-CARD = Card(
+CARD = ModelCard(
     name="oidn",
     data=("clip one", 'clip "two"\\\n\x7f é'),
     frames_seen=1200,
@@ -171,10 +179,10 @@ def test_weights_that_half_floats_cannot_hold_are_not_saved(path, value):
 def test_a_network_is_equipped_with_what_was_asked_for(tmp_path, asked):
     own, shipped, other = (nn.Linear(2, 1) for _ in range(3))
     before = own.weight.detach().half().float()
-    save(shipped, tmp_path / "shipped.safetensors", Card("shipped"))
-    save(other, tmp_path / "other.safetensors", Card("other"))
+    save(shipped, tmp_path / "shipped.safetensors", ModelCard("shipped"))
+    save(other, tmp_path / "other.safetensors", ModelCard("other"))
     given = str(tmp_path / "other.safetensors") if asked == "file" else asked
-    equip(own, given, tmp_path / "shipped.safetensors", "cpu")
+    load_for_inference(own, given, tmp_path / "shipped.safetensors", "cpu")
     wanted = {None: shipped.weight.half().float(), "random": before, "file": other.weight.half()}
     torch.testing.assert_close(own.weight, wanted[asked].float(), rtol=1e-3, atol=0)  # half floats
     assert not own.training

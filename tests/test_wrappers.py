@@ -7,16 +7,16 @@ import dataclasses
 import pytest
 import torch
 
-from rlbench.benchmark import results as table
-from rlbench.benchmark.runner import Done, measure
-from rlbench.cli import console as show
+from rlbench import registry
+from rlbench.benchmark import results
+from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.ops.memory_format import packed, unpacked
+from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
 from rlbench.ops.unet import SMALL, UNet
-from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
-from rlbench.wrappers import Half
+from rlbench.wrappers import HalfPrecision
 from tests.benchmark.test_runner import request
 
 CPU = torch.device("cpu")
@@ -25,7 +25,9 @@ CPU = torch.device("cpu")
 def test_images_are_nearly_the_same_and_in_single_precision():
     method = registry.method("oidn", CPU, "random")
     clip = procedural(3, Size(1, 32, 48), 2, 8)
-    full, half = ([s.image for s in run_clip(m, clip, 4.0)] for m in (method, Half(method, CPU)))
+    full, half = (
+        [s.image for s in run_clip(m, clip, 4.0)] for m in (method, HalfPrecision(method, CPU))
+    )
     for one, other in zip(full, half, strict=True):
         assert other.dtype == torch.float32
         assert not torch.equal(one, other)  # else nothing was rounded
@@ -38,11 +40,13 @@ def test_rows_in_half_precision_stand_beside_the_others(clip_folder, tmp_path):
     asked = request(clip_folder, "ours/A2", "mean", frames=1)
     measure(asked, tmp_path / "r")
     halved = dataclasses.replace(asked, half=True)
-    assert measure(halved, tmp_path / "r") == Done(measured=1, known=1)  # `mean` has no networks
-    rows = table.read(tmp_path / "r").groupby("method")["dtype"].unique().explode()
+    assert measure(halved, tmp_path / "r") == RunSummary(
+        measured=1, cached=1
+    )  # `mean` has no networks
+    rows = results.read(tmp_path / "r").groupby("method")["dtype"].unique().explode()
     assert dict(rows) == {"ours/A2": "float32", "ours/A2@half": "bfloat16", "mean": "float32"}
     measure(dataclasses.replace(halved, called="seed0"), tmp_path / "r")
-    assert "ours/A2@half-seed0" in set(table.read(tmp_path / "r")["method"])
+    assert "ours/A2@half-seed0" in set(results.read(tmp_path / "r")["method"])
 
 
 def test_what_run_prints_of_half_precision_is_of_half_precision(clip_folder, tmp_path, capsys):
@@ -50,19 +54,19 @@ def test_what_run_prints_of_half_precision_is_of_half_precision(clip_folder, tmp
         request(clip_folder, "ours/A2", weights="random", frames=1), half=True
     )
     measure(asked, tmp_path / "r")
-    show.table(asked, tmp_path / "r")
+    console.table(asked, tmp_path / "r")
     assert "ours/A2@half" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("shape", [(2, 5, 16, 32), (1, 5, 16, 32), (1, 5, 32, 16)])
 def test_packing_changes_no_value_of_a_convolution(shape):
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
-    assert packed(x).shape == x.shape
-    assert torch.equal(packed(x), x)
-    assert packed(x).is_contiguous(memory_format=torch.channels_last)
-    assert torch.equal(unpacked(packed(x)), x)
-    assert unpacked(packed(x)).is_contiguous()
+    assert to_channels_last(x).shape == x.shape
+    assert torch.equal(to_channels_last(x), x)
+    assert to_channels_last(x).is_contiguous(memory_format=torch.channels_last)
+    assert torch.equal(to_contiguous_float32(to_channels_last(x)), x)
+    assert to_contiguous_float32(to_channels_last(x)).is_contiguous()
     with torch.autocast("cpu", torch.bfloat16):
-        assert packed(x).dtype == torch.bfloat16
+        assert to_channels_last(x).dtype == torch.bfloat16
         net = UNet(5, widths=SMALL)
-        assert torch.equal(net(x), net(packed(x)))
+        assert torch.equal(net(x), net(to_channels_last(x)))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from rlbench.family import Family, Traits, Variant
 
 TRAITS = Traits(
-    needs=frozenset({"albedo", "normal", "depth"}),
-    adapts=True,
-    pilot=1.0,
-    floor=1,
-    spp=(1.0, 8.0),
+    inputs=frozenset({"albedo", "normal", "depth"}),
+    adaptive=True,
+    pilot_spp=1.0,
+    min_samples=1,
+    spp_range=(1.0, 8.0),
 )
 
 FAMILY = Family(

@@ -26,7 +26,7 @@ def gamma(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samp
     """
     assert isinstance(frame.pool, StoredPool)
     radiance = frame.pool.radiance
-    generator = torch.Generator(radiance.device).manual_seed(frame.pool.keys[0])
+    generator = torch.Generator(radiance.device).manual_seed(frame.pool.rounding_seeds[0])
     drawn = draw(frame.reference.mean.clamp_min(0), variance(radiance), due, generator)
     return Samples(drawn.unsqueeze(1), torch.ones_like(samples.counts))
 

@@ -13,10 +13,10 @@ from torch import Tensor
 from baselines.dasr import FAMILY
 from baselines.dasr.network import Networks
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
-from rlbench.ops.density import exponential
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.transfer import squash_depth
-from rlbench.weights import equip
+from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
 LARGEST = 1e5  # radiance above this is cut
@@ -55,22 +55,22 @@ class Dasr:
     def start(self, size: Size) -> None:
         """Nothing: every frame is its own."""
 
-    def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
         """Density in (0, 1], 1 where it is largest: the exponential of the sampler's map."""
-        return exponential(self.networks.sampler(_seen(view, samples)))
+        return bounded_exp_density(self.networks.sampler(_seen(gbuffer, samples)))
 
     def denoise(
-        self, view: View, samples: Samples, state: None
+        self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image, from the mean of all samples, albedo, normal and depth."""
-        return self.develop(self.networks.denoiser(_seen(view, samples))), None
+        return self.develop(self.networks.denoiser(_seen(gbuffer, samples))), None
 
 
-def _seen(view: View, samples: Samples) -> Float[Tensor, "n 10 h w"]:
+def _seen(gbuffer: GBuffer, samples: Samples) -> Float[Tensor, "n 10 h w"]:
     """What both networks see: colour, albedo, normal and depth."""
     noisy = samples.mean.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
-    albedo, normal = (view.albedo - ALBEDO[0]) / ALBEDO[1], view.normal / NORMAL
-    return torch.cat((noisy.log1p(), albedo, normal, squash_depth(view.depth)), 1)
+    albedo, normal = (gbuffer.albedo - ALBEDO[0]) / ALBEDO[1], gbuffer.normal / NORMAL
+    return torch.cat((noisy.log1p(), albedo, normal, squash_depth(gbuffer.depth)), 1)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Dasr:
@@ -78,5 +78,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Dasr:
     networks = Networks()
     if weights == "random":
         networks.draw(seed=0)
-    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Dasr(networks, FAMILY.variants[variant].traits)

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.init import initialise
+from rlbench.ops.init import kaiming_init
 from rlbench.ops.pad import crop, pad
-from rlbench.ops.upsample import Rise
+from rlbench.ops.upsample import UpsampleConcatConv
 
 INPUTS = 10  # colour, albedo, normal, depth
 ENCODER = (32, 43, 57, 76, 101)  # channels of both convolutions of a level, fine to coarse
@@ -31,7 +31,7 @@ class Networks(nn.Module):
 
     def draw(self, seed: int) -> None:
         """Seeded weights, faint in the last layers: the map starts near uniform."""
-        initialise(self, seed)
+        kaiming_init(self, seed)
         for network in (self.sampler, self.denoiser):
             for weight in network.last.parameters():
                 weight.data.mul_(FAINT)
@@ -80,7 +80,9 @@ class UNet(nn.Module):
 def _convolutions(entering: int | tuple[int, int], *widths: int) -> nn.Sequential:
     """3x3 convolutions to each of `widths`, with activations; a level and its skip may enter."""
     first = (
-        Rise(*entering, widths[0]) if isinstance(entering, tuple) else _conv(entering, widths[0])
+        UpsampleConcatConv(*entering, widths[0])
+        if isinstance(entering, tuple)
+        else _conv(entering, widths[0])
     )
     layers: list[nn.Module] = [first, nn.LeakyReLU(SLOPE, inplace=True)]
     for width, following in pairwise(widths):

@@ -15,9 +15,13 @@ from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
 from rlbench.frames import Clip
 from rlbench.run import unroll
-from rlbench.training.loop import Trainer
-from rlbench.training.surrogate_gradient import Surrogate, Teach, pull
-from rlbench.training.task import FROM1
+from rlbench.training.loop import TrainingTask
+from rlbench.training.surrogate_gradient import (
+    SampleGradient,
+    SurrogateGradient,
+    kuznetsov_gradient,
+)
+from rlbench.training.task import BUDGETS_FROM_1_SPP
 
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 STAGES = (  # share of the training by which a stage ends, and the networks that learn in it
@@ -25,13 +29,13 @@ STAGES = (  # share of the training by which a stage ends, and the networks that
     (30 / 70, frozenset({"sampler"})),
     (1.0, frozenset({"denoiser", "sampler"})),
 )
-TEACH: dict[str, Teach] = {
-    "": pull,
+TEACH: dict[str, SampleGradient] = {
+    "": kuznetsov_gradient,
     "gamma": gamma,  # does the map learn better from a smooth model of the samples?
 }
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
+def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """DASR with seeded weights, its losses, and its three stages.
 
     Kuznetsov et al. 2018, as in the training code behind `network.UNet`: 25,000 steps for the
@@ -49,7 +53,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     student = replace(method, develop=lambda value: value)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        taught = Surrogate(student, iter(clip), spp, TEACH[variant])
+        taught = SurrogateGradient(student, iter(clip), spp, TEACH[variant])
         for shown in unroll(taught, clip, spp):
             yield relative(shown.image, shown.frame.reference.mean.clamp_min(0).log1p())
 
@@ -58,4 +62,6 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
         for name, network in networks.named_children():
             network.requires_grad_(name in learning)
 
-    return Trainer(method, networks, losses, FROM1, shares=SHARES, told=told)
+    return TrainingTask(
+        method, networks, losses, BUDGETS_FROM_1_SPP, lr_multipliers=SHARES, on_progress=told
+    )

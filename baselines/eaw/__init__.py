@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rlbench.family import Family, Traits, Variant
 
-TRAITS = Traits(needs=frozenset({"albedo", "normal", "depth"}), spp=(1.0, 8.0))
+TRAITS = Traits(inputs=frozenset({"albedo", "normal", "depth"}), spp_range=(1.0, 8.0))
 
 FAMILY = Family(
     name="eaw",

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from baselines.eaw import FAMILY
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
-from rlbench.ops.demodulation import reflectance, sane, surface
-from rlbench.ops.padded_rows import Flat
-from rlbench.ops.stencils import holes
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
+from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.stencils import atrous_taps
 
 FAR = 1e4  # stands for the logarithm of a depth that is none: weights to it are exactly 0
 LOG2E = 1 / math.log(2)  # exp(x) is 2^(LOG2E x)
@@ -52,25 +52,25 @@ class Eaw:
     def start(self, size: Size) -> None:
         """Nothing is remembered."""
 
-    def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
-        return torch.ones_like(view.depth)
+        return torch.ones_like(gbuffer.depth)
 
     def denoise(
-        self, view: View, samples: Samples, state: None
+        self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The filtered image, in linear radiance."""
-        noisy, shade = sane(samples.mean), reflectance(view.albedo)
-        solid = surface(view.albedo, view.depth)
+        noisy, shade = sanitize_radiance(samples.mean), reflectance(gbuffer.albedo)
+        solid = surface_mask(gbuffer.albedo, gbuffer.depth)
         n, _, h, w = noisy.shape
-        flat = Flat(n, h, w, margin=2**self.config.passes)
-        light = flat.lay((noisy / shade).where(solid, 0.0))
-        normal = flat.lay(view.normal)
-        depth = flat.lay(view.depth.log().where(solid, FAR), empty=FAR)
+        flat = PaddedRows(n, h, w, margin=2**self.config.passes)
+        light = flat.pack((noisy / shade).where(solid, 0.0))
+        normal = flat.pack(gbuffer.normal)
+        depth = flat.pack(gbuffer.depth.log().where(solid, FAR), empty=FAR)
         for index in range(self.config.passes):
             guide = self._guide(index, light, normal, depth)
             light = smooth(flat, 2**index, guide, light)
-        return (flat.lift(light) * shade).where(solid, noisy), None
+        return (flat.unpack(light) * shade).where(solid, noisy), None
 
     def _guide(
         self, index: int, light: Tensor, normal: Tensor, depth: Tensor
@@ -83,7 +83,7 @@ class Eaw:
 
 
 def smooth(
-    flat: Flat, step: int, guide: Float[Tensor, "g row"], light: Float[Tensor, "c row"]
+    flat: PaddedRows, step: int, guide: Float[Tensor, "g row"], light: Float[Tensor, "c row"]
 ) -> Float[Tensor, "c row"]:
     """One pass: the mean of 5 x 5 pixels, weighted by a spline and 2^-|guide_p - guide_q|^2.
 
@@ -93,7 +93,7 @@ def smooth(
     for start, stop in flat.pieces(light):
         apart = torch.empty(len(guide), stop - start, device=light.device)
         weight = apart[:1].clone()
-        for tap in holes(step):
+        for tap in atrous_taps(step):
             away = flat.offset(tap.down, tap.right)
             here, there = slice(start, stop), slice(start + away, stop + away)
             torch.sub(guide[:, here], guide[:, there], out=apart).square_()

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from baselines.eaw.method import Config, Eaw
-from rlbench.clips.in_memory import MemoryClip
+from rlbench import registry
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import StoredClip, open_clip
-from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 
 BUDGETS = (1.0, 4.0)  # samples per pixel
@@ -24,19 +24,19 @@ GRID = [
 
 def search(clips: Sequence[StoredClip], grid: Sequence[Config] = GRID) -> dict[Config, float]:
     """Mean PSNR in dB of each configuration over the first frames of `clips`, best first."""
-    firsts = [MemoryClip(clip.name, clip.scene, "", [clip.frame(0)]) for clip in clips]
+    firsts = [InMemoryClip(clip.name, clip.scene, "", [clip.frame(0)]) for clip in clips]
     scores = {config: _score(Eaw(config), firsts) for config in grid}
     return dict(sorted(scores.items(), key=lambda item: -item[1]))
 
 
-def _score(method: Eaw, clips: Sequence[MemoryClip]) -> float:
+def _score(method: Eaw, clips: Sequence[InMemoryClip]) -> float:
     psnr = registry.load("metrics", "psnr").score
     scores = []
     for spp in BUDGETS:
         for clip in clips:
             for shown in run_clip(method, clip, spp):
                 reference = shown.frame.reference
-                scores.append(float(psnr(shown.image, reference.a, reference.b)))
+                scores.append(float(psnr(shown.image, reference.half_a, reference.half_b)))
     return sum(scores) / len(scores)
 
 
@@ -48,7 +48,7 @@ def main() -> None:
         epilog="example: python -m baselines.eaw.search ~/.cache/rlbench/clips/train/*",
     )
     parser.add_argument("clips", type=Path, nargs="+", help="clip folders, of training scenes")
-    needs = Eaw().traits.needs
+    needs = Eaw().traits.inputs
     clips = [open_clip(folder, needs) for folder in parser.parse_args().clips]
     for config, score in search(clips).items():
         sys.stdout.write(f"{score:.2f} dB  {config}\n")

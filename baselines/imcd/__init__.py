@@ -5,9 +5,9 @@ from __future__ import annotations
 from rlbench.family import Family, Traits, Variant
 
 TRAITS = Traits(
-    needs=frozenset({"albedo", "normal", "depth", "motion"}),
+    inputs=frozenset({"albedo", "normal", "depth", "motion"}),
     temporal=True,
-    spp=(1.0, 8.0),
+    spp_range=(1.0, 8.0),
 )
 
 FAMILY = Family(

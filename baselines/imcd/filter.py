@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.imcd.network import Kernels
-from rlbench.ops.affinity import alike, alike_in
+from rlbench.ops.affinity import affinity_sum, cross_affinity_sum
 
 DILATIONS = (1, 2, 4)  # pixels between taps, one a pass
 NONE = 1e-10  # added to sums of weights, eq. 6 and 8
@@ -56,10 +56,10 @@ def filtered(
         features, sharpness = kernels.features[:, k], kernels.sharpness[:, k]
         source = torch.cat((light, ones), 1)
         total = kernels.centre[:, k] * source
-        total = total + alike(features, sharpness, source, windows.spatial, dilation)
+        total = total + affinity_sum(features, sharpness, source, windows.spatial, dilation)
         if past is not None and k == len(DILATIONS) - 1:
             trusted = torch.cat((past.image, ones), 1) * past.valid
-            total = total + alike_in(
+            total = total + cross_affinity_sum(
                 features, kernels.past_sharpness, past.features, trusted, windows.temporal
             )
         light = total[:, :3] / (total[:, 3:] + NONE)

@@ -14,11 +14,11 @@ from baselines.imcd import FAMILY
 from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
-from rlbench.ops.demodulation import of_area, raised
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import squash_depth
-from rlbench.weights import equip
+from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
 LARGEST = 65504.0  # radiance above this, the largest half, is cut
@@ -77,26 +77,26 @@ class Imcd:
         empty = [torch.zeros(size.n, c, size.h, size.w, device=weight.device) for c in CHANNELS]
         return State._make((*empty, 0))
 
-    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
-        return torch.ones_like(view.depth)
+        return torch.ones_like(gbuffer.depth)
 
     def denoise(
-        self, view: View, samples: Samples, state: State
+        self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The image; state is cut off each `bptt` frames."""
-        image, state, _ = self.step(view, samples, state)
+        image, state, _ = self.step(gbuffer, samples, state)
         return image, state
 
     def step(
-        self, view: View, samples: Samples, state: State
+        self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State, Kernels]:
         """The same with the kernels that the image was filtered by."""
-        reflectance = raised(of_area(view.albedo))
-        noisy, now = self._seen(view, samples, reflectance)
+        reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
+        noisy, now = self._seen(gbuffer, samples, reflectance)
 
         # move memory here; where there is none, it is what is seen now
-        moved, valid = _moved(view, state)
+        moved, valid = _moved(gbuffer, state)
         memory = moved.embedding.where(valid, now)
         kernels = self.networks.kernels(now, memory)
         embedding = torch.lerp(now, memory, kernels.keep)
@@ -110,21 +110,21 @@ class Imcd:
         return image * reflectance, state, kernels
 
     def _seen(
-        self, view: View, samples: Samples, reflectance: Tensor
+        self, gbuffer: GBuffer, samples: Samples, reflectance: Tensor
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
         """Mean light of the samples, and the mean of their embeddings e_t."""
         clean = samples.radiance.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
         light = clean / reflectance[:, None]
-        shape = torch.cat((view.normal, view.albedo, squash_depth(view.depth)), 1)
-        embedding = self.networks.encoder(light.log1p(), shape, samples.filled)
+        shape = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
+        embedding = self.networks.encoder(light.log1p(), shape, samples.valid_mask)
         return light.sum(1) / samples.counts.clamp_min(1), embedding
 
 
-def _moved(view: View, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
+def _moved(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
     """The state as seen from this frame, and where it is valid; zero where it is not."""
     if state.age == 0:
         return state, torch.zeros_like(state.light[:, :1], dtype=torch.bool)
-    moved, valid = reproject(torch.cat(state[:4], 1), view.motion)
+    moved, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
     valid = valid & torch.isfinite(moved).all(1, keepdim=True)
     parts = moved.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
@@ -135,5 +135,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
     networks = Networks()
     if weights == "random":
         networks.draw(seed=0)
-    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

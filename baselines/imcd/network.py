@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.init import initialise
+from rlbench.ops.init import kaiming_init
 from rlbench.ops.pad import crop, pad
 
 VIEW = 7  # normal, albedo, depth
@@ -44,7 +44,7 @@ class Networks(nn.Module):
 
     def draw(self, seed: int) -> None:
         """Seeded weights; the last layer starts mild, so that neighbours start as alike."""
-        initialise(self, seed)
+        kaiming_init(self, seed)
         self.unet.last.weight.data.mul_(MILD)
 
     def kernels(
@@ -80,14 +80,14 @@ class Encoder(nn.Module):
     def forward(
         self,
         colours: Float[Tensor, "n s 3 h w"],
-        view: Float[Tensor, "n 7 h w"],
+        gbuffer: Float[Tensor, "n 7 h w"],
         filled: Bool[Tensor, "n s 1 h w"],
     ) -> Float[Tensor, "n 32 h w"]:
         """The mean embedding e_t; slot by slot, so that memory does not grow with slots."""
-        total = view.new_zeros(view.shape[0], EMBEDDING, *view.shape[2:])
+        total = gbuffer.new_zeros(gbuffer.shape[0], EMBEDDING, *gbuffer.shape[2:])
         for colour, bought in zip(colours.unbind(1), filled.unbind(1), strict=True):
             if bought.any():
-                total = total + self.embed(torch.cat((colour, view), 1)).float() * bought
+                total = total + self.embed(torch.cat((colour, gbuffer), 1)).float() * bought
         return total / filled.sum(1).clamp_min(1)
 
     def embed(self, sample: Float[Tensor, "n 10 h w"]) -> Float[Tensor, "n 32 h w"]:

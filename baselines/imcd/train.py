@@ -14,17 +14,17 @@ from baselines.imcd import FAMILY
 from baselines.imcd.method import Imcd, State
 from baselines.imcd.network import Kernels, Networks
 from rlbench.family import Traits
-from rlbench.frames import Clip, Samples, Size, View
+from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.ops.losses import smape
 from rlbench.run import unroll
-from rlbench.training.loop import Trainer
-from rlbench.training.task import FROM1
+from rlbench.training.loop import TrainingTask
+from rlbench.training.task import BUDGETS_FROM_1_SPP
 
 CHANGE = 0.25  # weight of the error of the change since the last frame
 STRAIN = 1e-5  # weight of squared sharpness
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
+def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """IMCD with seeded weights and its loss, eq. 11 to 13 of Isik et al. 2021.
 
     SMAPE of the image plus 0.25 SMAPE of its change since the last frame, both against the
@@ -40,12 +40,12 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     networks.draw(seed)
     networks.to(device)
     method = Imcd(networks, traits=FAMILY.variants[variant].traits)
-    return Trainer(method, networks, partial(losses, method), FROM1)
+    return TrainingTask(method, networks, partial(losses, method), BUDGETS_FROM_1_SPP)
 
 
 def losses(method: Imcd, clip: Clip, spp: float) -> Iterator[Float[Tensor, ""]]:
     """One loss for each `bptt` frames: the mean of theirs; see `trainer`."""
-    watched = Strained(method)
+    watched = SharpnessRecorder(method)
     terms: list[Tensor] = []  # of the frames since the last yield
     before: tuple[Tensor, Tensor] | None = None  # image and reference of the last frame
     for shown in unroll(watched, clip, spp):
@@ -62,7 +62,7 @@ def losses(method: Imcd, clip: Clip, spp: float) -> Iterator[Float[Tensor, ""]]:
 
 
 @dataclass(frozen=True)
-class Strained:
+class SharpnessRecorder:
     """A method while it is trained: how sharp its kernels are is written down."""
 
     method: Imcd
@@ -77,15 +77,15 @@ class Strained:
         """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """As the method's."""
-        return self.method.plan(view, samples, state)
+        return self.method.plan(gbuffer, samples, state)
 
     def denoise(
-        self, view: View, samples: Samples, state: State
+        self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """As the method's."""
-        image, state, kernels = self.method.step(view, samples, state)
+        image, state, kernels = self.method.step(gbuffer, samples, state)
         self.strain.append(strain(kernels))
         return image, state
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from rlbench.family import Family, Traits, Variant
 
 TRAITS = Traits(
-    needs=frozenset({"albedo", "normal", "depth", "motion"}),
-    adapts=True,
+    inputs=frozenset({"albedo", "normal", "depth", "motion"}),
+    adaptive=True,
     temporal=True,
-    floor=1,
-    spp=(1.0, 8.0),
+    min_samples=1,
+    spp_range=(1.0, 8.0),
 )
 
 FAMILY = Family(

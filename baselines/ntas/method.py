@@ -14,12 +14,12 @@ from torch import Tensor
 from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, Direct, Networks
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
-from rlbench.ops.demodulation import of_area, raised
-from rlbench.ops.density import exponential
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
+from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import log_forward, squash_depth
-from rlbench.weights import equip
+from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
 MISSING = -1.0  # what a network sees where there is no history
@@ -78,39 +78,43 @@ class Ntas:
         weight = next(self.networks.parameters())
         return State(torch.zeros(size.n, 3, size.h, size.w, device=weight.device), age=0)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """Density in (0, 1], 1 where it is largest: the exponential of the sampler's map."""
-        seen = _seen(view, raised(of_area(view.albedo)), *_history(view, state))
+        seen = _seen(
+            gbuffer, demodulation_albedo(filtered_albedo(gbuffer.albedo)), *_history(gbuffer, state)
+        )
         wish: Tensor = self.networks.sampler(seen)
-        return exponential(wish)
+        return bounded_exp_density(wish)
 
     def denoise(
-        self, view: View, samples: Samples, state: State
+        self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The image by kernels on samples and history; state is cut off each `bptt` frames."""
         noisy = samples.mean.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
-        history, valid = _history(view, state)
-        reflectance = raised(of_area(view.albedo))
-        seen = torch.cat((log_forward(noisy), _seen(view, reflectance, history, valid)), 1)
+        history, valid = _history(gbuffer, state)
+        reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
+        seen = torch.cat((log_forward(noisy), _seen(gbuffer, reflectance, history, valid)), 1)
         light = self.networks.denoiser(seen, noisy / reflectance, history, valid)
         age = state.age + 1
         remembered = light.detach() if age % self.config.bptt == 0 else light
         return light * reflectance, State(remembered, age)
 
 
-def _history(view: View, state: State) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
+def _history(
+    gbuffer: GBuffer, state: State
+) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The light of the last frame as seen from this one, zero where it is not valid."""
-    moved, valid = reproject(state.light, view.motion)
+    moved, valid = reproject(state.light, gbuffer.motion)
     valid = valid & torch.isfinite(moved).all(1, keepdim=True) & (state.age > 0)
     return moved.where(valid, 0.0), valid
 
 
 def _seen(
-    view: View, reflectance: Tensor, history: Tensor, valid: Tensor
+    gbuffer: GBuffer, reflectance: Tensor, history: Tensor, valid: Tensor
 ) -> Float[Tensor, "n 10 h w"]:
     """What both networks see: normal, albedo, depth and the last image."""
     last = log_forward(history * reflectance).where(valid, MISSING)
-    return torch.cat((view.normal, view.albedo, squash_depth(view.depth), last), 1)
+    return torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth), last), 1)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
@@ -119,5 +123,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
     networks = Networks(config.denoiser)
     if weights == "random":
         networks.draw(seed=0)
-    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ntas(networks, config, FAMILY.variants[variant].traits)

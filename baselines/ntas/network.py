@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.init import initialise
-from rlbench.ops.kernels import gather
+from rlbench.ops.init import kaiming_init
+from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
 from rlbench.ops.unet import BASE, STRIDE, UNet
@@ -39,7 +39,7 @@ class Networks(nn.Module):
 
     def draw(self, seed: int) -> None:
         """Seeded weights, faint in the last layers: map and kernels start near uniform."""
-        initialise(self, seed)
+        kaiming_init(self, seed)
         for layer in (self.sampler.unet.dec_conv0, *self.denoiser.last_layers()):
             for weight in layer.parameters():
                 weight.data.mul_(FAINT)
@@ -100,10 +100,10 @@ class Denoiser(nn.Module):
             pyramid.append(F.avg_pool2d(pyramid[-1], 2))
 
         kernels = self.coarsest(F.avg_pool2d(coarse[0], 2)).float().softmax(1)
-        output: Tensor = gather(kernels, pyramid[COARSEST])
+        output: Tensor = apply_kernels(kernels, pyramid[COARSEST])
         for head, features, level in zip(self.heads, coarse, pyramid[3:0:-1], strict=True):
             taps, share = head(features).float().split_with_sizes((TAPS, 1), 1)
-            output = _blend(gather(taps.softmax(1), level), output, share)
+            output = _blend(apply_kernels(taps.softmax(1), level), output, share)
 
         taps, past_taps, share = (
             self.unet.dec_conv0(finest).float().split_with_sizes((TAPS, TAPS, 1), 1)
@@ -156,9 +156,9 @@ def _filter(
     top = taps.detach().amax(1, keepdim=True)
     weights = (taps - top).exp()
     past_weights = (past_taps - top).clamp_max(SATURATED).exp()
-    remembered, trust = gather(past_weights, past).split_with_sizes((COLOUR, 1), 1)
+    remembered, trust = apply_kernels(past_weights, past).split_with_sizes((COLOUR, 1), 1)
     total = weights.sum(1, keepdim=True) + trust  # >= 1, from the largest of `taps`
-    return (gather(weights, light) + remembered) / total
+    return (apply_kernels(weights, light) + remembered) / total
 
 
 def _blend(fine: Tensor, coarse: Tensor, share: Tensor) -> Tensor:

@@ -14,14 +14,14 @@ from baselines.ntas.network import Networks
 from rlbench.frames import Clip
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.training.loop import Trainer
-from rlbench.training.surrogate_gradient import Surrogate
-from rlbench.training.task import FROM1
+from rlbench.training.loop import TrainingTask
+from rlbench.training.surrogate_gradient import SurrogateGradient
+from rlbench.training.task import BUDGETS_FROM_1_SPP
 
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
+def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """NTAS with seeded weights, and the loss that trains sampler and denoiser together.
 
     L1 of the image plus L1 of its change since the last frame, both against the reference's and
@@ -37,11 +37,11 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         return _losses(method, clip, spp)
 
-    return Trainer(method, networks, losses, FROM1, shares=SHARES)
+    return TrainingTask(method, networks, losses, BUDGETS_FROM_1_SPP, lr_multipliers=SHARES)
 
 
 def _losses(method: Ntas, clip: Clip, spp: float) -> Iterator[Tensor]:
-    taught = Surrogate(method, iter(clip), spp)
+    taught = SurrogateGradient(method, iter(clip), spp)
     terms: list[Tensor] = []  # of the frames since the last yield
     before: tuple[Tensor, Tensor] | None = None  # image and reference of the last frame
     for shown in unroll(taught, clip, spp):

@@ -2,7 +2,7 @@
 
 from rlbench.family import Family, Traits, Variant
 
-TRAITS = Traits(needs=frozenset({"albedo", "normal"}), spp=(1.0, 8.0))
+TRAITS = Traits(inputs=frozenset({"albedo", "normal"}), spp_range=(1.0, 8.0))
 
 FAMILY = Family(
     name="oidn",

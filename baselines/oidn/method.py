@@ -12,12 +12,12 @@ from torch import Tensor, nn
 
 from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
-from rlbench.weights import equip
+from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
 INPUTS = 9  # colour, albedo, normal
@@ -41,13 +41,13 @@ VARIANTS = {
 }
 
 
-def inputs(exposed: Float[Tensor, "n 3 h w"], view: View) -> Float[Tensor, "n 9 h w"]:
+def inputs(exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer) -> Float[Tensor, "n 9 h w"]:
     """What the network reads: exposed radiance in transfer space, albedo, normals in [0, 1]."""
-    normal = view.normal.clamp(-1, 1) * 0.5 + 0.5
-    return torch.cat((pu_forward(exposed), view.albedo.clamp(0, 1), normal), dim=1)
+    normal = gbuffer.normal.clamp(-1, 1) * 0.5 + 0.5
+    return torch.cat((pu_forward(exposed), gbuffer.albedo.clamp(0, 1), normal), dim=1)
 
 
-def develop(
+def to_radiance(
     value: Float[Tensor, "n 3 h w"], exposure: Float[Tensor, "n 1 1 1"]
 ) -> Float[Tensor, "n 3 h w"]:
     """What the network says, as linear radiance: clamped, out of transfer space, un-exposed.
@@ -70,22 +70,22 @@ class Oidn:
     network: nn.Module  # 9 channels to 3, in transfer space
     traits: Traits = TRAITS
     expose: Expose = field(default=autoexposure)  # noisy image to exposure
-    develop: Develop = field(default=develop)  # network's output and exposure to image
+    develop: Develop = field(default=to_radiance)  # network's output and exposure to image
 
     def start(self, size: Size) -> None:
         """Nothing: every frame is its own."""
 
-    def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
-        return torch.ones_like(view.albedo[:, :1])
+        return torch.ones_like(gbuffer.albedo[:, :1])
 
     def denoise(
-        self, view: View, samples: Samples, state: None
+        self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image, from the mean of the samples, albedo and normal."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
         exposure = self.expose(noisy)
-        seen = inputs(noisy * exposure, view)
+        seen = inputs(noisy * exposure, gbuffer)
         value = crop(self.network(pad(seen, to=STRIDE)), *seen.shape[-2:])
         return self.develop(value, exposure), None
 
@@ -93,5 +93,5 @@ class Oidn:
 def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
     """OIDN with our weights, those of a file, or `"random"` ones."""
     network = UNet(INPUTS, widths=VARIANTS[variant].widths)
-    equip(network, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(network, weights, CARDS / FAMILY.weights(variant), device)
     return Oidn(network)

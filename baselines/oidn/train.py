@@ -9,21 +9,21 @@ import torch
 from torch import Tensor
 
 from baselines.oidn.method import INPUTS, VARIANTS, Oidn
-from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.losses import EVEN, decibels, mixed
+from rlbench.ops.losses import EVEN, l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
-from rlbench.training.loop import Trainer
-from rlbench.training.task import FROM1
+from rlbench.training.loop import TrainingTask
+from rlbench.training.task import BUDGETS_FROM_1_SPP
 
 PEAK = 1e-3  # learning rate
 TUNING = 4e-5  # the same, where training starts from Intel's weights
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
+def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """A seeded U-Net and its loss, 0.16 L1 + 0.84 (1 - MS-SSIM) with five equal scales.
 
     As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
@@ -38,7 +38,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
     return (tuning if config.intel else learning)(Oidn(network))
 
 
-def tuning(method: Oidn) -> Trainer:
+def tuning(method: Oidn) -> TrainingTask:
     """How a U-Net goes on from Intel's weights. Raises LibraryError without the extra `oidn`."""
     from baselines.oidn_intel import networks
 
@@ -47,21 +47,21 @@ def tuning(method: Oidn) -> Trainer:
     return replace(learning(method, TUNING, even=True), origin=networks.origin())
 
 
-def learning(method: Oidn, peak: float = PEAK, even: bool = False) -> Trainer:
+def learning(method: Oidn, peak: float = PEAK, even: bool = False) -> TrainingTask:
     """How a U-Net learns from the pool that the method's traits name; even: by decibels."""
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
-            loss = _loss(method, MemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
-            yield decibels(loss) if even else loss
+            loss = _loss(method, InMemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
+            yield log_loss(loss) if even else loss
 
-    return Trainer(method, method.network, losses, FROM1, peak)
+    return TrainingTask(method, method.network, losses, BUDGETS_FROM_1_SPP, peak)
 
 
-def _loss(method: Oidn, still: MemoryClip, spp: float) -> Tensor:
+def _loss(method: Oidn, still: InMemoryClip, spp: float) -> Tensor:
     reference = still.frames[0].reference.mean
     exposure = autoexposure(reference)
     # the network's output as it is, no clamp: what is clamped gets no gradient
     method = replace(method, expose=lambda noisy: exposure, develop=lambda value, _: value)
     (shown,) = unroll(method, still, spp)
-    return mixed(shown.image, pu_forward(reference * exposure), EVEN)
+    return l1_ms_ssim_loss(shown.image, pu_forward(reference * exposure), EVEN)

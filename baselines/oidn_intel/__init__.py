@@ -6,12 +6,12 @@ from dataclasses import replace
 
 from rlbench.family import Family, Traits, Variant
 
-TRAITS = Traits(needs=frozenset({"albedo", "normal"}), spp=(1.0, 8.0))
+TRAITS = Traits(inputs=frozenset({"albedo", "normal"}), spp_range=(1.0, 8.0))
 INTEL = Variant(
     "How far does the library get as it comes, trained by Intel on its own scenes?",
     TRAITS,
     learned=False,  # by us
-    packages=("pyoidn",),
+    requires=("pyoidn",),
 )
 
 FAMILY = Family(

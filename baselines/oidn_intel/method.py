@@ -12,7 +12,7 @@ from torch import Tensor
 from baselines.oidn_intel import TRAITS
 from baselines.oidn_intel.library import Filter, Settings, version
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.transfer import HALF_MAX
 
 filter_for = lru_cache(maxsize=4)(Filter)  # building one takes as long as using it
@@ -52,18 +52,18 @@ class OidnIntel:
     def start(self, size: Size) -> None:
         """Nothing: every frame is its own."""
 
-    def plan(self, view: View, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
-        return torch.ones_like(view.albedo[:, :1])
+        return torch.ones_like(gbuffer.albedo[:, :1])
 
     def denoise(
-        self, view: View, samples: Samples, state: None
+        self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image, from the mean of the samples, albedo and normal; clip by clip."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
         settings = Settings(self.config.quality, self.config.clean)
         run = filter_for(settings, *noisy.shape[-2:], torch.get_num_threads())
-        inputs = zip(noisy, view.albedo.clamp(0, 1), view.normal.clamp(-1, 1), strict=True)
+        inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)
         return torch.stack([run(*each) for each in inputs]), None
 
 

@@ -13,7 +13,7 @@ import torch
 from baselines.oidn import tza
 from baselines.oidn.method import INPUTS, Oidn
 from baselines.oidn_intel.library import Filter, LibraryError, Settings, version
-from rlbench.frames import Samples, View
+from rlbench.frames import GBuffer, Samples
 from rlbench.ops.unet import BASE, FAST, UNet, Widths
 
 QUALITIES = {BASE: "high", FAST: "fast"}  # of the library, by the network that it takes for it
@@ -64,9 +64,9 @@ def origin() -> str:
 def _difference(made: UNet, quality: str) -> float:
     generator = torch.Generator().manual_seed(0)
     colour, albedo, normal = torch.rand(3, 1, 3, SIDE, SIDE, generator=generator)
-    view = View({"albedo": albedo, "normal": 2 * normal - 1})
+    gbuffer = GBuffer({"albedo": albedo, "normal": 2 * normal - 1})
     samples = Samples(colour[:, None], torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
-    image, _ = Oidn(made).denoise(view, samples, None)
+    image, _ = Oidn(made).denoise(gbuffer, samples, None)
     run = Filter(Settings(quality), SIDE, SIDE, threads=1)
     library = run(colour[0], albedo[0], 2 * normal[0] - 1)
     return float((image[0] - library).abs().mean() / library.abs().mean())

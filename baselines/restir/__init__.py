@@ -9,7 +9,7 @@ from rlbench.pools import PoolKind
 POOL = PoolKind(
     name="restir",
     title="ReSTIR DI with path-traced indirect light, one chain of reservoirs an image",
-    make="baselines.restir.chains:biased",
+    factory="baselines.restir.chains:biased",
     independent=False,
 )
 
@@ -36,7 +36,7 @@ DENOISED = Family(
     variants={
         "": Variant(
             "Does a plain U-Net gain from better direct-light samples, correlated as they are?",
-            Traits(needs=frozenset({"albedo", "normal"}), pool=POOL.name, spp=(1.0, 8.0)),
+            Traits(inputs=frozenset({"albedo", "normal"}), pool=POOL.name, spp_range=(1.0, 8.0)),
         ),
     },
     build="baselines.restir.method:denoised",

@@ -38,7 +38,7 @@ from baselines.restir.indirect import indirect
 from baselines.restir.reservoir import Reservoir, Stream, empty
 from baselines.restir.reuse import Others, merge
 from baselines.restir.surface import Surface
-from rlbench.pools import Stage
+from rlbench.pools import RenderContext
 
 ROOM = 2**16  # chains at most: random numbers of the passes of one chain lie so far apart
 DEPTH = 0.1  # relative difference of distances up to which surfaces are alike
@@ -79,7 +79,7 @@ class Past:
 class Restir:
     """Chains of reservoirs on a stage, frame after frame. Lanes: pixel by pixel, chains within."""
 
-    stage: Stage
+    stage: RenderContext
     numbers: range  # of the chains: which random numbers they have
     config: Config = BIASED
     indirect: bool = True  # also emission, and light from other surfaces?
@@ -159,7 +159,7 @@ class Restir:
             _, point = surface.light(found.place, found.weight > 0)
             seen = surface.sees(point, found.weight > 0)
             found.weight = dr.select(seen, found.weight, 0)
-        found.count = dr.select(surface.lit, found.count, 0)
+        found.M = dr.select(surface.lit, found.M, 0)
         return found
 
     def _remembered(self, surface: Surface, own: Reservoir) -> Reservoir:
@@ -175,7 +175,7 @@ class Restir:
 
         def take(lane: Any, active: Any) -> Reservoir:
             found = past.kept.at(lane, active & self._alike(surface, past, lane, active))
-            found.count = dr.minimum(found.count, self.config.history * own.count)
+            found.M = dr.minimum(found.M, self.config.history * own.M)
             return found
 
         def seen(lane: Any, active: Any) -> Surface:
@@ -282,11 +282,11 @@ class Restir:
         return Past(empty(self.lanes), mi.Normal3f(rooms[:3]), rooms[3], material, ray)
 
 
-def biased(stage: Stage, numbers: range) -> Restir:
+def biased(stage: RenderContext, numbers: range) -> Restir:
     """The paper's biased configuration: what a clip's `restir` pool holds."""
     return Restir(stage, numbers)
 
 
-def unbiased(stage: Stage, numbers: range) -> Restir:
+def unbiased(stage: RenderContext, numbers: range) -> Restir:
     """The unbiased configuration: right in the mean, noisier, and several times as dear."""
     return Restir(stage, numbers, UNBIASED)

@@ -10,7 +10,7 @@ from baselines.mean import Mean
 from baselines.oidn.method import INPUTS, Oidn
 from baselines.restir import DENOISED, FAMILY
 from rlbench.ops.unet import UNet
-from rlbench.weights import equip
+from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
 
@@ -26,5 +26,5 @@ def denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
     Its noise is correlated between neighbours, who share samples, unlike that of paths.
     """
     network = UNet(INPUTS)
-    equip(network, weights, CARDS / DENOISED.weights(variant), device)
+    load_for_inference(network, weights, CARDS / DENOISED.weights(variant), device)
     return Oidn(network, DENOISED.variants[variant].traits)

@@ -15,7 +15,7 @@ class Reservoir:
 
     place: Any  # mi.Point2f: two random numbers, of which the lights make a sample
     weight: Any  # mi.Float: W
-    count: Any  # mi.Float: M, how many samples it was drawn from
+    M: Any  # mi.Float: M, how many samples it was drawn from
 
     def at(self, lane: Any, active: Any) -> Reservoir:
         """The reservoirs of other lanes; empty where not active."""
@@ -24,13 +24,13 @@ class Reservoir:
 
         x, y, weight, count = (
             dr.gather(mi.Float, values, lane, active)
-            for values in (self.place.x, self.place.y, self.weight, self.count)
+            for values in (self.place.x, self.place.y, self.weight, self.M)
         )
         return Reservoir(mi.Point2f(x, y), weight, count)
 
     def arrays(self) -> tuple[Any, ...]:
         """All that it consists of."""
-        return self.place.x, self.place.y, self.weight, self.count
+        return self.place.x, self.place.y, self.weight, self.M
 
 
 def empty(lanes: int) -> Reservoir:

@@ -34,18 +34,18 @@ def merge(
     import mitsuba as mi
 
     here = surface.target(own.place, own.weight > 0)
-    start = Stream.nothing().show(own.place, here, here * own.weight * own.count, own.count, 0, 0.0)
+    start = Stream.nothing().show(own.place, here, here * own.weight * own.M, own.M, 0, 0.0)
 
     def look(index: Any, numbers: Any, stream: Stream) -> tuple[Any, ...]:
         lane, active = others.meet(numbers)
         other = others.take(lane, active & surface.lit)
         target = surface.target(other.place, other.weight > 0)
-        weight = target * other.weight * other.count
+        weight = target * other.weight * other.M
         u = numbers.next_float32()
         return (
             index + 1,
             numbers,
-            stream.show(other.place, target, weight, other.count, index + 1, u),
+            stream.show(other.place, target, weight, other.M, index + 1, u),
         )
 
     state = (mi.UInt32(0), rng(), start)
@@ -67,13 +67,13 @@ def _share(
 
     alive = stream.target > 0
     mine = seen_target(surface, stream.place, alive)
-    state = (mi.UInt32(0), rng(), own.count * mine, dr.select(stream.source == 0, mine, 0))
+    state = (mi.UInt32(0), rng(), own.M * mine, dr.select(stream.source == 0, mine, 0))
 
     def ask(index: Any, numbers: Any, total: Any, source: Any) -> tuple[Any, ...]:
         lane, active = others.meet(numbers)
         numbers.next_float32()
         active &= alive & surface.lit
-        count = others.take(lane, active).count
+        count = others.take(lane, active).M
         theirs = seen_target(others.surface(lane, active), stream.place, active)
         chosen = dr.select(stream.source == index + 1, theirs, source)
         return index + 1, numbers, total + count * theirs, chosen

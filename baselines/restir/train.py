@@ -8,10 +8,10 @@ from baselines.oidn.method import INPUTS, Oidn
 from baselines.oidn.train import tuning
 from baselines.restir import DENOISED
 from rlbench.ops.unet import UNet
-from rlbench.training.loop import Trainer
+from rlbench.training.loop import TrainingTask
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> Trainer:
+def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """Intel's U-Net, tuned on samples of the ReSTIR pool as `oidn/tuned` is on paths.
 
     Raises LibraryError where the extra `oidn` is not installed.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rlbench.family import Family, Traits, Variant
 
 TRAITS = Traits(
-    needs=frozenset({"albedo", "normal", "depth", "motion"}), temporal=True, spp=(1.0, 8.0)
+    inputs=frozenset({"albedo", "normal", "depth", "motion"}), temporal=True, spp_range=(1.0, 8.0)
 )
 
 FAMILY = Family(

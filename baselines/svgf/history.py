@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rlbench.ops.padded_rows import Flat
+from rlbench.ops.padded_rows import PaddedRows
 
 NEARER = 0.1  # two depths of one surface differ by at most this share (RTXDI, Q2RTX)
 ALIGNED = 0.9  # and the cosine between its normals is at least this (ours, after ReSTIR's tests)
@@ -20,7 +20,7 @@ BILINEAR = [(y, x) for y in (0, 1) for x in (0, 1)]
 AROUND = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
 
 
-class Past(NamedTuple):
+class History(NamedTuple):
     """What is remembered, in a row (see `Flat`); a length of 0 means nothing."""
 
     mean: Float[Tensor, "6 row"]  # irradiance filtered once, luminance, its square, length
@@ -28,7 +28,7 @@ class Past(NamedTuple):
     normal: Float[Tensor, "3 row"]
 
 
-class Mean(NamedTuple):
+class TemporalMoments(NamedTuple):
     """Exponential means over the frames of a history, as images."""
 
     light: Float[Tensor, "n 3 h w"]  # irradiance
@@ -41,10 +41,10 @@ class Mean(NamedTuple):
         return (self.moments[:, 1:] - self.moments[:, :1].square()).clamp_min(0)
 
 
-def nothing(flat: Flat, device: torch.device) -> Past:
+def nothing(flat: PaddedRows, device: torch.device) -> History:
     """The memory before the first frame."""
-    empty = flat.lay(torch.zeros(flat.n, 10, flat.h, flat.w, device=device))
-    return Past(empty[:6], empty[6:7], empty[7:])
+    empty = flat.pack(torch.zeros(flat.n, 10, flat.h, flat.w, device=device))
+    return History(empty[:6], empty[6:7], empty[7:])
 
 
 def luminance(light: Float[Tensor, "n 3 *size"]) -> Float[Tensor, "n 1 *size"]:
@@ -53,9 +53,9 @@ def luminance(light: Float[Tensor, "n 3 *size"]) -> Float[Tensor, "n 1 *size"]:
     return red * light[:, :1] + green * light[:, 1:2] + blue * light[:, 2:]
 
 
-def find(
-    flat: Flat,
-    past: Past,
+def reproject_history(
+    flat: PaddedRows,
+    past: History,
     motion: Float[Tensor, "n 2 h w"] | None,
     depth: Float[Tensor, "n 1 h w"],
     normal: Float[Tensor, "n 3 h w"],
@@ -66,7 +66,7 @@ def find(
     does, those of nine do. `motion` None means that nothing moved, and nothing is searched.
     """
     if motion is None:
-        return flat.lift(past.mean)
+        return flat.unpack(past.mean)
     x, y = (_position(motion, axis) for axis in (0, 1))
     x0, y0 = x.floor(), y.floor()
     right, down = x - x0, y - y0
@@ -90,7 +90,7 @@ def accumulate(
     known: Tensor,
     past: Float[Tensor, "n 6 h w"],
     keep: tuple[float, float],
-) -> Mean:
+) -> TemporalMoments:
     """This frame's irradiance averaged into the past, whose weight is at most 1 - `keep`.
 
     `keep` is the least weight of this frame in colour and in moments; while the history is
@@ -102,7 +102,7 @@ def accumulate(
     of_light, of_moments = (torch.where(told, (1 / length).clamp_min(k), 0.0) for k in keep)
     bright = luminance(light)
     moments = torch.cat((bright, bright.square()), 1)
-    return Mean(
+    return TemporalMoments(
         torch.lerp(old_light, light, of_light),
         torch.lerp(old_moments, moments, of_moments),
         length,
@@ -117,8 +117,8 @@ def _position(motion: Tensor, axis: int) -> Float[Tensor, "n h w"]:
 
 
 def _tapped(
-    flat: Flat,
-    past: Past,
+    flat: PaddedRows,
+    past: History,
     place: Int[Tensor, " m"],
     taps: list[tuple[int, int]],
     weights: list[Float[Tensor, " m"]],

@@ -11,15 +11,22 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from baselines.svgf import FAMILY
-from baselines.svgf.history import Mean, Past, accumulate, find, luminance, nothing
-from baselines.svgf.wavelet import Edges, spread
+from baselines.svgf.history import (
+    History,
+    TemporalMoments,
+    accumulate,
+    luminance,
+    nothing,
+    reproject_history,
+)
+from baselines.svgf.wavelet import Edges, atrous_pass
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
-from rlbench.ops.demodulation import reflectance, sane, surface
-from rlbench.ops.padded_rows import Flat
-from rlbench.ops.stencils import box, holes
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
+from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.stencils import atrous_taps, box
 
-SHORT = 4.0  # frames; the variance of a shorter history is estimated in space
+MIN_HISTORY_LENGTH = 4.0  # frames; the variance of a shorter history is estimated in space
 REACH = 3  # pixels, of that estimate
 FLATTEST = 1e-4  # least change of depth from pixel to pixel, as a share of depth
 TINY = 1e-10  # added to variance before the root (Falcor)
@@ -75,46 +82,46 @@ class Svgf:
     traits: Traits = FAMILY.variants[""].traits
     device: torch.device = torch.device("cpu")
 
-    def start(self, size: Size) -> Past:
+    def start(self, size: Size) -> History:
         """Nothing is remembered."""
         return nothing(self._flat(size), self.device)
 
-    def plan(self, view: View, samples: Samples, state: Past) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: History) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
-        return torch.ones_like(view.depth)
+        return torch.ones_like(gbuffer.depth)
 
     def denoise(
-        self, view: View, samples: Samples, state: Past
-    ) -> tuple[Float[Tensor, "n 3 h w"], Past]:
+        self, gbuffer: GBuffer, samples: Samples, state: History
+    ) -> tuple[Float[Tensor, "n 3 h w"], History]:
         """The filtered image, and the memory with this frame in it."""
-        noisy, shade = samples.mean, reflectance(view.albedo)
-        solid = surface(view.albedo, view.depth)
-        light = torch.where(solid, sane(noisy) / shade, 0.0)
-        depth = torch.where(solid, view.depth, 0.0)
-        normal = torch.where(solid, unit(view.normal), 0.0)
+        noisy, shade = samples.mean, reflectance(gbuffer.albedo)
+        solid = surface_mask(gbuffer.albedo, gbuffer.depth)
+        light = torch.where(solid, sanitize_radiance(noisy) / shade, 0.0)
+        depth = torch.where(solid, gbuffer.depth, 0.0)
+        normal = torch.where(solid, unit(gbuffer.normal), 0.0)
         flat = self._flat(Size(len(noisy), *noisy.shape[2:]))
 
-        recalled = find(flat, state, view.motion, depth, normal)
+        recalled = reproject_history(flat, state, gbuffer.motion, depth, normal)
         keep = (self.config.keep_light, self.config.keep_moments)
         mean = accumulate(light, noisy.isfinite().all(1, keepdim=True), recalled, keep)
 
         slope = torch.where(solid, gradient(depth, solid), 1.0)
         decay = -LOG2E / (self.config.sigma_depth * slope)
-        edges = Edges(*(flat.lay(each) for each in (normal, depth, decay)))
+        edges = Edges(*(flat.pack(each) for each in (normal, depth, decay)))
         start = _estimated(flat, edges, mean, solid, self.config.sigma_light)
         filtered, remembered = wavelet(flat, edges, *start, self.config)
-        image = torch.where(solid, flat.lift(filtered) * shade, sane(noisy))
+        image = torch.where(solid, flat.unpack(filtered) * shade, sanitize_radiance(noisy))
 
         rest = torch.cat((mean.moments, mean.length.where(solid, 0.0)), 1)
-        return image, Past(torch.cat((remembered, flat.lay(rest))), edges.depth, edges.normal)
+        return image, History(torch.cat((remembered, flat.pack(rest))), edges.depth, edges.normal)
 
-    def _flat(self, size: Size) -> Flat:
+    def _flat(self, size: Size) -> PaddedRows:
         """A margin for the widest pass."""
-        return Flat(*size, margin=max(REACH, 2**self.config.passes))
+        return PaddedRows(*size, margin=max(REACH, 2**self.config.passes))
 
 
 def wavelet(
-    flat: Flat,
+    flat: PaddedRows,
     edges: Edges,
     light: Float[Tensor, "3 row"],
     variance: Float[Tensor, "1 row"],
@@ -125,7 +132,7 @@ def wavelet(
     for index in range(config.passes):
         keen = (_blurred(flat, variance) + TINY).rsqrt() * (-LOG2E / config.sigma_light)
         bright = luminance(light[None])[0]
-        sums = spread(flat, holes(2**index), edges, (bright, keen), light, variance)
+        sums = atrous_pass(flat, atrous_taps(2**index), edges, (bright, keen), light, variance)
         light, variance = sums.values / sums.weight, sums.variance / sums.weight.square()
         if index == config.feedback:
             remembered = light
@@ -152,26 +159,30 @@ def unit(normal: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
 
 
 def _estimated(
-    flat: Flat, edges: Edges, mean: Mean, solid: Bool[Tensor, "n 1 h w"], sigma: float
+    flat: PaddedRows,
+    edges: Edges,
+    mean: TemporalMoments,
+    solid: Bool[Tensor, "n 1 h w"],
+    sigma: float,
 ) -> tuple[Float[Tensor, "3 row"], Float[Tensor, "1 row"]]:
     """Irradiance and its variance; where history is short, both come from the neighbourhood."""
-    light, variance = flat.lay(mean.light), flat.lay(mean.variance)
-    short = solid & (mean.length < SHORT)
+    light, variance = flat.pack(mean.light), flat.pack(mean.variance)
+    short = solid & (mean.length < MIN_HISTORY_LENGTH)
     if not short.any():
         return light, variance
     bright = luminance(light[None])[0]
-    values = torch.cat((light, flat.lay(mean.moments)))
+    values = torch.cat((light, flat.pack(mean.moments)))
     keen = torch.full_like(bright, -LOG2E / sigma)
-    sums = spread(flat, box(REACH), edges, (bright, keen), values, variance)
+    sums = atrous_pass(flat, box(REACH), edges, (bright, keen), values, variance)
     mean_near = sums.values / sums.weight
     first, second = mean_near[3:4], mean_near[4:]
-    boost = flat.lay(SHORT / mean.length)
+    boost = flat.pack(MIN_HISTORY_LENGTH / mean.length)
     wide = (second - first.square()).clamp_min(0) * boost
-    young = flat.lay(short.float()) > 0
+    young = flat.pack(short.float()) > 0
     return torch.where(young, mean_near[:3], light), torch.where(young, wide, variance)
 
 
-def _blurred(flat: Flat, variance: Float[Tensor, "1 row"]) -> Float[Tensor, "1 row"]:
+def _blurred(flat: PaddedRows, variance: Float[Tensor, "1 row"]) -> Float[Tensor, "1 row"]:
     """Variance after a 3 x 3 Gaussian; beyond borders and surfaces it is zero, as in Falcor."""
     for step in (1, flat.pitch):
         blurred = 0.5 * variance

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.ops.padded_rows import Flat
+from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.stencils import Tap
 
 SQUARINGS = 7  # cosines enter with the power 128 = 2^7
@@ -33,8 +33,8 @@ class Sums(NamedTuple):
     weight: Float[Tensor, "1 row"]  # of weight, >= 1
 
 
-def spread(
-    flat: Flat,
+def atrous_pass(
+    flat: PaddedRows,
     taps: Sequence[Tap],
     edges: Edges,
     light: tuple[Float[Tensor, "1 row"], Float[Tensor, "1 row"]],

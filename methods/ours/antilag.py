@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.ours.accumulation import Light
+from methods.ours.accumulation import AccumulatedRadiance
 from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop
 from rlbench.ops.transfer import log_inverse
@@ -21,7 +21,9 @@ FAINT = 0.1  # radiance beside which what is darker counts no more
 
 
 @torch.no_grad()
-def holds(old: Light, new: Light, image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
+def history_confidence(
+    old: AccumulatedRadiance, new: AccumulatedRadiance, image: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, "n 1 h w"]:
     """The share of the old light that is still believed, in [0, 1]; 1 where nothing says otherwise.
 
     Schied, Peters and Dachsbacher 2018: memory is given up by |change| over the larger of both.
@@ -33,19 +35,25 @@ def holds(old: Light, new: Light, image: Float[Tensor, "n 3 h w"]) -> Float[Tens
     Pixels count by what they are of the last `image` (in log transfer), else a lamp that stays
     hides what goes dark around it; not of the old light: what is dark there by chance brightens.
     """
-    h, w = new.weight.shape[-2:]
-    doubt = F.interpolate(doubted(old, new, image), scale_factor=float(CELL), mode="bilinear")
+    h, w = new.accumulated_spp.shape[-2:]
+    doubt = F.interpolate(
+        relative_change(old, new, image), scale_factor=float(CELL), mode="bilinear"
+    )
     return (1 - STEEP * crop(doubt, h, w)).clamp(0, 1)
 
 
-def doubted(old: Light, new: Light, image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h2 w2"]:
+def relative_change(
+    old: AccumulatedRadiance, new: AccumulatedRadiance, image: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, "n 1 h2 w2"]:
     """What part of the light has surely changed, of cells: that of the window where it is most."""
-    h, w = new.weight.shape[-2:]
-    both = ((new.weight > 0) & (old.weight > 0)).to(new.mean.dtype)
+    h, w = new.accumulated_spp.shape[-2:]
+    both = ((new.accumulated_spp > 0) & (old.accumulated_spp > 0)).to(new.mean.dtype)
     scale = 1 / (luminance(log_inverse(image)).clamp_min(0) + FAINT)
     then, now = luminance(old.mean) * scale, luminance(new.mean) * scale
     change, spread = now - then, old.variance * scale.square()
-    foretold = spread * (1 / new.weight.clamp_min(1) + 1 / old.weight.clamp_min(1))
+    foretold = spread * (
+        1 / new.accumulated_spp.clamp_min(1) + 1 / old.accumulated_spp.clamp_min(1)
+    )
     each = both * torch.cat((both, change, change.square(), foretold, then, now), 1)
     cells = F.avg_pool2d(F.pad(each, (0, -w % CELL, 0, -h % CELL)), CELL)
     return torch.stack([_doubt(cells, side) for side in WINDOWS]).amax(0)

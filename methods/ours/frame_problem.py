@@ -12,27 +12,27 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from methods.ours.method import Ours
-from methods.ours.policy import Trial
-from methods.ours.state import Memory
-from rlbench.frames import Frame, Samples, View
-from rlbench.ops.losses import mixed
+from methods.ours.policy import Rollout
+from methods.ours.state import RecurrentState
+from rlbench.frames import Frame, GBuffer, Samples
+from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
-from rlbench.sampling import buy, nothing
-from rlbench.training.surrogate_gradient import Teach, shares
+from rlbench.sampling import draw_samples
+from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
 
 @dataclass(frozen=True)
-class Turn:
+class FrameProblem:
     """A situation (`policy/interface.py`): the frame, what was remembered, the budget."""
 
     method: Ours
     frame: Frame
-    view: View  # with what the method declared
-    state: Memory
+    gbuffer: GBuffer  # with what the method declared
+    state: RecurrentState
     spp: float
 
     @property
-    def factors(self) -> bool:
+    def multiplicative(self) -> bool:
         """Does the density grow by factors with the action?"""
         return self.method.config.density == "exponential"
 
@@ -40,28 +40,30 @@ class Turn:
     def seen(self) -> Float[Tensor, "n c h w"]:
         """What the sampler sees."""
         with torch.no_grad():
-            return self.method.known(self.view, self.state).foreseen
+            return self.method.known(self.gbuffer, self.state).sampler_input
 
     def act(self) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action."""
-        return self.method.act(self.view, self.state)
+        return self.method.act(self.gbuffer, self.state)
 
     def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples a pixel that are due, before rounding."""
         wish = self.method.density(action)
-        low = torch.full_like(wish, self.method.traits.floor)
-        return shares(wish / wish.detach().amax((2, 3), keepdim=True), self.spp, low, self._cap())
+        low = torch.full_like(wish, self.method.traits.min_samples)
+        return relaxed_counts(
+            wish / wish.detach().amax((2, 3), keepdim=True), self.spp, low, self._cap()
+        )
 
     @torch.no_grad()
-    def attempt(self, actions: Float[Tensor, "k n 1 h w"]) -> Trial:
+    def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
         """Squared errors in log transfer, and counts."""
         errors, counts, _ = zip(*(self.take(action) for action in actions), strict=True)
-        return Trial(torch.stack(errors), torch.stack(counts))
+        return Rollout(torch.stack(errors), torch.stack(counts))
 
     @torch.no_grad()
     def take(
         self, action: Float[Tensor, "n 1 h w"]
-    ) -> tuple[Float[Tensor, "n 1 h w"], Float[Tensor, "n 1 h w"], Memory]:
+    ) -> tuple[Float[Tensor, "n 1 h w"], Float[Tensor, "n 1 h w"], RecurrentState]:
         """Squared errors in log transfer, counts, and what is left for the next frame."""
         image, samples, left = self.show(action)
         error = (log_forward(image).clamp(0, 1) - self._truth).square().mean(1, keepdim=True)
@@ -70,13 +72,13 @@ class Turn:
     @torch.no_grad()
     def show(
         self, action: Float[Tensor, "n 1 h w"]
-    ) -> tuple[Float[Tensor, "n 3 h w"], Samples, Memory]:
+    ) -> tuple[Float[Tensor, "n 3 h w"], Samples, RecurrentState]:
         """The image of an action, what was bought for it, and what is left for the next frame."""
         samples = self._buy(action)
-        image, left = self.method.denoise(self.view, samples, self.state)
+        image, left = self.method.denoise(self.gbuffer, samples, self.state)
         return image, samples, left
 
-    def slope(self, teach: Teach) -> Float[Tensor, ""]:
+    def surrogate_loss(self, teach: SampleGradient) -> Float[Tensor, ""]:
         """The loss of the mean action's image, with a gradient to the action through samples.
 
         It reaches the sampler alone: the others learn by the image that is shown.
@@ -84,20 +86,22 @@ class Turn:
         action = self.act()
         samples = teach(self._buy(action.detach()), self.relaxed(action), self.frame)
         with frozen(self.method.networks.encoder, self.method.networks.denoiser):
-            image, _ = self.method.denoise(self.view, samples, self.state)
-        return mixed(log_forward(image), log_forward(self.frame.reference.mean))
+            image, _ = self.method.denoise(self.gbuffer, samples, self.state)
+        return l1_ms_ssim_loss(log_forward(image), log_forward(self.frame.reference.mean))
 
     @cached_property
     def _truth(self) -> Float[Tensor, "n 3 h w"]:
         return log_forward(self.frame.reference.mean).clamp(0, 1)
 
     def _buy(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
-        pool, floor = self.frame.pool, self.method.traits.floor
-        return buy(pool, nothing(pool), self.method.density(action), self.spp, floor, self._cap())
+        pool, floor = self.frame.pool, self.method.traits.min_samples
+        return draw_samples(
+            pool, pool.empty(), self.method.density(action), self.spp, floor, self._cap()
+        )
 
     def _cap(self) -> int:
-        cap = self.method.traits.cap
-        return self.frame.pool.cap if cap is None else min(cap, self.frame.pool.cap)
+        cap = self.method.traits.max_samples
+        return self.frame.pool.max_samples if cap is None else min(cap, self.frame.pool.max_samples)
 
 
 @contextmanager

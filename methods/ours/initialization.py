@@ -7,9 +7,9 @@ import math
 import torch
 from torch import Tensor, nn
 
-from methods.ours.networks import SPREAD, TOLD, VIEW, Encoder, Networks, Sampler
+from methods.ours.networks import HISTORY_INPUTS, SPREAD, VIEW, Encoder, Networks, Sampler
 from methods.ours.variants import SAMPLES, Config
-from rlbench.ops.init import initialise
+from rlbench.ops.init import kaiming_init
 from rlbench.ops.unet import BASE, FAST, UNet
 
 FAINT = 0.1  # share of a random weight that is left beside a wired one
@@ -38,7 +38,7 @@ def start(networks: Networks, config: Config, seed: int) -> str:
     are not ours, or nothing. Raises LibraryError where Intel's weights are wanted and the extra
     `oidn` is not installed.
     """
-    initialise(networks, seed)
+    kaiming_init(networks, seed)
     if networks.sampler is not None:
         show_contrast(networks.sampler, config)
         networks.sampler.start_uniform()
@@ -58,7 +58,7 @@ def _pass_on(encoder: Encoder, config: Config) -> None:
     first, *between, last = _convolutions(encoder.layers)
     values = SAMPLES[config.samples]
     slots = [group for group in SLOTS if 3 * max(group) + 3 <= values]
-    before = TOLD * config.gathers
+    before = HISTORY_INPUTS * config.gathers
     hidden = values + VIEW + before
     for channel in range(hidden):
         skipped = config.latent if channel >= values + VIEW else 0

@@ -12,17 +12,26 @@ from torch.nn import functional as F
 
 from baselines.oidn.method import inputs
 from methods.ours import FAMILY
-from methods.ours.accumulation import filled, gathered, measured
-from methods.ours.antilag import holds
+from methods.ours.accumulation import accumulate, fill_holes, frame_radiance
+from methods.ours.antilag import history_confidence
 from methods.ours.networks import Networks
-from methods.ours.state import MISSING, Known, Memory, Moved, Past, empty, looked, recalled
+from methods.ours.state import (
+    MISSING,
+    FrameContext,
+    History,
+    RecurrentState,
+    ReprojectedHistory,
+    gbuffer_features,
+    initial_state,
+    reproject_state,
+)
 from methods.ours.variants import SLOTS, VARIANTS, Config, Density
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
-from rlbench.ops.demodulation import sane
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.demodulation import sanitize_radiance
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.init import initialise
-from rlbench.ops.memory_format import unpacked
+from rlbench.ops.init import kaiming_init
+from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import (
     LOG_SCALE,
@@ -30,7 +39,7 @@ from rlbench.ops.transfer import (
     log_inverse,
     pu_inverse,
 )
-from rlbench.weights import equip
+from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
 BELOW = -0.5 / LOG_SCALE  # least radiance while it trains; log transfer is defined above twice it
@@ -61,71 +70,83 @@ class Ours:
     config: Config
     traits: Traits
     networks: Networks
-    recent: dict[str, tuple[View, Memory, Known]] = field(
+    context_cache: dict[str, tuple[GBuffer, RecurrentState, FrameContext]] = field(
         default_factory=dict, repr=False, compare=False
     )
 
-    def start(self, size: Size) -> Memory:
+    def start(self, size: Size) -> RecurrentState:
         """No memory."""
-        return empty(self.config, size, next(self.networks.parameters()).device)
+        return initial_state(self.config, size, next(self.networks.parameters()).device)
 
-    def plan(self, view: View, samples: Samples, state: Memory) -> Float[Tensor, "n 1 h w"]:
+    def plan(
+        self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
+    ) -> Float[Tensor, "n 1 h w"]:
         """The density of the sampler's action; constant where there is none, or it is ignored."""
         if self.networks.sampler is None or self.config.flat:
-            return torch.ones_like(view.depth)
-        return self.density(self.act(view, state))
+            return torch.ones_like(gbuffer.depth)
+        return self.density(self.act(gbuffer, state))
 
     def density(self, action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
         """How much is wished for by an action; actions beyond [-1, 1] are clamped."""
         return density(action, self.config.density)
 
-    def act(self, view: View, state: Memory) -> Float[Tensor, "n 1 h w"]:
+    def act(self, gbuffer: GBuffer, state: RecurrentState) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action, in [-1, 1]."""
         assert self.networks.sampler is not None
-        seen = self.known(view, state).foreseen
+        seen = self.known(gbuffer, state).sampler_input
         h, w = seen.shape[-2:]
         action: Tensor = self.networks.sampler(pad(seen, MULTIPLE))
         return crop(action, h, w).float()
 
     def denoise(
-        self, view: View, samples: Samples, state: Memory
-    ) -> tuple[Float[Tensor, "n 3 h w"], Memory]:
+        self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
+    ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
         """The image in linear radiance, and what is left for the next frame."""
-        samples = replace(samples, radiance=sane(samples.radiance))
-        known, values = self.known(view, state), self._values(samples)
-        latent, trust = self._encode(view, values, known, samples.counts)
+        samples = replace(samples, radiance=sanitize_radiance(samples.radiance))
+        known, values = self.known(gbuffer, state), self._values(samples)
+        latent, trust = self._encode(gbuffer, values, known, samples.counts)
         past = None
         if self.config.light == "none":
-            image = log_inverse(self._paint(latent))
+            image = log_inverse(self._run_denoiser(latent))
         else:
-            light, moved = measured(samples), known.moved
+            light, moved = frame_radiance(samples), known.moved
             if moved is not None:
                 if self.config.antilag:
-                    moved = moved.believed(holds(moved.light, light, moved.image))
-                light = gathered(moved.light, light, trust)
-            light = filled(light, view.albedo)
-            image = self._develop(view, light.mean, latent, moved)
+                    moved = moved.with_confidence(
+                        history_confidence(moved.light, light, moved.image)
+                    )
+                light = accumulate(moved.light, light, trust)
+            light = fill_holes(light, gbuffer.albedo)
+            image = self._reconstruct(gbuffer, light.mean, latent, moved)
             spent = samples.counts.float().mean((1, 2, 3), keepdim=True)
-            past = Past(light, image, looked(view), spent) if self.config.gathers else None
+            past = (
+                History(light, image, gbuffer_features(gbuffer), spent)
+                if self.config.gathers
+                else None
+            )
         kept = {"state": latent, "samples": values, "nothing": latent[:, :0]}
-        return image, Memory(kept[self.config.remembers], past, state.age + 1)
+        return image, RecurrentState(kept[self.config.remembers], past, state.age + 1)
 
-    def known(self, view: View, state: Memory) -> Known:
+    def known(self, gbuffer: GBuffer, state: RecurrentState) -> FrameContext:
         """What is remembered, moved to where it is now, beside the view.
 
         Kept from planning a frame to denoising it, which ask for the same; not while it trains.
         """
         if torch.is_grad_enabled():
-            return recalled(self.config, view, state)
-        last = self.recent.get("known")
-        if last is None or last[0] is not view or last[1] is not state:
-            last = self.recent["known"] = (view, state, recalled(self.config, view, state))
+            return reproject_state(self.config, gbuffer, state)
+        last = self.context_cache.get("known")
+        if last is None or last[0] is not gbuffer or last[1] is not state:
+            last = self.context_cache["known"] = (
+                gbuffer,
+                state,
+                reproject_state(self.config, gbuffer, state),
+            )
         return last[2]
 
     def _values(self, samples: Samples) -> Float[Tensor, "n c h w"]:
         """Samples in log transfer, MISSING where there is none: each by itself, or their mean."""
         if self.config.samples == "single":
-            values = log_forward(samples.radiance).where(samples.filled, MISSING)  # n s 3 h w
+            values = log_forward(samples.radiance).where(samples.valid_mask, MISSING)  # n s 3 h w
             short = SLOTS - values.shape[1]
             return F.pad(values, (0,) * 7 + (short,), value=MISSING).flatten(1, 2)
         mean = log_forward(samples.mean).where(samples.counts > 0, MISSING)
@@ -135,9 +156,9 @@ class Ours:
 
     def _encode(
         self,
-        view: View,
+        gbuffer: GBuffer,
         values: Float[Tensor, "n c h w"],
-        known: Known,
+        known: FrameContext,
         counts: Int[Tensor, "n 1 h w"],
     ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
         """The new state and how far light gathered before is trusted, in [0, 1].
@@ -145,37 +166,39 @@ class Ours:
         Where light is gathered, a pixel that stands still and got no sample keeps both as they are.
         """
         if self.networks.encoder is None:
-            return torch.cat((values, looked(view)), dim=1), torch.zeros_like(view.depth)
+            return torch.cat((values, gbuffer_features(gbuffer)), dim=1), torch.zeros_like(
+                gbuffer.depth
+            )
         seen = torch.cat((values, known.seen), dim=1)
         h, w = seen.shape[-2:]
-        encoded = crop(unpacked(self.networks.encoder(pad(seen, MULTIPLE))), h, w)
+        encoded = crop(to_contiguous_float32(self.networks.encoder(pad(seen, MULTIPLE))), h, w)
         latent, rest = encoded[:, : self.config.latent], encoded[:, self.config.latent :]
         trust = (1 + rest) / 2
         if known.moved is None:
             return latent, trust
-        kept = known.moved.still & (counts == 0)
+        kept = known.moved.static_mask & (counts == 0)
         return known.moved.state.where(kept, latent), trust.masked_fill(kept, 1.0)
 
-    def _develop(
+    def _reconstruct(
         self,
-        view: View,
+        gbuffer: GBuffer,
         colour: Float[Tensor, "n 3 h w"],
         latent: Float[Tensor, "n s h w"],
-        moved: Moved | None,
+        moved: ReprojectedHistory | None,
     ) -> Float[Tensor, "n 3 h w"]:
         """The image that Intel's network makes of a colour and the state, and of the last image."""
         exposure = autoexposure(colour.detach())
-        value = self._paint(torch.cat((inputs(colour * exposure, view), latent), dim=1))
+        value = self._run_denoiser(torch.cat((inputs(colour * exposure, gbuffer), latent), dim=1))
         image = (pu_inverse(value[:, :3].clamp_max(1)) / exposure).clamp_min(BELOW)
         if moved is None:
             return image
-        kept = value[:, 3:].sigmoid() * moved.same
+        kept = value[:, 3:].sigmoid() * moved.similarity
         return log_inverse(torch.lerp(log_forward(image), moved.image, kept))
 
-    def _paint(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
+    def _run_denoiser(self, shown: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """What the denoiser says, in its transfer space; colour below zero only while it trains."""
         h, w = shown.shape[-2:]
-        value = crop(unpacked(self.networks.denoiser(pad(shown, MULTIPLE))), h, w)
+        value = crop(to_contiguous_float32(self.networks.denoiser(pad(shown, MULTIPLE))), h, w)
         if self.networks.training:
             return value
         return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)
@@ -196,6 +219,6 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
     config = VARIANTS[variant]
     networks = Networks(config)
     if weights == "random":
-        initialise(networks)
-    equip(networks, weights, CARDS / FAMILY.weights(variant), device)
+        kaiming_init(networks)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ours(config, FAMILY.variants[variant].traits, networks)

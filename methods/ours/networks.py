@@ -9,12 +9,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from methods.ours.variants import SAMPLES, Config
-from rlbench.ops.memory_format import packed
+from rlbench.ops.memory_format import to_channels_last
 from rlbench.ops.unet import UNet
 
 VIEW = 7  # normal 3, albedo 3, depth 1
-SHOWN = 9  # what Intel's network reads: colour 3, albedo 3, normal 3
-TOLD = 9  # of light gathered before: the last image 3, mean 3, spread, weight, likeness 1
+DENOISER_INPUTS = 9  # what Intel's network reads: colour 3, albedo 3, normal 3
+HISTORY_INPUTS = 9  # of light gathered before: the last image 3, mean 3, spread, weight, likeness 1
 SPREAD = 6  # which of these is the spread
 
 
@@ -50,7 +50,7 @@ class Sampler(nn.Module):
 
     def forward(self, known: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 1 h w"]:
         """The mean action; sides must divide by two for each level but two."""
-        x = self.tail(packed(known))
+        x = self.tail(to_channels_last(known))
         skips = []
         for depth, block in enumerate(self.down):
             x = block(self.pool(x) if depth else x)
@@ -78,7 +78,7 @@ class Encoder(nn.Module):
 
     def forward(self, seen: Float[Tensor, "n c h w"]) -> Float[Tensor, "n s h w"]:
         """The new state, in [-1, 1]."""
-        seen = packed(seen)
+        seen = to_channels_last(seen)
         for layer in self.layers[:-1]:
             seen = torch.relu_(layer(seen))
         return torch.tanh(self.layers[-1](seen))
@@ -92,7 +92,7 @@ class Networks(nn.Module):
         super().__init__()
         values = SAMPLES[config.samples]
         remembered = {"state": config.latent, "samples": values, "nothing": 0}[config.remembers]
-        known = VIEW + remembered + TOLD * config.gathers
+        known = VIEW + remembered + HISTORY_INPUTS * config.gathers
         self.foreseen = known + config.gathers  # the budget too
         self.sampler = None
         if config.sampler:
@@ -103,7 +103,7 @@ class Networks(nn.Module):
             outputs = config.latent + config.gathers
             self.encoder = Encoder(known + values, config.encoder, outputs, config.kernel)
             state = config.latent
-        shown = 0 if config.light == "none" else SHOWN
+        shown = 0 if config.light == "none" else DENOISER_INPUTS
         # as for light, so for the last image
         self.denoiser = UNet(shown + state, 3 + config.gathers, config.denoiser)
 

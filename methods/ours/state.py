@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from methods.ours.accumulation import Light, alike, told
+from methods.ours.accumulation import AccumulatedRadiance, feature_similarity, network_features
 from methods.ours.networks import VIEW
 from methods.ours.variants import SAMPLES, Config
-from rlbench.frames import Size, View
-from rlbench.ops.reprojection import reproject, reproject_sharp
+from rlbench.frames import GBuffer, Size
+from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.transfer import log_forward, squash_depth
 
 MISSING = -1.0  # a sample that was not bought, a state that is not there
@@ -23,112 +23,116 @@ SHARP = [3, 1, 3]  # channels of what is kept of the past: mean, square, last im
 SOFT = [1, VIEW]  # and weight, view
 
 
-class Past(NamedTuple):
+class History(NamedTuple):
     """What is kept of the frames before, beside the state, where light is gathered."""
 
-    light: Light
+    light: AccumulatedRadiance
     image: Float[Tensor, "n 3 h w"]  # the last one, linear radiance
     seen: Float[Tensor, "n 7 h w"]  # the last view
-    spent: Float[Tensor, "n 1 1 1"]  # samples a pixel of the last frame; 1 before the first
+    previous_spp: Float[Tensor, "n 1 1 1"]  # samples a pixel of the last frame; 1 before the first
 
 
-class Memory(NamedTuple):
+class RecurrentState(NamedTuple):
     """What one frame leaves for the next; of no frames it has age 0 and is empty."""
 
     state: Float[Tensor, "n c h w"]  # latent, or samples; MISSING everywhere before the first frame
-    past: Past | None  # None where the variant gathers no light
+    past: History | None  # None where the variant gathers no light
     age: int  # frames
 
 
-class Moved(NamedTuple):
+class ReprojectedHistory(NamedTuple):
     """What was kept of the frames before, where it is now."""
 
     state: Float[Tensor, "n c h w"]  # MISSING where it is from outside
-    light: Light  # without weight there
+    light: AccumulatedRadiance  # without weight there
     image: Float[Tensor, "n 3 h w"]  # in log transfer
-    same: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
-    still: Bool[Tensor, "n 1 h w"]  # was the same thing there already?
+    similarity: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
+    static_mask: Bool[Tensor, "n 1 h w"]  # was the same thing there already?
 
-    def believed(self, share: Float[Tensor, "n 1 h w"]) -> Moved:
+    def with_confidence(self, share: Float[Tensor, "n 1 h w"]) -> ReprojectedHistory:
         """The same, with so much of the light's weight and of the last image."""
-        light = self.light._replace(weight=self.light.weight * share)
-        return self._replace(light=light, same=self.same * share)
+        light = self.light._replace(accumulated_spp=self.light.accumulated_spp * share)
+        return self._replace(light=light, similarity=self.similarity * share)
 
 
-class Known(NamedTuple):
+class FrameContext(NamedTuple):
     """What is known of a frame before it is sampled."""
 
     seen: Float[Tensor, "n c h w"]  # by the networks
-    moved: Moved | None
-    spent: Float[Tensor, "n 1 1 1"] | None = None  # where light is gathered
+    moved: ReprojectedHistory | None
+    previous_spp: Float[Tensor, "n 1 1 1"] | None = None  # where light is gathered
 
     @property
-    def foreseen(self) -> Float[Tensor, "n c h w"]:
+    def sampler_input(self) -> Float[Tensor, "n c h w"]:
         """What the sampler sees: last, where light is gathered, the logarithm of the budget.
 
         That is how many samples a pixel the last frame got.
         """
-        if self.spent is None:
+        if self.previous_spp is None:
             return self.seen
-        budget = self.spent.clamp_min(LEAST).log().expand(-1, -1, *self.seen.shape[-2:])
+        budget = self.previous_spp.clamp_min(LEAST).log().expand(-1, -1, *self.seen.shape[-2:])
         return torch.cat((self.seen, budget), dim=1)
 
 
-def detached(memory: Memory) -> Memory:
+def detached(memory: RecurrentState) -> RecurrentState:
     """The same, through which no gradient flows."""
     if (past := memory.past) is not None:
-        light = Light(*(part.detach() for part in past.light))
-        past = Past(light, past.image.detach(), past.seen.detach(), past.spent)
-    return Memory(memory.state.detach(), past, memory.age)
+        light = AccumulatedRadiance(*(part.detach() for part in past.light))
+        past = History(light, past.image.detach(), past.seen.detach(), past.previous_spp)
+    return RecurrentState(memory.state.detach(), past, memory.age)
 
 
-def empty(config: Config, size: Size, device: torch.device) -> Memory:
+def initial_state(config: Config, size: Size, device: torch.device) -> RecurrentState:
     """No memory: the sentinel everywhere."""
     n, h, w = size
     channels = {"state": config.latent, "samples": SAMPLES[config.samples]}
     sharp, soft = (torch.zeros(n, sum(x), h, w, device=device) for x in (SHARP, SOFT))
     state = sharp.new_full((n, channels.get(config.remembers, 0), h, w), MISSING)
     once = torch.ones(n, 1, 1, 1, device=device)
-    return Memory(state, _past(sharp, soft, once) if config.gathers else None, 0)
+    return RecurrentState(state, _past(sharp, soft, once) if config.gathers else None, 0)
 
 
-def recalled(config: Config, view: View, state: Memory) -> Known:
+def reproject_state(config: Config, gbuffer: GBuffer, state: RecurrentState) -> FrameContext:
     """What is remembered, moved to where it is now, beside the view."""
-    seen = looked(view)
+    seen = gbuffer_features(gbuffer)
     if config.remembers == "nothing":
-        return Known(seen, None)
+        return FrameContext(seen, None)
     state = state if state.age % config.bptt else detached(state)
     width, history = state.state.shape[1], state.state
     if state.past is not None:
-        history = torch.cat((history, state.past.light.weight, state.past.seen), dim=1)
-    soft, valid = reproject(history, view.motion)
+        history = torch.cat((history, state.past.light.accumulated_spp, state.past.seen), dim=1)
+    soft, valid = reproject(history, gbuffer.motion)
     valid = valid & (state.age > 0)
     remembered = soft[:, :width].where(valid, MISSING)
     if state.past is None:
-        return Known(torch.cat((seen, remembered), dim=1), None)
+        return FrameContext(torch.cat((seen, remembered), dim=1), None)
     light, image = state.past.light, log_forward(state.past.image)
-    sharp, _ = reproject_sharp(torch.cat((light.mean, light.square, image), dim=1), view.motion)
+    sharp, _ = reproject_bicubic(
+        torch.cat((light.mean, light.second_moment, image), dim=1), gbuffer.motion
+    )
     shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)  # is anything left of it?
     # its image is in log transfer from here on: linear, taps beside a lamp would be all rounding
-    past = _past(sharp, soft[:, width:], state.past.spent.where(shot, 1.0))
-    same = alike(seen, past.seen).where(valid, 0.0)
-    light = past.light._replace(weight=past.light.weight * same)
-    gained = torch.cat((past.image, told(light), same), dim=1).where(valid, MISSING)
+    past = _past(sharp, soft[:, width:], state.past.previous_spp.where(shot, 1.0))
+    same = feature_similarity(seen, past.seen).where(valid, 0.0)
+    light = past.light._replace(accumulated_spp=past.light.accumulated_spp * same)
+    gained = torch.cat((past.image, network_features(light), same), dim=1).where(valid, MISSING)
     every = torch.cat((seen, remembered, gained), dim=1)
-    if view.motion is not None:
-        valid = valid & (view.motion.abs().amax(1, keepdim=True) < STILL)
+    if gbuffer.motion is not None:
+        valid = valid & (gbuffer.motion.abs().amax(1, keepdim=True) < STILL)
     valid = valid & (same > SAME)
-    return Known(every, Moved(remembered, light, past.image, same, valid), past.spent)
+    return FrameContext(
+        every, ReprojectedHistory(remembered, light, past.image, same, valid), past.previous_spp
+    )
 
 
-def looked(view: View) -> Float[Tensor, "n 7 h w"]:
+def gbuffer_features(gbuffer: GBuffer) -> Float[Tensor, "n 7 h w"]:
     """A view as networks see it: normal, albedo, 1 / (1 + depth)."""
-    return torch.cat((view.normal, view.albedo, squash_depth(view.depth)), dim=1)
+    return torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), dim=1)
 
 
 def _past(
     sharp: Float[Tensor, "n 7 h w"], soft: Float[Tensor, "n 8 h w"], spent: Float[Tensor, "n 1 1 1"]
-) -> Past:
+) -> History:
     mean, square, image = sharp.split_with_sizes(SHARP, 1)
     weight, seen = soft.split_with_sizes(SOFT, 1)
-    return Past(Light(mean, square, weight), image, seen, spent)
+    return History(AccumulatedRadiance(mean, square, weight), image, seen, spent)

@@ -74,13 +74,13 @@ def metrics(table: pd.DataFrame) -> list[str]:
     return sorted(set(rows["metric"]), key=lambda name: (name != "psnr", name))
 
 
-def about(table: pd.DataFrame, metric: str, column: str) -> str:
+def column_text(table: pd.DataFrame, metric: str, column: str) -> str:
     """What the rows of `metric` say in `column`, one text if they agree, else all of them."""
     found = sorted(set(table.loc[table["metric"] == metric, column]) - {""})
     return "; ".join(found)
 
 
-def shots(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+def per_frame_scores(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Score of each method, scene, clip, budget and frame, averaged over seeds, where complete.
 
     A method that lacks frames which another has on that scene has no mean that compares; those
@@ -92,7 +92,7 @@ def shots(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     return every.merge(whole, on=CELL)
 
 
-def gaps(table: pd.DataFrame, metric: str) -> list[str]:
+def incomplete_groups(table: pd.DataFrame, metric: str) -> list[str]:
     """What has no mean since frames or scenes are missing that others have, one sentence each."""
     counts = _counts(_every_shot(table, metric))
     short = counts[counts["frames"] < counts["asked"]]
@@ -109,7 +109,7 @@ def gaps(table: pd.DataFrame, metric: str) -> list[str]:
 
 def clip_means(table: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Columns method, scene, spp, clip, value: mean over the frames of a clip."""
-    clips = shots(table, metric).groupby([*CELL, "clip"])["value"].mean()
+    clips = per_frame_scores(table, metric).groupby([*CELL, "clip"])["value"].mean()
     return pd.DataFrame(clips.reset_index())
 
 
@@ -157,7 +157,7 @@ def _whole_mean(part: pd.Series[float]) -> float:
     return float(part.mean(skipna=False))
 
 
-def front(times: pd.Series, values: pd.Series, better: str) -> list[int]:
+def pareto_front(times: pd.Series, values: pd.Series, better: str) -> list[int]:
     """Positions that no other beats in both time and value, by rising time."""
     sign = -1 if better == "low" else 1
     order = sorted(range(len(times)), key=lambda i: (times.iloc[i], -sign * values.iloc[i]))

@@ -33,7 +33,7 @@ class Deviation:
     count: int
 
 
-def agreement(
+def kendall_tau(
     one: Sequence[float], other: Sequence[float], seed: int = 0, draws: int = DRAWS
 ) -> Agreement:
     """Do two scores order the same rows alike? Kendall 1945, The Treatment of Ties (tau-b).
@@ -61,7 +61,7 @@ def agreement(
     return Agreement(found, chance, count)
 
 
-def deviation(values: Sequence[float], level: float = LEVEL) -> Deviation:
+def std_with_interval(values: Sequence[float], level: float = LEVEL) -> Deviation:
     """Standard deviation and its chi-square interval, which takes the numbers to be normal."""
     count = len(values)
     if count < 2:

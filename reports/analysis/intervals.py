@@ -16,7 +16,7 @@ SHOT = ("scene", "clip", "frame")
 DRAWS = 10_000  # bootstrap samples: the ends of a 95 % interval are then stable to about 1 %
 LEVEL = 0.95
 FEW = 8  # scenes or clips: fewer are not resampled
-TOLD = f"95 % interval over scenes (of one scene, over clips; Student's t below {FEW})"
+INTERVAL_NOTE = f"95 % interval over scenes (of one scene, over clips; Student's t below {FEW})"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,6 @@ def weights(method: str) -> str:
     return method.partition("@")[2]
 
 
-def series(method: str) -> str:
+def training_series(method: str) -> str:
     """Several trainings alike have one: `ours@seed` of `ours@seed0`; empty for shipped weights."""
     return method.rstrip("0123456789") if weights(method) else ""

@@ -6,7 +6,7 @@ import math
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
+from reports.analysis import aggregate
 from reports.analysis.intervals import DRAWS, interval, paired
 
 EVERY = "all"  # the scene column of means over every scene
@@ -23,9 +23,9 @@ def ranking(table: pd.DataFrame, metric: str, seed: int = 0, draws: int = DRAWS)
     `high` its interval (nan with one scene and clip), `tie` whether that holds zero. Nothing is
     best where the metric has no better end. For "all", methods that lack a scene are left out.
     """
-    better = scores.about(table, metric, "better")
-    every = scores.shots(table, metric)
-    whole = scores.overall(scores.scene_means(table, metric))[["method", "spp"]]
+    better = aggregate.column_text(table, metric, "better")
+    every = aggregate.per_frame_scores(table, metric)
+    whole = aggregate.overall(aggregate.scene_means(table, metric))[["method", "spp"]]
     parts = [(EVERY, every.merge(whole, on=["method", "spp"]))]
     parts += [(str(scene), rows) for scene, rows in every.groupby("scene")]
     made = []

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from reports.analysis import method_names as names
+from reports.analysis import method_names
 from reports.analysis.intervals import LEVEL
 
 BASE = "ours"  # row that others are held against, where it was trained several times
 
 
-def against(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) -> pd.DataFrame:
+def differences_to(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) -> pd.DataFrame:
     """A row for each series of trainings and budget, its mean less that of `base`'s trainings.
 
     `means` has a row for each training: columns method, spp, value. `difference_low` and
@@ -24,7 +24,7 @@ def against(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) -> pd.D
     """
     made = []
     for (words, spp), part in means.groupby([means["method"].map(_words), "spp"]):
-        trained = dict(list(part.groupby(part["method"].map(names.row))["value"]))
+        trained = dict(list(part.groupby(part["method"].map(method_names.row))["value"]))
         ours = trained.pop(base, pd.Series(dtype=float))
         for row, theirs in trained.items():
             if min(len(ours), len(theirs)) > 1:
@@ -53,4 +53,4 @@ def _welch(one: np.ndarray, other: np.ndarray, level: float) -> tuple[float, flo
 
 def _words(method: str) -> str:
     """The name of the weights without its number."""
-    return names.series(method).partition("@")[2]
+    return method_names.training_series(method).partition("@")[2]

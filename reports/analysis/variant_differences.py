@@ -6,10 +6,9 @@ import json
 
 import pandas as pd
 
-from reports.analysis import aggregate as scores
-from reports.analysis import method_names as names
+from reports.analysis import aggregate, method_names
 from reports.analysis.intervals import DRAWS, interval, paired
-from rlbench.benchmark.results import LacksError
+from rlbench.benchmark.results import MissingRowsError
 
 FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has some
 METRIC = "psnr"
@@ -19,13 +18,13 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def of(table: pd.DataFrame) -> dict[str, list[str]]:
+def families_with_scores(table: pd.DataFrame) -> dict[str, list[str]]:
     """Families with scores of their default, and which of their variants have scores as well."""
-    methods = sorted({m for m in scored(table)["method"] if not names.weights(m)})
+    methods = sorted({m for m in scored(table)["method"] if not method_names.weights(m)})
     return {
-        default: [m for m in methods if names.family(m) == default and m != default]
+        default: [m for m in methods if method_names.family(m) == default and m != default]
         for default in methods
-        if default == names.family(default)
+        if default == method_names.family(default)
     }
 
 
@@ -39,16 +38,16 @@ def chosen(table: pd.DataFrame, family: str = "") -> str:
 
     Raises LacksError if it has none here, or if there is no family with any.
     """
-    parts = scores.by_device(table).values()
-    variants = [found for rows in parts for found in of(rows).items()]
+    parts = aggregate.by_device(table).values()
+    variants = [found for rows in parts for found in families_with_scores(rows).items()]
     have = sorted({name for name, found in variants if found})
     if family and family not in have:
-        raise LacksError(
+        raise MissingRowsError(
             f"'{family}' has no default and variant on one device; families that do: "
             f"{', '.join(have) or 'none'}; rlbench run --methods '{family}/*' measures them"
         )
     if not have:
-        raise LacksError(
+        raise MissingRowsError(
             "no family has its default and a variant on one device; "
             f"rlbench run --methods '{FAVOURITE}/*' measures some"
         )
@@ -67,9 +66,9 @@ def differences(
     """
     rows = scored(table)
     parts = {key: part for key, part in rows.groupby(["method", "spp"])}
-    times = scores.points(table, METRIC)
+    times = aggregate.points(table, METRIC)
     made = []
-    for method in of(table)[family]:
+    for method in families_with_scores(table)[family]:
         for spp in sorted(set(rows["spp"])):
             if (method, spp) not in parts or (family, spp) not in parts:
                 continue

@@ -44,7 +44,7 @@ def draw(here: pd.DataFrame, theirs: pd.DataFrame, axis: Axis, caption: str) -> 
     Both have the columns method, spp, value and the axis' own; `theirs` also `derived`. A row has
     one colour and marker in both panels, and its name at the right of its last point.
     """
-    looks = style.looks([*here["method"], *theirs["method"]])
+    looks = style.line_styles([*here["method"], *theirs["method"]])
     caption = "\n".join(fill(line, LETTERS) for line in caption.splitlines())
     room = 0.68 + 0.2 * (caption.count("\n") + 1)  # inches
     figure = Figure(figsize=(WIDTH, HEIGHT + room))
@@ -102,7 +102,9 @@ def _scale(axes: Axes, values: pd.Series[float], axis: Axis) -> None:
     axes.set_xlim(least - margin, most + margin)
 
 
-def _curves(axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], axis: Axis) -> None:
+def _curves(
+    axes: Axes, points: pd.DataFrame, looks: dict[str, style.LineStyle], axis: Axis
+) -> None:
     ends = []
     for method, curve in points.groupby("method"):
         look, curve = looks[str(method)], curve.sort_values("spp")
@@ -115,7 +117,9 @@ def _curves(axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], axis
     _names(axes, ends, looks, ".2f", hollow=False)
 
 
-def _points(axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], axis: Axis) -> None:
+def _points(
+    axes: Axes, points: pd.DataFrame, looks: dict[str, style.LineStyle], axis: Axis
+) -> None:
     ends = []
     for method, curve in points.groupby("method"):
         look, curve = looks[str(method)], curve.sort_values("spp")
@@ -132,7 +136,7 @@ def _points(axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], axis
 def _names(
     axes: Axes,
     ends: list[tuple[str, float, float]],
-    looks: dict[str, style.Look],
+    looks: dict[str, style.LineStyle],
     form: str,
     hollow: bool,
 ) -> None:
@@ -142,7 +146,7 @@ def _names(
     low, high = axes.get_ylim()
     step = (high - low) * LINE / (0.93 * HEIGHT)  # of which the panels take so much
     ends = sorted(ends, key=lambda end: end[2])
-    heights = apart([max(low, value) for _, _, value in ends], step, low, high)
+    heights = spread_labels([max(low, value) for _, _, value in ends], step, low, high)
     for (method, x, value), height in zip(ends, heights, strict=True):
         look = looks[method]
         shown = max(low, value)
@@ -163,11 +167,11 @@ def _names(
         )  # fmt: skip
 
 
-def _size(look: style.Look) -> float:
+def _size(look: style.LineStyle) -> float:
     return STAR if look.marker == "*" else MARKER
 
 
-def apart(heights: list[float], step: float, low: float, high: float) -> list[float]:
+def spread_labels(heights: list[float], step: float, low: float, high: float) -> list[float]:
     """Rising heights moved as little as need be so that neighbours are `step` apart, in bounds.
 
     Where they do not all fit, they are evenly spread over the bounds.

@@ -34,7 +34,7 @@ def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
     scenes = sorted(found - {OVERALL})
     single = scenes if len(scenes) <= MOST else []
     scenes = [*found & {OVERALL}, *single] if len(scenes) > 1 else scenes
-    looks = style.looks(plotted["method"])
+    looks = style.line_styles(plotted["method"])
     columns = _columns(looks)
     lines = texts["caption"].count("\n") - 1  # of the caption, beyond two
     # inches for keys and caption
@@ -106,7 +106,7 @@ def _beaten(axes: Axes, best: pd.DataFrame, better: str) -> None:
 
 
 def _panel(
-    axes: Axes, points: pd.DataFrame, looks: dict[str, style.Look], sizes: dict[float, float]
+    axes: Axes, points: pd.DataFrame, looks: dict[str, style.LineStyle], sizes: dict[float, float]
 ) -> None:
     for method, curve in points.groupby("method"):
         look, curve = looks[str(method)], curve.sort_values("spp")
@@ -123,14 +123,18 @@ def _sizes(spp: pd.Series) -> dict[float, float]:
     return {spp: 26 + 95 * i / max(len(budgets) - 1, 1) for i, spp in enumerate(budgets)}
 
 
-def _columns(looks: dict[str, style.Look]) -> int:
+def _columns(looks: dict[str, style.LineStyle]) -> int:
     """Columns of the key of methods that fit beside the key of budgets."""
     inches = 0.85 + 0.1 * max(len(name) for name in looks)
     return max(1, min(len(looks) + 1, int((KEY_ROOM - len(FRONT) * 0.1) / inches) + 1))
 
 
 def _keys(
-    figure: Figure, looks: dict[str, style.Look], sizes: dict[float, float], columns: int, y: float
+    figure: Figure,
+    looks: dict[str, style.LineStyle],
+    sizes: dict[float, float],
+    columns: int,
+    y: float,
 ) -> None:
     methods: list[Any] = [_line(look, name) for name, look in looks.items()]
     methods.append(Patch(color=BEATEN, label=FRONT))
@@ -146,7 +150,7 @@ def _keys(
     )  # fmt: skip
 
 
-def _line(look: style.Look, name: str) -> Line2D:
+def _line(look: style.LineStyle, name: str) -> Line2D:
     return Line2D(
         [], [], color=look.color, linestyle=look.dash, linewidth=1.8, marker=look.marker,
         label=name, markersize=8, markerfacecolor=look.face, markeredgecolor=look.edge,

@@ -55,7 +55,7 @@ RC: Any = {
 
 
 @dataclass(frozen=True)
-class Look:
+class LineStyle:
     """Colour, marker and dashes of one method; markers of variants are hollow."""
 
     color: str
@@ -66,7 +66,7 @@ class Look:
     rim: float  # width of the marker's edge, points
 
 
-def looks(methods: Iterable[str]) -> dict[str, Look]:
+def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
     """A look for each method: colour by family, dashes and marker by variant.
 
     Families of the list above keep their colour in every figure; strangers get spare ones by name.
@@ -86,7 +86,7 @@ def looks(methods: Iterable[str]) -> dict[str, Look]:
             marker = MARKERS[(place + i) % len(MARKERS)]
             dash = DASHES[(i + i // len(MARKERS)) % len(DASHES)]  # no pair twice
             face, edge, rim = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
-            found[name] = Look(color, marker, dash, face, edge, rim)
+            found[name] = LineStyle(color, marker, dash, face, edge, rim)
     return found
 
 

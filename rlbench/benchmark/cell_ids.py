@@ -11,10 +11,9 @@ from pathlib import Path
 
 import torch
 
-from rlbench.benchmark import cost, latency
-from rlbench.benchmark import results as table
-from rlbench.benchmark.run_plan import FAILED, Cell, Request, cells, content
-from rlbench.registry import lookup as registry
+from rlbench import registry
+from rlbench.benchmark import cost, latency, results
+from rlbench.benchmark.run_plan import FAILED, Cell, RunPlan, cells, content_key
 from rlbench.system import code_hash, provenance
 from rlbench.weights import WeightsError, read_card
 
@@ -27,17 +26,17 @@ MEASURE = (
 
 
 @dataclass(frozen=True)
-class Names:
+class CellIds:
     """Names under which the cells of a request are stored, and the hashes that they are made of."""
 
-    request: Request
+    request: RunPlan
 
-    def of(self, cell: Cell) -> str:
+    def cell_id(self, cell: Cell) -> str:
         """What the cell is, and after the last space its content (`cells.content`)."""
         pool, header = self.pools[cell.method], cell.clip.header
         charged: tuple[object, ...] = ()  # a profile knows what path samples cost, in every scene
         if self.request.cost == cost.MEASURED:
-            charged = (header.sample_ms_of(pool), header.device, self.here)
+            charged = (header.sample_ms_of(pool), header.device, self.machine)
         elif pool != "path":
             charged = (header.sample_ms_of(pool), header.sample_ms_of("path"), header.device)
         everything = (
@@ -50,13 +49,13 @@ class Names:
             ),
             *(self.code[cell.method], self.weights[cell.method], self.scores),
             *(self.cost, self.request.frames, self.request.repeats, torch.__version__),
-            *(*charged, self.seen(cell)),
-            *(self.half if self.request.halves(cell.method) else ()),
+            *(*charged, self.trained_on_clip(cell)),
+            *(self.half if self.request.runs_in_bf16(cell.method) else ()),
         )
         told = sha256(repr(everything).encode()).hexdigest()[:16]
-        return f"{self.title(cell)} {content(header.preset, self.request.frames, told)}"
+        return f"{self.cell_key(cell)} {content_key(header.preset, self.request.frames, told)}"
 
-    def title(self, cell: Cell) -> str:
+    def cell_key(self, cell: Cell) -> str:
         """What the cell is, without spaces at its end: at most one such cell is kept."""
         device = "-".join(self.device.split())
         told = f"{self.method(cell.method)} {cell.clip.header.name}"
@@ -67,30 +66,32 @@ class Names:
 
         Weights without a name are called as their file is, where shipped ones have the plain row.
         """
-        called = self.request.called
+        called = self.request.weights_label
         if self.request.weights and not called and self._shipped(name).is_file():
             called = _stem(self.request.weights)
-        called = table.CROSSVAL if self.request.without else called
-        told = "-".join(filter(None, (table.HALF if self.request.halves(name) else "", called)))
-        return f"{name}{table.AT}{told}" if told and registry.variant(name).learned else name
+        called = results.CROSSVAL if self.request.held_out_scene else called
+        told = "-".join(
+            filter(None, (results.HALF if self.request.runs_in_bf16(name) else "", called))
+        )
+        return f"{name}{results.AT}{told}" if told and registry.variant(name).learned else name
 
-    def seen(self, cell: Cell) -> bool:
+    def trained_on_clip(self, cell: Cell) -> bool:
         """Were the method's weights trained on the clip, as far as their card says?"""
         return cell.clip.header.name in self.trained_on[cell.method]
 
     def failed(self, cell: Cell) -> str:
         """The name of a cell that an error stopped: never that of a finished one."""
-        return f"{self.title(cell)} {FAILED}"
+        return f"{self.cell_key(cell)} {FAILED}"
 
-    def settled(self) -> Names:
+    def resolved(self) -> CellIds:
         """Itself, with every name known, so that it says the same on another machine."""
-        _ = self.run, self.here, self.device, self.code, self.weights, self.trained_on, self.half
+        _ = self.run, self.machine, self.device, self.code, self.weights, self.trained_on, self.half
         return self
 
     @cached_property
     def run(self) -> str:
         """Hash of the whole request: the same command on the same content has the same."""
-        told = " ".join(self.of(cell) for cell in cells(self.request))
+        told = " ".join(self.cell_id(cell) for cell in cells(self.request))
         return sha256(told.encode()).hexdigest()[:12]
 
     @cached_property
@@ -99,7 +100,7 @@ class Names:
         return latency.device_name(self.request.device)
 
     @cached_property
-    def here(self) -> str:
+    def machine(self) -> str:
         """The machine whose path tracer samples are charged by."""
         return provenance.machine().name
 
@@ -118,11 +119,11 @@ class Names:
     def scores(self) -> str:
         """Hash of the metrics, their names and their code, and of the code that asks for them."""
         known = registry.entries("metrics")
-        modules = [code_hash.closure(e.target.partition(":")[0]) for e in known.values()]
+        modules = [code_hash.import_closure(e.target.partition(":")[0]) for e in known.values()]
         told = code_hash.code_hash(set().union(*modules), core=MEASURE)
         metrics = registry.metrics().values()
         brought = sorted({name for each in metrics for name in getattr(each, "packages", ())})
-        return f"{list(known)} {told} {provenance.releases(brought)}"
+        return f"{list(known)} {told} {provenance.package_versions(brought)}"
 
     @cached_property
     def pools(self) -> dict[str, str]:
@@ -140,9 +141,11 @@ class Names:
     @cached_property
     def weights(self) -> dict[str, str]:
         """Hash of each method's weights, and versions of packages that bring them; or empty."""
-        brought = {n: registry.variant(n).packages for n in self.request.methods}
+        brought = {n: registry.variant(n).requires for n in self.request.methods}
         return {
-            name: ", ".join(filter(None, (self._weights(name), provenance.releases(packages))))
+            name: ", ".join(
+                filter(None, (self._weights(name), provenance.package_versions(packages)))
+            )
             for name, packages in brought.items()
         }
 
@@ -155,7 +158,9 @@ class Names:
         file = self._file(name)
         if file is None:
             return "random" if registry.variant(name).learned else ""
-        fold = f"{table.FOLD}{self.request.without} " if self.request.without else ""
+        fold = (
+            f"{results.FOLD}{self.request.held_out_scene} " if self.request.held_out_scene else ""
+        )
         return fold + _hash(file)
 
     def _file(self, name: str) -> Path | None:
@@ -168,23 +173,23 @@ class Names:
     def _shipped(self, name: str) -> Path:
         """Where the weights that come with a method would be."""
         family = registry.family(name)
-        beside = _found(registry.place, family.build)
+        beside = _found(registry.module_file, family.build)
         return Path(beside).parent / "cards" / family.weights(name.partition("/")[2])
 
 
 def _stem(file: str) -> str:
     """What weights without a name are called: as their file, but never as rows of other kinds."""
     called = re.sub(r"[^\w+-]", "-", Path(file).stem, flags=re.ASCII)
-    other = called.partition("-")[0] in (table.HALF, table.CROSSVAL)
+    other = called.partition("-")[0] in (results.HALF, results.CROSSVAL)
     return f"weights-{called}" if other else called
 
 
 def _code(target: str) -> str:
     """Hash of what builds a method, and of what that imports of its package and of others'."""
     module = target.partition(":")[0]
-    loose = registry.loose_file(module)
+    loose = registry.plugin_file(module)
     if loose is None:
-        return code_hash.code_hash(code_hash.closure(module, _others()))
+        return code_hash.code_hash(code_hash.import_closure(module, _others()))
     told = code_hash.code_hash(code_hash.closure_of_file(loose, _others()))
     return sha256(told.encode() + loose.read_bytes()).hexdigest()[:16]
 

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rlbench.benchmark.clip_sources import Short
-from rlbench.benchmark.run_plan import Cell, Request
-from rlbench.clips.compatibility import unusable
+from rlbench import registry
+from rlbench.benchmark.clip_sources import FirstFrames
+from rlbench.benchmark.run_plan import Cell, RunPlan
+from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method
-from rlbench.registry import lookup as registry
-from rlbench.wrappers import Half
+from rlbench.wrappers import HalfPrecision
 
 
 @dataclass(frozen=True)
-class Ready:
+class CellLoader:
     """Methods and clips of a request."""
 
-    request: Request
+    request: RunPlan
     _built: dict[str, Method | Exception] = field(default_factory=dict, repr=False, compare=False)
 
     def unusable(self, cell: Cell) -> str | None:
         """Why a cell cannot be run, as far as it is known before, or None."""
-        return unusable(cell.clip.header, registry.variant(cell.method).traits, cell.spp)
+        return incompatibility(cell.clip.header, registry.variant(cell.method).traits, cell.spp)
 
     def method(self, cell: Cell) -> Method:
         """The cell's method. Raises what building it raised, be it the first time or not."""
@@ -33,8 +33,8 @@ class Ready:
             except Exception as error:  # missing weights or packages: a reason for each cell
                 self._built[name] = error
             else:
-                halved = self.request.halves(name)
-                self._built[name] = Half(built, self.request.device) if halved else built
+                halved = self.request.runs_in_bf16(name)
+                self._built[name] = HalfPrecision(built, self.request.device) if halved else built
         found = self._built[name]
         if isinstance(found, Exception):
             raise found
@@ -44,4 +44,4 @@ class Ready:
         """The cell's clip, as far as it is asked for and its method can use it."""
         traits = registry.variant(cell.method).traits
         clip = cell.clip.open(traits, cell.spp, cell.seed, self.request.device)
-        return Short(clip, self.request.frames) if self.request.frames else clip
+        return FirstFrames(clip, self.request.frames) if self.request.frames else clip

@@ -17,7 +17,7 @@ from rlbench.clips.stored import Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
 from rlbench.render.jobs.live_pool import open_live, scene_of
-from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import code_hash, provenance
 
 POOLS = ("stored", "live")  # samples read from the clip's files, or traced when they are bought
@@ -34,7 +34,7 @@ class Source(Protocol):
         """Hash of its content, with the samples of one pool, or none where it lacks that pool."""
 
     @property
-    def priced(self) -> str:
+    def cost_key(self) -> str:
         """What the time of buying a sample depends on, empty if on nothing of the clip."""
 
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
@@ -42,7 +42,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredSource:
     """A clip folder, format v1."""
 
     folder: Path
@@ -57,43 +57,44 @@ class Stored:
         """Hash of the folder's content with the samples of `pool`."""
         if pool not in self._known:  # every cell asks, and each answer looks at every file
             there = pool if pool in self.header.pools else self.header.pools[0]
-            found = open_clip(self.folder, needs=frozenset(), slots=1, pool=there).digest
+            found = open_clip(self.folder, inputs=frozenset(), max_samples=1, pool=there).digest
             self._known[pool] = found if there == pool else f"{found} without {pool}"
         return self._known[pool]
 
     @property
-    def priced(self) -> str:
+    def cost_key(self) -> str:
         """Nothing: stored samples are handed out alike."""
         return ""
 
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers and the samples that `traits` can touch at `spp`."""
-        slots = affordable(traits, spp, self.header.pool_spp)
-        return open_clip(self.folder, traits.needs, slots, traits.pool, seed, device)
+        slots = max_samples_needed(traits, spp, self.header.pool_spp)
+        return open_clip(self.folder, traits.inputs, slots, traits.pool, seed, device)
 
 
 @dataclass(frozen=True)
-class Live(Stored):
+class LiveSource(StoredSource):
     """A clip folder whose samples are traced when they are bought."""
 
     def content(self, pool: str) -> str:
         """Hash of the folder's content and of what traces: two machines' samples may differ."""
-        told = f"{super().content(pool)} live {_tracer()} {activate()} {provenance.machine().name}"
-        return sha256(f"{told} {provenance.versions()['mitsuba']}".encode()).hexdigest()[:32]
+        tracer = f"{_tracer()} {select_variant()} {provenance.machine().name}"
+        content = f"{super().content(pool)} live {tracer} {provenance.versions()['mitsuba']}"
+        return sha256(content.encode()).hexdigest()[:32]
 
     @property
-    def priced(self) -> str:
+    def cost_key(self) -> str:
         """The clip's name: each scene takes its own time to trace."""
         return self.header.name
 
     def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers that `traits` reads; no stored sample is read."""
-        slots = affordable(traits, spp, self.header.pool_spp)
-        return open_live(open_clip(self.folder, traits.needs, slots, traits.pool, seed, device))
+        slots = max_samples_needed(traits, spp, self.header.pool_spp)
+        return open_live(open_clip(self.folder, traits.inputs, slots, traits.pool, seed, device))
 
 
 @dataclass(frozen=True)
-class Short:
+class FirstFrames:
     """The first frames of a clip, as a clip."""
 
     clip: Clip
@@ -134,18 +135,18 @@ def _tracer() -> str:
     return code_hash.code_hash(["rlbench.render", "rlbench.scenes"], core=())
 
 
-def pooled(folder: Path, pool: str) -> Stored:
+def open_source(folder: Path, pool: str) -> StoredSource:
     """A clip folder with the pool of that name, one of POOLS.
 
     Raises ClipError where a live pool is asked for and the clip's scene cannot be traced.
     """
     if pool != "live":
-        return Stored(folder)
+        return StoredSource(folder)
     scene_of(folder)
-    return Live(folder)
+    return LiveSource(folder)
 
 
-def affordable(traits: Traits, spp: float, stored: int) -> int:
+def max_samples_needed(traits: Traits, spp: float, stored: int) -> int:
     """Most samples of one pixel: up to the cap for a method that adapts, else ceil(spp)."""
-    most = stored if traits.cap is None else min(stored, traits.cap)
-    return most if traits.adapts else min(most, max(1, traits.floor, math.ceil(spp)))
+    most = stored if traits.max_samples is None else min(stored, traits.max_samples)
+    return most if traits.adaptive else min(most, max(1, traits.min_samples, math.ceil(spp)))

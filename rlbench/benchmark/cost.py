@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
+from rlbench import registry
 from rlbench.clips.stored import Header
-from rlbench.registry import lookup as registry
 from rlbench.system import code_hash, paths
 
 MEASURED = "measured"
@@ -40,7 +40,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Profile:
+class CostProfile:
     """What a full frame at 1 sample per pixel takes on a named machine, by scene."""
 
     title: str
@@ -65,7 +65,7 @@ def profiles() -> list[str]:
     return sorted(file.name.removesuffix(".toml") for file in there if file.name.endswith(".toml"))
 
 
-def profile(name: str) -> Profile:
+def profile(name: str) -> CostProfile:
     """A profile by name, or by the path of a TOML file. Raises CostError."""
     shipped = name in profiles()
     place = files("rlbench.benchmark") / "profiles" / f"{name}.toml" if shipped else Path(name)
@@ -76,13 +76,13 @@ def profile(name: str) -> Profile:
         told = tomllib.loads(place.read_text())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise CostError(f"cost profile '{name}' cannot be read: {error}") from error
-    wanted = {field.name for field in fields(Profile)}
+    wanted = {field.name for field in fields(CostProfile)}
     if wrong := sorted(wanted ^ told.keys()):
         raise CostError(
             f"cost profile '{name}' cannot be read: {', '.join(wrong)} are missing or too many of "
             f"{', '.join(sorted(wanted))}; docs/cost.md has one to copy"
         )
-    read = Profile(**told)
+    read = CostProfile(**told)
     sides = {"height": read.height, "width": read.width}
     given = read.scene_ms if isinstance(read.scene_ms, Mapping) else {"scene_ms": None}
     times = {"default_ms": read.default_ms, **given}
@@ -100,7 +100,7 @@ def _at_least(least: float, value: object) -> bool:
     return isinstance(value, int | float) and least <= value < math.inf
 
 
-def published(profile: Profile, header: Header, pool: str) -> Cost:
+def published(profile: CostProfile, header: Header, pool: str) -> Cost:
     """What a profile says of a clip's path tracer, and of another pool as many times that as here.
 
     As many times, that is, as the clip's renderer has measured; without that it is not known.
@@ -146,7 +146,7 @@ def _code(scene: str) -> str:
     found = registry.entries("scenes").get(scene)
     if found is None:
         return ""
-    modules = code_hash.closure(found.target.partition(":")[0])
+    modules = code_hash.import_closure(found.target.partition(":")[0])
     return code_hash.code_hash(modules, core=["rlbench.render"])
 
 

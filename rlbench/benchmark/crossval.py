@@ -10,17 +10,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rlbench.benchmark.cell_ids import Names
-from rlbench.benchmark.clip_sources import Stored
-from rlbench.benchmark.run_plan import Request
-from rlbench.benchmark.runner import Done, measure
-from rlbench.cli import console as show
-from rlbench.registry import lookup as registry
+from rlbench import registry
+from rlbench.benchmark.cell_ids import CellIds
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.cli import console
 from rlbench.render.jobs import preset_clips
 from rlbench.render.presets import PRESETS
-from rlbench.training import dataset as trainset
-from rlbench.training.dataset import TrainSet
-from rlbench.training.runs import Course
+from rlbench.training import dataset
+from rlbench.training.dataset import TrainingSplit
+from rlbench.training.runs import TrainingRuns
 
 
 @dataclass(frozen=True)
@@ -28,40 +28,40 @@ class Fold:
     """One scene held out: what is trained on without it, and its clips."""
 
     scene: str
-    chosen: TrainSet
-    clips: tuple[Stored, ...]
+    chosen: TrainingSplit
+    clips: tuple[StoredSource, ...]
 
 
 def crossval(
     folds: Sequence[Fold],
-    course: Course,
-    request: Request,
+    course: TrainingRuns,
+    request: RunPlan,
     results: Path,
     tell: Callable[[str], None] = lambda words: None,
-) -> Done:
+) -> RunSummary:
     """Rows of every method of the request on each fold's scene, by weights that never saw it.
 
     `request` says what is measured; its clips and weights are replaced. Methods that are trained
     here are called `NAME@crossval` in the results, and their rows say which weights were used;
     those that have nothing to train are measured as they are, under their own names.
     """
-    whose = {name: taught(name) for name in request.methods}
+    whose = {name: variant_to_train(name) for name in request.methods}
     course.check([name for name in whose.values() if name])
-    done = Done()
+    done = RunSummary()
     for place, fold in enumerate(folds):
         for name, teacher in whose.items():
             tell(f"fold {place + 1} of {len(folds)}: {name} without {fold.scene}")
             asked = replace(request, methods=(name,), clips=fold.clips)
             if teacher:
                 weights = course.train(teacher, fold.chosen, fold.scene)
-                asked = replace(asked, weights=str(weights), without=fold.scene)
-            with show.progress(asked) as bar:
-                more = measure(asked, results, bar.tell, timed=bar.timed)
+                asked = replace(asked, weights=str(weights), held_out_scene=fold.scene)
+            with console.progress(asked) as bar:
+                more = measure(asked, results, bar.tell, on_timing=bar.timed)
             done = replace(
                 done,
                 measured=done.measured + more.measured,
-                refused=done.refused + more.refused,
-                known=done.known + more.known,
+                skipped=done.skipped + more.skipped,
+                cached=done.cached + more.cached,
                 replaced=done.replaced + more.replaced,
             )
     return done
@@ -78,23 +78,26 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     return [
         Fold(
             scene,
-            trainset.holdout(scene, preset, kinds),
-            tuple(Stored(folder) for folder in preset_clips.rendered([scene], preset, kinds=kinds)),
+            dataset.holdout(scene, preset, kinds),
+            tuple(
+                StoredSource(folder)
+                for folder in preset_clips.rendered([scene], preset, kinds=kinds)
+            ),
         )
         for scene in scenes or known or ["any"]
     ]
 
 
-def taught(name: str) -> str:
+def variant_to_train(name: str) -> str:
     """The method whose training makes the weights of `name`: its own; empty if there is none."""
     row = registry.variant(name)
     family = name.partition("/")[0]
-    borrowed = f"{family}/{row.borrows}" if row.borrows else family
-    whose = name if row.borrows is None else borrowed
-    return whose if registry.learns(whose) else ""
+    borrowed = f"{family}/{row.weights_from}" if row.weights_from else family
+    whose = name if row.weights_from is None else borrowed
+    return whose if registry.is_trainable(whose) else ""
 
 
-def told(request: Request) -> list[str]:
+def row_names(request: RunPlan) -> list[str]:
     """What the methods of a request are called in the results of a cross-validation."""
-    names = Names(replace(request, without="one"))
-    return [names.method(name) if taught(name) else name for name in request.methods]
+    names = CellIds(replace(request, held_out_scene="one"))
+    return [names.method(name) if variant_to_train(name) else name for name in request.methods]

@@ -13,19 +13,19 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray as Array
 from torch import Tensor
 
-from rlbench.benchmark.cell_ids import Names
-from rlbench.benchmark.cell_loader import Ready
-from rlbench.benchmark.run_plan import Cell, Request
+from rlbench import registry
+from rlbench.benchmark.cell_ids import CellIds
+from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.run_plan import Cell, RunPlan
 from rlbench.clips.exr import write_exr
-from rlbench.registry import lookup as registry
-from rlbench.run import Shown, run_clip
+from rlbench.run import FrameResult, run_clip
 from rlbench.system import paths
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-BROKEN = (255, 0, 255)  # of pixels that are not finite, which a display would hide
+NONFINITE_COLOUR = (255, 0, 255)  # of pixels that are not finite, which a display would hide
 WORST = 0.25  # mean error of a pixel's colours, of display white, at the end of the scale
 SIDE, TITLE = 2.6, 0.25  # inches of a picture on the sheet, and of the line above it
 DPI = 150
@@ -58,14 +58,14 @@ class Sheet(NamedTuple):
 
 
 def write(
-    request: Request, frame: int, out: Path, tell: Callable[[Cell], None] = lambda cell: None
+    request: RunPlan, frame: int, out: Path, tell: Callable[[Cell], None] = lambda cell: None
 ) -> Iterator[Sheet]:
     """Write pictures of one frame, -1 for a clip's last, into OUT/CLIP-SPPspp-FRAME; yields sheets.
 
     Frames before it are run too, for what methods remember. Raises ImagesError where a clip has no
     such frame, and where no method can be run on it, with the reasons.
     """
-    ready, names = Ready(request), Names(request)
+    ready, names = CellLoader(request), CellIds(request)
     for clip, spp in product(request.clips, request.spp):
         index = frame if frame >= 0 else clip.header.frames + frame
         if not 0 <= index < clip.header.frames:
@@ -100,7 +100,7 @@ def display(radiance: Float[Array, "h w 3"]) -> UInt8[Array, "h w 3"]:
     from skimage.util import img_as_ubyte
 
     shown = img_as_ubyte(_curve(radiance))
-    shown[~np.isfinite(radiance).all(-1)] = BROKEN
+    shown[~np.isfinite(radiance).all(-1)] = NONFINITE_COLOUR
     return np.asarray(shown)
 
 
@@ -113,21 +113,23 @@ def _curve(radiance: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
     return curved.movedim(0, -1).clamp(0, 1).numpy()
 
 
-def _frame(ready: Ready, cell: Cell, index: int) -> Shown:
+def _frame(ready: CellLoader, cell: Cell, index: int) -> FrameResult:
     if why := ready.unusable(cell):
         raise ImagesError(why)
-    return reached(run_clip(ready.method(cell), ready.clip(cell), cell.spp), index)
+    return frame_at(run_clip(ready.method(cell), ready.clip(cell), cell.spp), index)
 
 
-def reached(run: Iterable[Shown], index: int) -> Shown:
+def frame_at(run: Iterable[FrameResult], index: int) -> FrameResult:
     """The frame of that number; those after it are not run."""
     return next(shown for shown in run if shown.frame.index == index)
 
 
-def picture(method: str, shown: Shown) -> Picture:
+def picture(method: str, shown: FrameResult) -> Picture:
     """What came of a frame, as a picture with its score."""
     reference = shown.frame.reference
-    score = registry.usable("metrics", "psnr").score(shown.image, reference.a, reference.b)
+    score = registry.load_or_explain("metrics", "psnr").score(
+        shown.image, reference.half_a, reference.half_b
+    )
     counts = shown.samples.counts[0, 0].cpu().numpy()
     return Picture(method, _pixels(shown.image), counts, float(score[0]))
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Clip, Samples, Size, View
+from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.method import Method, State
 from rlbench.run import run_clip
 from rlbench.system import provenance
@@ -26,7 +26,7 @@ REPEATS = 10  # frames that count
 
 
 @dataclass(frozen=True)
-class Spread:
+class TimePercentiles:
     """A time as what it is: a distribution. Milliseconds."""
 
     p50: float
@@ -38,10 +38,10 @@ class Spread:
 class Timing:
     """Times of one frame through one method; a frame's passes are added up."""
 
-    plan: Spread
-    buy: Spread  # to hand out stored samples, those of a pilot left out; charged to nobody
-    denoise: Spread
-    inference: Spread  # plan + denoise of the same frame
+    plan: TimePercentiles
+    buy: TimePercentiles  # to hand out stored samples, those of a pilot left out; charged to nobody
+    denoise: TimePercentiles
+    inference: TimePercentiles  # plan + denoise of the same frame
     clip: str  # whose frames were timed: clips of one size take as long, and are timed once
 
 
@@ -52,7 +52,7 @@ def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) 
     the path tracer's part, which the cost per sample stands for.
     """
     device = next(iter(clip)).pool.empty().counts.device
-    watch = _Watched(method, _Stopwatch(device))
+    watch = TimedMethod(method, _Stopwatch(device))
     runs = chain.from_iterable(run_clip(watch, clip, spp) for _ in repeat(None))
     readings = []
     for _ in islice(runs, WARM_UP + repeats):
@@ -95,7 +95,7 @@ class _Stopwatch:
 
 
 @dataclass(frozen=True)
-class _Watched:
+class TimedMethod:
     """The same method with a stopwatch between it and the page."""
 
     method: Method
@@ -103,23 +103,27 @@ class _Watched:
 
     @property
     def traits(self) -> Traits:
+        """Those of the method."""
         return self.method.traits
 
     def start(self, size: Size) -> State:
+        """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+        """As the method's, timed."""
         entered = self.clock.enter()
-        density = self.method.plan(view, samples, state)
+        density = self.method.plan(gbuffer, samples, state)
         self.clock.left = _now(self.clock.device)
         self.clock.plan += self.clock.left - entered
         return density
 
     def denoise(
-        self, view: View, samples: Samples, state: State
+        self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """As the method's, timed."""
         entered = self.clock.enter()
-        shown = self.method.denoise(view, samples, state)
+        shown = self.method.denoise(gbuffer, samples, state)
         self.clock.denoise += _now(self.clock.device) - entered
         return shown
 
@@ -131,7 +135,7 @@ def _now(device: torch.device) -> float:
     return time.perf_counter() * 1e3
 
 
-def _spread(readings: Sequence[float]) -> Spread:
+def _spread(readings: Sequence[float]) -> TimePercentiles:
     ordered = torch.tensor(list(readings), dtype=torch.float64)
     p50, p95 = ordered.quantile(torch.tensor([0.5, 0.95], dtype=torch.float64)).tolist()
-    return Spread(p50, p95, len(ordered))
+    return TimePercentiles(p50, p95, len(ordered))

@@ -53,7 +53,7 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class Change:
+class BaselineDiff:
     """One line of the comparison. `found` is None where it is missing, `expected` where new."""
 
     key: Key
@@ -64,10 +64,10 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RegressionReport:
     """The comparison, line by line."""
 
-    changes: tuple[Change, ...]
+    changes: tuple[BaselineDiff, ...]
 
     @property
     def passed(self) -> bool:
@@ -80,7 +80,7 @@ class Outcome:
         """Is there not one result that stands beside an entry?"""
         return all(None in (change.expected, change.found) for change in self.changes)
 
-    def of(self, verdict: str) -> list[Change]:
+    def of(self, verdict: str) -> list[BaselineDiff]:
         """The lines of one verdict."""
         return [change for change in self.changes if change.verdict == verdict]
 
@@ -113,7 +113,7 @@ def load(path: Path) -> Baseline:
         raise BaselineError(f"{path} lacks a field or has one too many: {error}") from None
 
 
-def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Outcome:
+def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> RegressionReport:
     """Each entry of the baseline and of the results table, side by side.
 
     An entry is worse when it fell by more than its tolerance, and better when it rose by more. A
@@ -134,8 +134,8 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Ou
     changes = [_change(entry, baseline, found, partly) for entry in baseline.entries]
     for key in sorted(found.keys() - expected.keys()):
         if found[key] is not None:
-            changes.append(Change(key, "new", None, found[key], baseline.tolerance_db))
-    return Outcome(tuple(changes))
+            changes.append(BaselineDiff(key, "new", None, found[key], baseline.tolerance_db))
+    return RegressionReport(tuple(changes))
 
 
 def update(table: pd.DataFrame, path: Path) -> Baseline:
@@ -191,23 +191,23 @@ def _preset(table: pd.DataFrame) -> str:
 
 def _change(
     entry: Entry, baseline: Baseline, found: dict[Key, float | None], partly: set[str]
-) -> Change:
+) -> BaselineDiff:
     """`partly` are the methods of which cells may be absent."""
     limit = baseline.tolerance_db if entry.tolerance_db is None else entry.tolerance_db
     psnr = found.get(entry.key)
     if psnr is None:
         absent = entry.key not in found
         verdict = "skipped" if absent and entry.method in partly else "missing"
-        return Change(entry.key, verdict, entry.psnr, None, limit)
+        return BaselineDiff(entry.key, verdict, entry.psnr, None, limit)
     rise = round(psnr - entry.psnr, DECIMALS)  # 29.95 - 30 is to be -0.05, which is within 0.05
     verdict = "worse" if rise < -limit else "better" if rise > limit else "same"
-    return Change(entry.key, verdict, entry.psnr, psnr, limit)
+    return BaselineDiff(entry.key, verdict, entry.psnr, psnr, limit)
 
 
 _HEAD = ("", "method", "scene", "spp", "baseline", "found", "change", "allowed")
 
 
-def _line(change: Change) -> tuple[str, ...]:
+def _line(change: BaselineDiff) -> tuple[str, ...]:
     method, scene, spp = change.key
     expected, found = (math.nan if v is None else v for v in (change.expected, change.found))
     figures = [f"{expected:.3f}", f"{found:.3f}", f"{found - expected:+.3f}"]

@@ -29,7 +29,7 @@ class TableError(ValueError):
     """Rows that cannot be stored, or a folder that holds no results."""
 
 
-class LacksError(TableError):
+class MissingRowsError(TableError):
     """A sound table without the rows that one report is of; `report all` goes on without it."""
 
 
@@ -113,12 +113,12 @@ def read(folder: Path) -> pd.DataFrame:
     return table
 
 
-def whose(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:
+def select_methods(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:
     """Which rows are of methods in `names`; those of named weights are of their method too."""
     return rows["method"].isin(names) | rows["method"].str.partition(AT)[0].isin(names)
 
 
-def frame_of(rows: Sequence[Row]) -> pd.DataFrame:
+def to_dataframe(rows: Sequence[Row]) -> pd.DataFrame:
     """The frame that `read` would give of these rows."""
     import pyarrow as pa
 

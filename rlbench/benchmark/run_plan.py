@@ -9,9 +9,9 @@ from urllib.parse import quote, unquote
 
 import torch
 
+from rlbench import registry
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.clip_sources import Source
-from rlbench.registry import lookup as registry
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
 FAILED = "failed"  # instead of a hash
@@ -23,7 +23,7 @@ class CellsError(ValueError):
 
 
 @dataclass(frozen=True)
-class Request:
+class RunPlan:
     """What is to be measured."""
 
     methods: tuple[str, ...]  # family or family/variant
@@ -36,10 +36,10 @@ class Request:
     frames: int | None = None  # only the first frames of each clip, for trying out
     repeats: int = latency.REPEATS  # frames that each time is the distribution of
     half: bool = False  # do networks compute in bfloat16?
-    called: str = ""  # name of the weights, where several of one method are to be told apart
-    without: str = ""  # scene that `weights` were not trained on, in a cross-validation
+    weights_label: str = ""  # name of the weights, where several of one method are to be told apart
+    held_out_scene: str = ""  # scene that `weights` were not trained on, in a cross-validation
 
-    def halves(self, method: str) -> bool:
+    def runs_in_bf16(self, method: str) -> bool:
         """Does a method compute in half precision? One without networks has nothing to halve."""
         return self.half and registry.variant(method).learned
 
@@ -54,13 +54,13 @@ class Cell:
     seed: int
 
 
-def cells(request: Request) -> list[Cell]:
+def cells(request: RunPlan) -> list[Cell]:
     """Every cell of a request, clip by clip."""
     grid = product(request.clips, request.methods, request.spp, request.seeds)
     return [Cell(method, clip, spp, seed) for clip, method, spp, seed in grid]
 
 
-def distinct(request: Request) -> None:
+def check_unique_names(request: RunPlan) -> None:
     """Raise CellsError where two clips have one name: one of them would replace the other."""
     names = [clip.header.name for clip in request.clips]
     if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -78,17 +78,17 @@ def by_title(stored: Iterable[str]) -> dict[str, set[str]]:
     return found
 
 
-def content(preset: str, frames: int | None, told: str) -> str:
+def content_key(preset: str, frames: int | None, told: str) -> str:
     """The end of a cell's name: the clip's preset, whether it is cut short, and a hash of all."""
     return f"{quote(preset, safe='')},{FIRST if frames else ''},{told}"
 
 
-def never_lost(name: str, stored: Mapping[str, set[str]]) -> None:
+def check_no_overwrite(name: str, stored: Mapping[str, set[str]]) -> None:
     """Raise CellsError where first frames alone would replace a whole clip's scores, or a preset's
     clip those of another preset's clip of the same name.
     """
     preset, first, _ = name.rpartition(" ")[2].split(",")
-    for each in older(name, stored):
+    for each in superseded_cells(name, stored):
         title, _, known = each.rpartition(" ")
         if known.count(",") != 2:  # of one that failed, or of a version that did not tell
             continue
@@ -106,6 +106,6 @@ def never_lost(name: str, stored: Mapping[str, set[str]]) -> None:
             )
 
 
-def older(name: str, stored: Mapping[str, set[str]]) -> set[str]:
+def superseded_cells(name: str, stored: Mapping[str, set[str]]) -> set[str]:
     """The stored cells that a cell replaces: those of the same title and other content."""
     return stored.get(name.rpartition(" ")[0], set()) - {name}

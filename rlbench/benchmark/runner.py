@@ -15,39 +15,47 @@ from pathlib import Path
 
 import torch
 
+from rlbench import registry
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark import results as table
-from rlbench.benchmark.cell_ids import Names
-from rlbench.benchmark.cell_loader import Ready
+from rlbench.benchmark.cell_ids import CellIds
+from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.latency import Timing
 from rlbench.benchmark.results import WHOLE_CLIP, Row
-from rlbench.benchmark.run_plan import Cell, Request, by_title, cells, distinct, never_lost, older
+from rlbench.benchmark.run_plan import (
+    Cell,
+    RunPlan,
+    by_title,
+    cells,
+    check_no_overwrite,
+    check_unique_names,
+    superseded_cells,
+)
 from rlbench.benchmark.scoring import _check, _row, _with
-from rlbench.benchmark.timing_cache import Times
+from rlbench.benchmark.timing_cache import TimingCache
 from rlbench.clips.header import LACKS, Header
-from rlbench.method import Method, settings
-from rlbench.parallel.executor import LOCAL, Engine, Outcome, Share, Tell
-from rlbench.registry import lookup as registry
-from rlbench.run import Shown, run_clip
+from rlbench.method import Method, config_json
+from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
+from rlbench.run import FrameResult, run_clip
 
 
 @dataclass(frozen=True)
-class Done:
+class RunSummary:
     """What became of the cells."""
 
     measured: int = 0  # with numbers
-    refused: int = 0  # with a reason instead
-    known: int = 0  # in the results already
+    skipped: int = 0  # with a reason instead
+    cached: int = 0  # in the results already
     replaced: int = field(default=0, compare=False)  # older ones, removed
 
 
 def measure(
-    request: Request,
+    request: RunPlan,
     results: Path,
-    tell: Callable[[Cell], None] = lambda cell: None,
-    engine: Engine = LOCAL,
-    timed: Callable[[Cell], None] = lambda cell: None,
-) -> Done:
+    on_cell: Callable[[Cell], None] = lambda cell: None,
+    engine: Executor = LOCAL,
+    on_timing: Callable[[Cell], None] = lambda cell: None,
+) -> RunSummary:
     """Write the rows of every cell that `results` does not have; `tell` hears of each finished one.
 
     `timed` hears of each whose times were taken before. Raises PluginError for an unknown method,
@@ -55,29 +63,31 @@ def measure(
     whole clips or of another preset's would be lost, before anything is measured; EngineError where
     no cell can be run.
     """
-    distinct(request)
-    bench = _Bench(request)
+    check_unique_names(request)
+    bench = CellRunner(request)
     names = table.cells(results)
     stored = by_title(names)
 
     def drop(name: str) -> int:
-        found = older(name, stored)  # a run killed in between may have left one beside its heir
+        found = superseded_cells(
+            name, stored
+        )  # a run killed in between may have left one beside its heir
         for each in found:
             table.drop_cell(results, each)
         return len(found)
 
-    done = Done()
+    done = RunSummary()
     todo = []
     for cell in cells(request):
-        name = bench.names.of(cell)
-        never_lost(name, stored)
+        name = bench.names.cell_id(cell)
+        check_no_overwrite(name, stored)
         if name in names:
-            done = replace(done, known=done.known + 1, replaced=done.replaced + drop(name))
-            tell(cell)
+            done = replace(done, cached=done.cached + 1, replaced=done.replaced + drop(name))
+            on_cell(cell)
         else:
             todo.append(cell)
-    for outcome in bench.outcomes(todo, engine, timed):
-        cell, name = outcome.job, bench.names.of(outcome.job)
+    for outcome in bench.outcomes(todo, engine, on_timing):
+        cell, name = outcome.job, bench.names.cell_id(outcome.job)
         try:
             rows = outcome.result()
         except Exception as error:  # whatever a stranger's method may raise is what is reported
@@ -85,39 +95,40 @@ def measure(
             rows = [bench.refusal(cell, f"{type(error).__name__}: {error}")]
         table.write_cell(results, name, rows)
         refused = len(rows) == 1
-        done = replace(done, measured=done.measured + (not refused), refused=done.refused + refused)
+        done = replace(done, measured=done.measured + (not refused), skipped=done.skipped + refused)
         done = replace(done, replaced=done.replaced + drop(name))
-        tell(cell)
+        on_cell(cell)
     return done
 
 
-class _Bench:
+class CellRunner:
     """What the cells of one request share, and the rows of each."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: RunPlan) -> None:
+        """Load the metrics and resolve the names of the cells."""
         self.request = request
         self.metrics = registry.metrics()
-        self.names = Names(request)
-        self.ready = Ready(request)
+        self.names = CellIds(request)
+        self.ready = CellLoader(request)
         profile = None if request.cost == cost.MEASURED else cost.profile(request.cost)
-        self.times = Times(self.ready, profile)
+        self.times = TimingCache(self.ready, profile)
 
     def outcomes(
-        self, todo: list[Cell], engine: Engine, timed: Callable[[Cell], None]
-    ) -> Iterator[Outcome[Cell, list[Row]]]:
+        self, todo: list[Cell], engine: Executor, timed: Callable[[Cell], None]
+    ) -> Iterator[JobResult[Cell, list[Row]]]:
         """The rows of cells as they are done, or the error that stopped them."""
         if not todo:
             return
-        self.names = self.names.settled()
+        self.names = self.names.resolved()
         gpus = 1 if self.request.device.type == "cuda" else 0
-        share = Share(torch.get_num_threads(), gpus)
-        untimed = [] if engine.alone else self.times.take(todo, engine, share, timed)
+        share = Resources(torch.get_num_threads(), gpus)
+        untimed = [] if engine.exclusive else self.times.measure_all(todo, engine, share, timed)
         for cell, error in untimed:
-            yield Outcome(cell, error=error)
+            yield JobResult(cell, error=error)
         able = [cell for cell in todo if cell not in [each for each, _ in untimed]]
         yield from engine.map(self, able, share)
 
-    def __call__(self, cell: Cell, tell: Tell) -> list[Row]:
+    def __call__(self, cell: Cell, tell: ProgressCallback) -> list[Row]:
         """Scores of each frame, then times; or one row that says why there are none."""
         if why := self.ready.unusable(cell):
             return [self.refusal(cell, why)]
@@ -125,12 +136,12 @@ class _Bench:
 
     def refusal(self, cell: Cell, why: str) -> Row:
         """The one row of a cell without numbers."""
-        return replace(self._blank(cell), metric="psnr", value=math.nan, note=why)
+        return replace(self.row_template(cell), metric="psnr", value=math.nan, note=why)
 
     def _measured(self, cell: Cell, method: Method) -> list[Row]:
         clip = self.ready.clip(cell)
-        blank = replace(self._blank(cell), config=settings(method))
-        remarks = "; ".join(filter(None, (self._leak(cell), self._elsewhere())))
+        blank = replace(self.row_template(cell), config=config_json(method))
+        remarks = "; ".join(filter(None, (self.train_test_overlap(cell), self._elsewhere())))
         rows, before = [], None
         for shown in run_clip(method, clip, cell.spp):
             scored = self._scores(blank, shown, before, cell.clip.header)
@@ -140,10 +151,14 @@ class _Bench:
         times = self.times.of(cell, method, clip)
         return rows + self._timing(replace(blank, spp_realised=bought), times, cell)
 
-    def _leak(self, cell: Cell) -> str:
+    def train_test_overlap(self, cell: Cell) -> str:
         """Why scores of a clip that the weights have seen in training prove nothing, or nothing."""
         clip = cell.clip.header.name
-        return f"no test: its weights were trained on {clip}" if self.names.seen(cell) else ""
+        return (
+            f"no test: its weights were trained on {clip}"
+            if self.names.trained_on_clip(cell)
+            else ""
+        )
 
     def _elsewhere(self) -> str:
         """The device that scores are of, where the results are of another one."""
@@ -151,9 +166,9 @@ class _Bench:
         return "" if here == self.names.device else f"scored on {here}"
 
     def _scores(
-        self, blank: Row, shown: Shown, before: Shown | None, header: Header
+        self, blank: Row, shown: FrameResult, before: FrameResult | None, header: Header
     ) -> Iterator[Row]:
-        images = (shown.image, shown.frame.reference.a, shown.frame.reference.b)
+        images = (shown.image, shown.frame.reference.half_a, shown.frame.reference.half_b)
         _check(blank.method, *images[:2])
         bought = float(shown.samples.counts.double().mean())
         for metric in (each.at(*shown.image.shape[-2:]) for each in self.metrics.values()):
@@ -197,7 +212,7 @@ class _Bench:
             ),
         ]
 
-    def _blank(self, cell: Cell) -> Row:
+    def row_template(self, cell: Cell) -> Row:
         """A row of this cell, without a number."""
         header = cell.clip.header
         return Row(
@@ -213,7 +228,7 @@ class _Bench:
             seed=cell.seed,
             preset=header.preset,
             device=self.names.device,
-            dtype="bfloat16" if self.request.halves(cell.method) else "float32",
+            dtype="bfloat16" if self.request.runs_in_bf16(cell.method) else "float32",
             code=self.names.code[cell.method],
             weights=self.names.weights[cell.method],
         )

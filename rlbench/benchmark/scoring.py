@@ -9,14 +9,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from rlbench import registry
 from rlbench.benchmark.results import Row
-from rlbench.registry import lookup as registry
-from rlbench.run import Shown
+from rlbench.run import FrameResult
 
 
-def _with(before: Shown, images: Sequence[Tensor]) -> list[Tensor]:
+def _with(before: FrameResult, images: Sequence[Tensor]) -> list[Tensor]:
     """Image and halves of the reference, each with that of the frame before: [n 2 3 h w]."""
-    earlier = (before.image, before.frame.reference.a, before.frame.reference.b)
+    earlier = (before.image, before.frame.reference.half_a, before.frame.reference.half_b)
     return [torch.stack(pair, 1) for pair in zip(earlier, images, strict=True)]
 
 

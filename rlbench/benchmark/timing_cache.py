@@ -9,38 +9,38 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
+from rlbench import registry
 from rlbench.benchmark import cost, latency
-from rlbench.benchmark.cell_loader import Ready
-from rlbench.benchmark.cost import Cost, Profile
+from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.cost import Cost, CostProfile
 from rlbench.benchmark.latency import Timing
 from rlbench.benchmark.run_plan import Cell
 from rlbench.frames import Clip
 from rlbench.method import Method
-from rlbench.parallel.executor import Engine, Share, Tell
-from rlbench.registry import lookup as registry
+from rlbench.parallel.executor import Executor, ProgressCallback, Resources
 from rlbench.system import provenance
 
 Key = tuple[object, ...]
 
 
 @dataclass(frozen=True)
-class Times:
+class TimingCache:
     """Times and costs that are known by now."""
 
-    ready: Ready
-    profile: Profile | None  # None where samples are charged by what this machine takes
+    ready: CellLoader
+    profile: CostProfile | None  # None where samples are charged by what this machine takes
     _known: dict[Key, Timing] = field(default_factory=dict, repr=False)
     _costs: dict[tuple[str, str], Cost] = field(default_factory=dict, repr=False)
 
-    def __call__(self, cell: Cell, tell: Tell) -> Timing:
+    def __call__(self, cell: Cell, tell: ProgressCallback) -> Timing:
         """Times of a cell, taken now: work for an engine."""
         return self._taken(cell, self.ready.method(cell), self.ready.clip(cell))
 
-    def take(
+    def measure_all(
         self,
         todo: Iterable[Cell],
-        engine: Engine,
-        share: Share,
+        engine: Executor,
+        share: Resources,
         timed: Callable[[Cell], None],
     ) -> list[tuple[Cell, Exception]]:
         """Take all that cells will ask for, one after another; the cells that raised an error.
@@ -53,7 +53,7 @@ class Times:
         waiting = able
         while waiting:
             firsts = {self.key(cell): cell for cell in reversed(waiting)}
-            for outcome in engine.single().map(self, list(firsts.values()), share):
+            for outcome in engine.local_exclusive().map(self, list(firsts.values()), share):
                 if outcome.error:
                     errors.append((outcome.job, outcome.error))
                 else:
@@ -69,7 +69,7 @@ class Times:
         """What a time depends on: where nothing moves nothing is warped, which takes less."""
         header = cell.clip.header
         size, moves = (header.height, header.width), header.frames > 1 and not header.static
-        return cell.method, size, cell.spp, moves, header.pool_spp, cell.clip.priced
+        return cell.method, size, cell.spp, moves, header.pool_spp, cell.clip.cost_key
 
     def of(self, cell: Cell, method: Method, clip: Clip) -> Timing:
         """Times of a method on an open clip, taken now unless they are known."""

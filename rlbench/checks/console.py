@@ -12,7 +12,7 @@ from rich.table import Table
 from rlbench.checks.finding import Finding, Verdict
 
 if TYPE_CHECKING:
-    from rlbench.checks.lint.clip_arrays import Footage
+    from rlbench.checks.lint.clip_arrays import ClipArrays
 
 MARKS = {
     Verdict.PASS: "[green]pass[/green]",
@@ -21,7 +21,7 @@ MARKS = {
 }
 
 
-def tick_list(footage: Footage, findings: Sequence[Finding], console: Console) -> None:
+def tick_list(footage: ClipArrays, findings: Sequence[Finding], console: Console) -> None:
     """One line a check: verdict, name, what was found, and what would do."""
     header = footage.header
     seen = f"{len(footage)} of {header.frames} frames" if len(footage) < header.frames else ""

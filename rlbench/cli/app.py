@@ -12,7 +12,7 @@ from rlbench.cli.benchmark import regress, report, run
 from rlbench.cli.clips import lint, render
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
-from rlbench.cli.methods import Plugins, check, use
+from rlbench.cli.methods import Plugins, check, load_plugins
 from rlbench.cli.training import crossval, train
 from rlbench.errors import _expected
 
@@ -83,12 +83,11 @@ def list_(
 
       rlbench list methods --json
     """
-    use(plugin, listed=True)
-    from rlbench.cli import console as show
-    from rlbench.cli import listing
+    load_plugins(plugin, listed=True)
+    from rlbench.cli import console, listing
 
     found = listing.listed(kind)
-    typer.echo(json.dumps(found, indent=1)) if as_json else show.listed(found)
+    typer.echo(json.dumps(found, indent=1)) if as_json else console.listed(found)
 
 
 app.command()(render)
@@ -115,8 +114,8 @@ def doctor(plugin: Plugins = None) -> None:
 
       rlbench doctor
     """
-    use(plugin)
-    from rlbench.cli import console as show
+    load_plugins(plugin)
+    from rlbench.cli import console
     from rlbench.cli.doctor import examine
 
-    show.findings(examine())
+    console.findings(examine())

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from rlbench.errors import AskedError
+from rlbench.errors import OptionError
 from rlbench.render.jobs.preset_clips import rendered
 
 if TYPE_CHECKING:
     import torch
 
-    from rlbench.benchmark.clip_sources import Stored
-    from rlbench.parallel.executor import Engine
+    from rlbench.benchmark.clip_sources import StoredSource
+    from rlbench.parallel.executor import Executor
 
 
 def split(values: list[str]) -> list[str]:
@@ -33,7 +33,7 @@ def numbers(option: str, text: str, kind: type[Any]) -> tuple[Any, ...]:
         found = ()
     if not found or not all(math.isfinite(number) and number >= 0 for number in found):
         such = "0,1,2" if kind is int else "0.5,1,2"
-        raise AskedError(f"{option} takes numbers such as {such} and was given '{text}'")
+        raise OptionError(f"{option} takes numbers such as {such} and was given '{text}'")
     return found
 
 
@@ -47,7 +47,7 @@ def device(name: str) -> torch.device:
         found = torch.device(name)
         torch.empty(0, device=found)
     except (RuntimeError, AssertionError) as error:
-        raise AskedError(f"--device {name} cannot be used here: {error}") from error
+        raise OptionError(f"--device {name} cannot be used here: {error}") from error
     return found
 
 
@@ -56,38 +56,40 @@ def clips(
     scenes: list[str] | None,
     preset: str,
     pool: str = "stored",
-    engine: Engine | None = None,
+    engine: Executor | None = None,
     kinds: Collection[str] | None = None,
     takes: str | None = None,
-) -> tuple[Stored, ...]:
+) -> tuple[StoredSource, ...]:
     """The clips of one's own folders, or those of a preset, rendered if need be.
 
     `kinds` of sample pools are those that are wanted of a preset's, and `takes` of its scenes are
     `main` or `all`; None is all of the former, and the latter as in the preset.
     """
-    from rlbench.benchmark.clip_sources import POOLS, pooled
-    from rlbench.clips.stored import below
+    from rlbench.benchmark.clip_sources import POOLS, open_source
+    from rlbench.clips.stored import find_clips
 
     if pool not in POOLS:
-        raise AskedError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
+        raise OptionError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
         made = rendered(split(scenes or []), preset, engine=engine, kinds=kinds, takes=takes)
-        return tuple(pooled(folder, pool) for folder in made)
+        return tuple(open_source(folder, pool) for folder in made)
     if takes is not None:
-        raise AskedError("--takes is of a preset's scenes; of --clips, --scenes names single clips")
-    found = [pooled(folder, pool) for place in own for folder in below(place)]
+        raise OptionError(
+            "--takes is of a preset's scenes; of --clips, --scenes names single clips"
+        )
+    found = [open_source(folder, pool) for place in own for folder in find_clips(place)]
     wanted = split(scenes or [])
     named = {clip: {clip.header.scene, clip.header.name} for clip in found}
     kept = tuple(clip for clip, names in named.items() if not wanted or names & set(wanted))
     if unknown := [name for name in wanted if not any(name in names for names in named.values())]:
         have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
-        raise AskedError(f"--scenes {','.join(unknown)}: the clips given show: {have}")
+        raise OptionError(f"--scenes {','.join(unknown)}: the clips given show: {have}")
     return kept
 
 
 def methods(values: list[str], trained: bool = True) -> tuple[str, ...]:
     """Names that were asked for, as `registry.expand`; `all` goes on without broken families."""
-    from rlbench.registry import lookup as registry
+    from rlbench import registry
 
     return tuple(registry.expand(split(values), trained, lambda words: typer.echo(words, err=True)))
 
@@ -95,7 +97,7 @@ def methods(values: list[str], trained: bool = True) -> tuple[str, ...]:
 def positive(option: str, number: float) -> float:
     """A number above zero. Raises AskedError."""
     if not number > 0:
-        raise AskedError(f"{option} {number:g}: it has to be above 0")
+        raise OptionError(f"{option} {number:g}: it has to be above 0")
     return number
 
 
@@ -114,11 +116,13 @@ def weights(text: str | None) -> tuple[str, str | None]:
     if not equals or Path(text).exists():
         called, file = "", text
     elif not re.fullmatch(r"[\w+-]+", called, re.ASCII):
-        raise AskedError(f"--weights {text}: the name before = is of letters, digits, _, + and -")
+        raise OptionError(f"--weights {text}: the name before = is of letters, digits, _, + and -")
     elif (kind := called.partition("-")[0]) in (HALF, CROSSVAL):
-        raise AskedError(f"--weights {text}: METHOD@{kind} is what rows of another kind are called")
+        raise OptionError(
+            f"--weights {text}: METHOD@{kind} is what rows of another kind are called"
+        )
     if not Path(file).is_file():
-        raise AskedError(f"--weights {text}: there is no file {file}; 'rlbench train' makes one")
+        raise OptionError(f"--weights {text}: there is no file {file}; 'rlbench train' makes one")
     return called, file
 
 
@@ -133,7 +137,7 @@ def seeds(text: str | None) -> tuple[int, ...] | None:
         if first.isdecimal() and (after.isdecimal() if colon else True):
             numbers = range(int(first), int(after) if colon else int(first) + 1)
         if not numbers:
-            raise AskedError(
+            raise OptionError(
                 f"--seeds takes a range such as 0:48, of which 48 is no part, or a list such as "
                 f"3,7, and was given '{text}'"
             )

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rlbench import errors
-from rlbench.cli import arguments as asked
-from rlbench.cli import benchmark
+from rlbench.cli import arguments, benchmark
 from rlbench.cli.clips import Clips, Engine, Preset, RayAddress, Scenes, Takes
-from rlbench.cli.methods import Device, Methods, Plugins, use
-from rlbench.errors import AskedError, _expected
+from rlbench.cli.methods import Device, Methods, Plugins, load_plugins
+from rlbench.errors import OptionError, _expected
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +29,7 @@ def part(
     """The rows and the entries of some methods. Raises AskedError for one that neither has."""
     have = {*table["method"], *(entry.method for entry in baseline.entries)}
     if unknown := sorted(set(methods) - have):
-        raise AskedError(
+        raise OptionError(
             f"--only {','.join(unknown)}: neither results nor baseline have it; there is: "
             f"{', '.join(sorted(have)) or 'nothing'}"
         )
@@ -43,19 +42,21 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
 
     Raises AskedError where a single name has none, and PluginError for one that is in neither.
     """
-    from rlbench.benchmark.results import AT, whose
-    from rlbench.registry import lookup as registry
+    from rlbench import registry
+    from rlbench.benchmark.results import AT, select_methods
 
     known = set(table["method"])  # of plugins too, which need not be here
     exact = [name for name in methods if AT in name or name in known]
     patterns = [name for name in methods if name not in exact]
     wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
-    found = table[whose(table, wanted)]
+    found = table[select_methods(table, wanted)]
     single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
-    absent = [name for name in single if not whose(table, [name]).any()]
+    absent = [name for name in single if not select_methods(table, [name]).any()]
     if absent or found.empty:
         have = ", ".join(sorted(known)) or "no rows"
-        raise AskedError(f"{results} has no rows of {', '.join(absent or methods)}; it has: {have}")
+        raise OptionError(
+            f"{results} has no rows of {', '.join(absent or methods)}; it has: {have}"
+        )
     return found
 
 
@@ -111,37 +112,37 @@ def run(
 
       rlbench run -m all --preset standard --engine ray --ray-address auto --out large
     """
-    use(plugin)
+    load_plugins(plugin)
     if out.exists() and not out.is_dir():
-        raise errors.AskedError(f"--out {out} is a file; results are a folder")
-    from rlbench.benchmark.run_plan import Request
+        raise errors.OptionError(f"--out {out} is a file; results are a folder")
+    from rlbench import registry
+    from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure
-    from rlbench.cli import console as show
+    from rlbench.cli import console
     from rlbench.parallel.ray_executor import opened
-    from rlbench.registry import lookup as registry
 
-    names = asked.methods(methods)
-    called, weights = asked.weights(weights)
+    names = arguments.methods(methods)
+    called, weights = arguments.weights(weights)
     if (half or weights) and not any(registry.variant(name).learned for name in names):
         typer.echo("--half, --weights: no method that was asked for has networks", err=True)
     kinds = {registry.variant(name).traits.pool for name in names}
     with opened(engine, ray_address) as workers:
-        request = Request(
+        request = RunPlan(
             methods=names,
-            clips=asked.clips(clips, scenes, preset, pool, workers, kinds, takes),
-            spp=asked.numbers("--spp", spp, float),
-            seeds=asked.numbers("--seed", seed, int),
-            device=asked.device(device),
+            clips=arguments.clips(clips, scenes, preset, pool, workers, kinds, takes),
+            spp=arguments.numbers("--spp", spp, float),
+            seeds=arguments.numbers("--seed", seed, int),
+            device=arguments.device(device),
             cost=cost,
             weights=weights,
             half=half,
-            called=called,
+            weights_label=called,
             frames=limit_frames,
         )
-        with show.progress(request) as bar:
+        with console.progress(request) as bar:
             done = measure(request, out, bar.tell, workers, bar.timed)
-    show.done(done, out)
-    if not show.table(request, out):
+    console.done(done, out)
+    if not console.table(request, out):
         raise typer.Exit(1)
 
 
@@ -167,27 +168,27 @@ def report(
 
       rlbench report ablation --methods 'ours/*'
     """
+    from rlbench import registry
     from rlbench.benchmark import results as table
-    from rlbench.registry import lookup as registry
 
     rows = table.read(results)
     failed: dict[str, list[str]] = {}  # by reason
-    if wanted := asked.split(methods or []):
+    if wanted := arguments.split(methods or []):
         rows = benchmark.rows(rows, wanted, results)
     for each in registry.names("reports") if name == "all" else [name]:
         try:
-            for file in registry.usable("reports", each)(rows, out or results / "report"):
+            for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
                 typer.echo(file)
         except Exception as error:
             if not _expected(error):
                 raise
-            if name == "all" and isinstance(error, table.LacksError):
+            if name == "all" and isinstance(error, table.MissingRowsError):
                 typer.echo(f"{each} was not written: {error}", err=True)
             else:
                 failed.setdefault(str(error), []).append(each)
     if failed:
         told = (f"{', '.join(each)} not written: {why}" for why, each in failed.items())
-        raise errors.AskedError("; ".join(told))
+        raise errors.OptionError("; ".join(told))
 
 
 def regress(
@@ -208,20 +209,20 @@ def regress(
 
       rlbench regress --update
     """
-    from rlbench.benchmark import regression as gate
+    from rlbench.benchmark import regression
     from rlbench.benchmark import results as table
 
-    wanted = asked.split(only or [])
+    wanted = arguments.split(only or [])
     if update and wanted:
-        raise errors.AskedError("--update writes the whole baseline anew; run it without --only")
+        raise errors.OptionError("--update writes the whole baseline anew; run it without --only")
     rows = table.read(results)
     if update:
-        written = gate.update(rows, baseline)
+        written = regression.update(rows, baseline)
         typer.echo(f"{baseline}: {len(written.entries)} entries")
         return
-    known = gate.load(baseline)
+    known = regression.load(baseline)
     if wanted:
         rows, known = benchmark.part(rows, known, wanted)
-    outcome = gate.compare(rows, known, subset=bool(wanted))
+    outcome = regression.compare(rows, known, subset=bool(wanted))
     typer.echo(outcome.text())
     raise typer.Exit(0 if outcome.passed else 1)

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from rlbench import errors
-from rlbench.cli import arguments as asked
-from rlbench.cli import user_scene
+from rlbench.cli import arguments, user_scene
 from rlbench.render.jobs import preset_clips
 
 Scenes = Annotated[
@@ -104,17 +103,17 @@ def render(
                 ("takes", takes),
             ):
                 if value:
-                    raise errors.AskedError(f"--{option} is of a preset's clips, not of --scene")
+                    raise errors.OptionError(f"--{option} is of a preset's clips, not of --scene")
             given = scenes or (seeds and [seeds]) or None
             folders = [user_scene.own_scene(scene, given, preset, *own, workers)]
         else:
-            chosen = asked.seeds(seeds)
+            chosen = arguments.seeds(seeds)
             folders = preset_clips.rendered(
-                asked.split(scenes or []),
+                arguments.split(scenes or []),
                 preset,
                 cap,
                 chosen,
-                asked.split(views or []),
+                arguments.split(views or []),
                 workers,
                 takes=takes,
             )
@@ -125,10 +124,10 @@ def render(
 def _retimed(folder: Path) -> str:
     """What a sample took before and takes now, in words."""
     from rlbench.clips.stored import read_header
-    from rlbench.render.jobs.retime import retime
+    from rlbench.render.jobs.retime import remeasure_sample_ms
 
     before = read_header(folder).sample_ms
-    return f"  a sample takes {retime(folder).sample_ms:.1f} ms, was {before:.1f} ms"
+    return f"  a sample takes {remeasure_sample_ms(folder).sample_ms:.1f} ms, was {before:.1f} ms"
 
 
 def lint(
@@ -147,7 +146,7 @@ def lint(
       rlbench lint my_renders/ --picture lint.png --frames 0
     """
     from rlbench.checks.lint.run import lint as examine
-    from rlbench.clips.stored import below
+    from rlbench.clips.stored import find_clips
 
-    folders = [folder for place in clips for folder in below(place)]
+    folders = [folder for place in clips for folder in find_clips(place)]
     raise typer.Exit(0 if examine(folders, picture, frames) else 1)

@@ -11,12 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rlbench.benchmark import results as results_table
-from rlbench.benchmark.cell_ids import Names
-from rlbench.benchmark.run_plan import Cell, Request, cells
+from rlbench.benchmark import results
+from rlbench.benchmark.cell_ids import CellIds
+from rlbench.benchmark.run_plan import Cell, RunPlan, cells
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.runner import Done
+    from rlbench.benchmark.runner import RunSummary
     from rlbench.cli.doctor import Finding
 
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
@@ -27,7 +27,7 @@ COLUMNS = {  # of `rlbench list`, in their order
 }
 
 
-class Told(NamedTuple):
+class ProgressCallbacks(NamedTuple):
     """What shows how far a run is."""
 
     tell: Callable[[Cell], None]  # of a cell that is done
@@ -35,7 +35,7 @@ class Told(NamedTuple):
 
 
 @contextmanager
-def progress(request: Request) -> Iterator[Told]:
+def progress(request: RunPlan) -> Iterator[ProgressCallbacks]:
     """A bar over the cells of a request, on the error stream."""
     with _bar() as bar:
         task = bar.add_task("measuring", total=len(cells(request)))
@@ -47,7 +47,7 @@ def progress(request: Request) -> Iterator[Told]:
         def timed(cell: Cell) -> None:
             bar.update(task, description=f"timed {cell.method}, {cell.spp:g} spp")
 
-        yield Told(tell, timed)
+        yield ProgressCallbacks(tell, timed)
 
 
 @contextmanager
@@ -57,37 +57,41 @@ def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
         task = bar.add_task(name, total=frames)
 
         def tell(stands: Any, loss: float) -> None:
-            bar.update(task, completed=stands.seen, description=f"{name}, {lesson(stands, loss)}")
+            bar.update(
+                task, completed=stands.seen, description=f"{name}, {training_status(stands, loss)}"
+            )
 
         yield tell
 
 
-def lesson(stands: Any, loss: float) -> str:
+def training_status(stands: Any, loss: float) -> str:
     """How a training goes: its loss, the last validation, frames a second."""
     told = [f"loss {loss:.4f}"]
     told += [f"validation {stands.curve[-1][1]:.2f} dB"] if stands.curve else []
     return ", ".join([*told, f"{stands.speed:.1f} frames/s"])
 
 
-def done(what: Done, out: Path) -> None:
+def done(what: RunSummary, out: Path) -> None:
     """What became of the cells of a run."""
     console = Console()
-    if not what.measured + what.refused:
-        console.print(f"nothing to do: all {what.known} cells are in {out} already")
+    if not what.measured + what.skipped:
+        console.print(f"nothing to do: all {what.cached} cells are in {out} already")
         return
-    told = f"{what.measured} cells measured, {what.known} known before, {what.refused} not possible"
+    told = (
+        f"{what.measured} cells measured, {what.cached} known before, {what.skipped} not possible"
+    )
     told += f", {what.replaced} older ones replaced" if what.replaced else ""
     console.print(f"{told}; results are in {out}")
 
 
-def table(request: Request, out: Path, methods: Iterable[str] = ()) -> bool:
+def table(request: RunPlan, out: Path, methods: Iterable[str] = ()) -> bool:
     """Mean PSNR and frame time of what was asked for, and why cells have no numbers; are there any?
 
     `methods` are names in the results that the request does not lead to.
     """
-    rows = results_table.read(out)
+    rows = results.read(out)
     names = [clip.header.name for clip in request.clips]
-    told = Names(request)
+    told = CellIds(request)
     called = methods or [told.method(name) for name in request.methods]
     rows = rows[rows["method"].isin(called) & rows["clip"].isin(names)]
     rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
@@ -103,7 +107,7 @@ def table(request: Request, out: Path, methods: Iterable[str] = ()) -> bool:
         shown.add_row(f"{method}{of}", f"{spp:g}", *(_figure(value) for value in figures))
     console = Console()
     console.print(shown)
-    whole = rows[(rows["frame"] == results_table.WHOLE_CLIP) & rows["value"].isna()]
+    whole = rows[(rows["frame"] == results.WHOLE_CLIP) & rows["value"].isna()]
     for (method, metric, note), group in whole.groupby(["method", "metric", "note"]):
         if metric in ("psnr", "sample_ms"):
             where = ", ".join(sorted(set(group["clip"])))

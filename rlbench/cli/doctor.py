@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from rlbench import registry
 from rlbench.clips.header import ClipError
 from rlbench.clips.stored import read_header
-from rlbench.registry import lookup as registry
 from rlbench.system import paths, provenance
 
 EXTRAS = {  # extra: what it gives, and a module of each package in it
@@ -110,7 +110,7 @@ def _cache() -> Iterator[Finding]:
 def _plugins() -> Iterator[Finding]:
     for group in registry.GROUPS:
         names = registry.names(group)
-        broken = {name: why for name in names if (why := registry.broken(group, name))}
+        broken = {name: why for name in names if (why := registry.import_error(group, name))}
         told = ", ".join(names) or "none"
         told += "".join(f"; {name} is broken: {why}" for name, why in broken.items())
         yield Finding(group, not broken, told)

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments as asked
+from rlbench.cli import arguments
 from rlbench.cli.clips import Clips, Preset, Scenes, Takes
-from rlbench.cli.methods import Device, Methods, Plugins, use
+from rlbench.cli.methods import Device, Methods, Plugins, load_plugins
 
 
 def images(
@@ -39,26 +39,26 @@ def images(
 
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
-    use(plugin)
+    load_plugins(plugin)
+    from rlbench import registry
     from rlbench.benchmark.image_sheet import write
-    from rlbench.benchmark.run_plan import Request
-    from rlbench.cli import console as show
-    from rlbench.registry import lookup as registry
+    from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.cli import console
 
-    names = asked.methods(methods)
-    called, weights = asked.weights(weights)
+    names = arguments.methods(methods)
+    called, weights = arguments.weights(weights)
     kinds = {registry.variant(name).traits.pool for name in names}
-    request = Request(
+    request = RunPlan(
         methods=names,
-        clips=asked.clips(clips, scenes, preset, kinds=kinds, takes=takes),
-        spp=asked.numbers("--spp", spp, float),
+        clips=arguments.clips(clips, scenes, preset, kinds=kinds, takes=takes),
+        spp=arguments.numbers("--spp", spp, float),
         seeds=(seed,),
-        device=asked.device(device),
+        device=arguments.device(device),
         weights=weights,
-        called=called,
+        weights_label=called,
         half=half,
     )
-    with show.progress(request) as bar:
+    with console.progress(request) as bar:
         sheets = list(write(request, frame, out, bar.tell))
     for sheet in sheets:
         typer.echo(sheet.file)

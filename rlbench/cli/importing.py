@@ -36,16 +36,15 @@ def import_(
 
       rlbench import my_renders/ --format oidn --out clips/ && rlbench run -m mean --clips clips/
     """
-    from rlbench.clips.importers import formats
-    from rlbench.clips.importers import writer as store
+    from rlbench.clips.importers import formats, writer
     from rlbench.clips.importers.sequence import span
 
     found = formats.sequences(source, format_, span(frames) if frames else None)
-    plans = [(each, store.plan(each, samples, exposure), out / each.name) for each in found]
-    todo = [plan for plan in plans if not store.finished(*plan)]
+    plans = [(each, writer.clip_header(each, samples, exposure), out / each.name) for each in found]
+    todo = [plan for plan in plans if not writer.finished(*plan)]
     with _bar(sum(header.frames for _, header, _ in todo)) as tell:
         for plan in todo:
-            store.store(*plan, tell)
+            writer.store(*plan, tell)
     for plan in plans:
         _tell(*plan[1:], news="imported" if plan in todo else "known before")
 
@@ -64,11 +63,11 @@ def _bar(frames: int) -> Iterator[Callable[[], None]]:
 
 def _tell(header: Header, folder: Path, news: str) -> None:
     """What became of one clip, what it lacks of the format, and what can be measured on it."""
-    from rlbench.clips.compatibility import possible
+    from rlbench.clips.compatibility import compatibility_summary
     from rlbench.clips.header import LACKS
 
     size = f"{header.frames} frames of {header.width} x {header.height}"
     typer.echo(f"{folder}: {news}, {size}, of each pixel {header.pool_spp} samples of 1 spp")
     for word in header.lacks:
         typer.echo(f"  lacks {word}: {LACKS[word]}")
-    typer.echo(f"  {possible(header)}")
+    typer.echo(f"  {compatibility_summary(header)}")

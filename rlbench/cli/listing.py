@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rlbench import registry
 from rlbench.benchmark import cost
 from rlbench.family import Variant
-from rlbench.registry import lookup as registry
 
 Listed = dict[str, list[dict[str, Any]]]
 
@@ -31,7 +31,7 @@ def listed(kind: str = "all") -> Listed:
 def _methods() -> list[dict[str, Any]]:
     found = []
     for name, entry in registry.entries("methods").items():
-        if why := registry.broken("methods", name):
+        if why := registry.import_error("methods", name):
             found.append({"name": name, "from": entry.origin, "broken": why})
             continue
         family = registry.family(name)
@@ -50,14 +50,16 @@ def _variant(variant: Variant) -> dict[str, Any]:
     traits = variant.traits
     return {
         "question": variant.question,
-        "spp": list(traits.spp),
-        "needs": sorted(traits.needs),
+        "spp": list(traits.spp_range),
+        "needs": sorted(traits.inputs),
         "pool": traits.pool,
-        "adapts": traits.adapts,
+        "adapts": traits.adaptive,
         "temporal": traits.temporal,
         "learned": variant.learned,
-        "shipped": variant.shipped,
-        "weights": ("shipped" if variant.shipped else "to be trained") if variant.learned else "",
+        "shipped": variant.pretrained,
+        "weights": ("shipped" if variant.pretrained else "to be trained")
+        if variant.learned
+        else "",
     }
 
 
@@ -76,13 +78,13 @@ def _plain(group: str) -> list[dict[str, Any]]:
     """Name, origin and, where it cannot be loaded, why."""
     found = []
     for name, entry in registry.entries(group).items():
-        why = registry.broken(group, name)
+        why = registry.import_error(group, name)
         found.append({"name": name, "from": entry.origin} | ({"broken": why} if why else {}))
     return found
 
 
 def _fields(name: str, group: str, wanted: tuple[str, ...]) -> dict[str, Any]:
-    if registry.broken(group, name):
+    if registry.import_error(group, name):
         return {}
     found = registry.load(group, name)
     return {field: getattr(found, field, "") for field in wanted}
@@ -98,7 +100,7 @@ def _presets() -> list[dict[str, Any]]:
             "height": preset.size[0],
             "width": preset.size[1],
             "frames": preset.frames,
-            "reference_spp": 2 * preset.reference_spp * preset.rounds,  # at most
+            "reference_spp": 2 * preset.reference_spp * preset.max_reference_rounds,  # at most
             "scenes": list(preset.scenes),
             "takes": preset.takes,
             "generated": len(preset.seeds),

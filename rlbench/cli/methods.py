@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments as asked
+from rlbench.cli import arguments
 
 Methods = Annotated[
     list[str],
@@ -19,14 +19,14 @@ Plugins = Annotated[
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda, or a torch device")]
 
 
-def use(plugins: list[Path] | None, listed: bool = False) -> None:
+def load_plugins(plugins: list[Path] | None, listed: bool = False) -> None:
     """Make loose files known. Raises PluginError for a broken one, unless it is to be listed."""
-    from rlbench.registry import lookup as registry
-    from rlbench.registry.discovery import flaw
+    from rlbench import registry
+    from rlbench.registry.discovery import plugin_file_error
 
     for path in plugins or []:
         registry.use_plugin(path)
-        if not listed and (why := flaw(path)):
+        if not listed and (why := plugin_file_error(path)):
             raise registry.PluginError(f"--plugin {path}: {why}")
 
 
@@ -48,7 +48,7 @@ def check(
 
       rlbench check all
     """
-    use(plugin, listed="all" in asked.split(methods))
+    load_plugins(plugin, listed="all" in arguments.split(methods))
     from rlbench.checks.conformance.run import check as examine
 
-    raise typer.Exit(0 if examine(asked.split(methods), asked.device(device)) else 1)
+    raise typer.Exit(0 if examine(arguments.split(methods), arguments.device(device)) else 1)

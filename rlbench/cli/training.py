@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments as asked
+from rlbench.cli import arguments
 from rlbench.cli.clips import Scenes, Seeds
-from rlbench.cli.methods import Device, Methods, Plugins, use
-from rlbench.training.config import Plan
+from rlbench.cli.methods import Device, Methods, Plugins, load_plugins
+from rlbench.training.config import TrainingConfig
 
 Frames = Annotated[int, typer.Option(min=1, help="crops to see, for each method")]
 Minutes = Annotated[
@@ -78,40 +78,38 @@ def train(
 
       rlbench train --replay runs/ours/halted-at-draw-71.safetensors
     """
-    use(plugin)
-    from rlbench.registry import lookup as registry
-    from rlbench.training import dataset as trainset
-    from rlbench.training import logger as curves
-    from rlbench.training import runs as course
+    load_plugins(plugin)
+    from rlbench import registry
+    from rlbench.training import dataset, logger, runs
 
     if replay is not None:
         from rlbench.training.loop import replay as again
 
-        found = again(replay, str(asked.device(device)))
+        found = again(replay, str(arguments.device(device)))
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
         return
-    names = asked.methods(methods, trained=False)
-    learning = course.learners(names)
+    names = arguments.methods(methods, trained=False)
+    learning = runs.learners(names)
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
     plan = planned(frames, batch, crop, budget, half, norm, seed)
     command = shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = course.Course(
-        out, plan, str(asked.device(device)), asked.minutes(minutes), command, altered
+    lessons = runs.TrainingRuns(
+        out, plan, str(arguments.device(device)), arguments.minutes(minutes), command, altered
     )
     lessons.check(learning)
     kinds = {registry.variant(name).traits.pool for name in learning}
-    chosen = trainset.NONE
+    chosen = dataset.NONE
     if learning:
-        chosen = trainset.chosen(preset, asked.seeds(seeds), holdout, kinds)
-        typer.echo(curves.lacking(), err=True) if curves.lacking() else None
+        chosen = dataset.chosen(preset, arguments.seeds(seeds), holdout, kinds)
+        typer.echo(logger.lacking(), err=True) if logger.lacking() else None
     for name in learning:
         if range_test:
             tried = lessons.range_test(name, chosen)
             typer.echo(f"{name}: peak {tried.peak:.1e} proposed; see {tried.figure}")
             continue
         folder = lessons.folder(name, holdout)
-        if fresh and (old := course.start_anew(folder)):
+        if fresh and (old := runs.archive_run(folder)):
             typer.echo(f"{name}: the training that was there is in {old} now")
         lessons.train(name, chosen, holdout)
         typer.echo(f"{name}: {folder}")
@@ -156,31 +154,31 @@ def crossval(
 
       rlbench report all --results crossval/results --out crossval/report
     """
-    use(plugin)
+    load_plugins(plugin)
     from rlbench.benchmark import crossval as leaving
-    from rlbench.benchmark.run_plan import Request
-    from rlbench.cli import console as show
-    from rlbench.training import runs as course
+    from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.cli import console
+    from rlbench.training import runs
 
-    names = asked.methods(methods)
+    names = arguments.methods(methods)
     plan = planned(frames, batch, crop, budget, half, norm, seed)
-    where, command = asked.device(device), shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = course.Course(out, plan, str(where), asked.minutes(minutes), command, altered)
-    lessons.check([name for name in map(leaving.taught, names) if name])
-    folds = leaving.folds(preset, asked.split(scenes or []), names)
+    where, command = arguments.device(device), shlex.join(["rlbench", *sys.argv[1:]])
+    lessons = runs.TrainingRuns(out, plan, str(where), arguments.minutes(minutes), command, altered)
+    lessons.check([name for name in map(leaving.variant_to_train, names) if name])
+    folds = leaving.folds(preset, arguments.split(scenes or []), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)
-    budgets = asked.numbers("--spp", spp, float)
-    request = Request(names, clips, budgets, (seed,), where, cost, frames=limit_frames)
+    budgets = arguments.numbers("--spp", spp, float)
+    request = RunPlan(names, clips, budgets, (seed,), where, cost, frames=limit_frames)
     results = out / "results"
     done = leaving.crossval(folds, lessons, request, results, lambda words: typer.echo(words))
-    show.done(done, results)
-    show.table(request, results, leaving.told(request))
+    console.done(done, results)
+    console.table(request, results, leaving.row_names(request))
 
 
 def planned(
     frames: int, batch: int, crop: int, budget: str, half: bool, norm: float, seed: int
-) -> Plan:
+) -> TrainingConfig:
     """The plan that the options of a command ask for. Raises AskedError."""
-    asked.positive("--norm", norm)
-    spp = () if budget == "any" else asked.numbers("--budget", budget, float)
-    return Plan(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)
+    arguments.positive("--norm", norm)
+    spp = () if budget == "any" else arguments.numbers("--budget", budget, float)
+    return TrainingConfig(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from rlbench.errors import AskedError
+from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
-    from rlbench.parallel.executor import Engine
+    from rlbench.parallel.executor import Executor
 
 
 def own_scene(
@@ -24,25 +24,25 @@ def own_scene(
     define: list[str] | None,
     out: Path | None,
     tracer: str | None = None,
-    engine: Engine | None = None,
+    engine: Executor | None = None,
 ) -> Path:
     """The clip folder of one's own scene; what is missing of it is rendered now."""
     if scene is None or scenes:
-        raise AskedError(
+        raise OptionError(
             "--camera, --frames, --size, --exposure, --define, --out and --tracer belong to "
             "--scene FILE, which is given without --scenes and --seeds"
         )
     from rlbench.parallel.executor import LOCAL
     from rlbench.render.cycles.clip import ensure_cycles
     from rlbench.render.presets import preset as preset_of
-    from rlbench.render.user.clip import Wish, ensure_own
+    from rlbench.render.user.clip import UserSceneOptions, ensure_own
 
     if exposure is not None and not 0 < exposure < float("inf"):
-        raise AskedError(f"--exposure takes a number above 0 and was given {exposure}")
+        raise OptionError(f"--exposure takes a number above 0 and was given {exposure}")
     if wrong := [item for item in define or () if not item.partition("=")[0] or "=" not in item]:
-        raise AskedError(f"--define takes name=value and was given '{wrong[0]}'")
+        raise OptionError(f"--define takes name=value and was given '{wrong[0]}'")
     pairs = [item.partition("=") for item in define or ()]
-    wish = Wish(
+    wish = UserSceneOptions(
         file=scene,
         camera=camera or "",
         frames=frames,
@@ -55,7 +55,9 @@ def own_scene(
     if tracer_of(scene, tracer) == "mitsuba":
         return ensure_own(wish, plan, tell, engine or LOCAL)
     if engine not in (None, LOCAL):
-        raise AskedError("--engine ray does not render with Cycles, which uses all cores by itself")
+        raise OptionError(
+            "--engine ray does not render with Cycles, which uses all cores by itself"
+        )
     return ensure_cycles(wish, plan, tell)
 
 
@@ -67,12 +69,12 @@ def tracer_of(scene: Path, asked: str | None) -> str:
     fits = [name for name, kinds in reads.items() if scene.suffix.lower() in kinds]
     if asked is None and not fits:
         told = "; ".join(f"{name} reads {', '.join(kinds)}" for name, kinds in reads.items())
-        raise AskedError(f"--scene {scene}: no tracer reads it; {told}")
+        raise OptionError(f"--scene {scene}: no tracer reads it; {told}")
     if asked is not None and asked not in fits:
         known = (
             f"it reads {', '.join(reads[asked])}" if asked in reads else "it is mitsuba or cycles"
         )
-        raise AskedError(f"--tracer {asked} does not read {scene.name}; {known}")
+        raise OptionError(f"--tracer {asked} does not read {scene.name}; {known}")
     return fits[0]
 
 
@@ -80,5 +82,5 @@ def _size(text: str) -> tuple[int, int]:
     """Height and width of `WxH`. Raises AskedError."""
     wide, _, high = text.partition("x")
     if not (wide.isdecimal() and high.isdecimal() and int(wide) and int(high)):
-        raise AskedError(f"--size takes width x height, such as 320x192, and was given '{text}'")
+        raise OptionError(f"--size takes width x height, such as 320x192, and was given '{text}'")
     return int(high), int(wide)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from rlbench import registry
 from rlbench.clips.header import Header
 from rlbench.family import Traits
-from rlbench.registry import lookup as registry
 
 
-def possible(header: Header) -> str:
+def compatibility_summary(header: Header) -> str:
     """In words: the budgets, the methods that can run on the clip, and why others cannot."""
     able, unable = [], []
     for name in registry.names("methods"):
-        why = registry.broken("methods", name)
-        why = why or unusable(header, registry.variant(name).traits, 1.0)
+        why = registry.import_error("methods", name)
+        why = why or incompatibility(header, registry.variant(name).traits, 1.0)
         unable.append(f"{name} ({why})") if why else able.append(name)
     most = header.pool_spp
     told = f"budgets up to {most} spp can be measured with: {', '.join(able) or 'no method'}"
@@ -33,14 +33,14 @@ def _hint(pool: str) -> str:
     )
 
 
-def unusable(header: Header, traits: Traits, spp: float) -> str | None:
+def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
     """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
-    if refused := traits.refuses(spp):
+    if refused := traits.unsupported_reason(spp):
         return refused
     if traits.pool not in header.pools:
         have = ", ".join(header.pools)
         return f"buys from a '{traits.pool}' pool, the clip has: {have}{_hint(traits.pool)}"
-    absent = traits.needs - set(header.buffers) - ({"motion"} if header.static else set())
+    absent = traits.inputs - set(header.buffers) - ({"motion"} if header.static else set())
     if absent:
         have = ", ".join(header.buffers) or "none"
         return f"reads {', '.join(sorted(absent))}, the clip has: {have}"

@@ -19,14 +19,14 @@ Arrays = Mapping[str, NDArray[np.floating]]  # c h w, as precise as the file
 
 
 @dataclass(frozen=True)
-class Decoded:
+class DecodeCache:
     """Arrays of one clip folder, decoded when first asked for and then kept under the cache."""
 
     folder: Path
     header: Header
     digest: str
 
-    def view(self, index: int, buffers: Sequence[str]) -> Arrays:
+    def gbuffer(self, index: int, buffers: Sequence[str]) -> Arrays:
         """The view buffers of a frame, each [c h w]."""
         return self._arrays("view", index, buffers)
 

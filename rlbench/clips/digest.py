@@ -6,7 +6,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from rlbench.clips.frame_files import exr_path, kinds
+from rlbench.clips.frame_files import exr_path, file_kinds
 from rlbench.clips.header import ClipError, Header
 from rlbench.system import paths
 
@@ -23,7 +23,7 @@ def clip_digest(folder: Path, header: Header, pool: str) -> str:
     """
     remembered = _remembered(folder)
     stamps = {}
-    for kind in kinds([pool]):
+    for kind in file_kinds([pool]):
         for index in range(header.frames):
             path = exr_path(folder, kind, index)
             stamps[path.name] = _stamp(path, remembered.get(path.name))

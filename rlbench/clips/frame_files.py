@@ -46,7 +46,7 @@ def images(header: Header, kind: str) -> list[str]:
     return [f"s{slot}" for slot in range(header.pool_spp)] if kind.startswith("pool.") else ["rgb"]
 
 
-def kinds(pools: Iterable[str]) -> list[str]:
+def file_kinds(pools: Iterable[str]) -> list[str]:
     """The kinds of file that every frame has."""
     return ["view", *(f"pool.{pool}" for pool in pools), "referenceA", "referenceB"]
 
@@ -54,7 +54,7 @@ def kinds(pools: Iterable[str]) -> list[str]:
 def write_frame(
     folder: Path,
     index: int,
-    view: Mapping[str, NDArray[Any]],  # h w c, by buffer name; a static clip has no motion
+    gbuffer: Mapping[str, NDArray[Any]],  # h w c, by buffer name; a static clip has no motion
     pools: Mapping[str, NDArray[Any]],  # s h w 3, by kind: independent 1-spp images, linear
     a: NDArray[Any],  # h w 3, linear: one half of the reference
     b: NDArray[Any],  # h w 3, linear: the other, independent half
@@ -65,9 +65,9 @@ def write_frame(
     value beyond half's range (65504) is written as float, so no firefly is clipped.
     """
     size = np.shape(a)[:2]
-    _check(index, size, view, pools, a, b)
+    _check(index, size, gbuffer, pools, a, b)
     planes: dict[str, NDArray[Any]] = {}
-    for name, image in view.items():
+    for name, image in gbuffer.items():
         planes |= _planes(name, image, np.float16 if name.startswith(HALF) else np.float32)
     write_exr(exr_path(folder, "view", index), planes)
     for pool, samples in pools.items():
@@ -88,7 +88,7 @@ def write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> No
 
 def has_frame(folder: Path, index: int, pools: Iterable[str] = ("path",)) -> bool:
     """Whether every file of a frame with these pools is there, so it need not be traced again."""
-    return all(exr_path(folder, kind, index).is_file() for kind in kinds(pools))
+    return all(exr_path(folder, kind, index).is_file() for kind in file_kinds(pools))
 
 
 def _write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> None:
@@ -118,17 +118,17 @@ def _beyond_half(samples: NDArray[Any]) -> bool:
 def _check(
     index: int,
     size: tuple[int, ...],
-    view: Mapping[str, NDArray[Any]],
+    gbuffer: Mapping[str, NDArray[Any]],
     pools: Mapping[str, NDArray[Any]],
     a: NDArray[Any],
     b: NDArray[Any],
 ) -> None:
     """Raise ClipError for the first array that could not be read back: its shape, or not finite."""
-    if not view:
+    if not gbuffer:
         raise ClipError(f"frame {index}: no view buffer; write at least one of {', '.join(VIEWS)}")
-    if unknown := sorted(set(view) - set(VIEWS)):
+    if unknown := sorted(set(gbuffer) - set(VIEWS)):
         raise ClipError(f"frame {index}: unknown view buffer {', '.join(unknown)}")
-    found = {name: (v, (*size, VIEWS[name])) for name, v in view.items()}
+    found = {name: (v, (*size, VIEWS[name])) for name, v in gbuffer.items()}
     found |= {f"pool.{k}": (p, (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
     found |= {"referenceA": (a, (*size, 3)), "referenceB": (b, (*size, 3))}
     for name, (array, wanted) in found.items():

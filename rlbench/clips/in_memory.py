@@ -10,7 +10,7 @@ from rlbench.frames import Frame, Size
 
 
 @dataclass(frozen=True)
-class MemoryClip:
+class InMemoryClip:
     """Frames in memory, of one size. `n` clips may be advanced together."""
 
     name: str

@@ -12,17 +12,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rlbench.clips.decode_cache import Decoded, decode
+from rlbench.clips.decode_cache import DecodeCache, decode
 from rlbench.clips.digest import clip_digest
-from rlbench.clips.frame_files import exr_path, has_frame, images, kinds, write_frame
+from rlbench.clips.frame_files import exr_path, file_kinds, has_frame, images, write_frame
 from rlbench.clips.header import FILE, ClipError, Header, read_header, write_header
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import BUFFERS, Frame, Pool, Reference, Size, StoredPool, View
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.frames import BUFFERS, Frame, GBuffer, Pool, Reference, Size, StoredPool
 
 __all__ = [
     "ClipError",
     "Header",
-    "MemoryClip",
+    "InMemoryClip",
     "StoredClip",
     "has_frame",
     "open_clip",
@@ -40,9 +40,9 @@ WHOLE = (slice(None), slice(None))
 class StoredClip:
     """A clip folder, read frame by frame as it is iterated. Its radiance is exposed."""
 
-    arrays: Decoded
-    needs: frozenset[str]
-    slots: int  # most samples per pixel that can be bought
+    arrays: DecodeCache
+    inputs: frozenset[str]
+    max_samples: int  # most samples per pixel that can be bought
     pool: str
     seed: int  # of the order of sale and of rounding
     device: torch.device
@@ -82,19 +82,21 @@ class StoredClip:
 
     def frame(self, index: int, window: tuple[slice, slice] = WHOLE) -> Frame:
         """Frame `index`, or the pixels of it in `window` (rows, columns), float32 on the device."""
-        order, key = sale(self.seed, self.name, index, self.header.pool_spp)
-        stored = self.arrays.pool(self.pool, index, order[: self.slots])
+        order, key = sample_order(self.seed, self.name, index, self.header.pool_spp)
+        stored = self.arrays.pool(self.pool, index, order[: self.max_samples])
         radiance = torch.stack([self._tensor(sample, window) for sample in stored], dim=1)
-        return self.around(index, StoredPool(radiance * self.header.exposure, (key,)), window)
+        return self.frame_with_pool(
+            index, StoredPool(radiance * self.header.exposure, (key,)), window
+        )
 
-    def around(self, index: int, pool: Pool, window: tuple[slice, slice] = WHOLE) -> Frame:
+    def frame_with_pool(self, index: int, pool: Pool, window: tuple[slice, slice] = WHOLE) -> Frame:
         """Frame `index` with a pool from elsewhere: no stored sample is read."""
-        view = self.arrays.view(index, sorted(self.needs))
+        gbuffer = self.arrays.gbuffer(index, sorted(self.inputs))
         halves = [self._tensor(self.arrays.reference(half, index), window) for half in "AB"]
         exposure = self.header.exposure
         return Frame(
             index,
-            View({k: self._tensor(v, window) for k, v in view.items()}, self.header.static),
+            GBuffer({k: self._tensor(v, window) for k, v in gbuffer.items()}, self.header.static),
             pool,
             Reference(halves[0] * exposure, halves[1] * exposure),
         )
@@ -107,8 +109,8 @@ class StoredClip:
 
 def open_clip(
     folder: Path | str,
-    needs: frozenset[str] = ALL,
-    slots: int = 8,
+    inputs: frozenset[str] = ALL,
+    max_samples: int = 8,
     pool: str = "path",
     seed: int = 0,
     device: torch.device | str = "cpu",
@@ -121,20 +123,24 @@ def open_clip(
     folder = Path(folder)
     header = read_header(folder)
     if header.static:
-        needs -= {"motion"}
-    if lacking := sorted(needs - set(header.buffers)):
+        inputs -= {"motion"}
+    if lacking := sorted(inputs - set(header.buffers)):
         raise ClipError(
             f"clip {folder} has no buffer {', '.join(lacking)}; it has: {', '.join(header.buffers)}"
         )
     if pool not in header.pools:
         raise ClipError(f"clip {folder} has no pool '{pool}'; it has: {', '.join(header.pools)}")
-    if slots < 1:
-        raise ClipError(f"asked for {slots} samples of clip {folder}; at least 1 must be readable")
-    arrays = Decoded(folder, header, clip_digest(folder, header, pool))
-    return StoredClip(arrays, needs, min(slots, header.pool_spp), pool, seed, torch.device(device))
+    if max_samples < 1:
+        raise ClipError(
+            f"asked for {max_samples} samples of clip {folder}; at least 1 must be readable"
+        )
+    arrays = DecodeCache(folder, header, clip_digest(folder, header, pool))
+    return StoredClip(
+        arrays, inputs, min(max_samples, header.pool_spp), pool, seed, torch.device(device)
+    )
 
 
-def sale(seed: int, name: str, index: int, stored: int) -> tuple[list[int], int]:
+def sample_order(seed: int, name: str, index: int, stored: int) -> tuple[list[int], int]:
     """The order in which a frame's stored samples are sold, and the key of rounding its shares.
 
     Both are hashes, so they are the same on every machine and with every version of numpy.
@@ -155,7 +161,7 @@ def verify(folder: Path | str) -> list[str]:
     except ClipError as error:
         return [str(error)]
     problems = []
-    for kind in kinds(header.pools):
+    for kind in file_kinds(header.pools):
         for index in range(header.frames):
             try:
                 decode(exr_path(folder, kind, index), images(header, kind), header)
@@ -164,7 +170,7 @@ def verify(folder: Path | str) -> list[str]:
     return problems
 
 
-def below(place: Path) -> list[Path]:
+def find_clips(place: Path) -> list[Path]:
     """The clip folders at or directly below a folder. Raises ClipError where there is none."""
     found = [file.parent for file in sorted([*place.glob(FILE), *place.glob(f"*/{FILE}")])]
     if not found:

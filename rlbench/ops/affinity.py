@@ -14,7 +14,7 @@ STRIP = 2**15  # pixels taken at a time on a CPU, so that features and sums stay
 FARTHEST = -60.0  # log weight below which none goes: subnormal floats would be ten times slower
 
 
-def alike(
+def affinity_sum(
     features: Float[Tensor, "n k h w"],
     sharpness: Float[Tensor, "n 1 h w"],
     source: Float[Tensor, "n c h w"],
@@ -36,7 +36,7 @@ def alike(
     return _sum(features, sharpness, None, source, side, dilation)
 
 
-def alike_in(
+def cross_affinity_sum(
     features: Float[Tensor, "n k h w"],
     sharpness: Float[Tensor, "n 1 h w"],
     others: Float[Tensor, "n k h w"],

@@ -15,10 +15,10 @@ DARK = 0.01  # added to albedo where a network divides by it
 
 def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
-    return of_area(albedo).clamp(DARKEST, 1)
+    return filtered_albedo(albedo).clamp(DARKEST, 1)
 
 
-def of_area(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+def filtered_albedo(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """Albedo of a pixel's area, in [0, 1]; 0 where the pixel reflects nothing.
 
     A view has that of the pixel's centre, while light is of all of the pixel. It is estimated as
@@ -32,7 +32,7 @@ def of_area(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     return torch.where(reflects, total[:, :3] / total[:, 3:], 0.0)
 
 
-def raised(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+def demodulation_albedo(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """What networks have light multiplied by to give radiance, in [0.01, 1.01].
 
     That is albedo + 0.01, and 1.01 where albedo is black, as it is for lights and sky.
@@ -41,7 +41,7 @@ def raised(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     return torch.where(black, 1.0, albedo) + DARK
 
 
-def surface(
+def surface_mask(
     albedo: Float[Tensor, "n 3 h w"], depth: Float[Tensor, "n 1 h w"]
 ) -> Bool[Tensor, "n 1 h w"]:
     """Where something reflects light: not the background, and not where albedo is black.
@@ -51,7 +51,7 @@ def surface(
     return depth.isfinite() & (albedo > 0).any(1, keepdim=True)
 
 
-def sane(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
+def sanitize_radiance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
     """Radiance that can be squared: in [0, 65504], and 0 where a channel is not finite."""
     known = radiance.isfinite().all(-3, keepdim=True)
     return torch.where(known, radiance, 0.0).clamp(0, HALF_MAX)

@@ -9,7 +9,7 @@ STEEP = 1.5  # root mean square of a map's log density; steeper maps are drawn i
 FAR = 3.0  # log density above and below its mean, which none reaches
 
 
-def exponential(wish: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+def bounded_exp_density(wish: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
     """Density exp(y - max y) of a map x, in [exp(-2 FAR), 1], 1 where it is largest.
 
     Kuznetsov et al. 2018 take the exponential of the network's output, and so does what follows

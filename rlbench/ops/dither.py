@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 
-def choose(weight: Int[Tensor, "h w"], number: int, key: int) -> Bool[Tensor, "h w"]:
+def systematic_sample(weight: Int[Tensor, "h w"], number: int, key: int) -> Bool[Tensor, "h w"]:
     """About `number` pixels, each with probability `number` * weight / (sum of weights).
 
     Systematic sampling (Madow 1949) along a Hilbert curve, as halftoning does it (Velho and Gomes

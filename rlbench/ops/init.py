@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 
-def initialise(network: nn.Module, seed: int = 0) -> None:
+def kaiming_init(network: nn.Module, seed: int = 0) -> None:
     """Draw every convolution and linear layer anew: normal weights for ReLU, zero biases.
 
     He et al. 2015, section 2.2: variance 2 / fan-in.

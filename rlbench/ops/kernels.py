@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 
-def gather(
+def apply_kernels(
     kernels: Float[Tensor, "n taps h w"], image: Float[Tensor, "n c h w"]
 ) -> Float[Tensor, "n c h w"]:
     """Each pixel as the weighted sum of its k x k neighbours, k odd and taps = k * k.

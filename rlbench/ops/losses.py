@@ -41,7 +41,7 @@ def temporal_l1(
     return l1(image - before, reference - reference_before)
 
 
-def mixed(
+def l1_ms_ssim_loss(
     image: Float[Tensor, "n c h w"],
     reference: Float[Tensor, "n c h w"],
     weights: tuple[float, ...] = WANG,
@@ -55,7 +55,7 @@ def mixed(
     return L1_SHARE * l1(image, reference) + (1 - L1_SHARE) * (1 - similar)
 
 
-def decibels(loss: Float[Tensor, ""]) -> Float[Tensor, ""]:
+def log_loss(loss: Float[Tensor, ""]) -> Float[Tensor, ""]:
     """The logarithm of a loss, so that equal decibels count equally, at any budget, in any scene.
 
     It is as steep as the loss where that is 0.02, and flat below 1e-6.

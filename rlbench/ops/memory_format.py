@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def packed(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
+def to_channels_last(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     """The same values, channels last; under autocast in its precision.
 
     For what several convolutions read: it is then converted once, and joined with what they return
@@ -22,7 +22,7 @@ def packed(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     return x.to(dtype)[0].flatten(1).t().contiguous().view(1, *x.shape[2:], -1).permute(0, 3, 1, 2)
 
 
-def unpacked(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
+def to_contiguous_float32(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     """The same values, channel after channel, in float32.
 
     For what convolutions return and others read: a sum of two tensors in two orders is slow.

@@ -14,7 +14,7 @@ PIECE = 1 << 16  # pixels filtered at a time on a CPU: in its cache, and enough 
 
 
 @dataclass(frozen=True)
-class Flat:
+class PaddedRows:
     """How n images of h x w pixels lie in one row, `margin` empty pixels around each.
 
     A line ends in `margin` empty pixels, and as many empty lines lie before and after an image.
@@ -37,12 +37,12 @@ class Flat:
         """Places from a pixel to another, both at most `margin` pixels away."""
         return down * self.pitch + right
 
-    def lay(self, image: Float[Tensor, "n c h w"], empty: float = 0.0) -> Float[Tensor, "c row"]:
+    def pack(self, image: Float[Tensor, "n c h w"], empty: float = 0.0) -> Float[Tensor, "c row"]:
         """The images in a row, with `empty` in the margins."""
         m = self.margin
         return F.pad(image, (0, m, m, m), value=empty).transpose(0, 1).reshape(image.shape[1], -1)
 
-    def lift(self, row: Float[Tensor, "c row"]) -> Float[Tensor, "n c h w"]:
+    def unpack(self, row: Float[Tensor, "c row"]) -> Float[Tensor, "n c h w"]:
         """The images again."""
         images = row.view(row.shape[0], self.n, -1, self.pitch).transpose(0, 1)
         return images[:, :, self.margin : self.margin + self.h, : self.w]

@@ -26,7 +26,7 @@ def reproject(
     return _sampled(history, x, y, "bilinear"), valid
 
 
-def reproject_sharp(
+def reproject_bicubic(
     history: Float[Tensor, "n c h w"], motion: Float[Tensor, "n 2 h w"] | None
 ) -> tuple[Float[Tensor, "n c h w"], Bool[Tensor, "n 1 h w"]]:
     """As `reproject`, by bicubic taps: what is moved again every frame does not blur away.
@@ -74,7 +74,7 @@ def _sampled(history: Tensor, x: Tensor, y: Tensor, taps: str) -> Tensor:
     return moved.to(history.dtype)
 
 
-def recall(
+def reproject_or_fill(
     history: Float[Tensor, "n c h w"], motion: Float[Tensor, "n 2 h w"] | None, missing: float
 ) -> Float[Tensor, "n c h w"]:
     """The history as seen from this frame, with the value `missing` where it is not valid."""

@@ -20,7 +20,7 @@ def box(reach: int) -> list[Tap]:
     return [Tap(*place, 1.0) for place in _ahead(reach)]
 
 
-def holes(step: int) -> list[Tap]:
+def atrous_taps(step: int) -> list[Tap]:
     """The 5 x 5 B3 spline with `step` pixels from tap to tap, where the pixel itself weighs 1."""
     kernel = [weight / SPLINE[0] for weight in SPLINE]
     return [Tap(y * step, x * step, kernel[y] * kernel[abs(x)]) for y, x in _ahead(2)]

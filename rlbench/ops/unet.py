@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from rlbench.ops.init import initialise
-from rlbench.ops.memory_format import packed
-from rlbench.ops.upsample import Rise
+from rlbench.ops.init import kaiming_init
+from rlbench.ops.memory_format import to_channels_last
+from rlbench.ops.upsample import UpsampleConcatConv
 
 STRIDE = 16  # four poolings: both sides of the input divide by this
 
@@ -71,7 +71,7 @@ class UNet(nn.Module):
         self.dec_conv1a = _rise(d2b, inputs, d1a)
         self.dec_conv1b = _conv(d1a, d1b)
         self.dec_conv0 = _conv(d1b, outputs)
-        initialise(self, seed)
+        kaiming_init(self, seed)
 
     def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """The outputs at full resolution; h and w divide by 16."""
@@ -83,7 +83,7 @@ class UNet(nn.Module):
 
         Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
         """
-        x = packed(x)
+        x = to_channels_last(x)
         half = _halved(self.enc_conv1(F.relu_(self.enc_conv0(x))))
         quarter = _halved(self.enc_conv2(half))
         eighth = _halved(self.enc_conv3(quarter))
@@ -103,8 +103,10 @@ def _conv(inputs: int, outputs: int) -> nn.Conv2d:
     return born.to_empty(device=torch.get_default_device())
 
 
-def _rise(coarse: int, skip: int, outputs: int) -> Rise:
-    return Rise(coarse, skip, outputs, device="meta").to_empty(device=torch.get_default_device())
+def _rise(coarse: int, skip: int, outputs: int) -> UpsampleConcatConv:
+    return UpsampleConcatConv(coarse, skip, outputs, device="meta").to_empty(
+        device=torch.get_default_device()
+    )
 
 
 def _halved(x: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 
-class Rise(nn.Conv2d):
+class UpsampleConcatConv(nn.Conv2d):
     """A 3x3 convolution over a coarse level, doubled by nearest neighbour, and a skip beside it.
 
     The same parameters, and but for rounding the same output, as of a convolution of
@@ -26,11 +26,13 @@ class Rise(nn.Conv2d):
     ) -> Float[Tensor, "n o 2*h 2*w"]:
         """The convolution, at the size of `skip`."""
         raising, beside = torch.tensor_split(self.weight, [coarse.shape[1]], dim=1)
-        raised = F.conv_transpose2d(coarse, doubled(raising), self.bias, stride=2, padding=1)
+        raised = F.conv_transpose2d(
+            coarse, as_transposed_kernel(raising), self.bias, stride=2, padding=1
+        )
         return raised.add_(F.conv2d(skip, beside, padding=1))
 
 
-def doubled(weight: Float[Tensor, "o c 3 3"]) -> Float[Tensor, "c o 4 4"]:
+def as_transposed_kernel(weight: Float[Tensor, "o c 3 3"]) -> Float[Tensor, "c o 4 4"]:
     """The kernel by which a transposed convolution does what `weight` does to a doubled image."""
     rows = F.pad(weight, (0, 0, 1, 0)) + F.pad(weight, (0, 0, 0, 1))
     both = F.pad(rows, (1, 0)) + F.pad(rows, (0, 1))

@@ -11,7 +11,9 @@ R = TypeVar("R")
 J_in = TypeVar("J_in", contravariant=True)
 R_out = TypeVar("R_out", covariant=True)
 
-Tell = Callable[[float], None]  # hears how much of the work has been done since it last heard
+ProgressCallback = Callable[
+    [float], None
+]  # hears how much of the work has been done since it last heard
 
 
 class EngineError(RuntimeError):
@@ -19,18 +21,18 @@ class EngineError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Share:
+class Resources:
     """What one job takes of a machine while it runs."""
 
     cpus: int = 1  # of a machine with fewer, all of them
     gpus: int = 0
 
 
-ONE = Share()
+ONE = Resources()
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[J, R]):
+class JobResult(Generic[J, R]):
     """What became of one job."""
 
     job: J
@@ -47,31 +49,31 @@ class Outcome(Generic[J, R]):
 class Work(Protocol[J_in, R_out]):
     """What is done to each job. Every process has a copy, which may keep what is dear to make."""
 
-    def __call__(self, job: J_in, tell: Tell, /) -> R_out:
+    def __call__(self, job: J_in, tell: ProgressCallback, /) -> R_out:
         """What is made of a job; `tell` hears of it on the way."""
 
 
-class Engine(Protocol):
+class Executor(Protocol):
     """Runs jobs and hands back what became of each, as soon as it is there."""
 
     @property
-    def alone(self) -> bool:
+    def exclusive(self) -> bool:
         """Does no job run beside another one, so that each may take times?"""
 
     @property
     def where(self) -> str:
         """Who runs the jobs, in words, or empty where it is this process."""
 
-    def single(self) -> Engine:
+    def local_exclusive(self) -> Executor:
         """The same on this machine, one job after another, so that each may take times."""
 
     def map(
         self,
         work: Work[J, R],
         jobs: Sequence[J],
-        share: Share = ONE,
-        tell: Tell = lambda done: None,
-    ) -> Iterator[Outcome[J, R]]:
+        share: Resources = ONE,
+        tell: ProgressCallback = lambda done: None,
+    ) -> Iterator[JobResult[J, R]]:
         """One outcome for each job, in the order in which they end.
 
         A job that raises does not stop the others. Raises EngineError where no job can be run.
@@ -82,10 +84,10 @@ class Engine(Protocol):
 class Local:
     """Runs jobs in this process, each when its outcome is asked for."""
 
-    alone: bool = True
+    exclusive: bool = True
     where: str = ""
 
-    def single(self) -> Local:
+    def local_exclusive(self) -> Local:
         """Itself."""
         return self
 
@@ -93,17 +95,17 @@ class Local:
         self,
         work: Work[J, R],
         jobs: Sequence[J],
-        share: Share = ONE,
-        tell: Tell = lambda done: None,
-    ) -> Iterator[Outcome[J, R]]:
+        share: Resources = ONE,
+        tell: ProgressCallback = lambda done: None,
+    ) -> Iterator[JobResult[J, R]]:
         """One outcome for each job, in the order of the jobs."""
         for job in jobs:
             try:
                 made = work(job, tell)
             except Exception as error:  # of whatever kind: it is the outcome
-                yield Outcome(job, error=error)
+                yield JobResult(job, error=error)
             else:
-                yield Outcome(job, (made,))
+                yield JobResult(job, (made,))
 
 
 LOCAL = Local()

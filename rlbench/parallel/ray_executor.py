@@ -21,13 +21,13 @@ from rlbench.parallel import worker
 from rlbench.parallel.executor import (
     LOCAL,
     ONE,
-    Engine,
     EngineError,
+    Executor,
     J,
-    Outcome,
+    JobResult,
+    ProgressCallback,
     R,
-    Share,
-    Tell,
+    Resources,
     Work,
 )
 from rlbench.system import provenance
@@ -46,7 +46,7 @@ QUIET = {
 
 
 @contextlib.contextmanager
-def opened(name: str = "local", address: str | None = None) -> Iterator[Engine]:
+def opened(name: str = "local", address: str | None = None) -> Iterator[Executor]:
     """The engine of that name, for as long as the block lasts.
 
     `address` is that of a running Ray cluster, `auto` or host:port; without one, Ray is started on
@@ -59,7 +59,7 @@ def opened(name: str = "local", address: str | None = None) -> Iterator[Engine]:
             raise EngineError(f"--ray-address {address} belongs to --engine ray")
         yield LOCAL
         return
-    cluster = Cluster(address)
+    cluster = RayExecutor(address)
     try:
         yield cluster
     finally:
@@ -67,12 +67,12 @@ def opened(name: str = "local", address: str | None = None) -> Iterator[Engine]:
 
 
 @dataclass(frozen=True)
-class Cluster:
+class RayExecutor:
     """Runs jobs on the workers of a Ray cluster. Starting and joining it takes some seconds."""
 
     address: str | None = None  # auto or host:port; None for one on this machine alone
     retries: int = RETRIES  # of a job whose worker died
-    alone: bool = False
+    exclusive: bool = False
 
     def __post_init__(self) -> None:
         """Raise EngineError where Ray is missing, or cannot be used by this address."""
@@ -92,9 +92,9 @@ class Cluster:
         machines = "this machine" if len(found) == 1 else f"{len(found)} machines"
         return f"Ray on {machines} with {cpus} processors"
 
-    def single(self) -> Cluster:
+    def local_exclusive(self) -> RayExecutor:
         """The same on this machine, one job after another, each with the machine to itself."""
-        return replace(self, alone=True)
+        return replace(self, exclusive=True)
 
     def close(self) -> None:
         """Stop what was started, or leave what was joined."""
@@ -107,9 +107,9 @@ class Cluster:
         self,
         work: Work[J, R],
         jobs: Sequence[J],
-        share: Share = ONE,
-        tell: Tell = lambda done: None,
-    ) -> Iterator[Outcome[J, R]]:
+        share: Resources = ONE,
+        tell: ProgressCallback = lambda done: None,
+    ) -> Iterator[JobResult[J, R]]:
         """One outcome for each job, in the order in which they end."""
         if not jobs:
             return
@@ -131,10 +131,10 @@ class Cluster:
                     if sent <= self.retries and _died(error):
                         waiting[send(job)] = (job, sent + 1)
                     else:
-                        yield Outcome(job, error=_lost(error, sent))
+                        yield JobResult(job, error=_lost(error, sent))
                 else:
                     tell(answer.told)
-                    yield Outcome(job, answer.made, answer.error)
+                    yield JobResult(job, answer.made, answer.error)
         finally:
             for each in waiting:
                 ray.cancel(each, force=True)
@@ -157,12 +157,12 @@ class Cluster:
             words = (str(error).splitlines() or [""])[0]
             raise EngineError(f"{asked}: {type(error).__name__}: {words}") from error
 
-    def _sender(self, work: Work[J, R], share: Share) -> tuple[Any, int]:
+    def _sender(self, work: Work[J, R], share: Resources) -> tuple[Any, int]:
         """What sends a job to a worker, and how many jobs may be on their way."""
         ray = _ray()
         machines = _machines()
         strategies = importlib.import_module("ray.util.scheduling_strategies")
-        if self.alone:
+        if self.exclusive:
             here = ray.get_runtime_context().get_node_id()
             cpus = int(machines.get(here, {"CPU": 0})["CPU"])
             where: Any = strategies.NodeAffinitySchedulingStrategy(here, soft=False)
@@ -177,11 +177,11 @@ class Cluster:
             num_cpus=cpus, num_gpus=share.gpus, max_retries=0, scheduling_strategy=where
         )
         name, dumps = uuid.uuid4().hex, ray.cloudpickle.dumps
-        parcel = [ray.put(worker.Parcel(name, worker.setting(cpus), dumps(work)))]
+        parcel = [ray.put(worker.TaskBundle(name, worker.setting(cpus), dumps(work)))]
         return lambda job: remote.remote(parcel, name, dumps(job)), most
 
 
-def _run(parcel: list[Any], name: str, job: bytes) -> worker.Answer:
+def _run(parcel: list[Any], name: str, job: bytes) -> worker.JobReply:
     """One job, in a worker; the parcel is in a list so that Ray does not unpack it every time."""
     ray = _ray()
     pickled = ray.cloudpickle

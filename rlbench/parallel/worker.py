@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from rlbench.parallel.executor import EngineError
-from rlbench.registry import discovery as plugins
+from rlbench.registry import discovery
 from rlbench.system import code_hash, provenance
 
 PREFIX = "RLBENCH_"  # of the variables that a worker takes over
@@ -24,7 +24,7 @@ Unpickle = Callable[[bytes], Any]  # Ray's own, for what Ray itself has sent
 
 
 @dataclass(frozen=True)
-class Setting:
+class WorkerEnvironment:
     """What the results of the sender depend on beside the job, for a worker to take over."""
 
     variables: dict[str, str]
@@ -48,22 +48,22 @@ class Setting:
         os.environ.update(self.variables)
         sys.path += [place for place in self.search if place not in sys.path]
         torch.set_num_threads(self.torch_threads)
-        plugins.forget_plugins()
+        discovery.clear_plugins()
         for file in self.plugins:
-            plugins.use_plugin(file)
+            discovery.use_plugin(file)
 
 
 @dataclass(frozen=True)
-class Parcel:
+class TaskBundle:
     """Work as it is sent to workers, once for all of its jobs."""
 
     name: str  # no other parcel's
-    setting: Setting
+    setting: WorkerEnvironment
     work: bytes
 
 
 @dataclass
-class Answer:
+class JobReply:
     """What comes back: what was made, or the error that was raised."""
 
     made: tuple[Any, ...] = ()
@@ -82,20 +82,20 @@ class _Opened:
 _opened = _Opened()
 
 
-def setting(cpus: int) -> Setting:
+def setting(cpus: int) -> WorkerEnvironment:
     """This process's, for workers of which each has so many processors."""
     mine = {name: value for name, value in os.environ.items() if name.startswith(PREFIX)}
-    return Setting(
+    return WorkerEnvironment(
         variables={THREADS: str(cpus), **mine},
         folder=os.getcwd(),
         search=tuple(os.path.abspath(place) for place in sys.path),
-        plugins=plugins.loose_files(),
+        plugins=discovery.loose_files(),
         torch_threads=torch.get_num_threads(),
         code=code(),
     )
 
 
-def run(parcel: Callable[[], Parcel], name: str, job: bytes, loads: Unpickle) -> Answer:
+def run(parcel: Callable[[], TaskBundle], name: str, job: bytes, loads: Unpickle) -> JobReply:
     """The answer to one job of the parcel called `name`, which is fetched if it is not open."""
     told: list[float] = []
     try:
@@ -108,14 +108,14 @@ def run(parcel: Callable[[], Parcel], name: str, job: bytes, loads: Unpickle) ->
     except Exception as error:  # of whatever kind: the sender is told
         where = f"in a worker on {platform.node()}:\n{traceback.format_exc()}"
         error.add_note(where)
-        return Answer(error=error)
-    return Answer((made,), told=sum(told))
+        return JobReply(error=error)
+    return JobReply((made,), told=sum(told))
 
 
 @lru_cache(maxsize=1)
 def code() -> str:
     """Versions that decide results, and a hash of the code of rlbench and of installed plugins."""
-    found = {e.target for group in plugins.GROUPS for e in plugins.installed(group)}
+    found = {e.target for group in discovery.GROUPS for e in discovery.installed(group)}
     tops = {"rlbench", *(target.partition(":")[0].partition(".")[0] for target in found)}
     versions = " ".join(f"{name} {version}" for name, version in provenance.versions().items())
     return f"{versions}, code {code_hash.code_hash(tops, core=())}"

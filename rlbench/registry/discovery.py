@@ -32,7 +32,7 @@ VARIABLE = "RLBENCH_METHODS"
 
 
 @dataclass(frozen=True)
-class Entry:
+class PluginEntry:
     """One plugin that is known by name and not yet imported."""
 
     name: str
@@ -53,7 +53,7 @@ def use_plugin(path: str | Path) -> None:
         raise PluginError(f"two plugin files are called {file.name}: {_files[file.stem]}, {file}")
 
 
-def flaw(path: str | Path) -> str | None:
+def plugin_file_error(path: str | Path) -> str | None:
     """Why a loose file cannot be imported, and where, or None if it can."""
     file = Path(path).resolve()
     for entry in _from_file(file):
@@ -69,12 +69,12 @@ def flaw(path: str | Path) -> str | None:
     return None
 
 
-def forget_plugins() -> None:
+def clear_plugins() -> None:
     """Undo every `use_plugin`."""
     _files.clear()
 
 
-def entries(group: str) -> dict[str, Entry]:
+def entries(group: str) -> dict[str, PluginEntry]:
     """All plugins of a group by name, sorted. Raises PluginError if two share a name."""
     if group not in GROUPS:
         raise PluginError(f"'{group}' is not a kind of plugin; there are: {', '.join(GROUPS)}")
@@ -82,7 +82,7 @@ def entries(group: str) -> dict[str, Entry]:
     if group == "methods":
         found += _from_variable(os.environ.get(VARIABLE, ""))
         found += [entry for file in _files.values() for entry in _from_file(file)]
-    known: dict[str, Entry] = {}
+    known: dict[str, PluginEntry] = {}
     for entry in found:
         other = known.setdefault(entry.name, entry)
         if other.target != entry.target:
@@ -108,12 +108,12 @@ def loose_files() -> tuple[Path, ...]:
     return tuple(_files.values())
 
 
-def loose_file(module: str) -> Path | None:
+def plugin_file(module: str) -> Path | None:
     """The file given with `--plugin` that goes by this module name, or None."""
     return _files.get(module)
 
 
-def place(target: str) -> Path:
+def module_file(target: str) -> Path:
     """The file of the module that `module:attribute` names; the module is not imported.
 
     Raises PluginError where it cannot be found.
@@ -130,28 +130,28 @@ def place(target: str) -> Path:
     return Path(spec.origin)
 
 
-def installed(group: str) -> list[Entry]:
+def installed(group: str) -> list[PluginEntry]:
     """The plugins of installed packages alone, ours first."""
     found = importlib.metadata.entry_points(group=f"rlbench.{group}")
     ours_first = sorted(found, key=lambda point: (_origin(point) != "rlbench", point.name))
-    return [Entry(p.name, p.value, _origin(p), p.load) for p in ours_first]
+    return [PluginEntry(p.name, p.value, _origin(p), p.load) for p in ours_first]
 
 
 def _origin(point: importlib.metadata.EntryPoint) -> str:
     return point.dist.name if point.dist else "an unnamed package"
 
 
-def _from_variable(text: str) -> list[Entry]:
+def _from_variable(text: str) -> list[PluginEntry]:
     found = []
     for item in filter(None, (part.strip() for part in text.split(","))):
         name, equals, target = item.partition("=")
         if not (name and equals and ":" in target):
             raise PluginError(f"{VARIABLE} holds '{item}'; an item is name=module:FAMILY")
-        found.append(Entry(name, target, VARIABLE, partial(resolve, target)))
+        found.append(PluginEntry(name, target, VARIABLE, partial(resolve, target)))
     return found
 
 
-def _from_file(file: Path) -> list[Entry]:
+def _from_file(file: Path) -> list[PluginEntry]:
     origin = f"--plugin {file.name}"
     try:
         module = _import_file(file)
@@ -161,8 +161,8 @@ def _from_file(file: Path) -> list[Entry]:
         if odd := [type(each).__name__ for each in families if not hasattr(each, "variants")]:
             raise PluginError(f"{file.name} holds a {odd[0]} where a Family is wanted")
     except Exception as error:  # listed as broken, raised again when asked for
-        return [Entry(file.stem, str(file), origin, partial(_raise, error))]
-    return [Entry(f.name, f"{file}:{f.name}", origin, partial(_itself, f)) for f in families]
+        return [PluginEntry(file.stem, str(file), origin, partial(_raise, error))]
+    return [PluginEntry(f.name, f"{file}:{f.name}", origin, partial(_itself, f)) for f in families]
 
 
 def _import_file(file: Path) -> Any:

@@ -10,11 +10,11 @@ from rlbench.family import Family, Variant
 from rlbench.registry.discovery import (
     GROUPS,
     VARIABLE,
-    Entry,
+    PluginEntry,
+    clear_plugins,
     entries,
-    forget_plugins,
-    loose_file,
-    place,
+    module_file,
+    plugin_file,
     resolve,
     use_plugin,
 )
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
 __all__ = [
     "GROUPS",
     "VARIABLE",
-    "Entry",
+    "PluginEntry",
     "PluginError",
-    "broken",
+    "import_error",
     "entries",
     "expand",
     "family",
-    "forget_plugins",
-    "learns",
+    "clear_plugins",
+    "is_trainable",
     "load",
-    "loose_file",
+    "plugin_file",
     "method",
     "metrics",
     "names",
-    "place",
+    "module_file",
     "resolve",
-    "trainer",
-    "usable",
+    "training_task",
+    "load_or_explain",
     "use_plugin",
     "variant",
 ]
@@ -63,7 +63,7 @@ def load(group: str, name: str) -> Any:
     return known[name].load()
 
 
-def usable(group: str, name: str) -> Any:
+def load_or_explain(group: str, name: str) -> Any:
     """The plugin itself. Raises PluginError where it cannot be imported, too."""
     try:
         return load(group, name)
@@ -74,7 +74,7 @@ def usable(group: str, name: str) -> Any:
         raise PluginError(f"{told} is broken: {type(error).__name__}: {error}") from error
 
 
-def broken(group: str, name: str) -> str | None:
+def import_error(group: str, name: str) -> str | None:
     """Why a known plugin cannot be loaded, or None if it can."""
     try:
         family(name) if group == "methods" else load(group, name)
@@ -118,7 +118,7 @@ def method(name: str, device: torch.device | str = "cpu", weights: str | None = 
     from rlbench.method import Method
 
     declared = variant(name)
-    if absent := " ".join(provenance.missing(declared.packages)):
+    if absent := " ".join(provenance.missing(declared.requires)):
         raise PluginError(f"'{name}' needs {absent}, which is not here: pip install {absent}")
     build = resolve(family(name).build)
     built = build(name.partition("/")[2], torch.device(device), weights)
@@ -129,27 +129,27 @@ def method(name: str, device: torch.device | str = "cpu", weights: str | None = 
     return built
 
 
-def trainer(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
+def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
     """What is trained of a method: the `rlbench.training.task.Trainer` that its `train` makes.
 
     Raises PluginError where nothing is learned.
     """
     import torch
 
-    if not learns(name):
+    if not is_trainable(name):
         raise PluginError(f"'{name}' has nothing to train")
     return resolve(family(name).train)(name.partition("/")[2], torch.device(device), seed)
 
 
-def learns(name: str) -> bool:
+def is_trainable(name: str) -> bool:
     """Is there anything to train?"""
     asked = variant(name)
-    return asked.learned and asked.borrows is None and bool(family(name).train)
+    return asked.learned and asked.weights_from is None and bool(family(name).train)
 
 
 def metrics() -> dict[str, Any]:
     """All metrics by name. Raises PluginError where one cannot be imported."""
-    return {name: usable("metrics", name) for name in names("metrics")}
+    return {name: load_or_explain("metrics", name) for name in names("metrics")}
 
 
 def expand(
@@ -167,7 +167,7 @@ def expand(
         for each in _families(tell) if key == "all" else [key]:
             full = f"{each}/{rest}" if rest else each
             for name in family(each).names() if rest == "*" else [full]:
-                if variant(name).shipped or not trained or rest != "*":
+                if variant(name).pretrained or not trained or rest != "*":
                     found[name] = None
     return list(found)
 
@@ -176,12 +176,12 @@ def _families(tell: Callable[[str], None] | None) -> list[str]:
     """All families, or those that can be loaded, with a word on each of the others."""
     whole = []
     for name in names("methods"):
-        if tell and (why := broken("methods", name)):
+        if tell and (why := import_error("methods", name)):
             tell(f"all is without {name}, which is broken: {why}")
         else:
             whole.append(name)
     return whole
 
 
-def _unknown(name: str, kind: str, known: Mapping[str, Entry]) -> str:
+def _unknown(name: str, kind: str, known: Mapping[str, PluginEntry]) -> str:
     return f"'{name}' is not {kind}; there are: {', '.join(known) or 'none'}"

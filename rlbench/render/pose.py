@@ -23,7 +23,7 @@ class Pose:
     @classmethod
     def of(cls, scene: Scene, time: float) -> Pose:
         """The pose of `scene` at `time`, in frames."""
-        moved = scene.moving(time)
+        moved = scene.vertex_animation(time)
         return cls(scene.camera(time), tuple(moved.get(m.name, m.vertices) for m in scene.meshes))
 
     def axes(self) -> Float[Array, "3 3"]:

@@ -30,12 +30,12 @@ class Preset:
     reference_spp: int  # samples per pixel of each half of the reference
     scenes: tuple[str, ...] = FOUR  # by entry point of the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated scenes
-    scored: bool = True  # are methods scored on it? Then nothing may be trained on it
+    is_test_set: bool = True  # are methods scored on it? Then nothing may be trained on it
     takes: Takes = "main"  # of each scene, that are clips of their own
     pool_spp: int = 8  # stored 1-spp images per frame
     cap: float = math.inf  # brightest that a sample may be, times display white
     ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
-    rounds: int = 1  # of `reference_spp` each, at most, until it does not
+    max_reference_rounds: int = 1  # of `reference_spp` each, at most, until it does not
     pools: tuple[str, ...] = ("path",)  # others are of plugins, and added where they can be traced
     extras: tuple[str, ...] = ()  # view buffers beside those that every clip has
 
@@ -47,7 +47,7 @@ class Preset:
     @property
     def frame_samples(self) -> int:
         """Light paths that one frame costs at most: the pool and all rounds of both halves."""
-        most = self.pool_spp + 2 * self.reference_spp * self.rounds
+        most = self.pool_spp + 2 * self.reference_spp * self.max_reference_rounds
         return self.size[0] * self.size[1] * most
 
     def capped(self, cap: float) -> Preset:
@@ -56,7 +56,7 @@ class Preset:
             raise PresetError(f"a radiance cap of {cap:g} was asked for; it must be above 0")
         return replace(self, name=f"{self.name}-cap{cap:g}", cap=cap)
 
-    def showing(self, extras: Collection[str]) -> Preset:
+    def with_buffers(self, extras: Collection[str]) -> Preset:
         """The same with more view buffers, under a name of its own. Raises PresetError."""
         chosen = tuple(name for name in EXTRAS if name in set(extras))
         if unknown := sorted(set(extras) - set(EXTRAS)):
@@ -65,13 +65,13 @@ class Preset:
             )
         return replace(self, name=f"{self.name}-views", extras=chosen)
 
-    def filming(self, takes: str) -> Preset:
+    def with_takes(self, takes: str) -> Preset:
         """The same, under its name, with the main take of each scene, or all. PresetError."""
         if takes not in get_args(Takes):
             raise PresetError(f"--takes is main or all, and was given '{takes}'")
         return replace(self, takes=cast(Takes, takes))
 
-    def selling(self, kinds: Collection[str]) -> Preset:
+    def with_pools(self, kinds: Collection[str]) -> Preset:
         """The same, under its name, with no pools but these kinds and the path tracer's."""
         return replace(self, pools=tuple(p for p in self.pools if p == "path" or p in kinds))
 
@@ -92,7 +92,7 @@ PRESETS = {
             32,
             takes="all",
             ceiling_db=33.0,
-            rounds=12,
+            max_reference_rounds=12,
             pools=BOTH,
         ),
         # of each scene one take, as in the paper: a clip is 10^10 paths, three hours of two cores
@@ -105,7 +105,7 @@ PRESETS = {
             64,
             (),
             tuple(range(28)),
-            scored=False,
+            is_test_set=False,
             pools=BOTH,
         ),
         Preset(

@@ -84,7 +84,9 @@ class Scene:
     meshes: tuple[Mesh, ...]
     camera: Callable[[float], Camera]
     sky: tuple[Plugin, ...] = ()  # emitters without a surface: constant, sunsky, directional
-    moving: Callable[[float], Vertices] = field(default=lambda time: {})  # of the meshes that move
+    vertex_animation: Callable[[float], Vertices] = field(
+        default=lambda time: {}
+    )  # of the meshes that move
     lights: Callable[[float], Mapping[str, float]] = _steady
     cuts: tuple[int, ...] = ()  # frames at which another shot begins
     takes: tuple[Take, ...] = ()
@@ -107,7 +109,7 @@ class Scene:
         return replace(
             self,
             camera=found.camera,
-            moving=found.moving or self.moving,
+            vertex_animation=found.moving or self.vertex_animation,
             lights=found.lights,
             cuts=found.cuts,
             static=found.static,

@@ -43,7 +43,7 @@ def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
     return told.hexdigest()[:16]
 
 
-def closure(module: str, also: Collection[str] = ()) -> set[str]:
+def import_closure(module: str, also: Collection[str] = ()) -> set[str]:
     """A module and all modules of its top-level package that it imports in turn, by name.
 
     Those of the top-level packages `also` count too. Imports are read from the sources, those

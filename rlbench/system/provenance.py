@@ -41,7 +41,7 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
 
 
-def releases(packages: Iterable[str]) -> str:
+def package_versions(packages: Iterable[str]) -> str:
     """The packages and their versions, `pyoidn 2.5.1.0`; of one that is not installed, "none"."""
     return ", ".join(f"{name} {_version(name)}" for name in packages)
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench.clips.stored import ALL, MemoryClip, open_clip
+from rlbench.clips.stored import ALL, InMemoryClip, open_clip
 from rlbench.family import Traits
-from rlbench.frames import Frame, Reference, StoredPool, View
-from rlbench.training.config import Plan
+from rlbench.frames import Frame, GBuffer, Reference, StoredPool
+from rlbench.training.config import TrainingConfig
 
 
 class BatchError(ValueError):
@@ -32,37 +32,45 @@ class Augmentation:
     gain: float  # exposure, factor on radiance
     colours: tuple[int, ...]  # the order of red, green and blue, in radiance and albedo
 
-    def turn(self, image: Tensor) -> Tensor:
+    def transform(self, image: Tensor) -> Tensor:
         """An image [... h w], mirrored, flipped and transposed."""
         axes = [axis for axis, wanted in ((-1, self.mirror), (-2, self.flip)) if wanted]
         image = image.flip(axes) if axes else image
         return image.transpose(-1, -2) if self.transpose else image
 
-    def tint(self, image: Tensor) -> Tensor:
+    def permute_channels(self, image: Tensor) -> Tensor:
         """Radiance or albedo [... 3 h w], turned, with its colours in another order."""
-        return self.turn(image)[..., list(self.colours), :, :]
+        return self.transform(image)[..., list(self.colours), :, :]
 
-    def turn_motion(self, motion: Tensor) -> Tensor:
+    def transform_motion(self, motion: Tensor) -> Tensor:
         """The same for motion [n 2 h w], whose vectors turn with the image."""
         sign = motion.new_tensor([-1.0 if self.mirror else 1.0, -1.0 if self.flip else 1.0])
-        motion = self.turn(motion) * sign.view(1, 2, 1, 1)
+        motion = self.transform(motion) * sign.view(1, 2, 1, 1)
         return motion.flip(1) if self.transpose else motion
 
     def apply(self, frame: Frame) -> Frame:
         """The frame, turned and exposed; a static view gets motion zero, so that clips can mix."""
-        view = frame.view
-        motion = view.motion if view.motion is not None else torch.zeros_like(view.normal[:, :2])
-        kept = {k: v for k, v in view.buffers.items() if k != "motion"}
-        buffers = {k: (self.tint if "albedo" in k else self.turn)(v) for k, v in kept.items()}
-        buffers |= {"motion": self.turn_motion(motion)}
+        gbuffer = frame.gbuffer
+        motion = (
+            gbuffer.motion
+            if gbuffer.motion is not None
+            else torch.zeros_like(gbuffer.normal[:, :2])
+        )
+        kept = {k: v for k, v in gbuffer.buffers.items() if k != "motion"}
+        buffers = {
+            k: (self.permute_channels if "albedo" in k else self.transform)(v)
+            for k, v in kept.items()
+        }
+        buffers |= {"motion": self.transform_motion(motion)}
         pool = frame.pool
         assert isinstance(pool, StoredPool)
         return Frame(
             frame.index,
-            View(buffers),
-            StoredPool(self.tint(pool.radiance) * self.gain, pool.keys),
+            GBuffer(buffers),
+            StoredPool(self.permute_channels(pool.radiance) * self.gain, pool.rounding_seeds),
             Reference(
-                self.tint(frame.reference.a) * self.gain, self.tint(frame.reference.b) * self.gain
+                self.permute_channels(frame.reference.half_a) * self.gain,
+                self.permute_channels(frame.reference.half_b) * self.gain,
             ),
         )
 
@@ -81,13 +89,15 @@ class Batches:
     seed: int
     device: str = "cpu"
     pool: str = "path"
-    needs: frozenset[str] = ALL  # view buffers, beside those that are turned in a way of their own
+    inputs: frozenset[str] = ALL  # view buffers, beside those that are turned in a way of their own
 
     @classmethod
-    def planned(cls, folders: Sequence[Path], plan: Plan, traits: Traits, device: str) -> Batches:
+    def planned(
+        cls, folders: Sequence[Path], plan: TrainingConfig, traits: Traits, device: str
+    ) -> Batches:
         """As a plan has them, for a method of those traits."""
         how = (plan.batch, plan.crop, plan.length, plan.seed)
-        return cls(folders, *how, device, traits.pool, traits.needs)
+        return cls(folders, *how, device, traits.pool, traits.inputs)
 
     def __post_init__(self) -> None:
         """Refuse to draw from nothing."""
@@ -99,17 +109,17 @@ class Batches:
         opened = [open_clip(folder, pool=self.pool) for folder in self.folders]
         return [f"{clip.name} {clip.digest[:12]}" for clip in opened]
 
-    def draw(self, index: int) -> MemoryClip:
+    def sequence(self, index: int) -> InMemoryClip:
         """A clip of `batch` crops side by side, `length` frames long or as long as the shortest."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
         parts = [self._part(generator) for _ in range(self.batch)]
         frames = [_stack(together) for together in zip(*parts, strict=False)]
-        return MemoryClip(f"draw {index}", "training", "", frames)
+        return InMemoryClip(f"draw {index}", "training", "", frames)
 
     def _part(self, generator: torch.Generator) -> list[Frame]:
         folder = self.folders[_integer(generator, len(self.folders))]
         order = _integer(generator, 2**31)
-        needs = self.needs | {"albedo", "normal", "motion"}
+        needs = self.inputs | {"albedo", "normal", "motion"}
         clip = open_clip(folder, needs, pool=self.pool, seed=order, device=self.device)
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
@@ -128,7 +138,7 @@ class Batches:
         return [turned.apply(clip.frame(i, window)) for i in chosen]
 
 
-def one_of(budgets: Sequence[float], seed: int, draw: int) -> float:
+def sample_budget(budgets: Sequence[float], seed: int, draw: int) -> float:
     """The budget, in samples per pixel, of one draw of a training with that seed.
 
     It is drawn apart from the clip: were both from one generator, some scenes would never be seen
@@ -139,14 +149,14 @@ def one_of(budgets: Sequence[float], seed: int, draw: int) -> float:
 
 
 def _stack(frames: Sequence[Frame]) -> Frame:
-    names = frames[0].view.buffers
+    names = frames[0].gbuffer.buffers
     pools = [frame.pool for frame in frames]
-    view = View({k: torch.cat([f.view.buffers[k] for f in frames]) for k in names})
+    gbuffer = GBuffer({k: torch.cat([f.gbuffer.buffers[k] for f in frames]) for k in names})
     radiance = torch.cat([p.radiance for p in pools if isinstance(p, StoredPool)])
-    keys = tuple(key for pool in pools for key in pool.keys)
-    a = torch.cat([f.reference.a for f in frames])
-    b = torch.cat([f.reference.b for f in frames])
-    return Frame(frames[0].index, view, StoredPool(radiance, keys), Reference(a, b))
+    keys = tuple(key for pool in pools for key in pool.rounding_seeds)
+    a = torch.cat([f.reference.half_a for f in frames])
+    b = torch.cat([f.reference.half_b for f in frames])
+    return Frame(frames[0].index, gbuffer, StoredPool(radiance, keys), Reference(a, b))
 
 
 def _integer(generator: torch.Generator, below: int) -> int:
@@ -154,20 +164,20 @@ def _integer(generator: torch.Generator, below: int) -> int:
 
 
 @contextmanager
-def ahead(batches: Batches) -> Iterator[Callable[[int], MemoryClip]]:
+def prefetch(batches: Batches) -> Iterator[Callable[[int], InMemoryClip]]:
     """`Batches.draw`, one draw ahead of what is asked for, in a thread of its own.
 
     The draws are the same as without. What stops the reading of a draw is raised when that draw is
     asked for.
     """
-    waiting: dict[int, Future[MemoryClip]] = {}
+    waiting: dict[int, Future[InMemoryClip]] = {}
     with ThreadPoolExecutor(1, thread_name_prefix="draw") as reader:
 
-        def draw(index: int) -> MemoryClip:
-            asked = waiting.pop(index, None) or reader.submit(batches.draw, index)
+        def draw(index: int) -> InMemoryClip:
+            asked = waiting.pop(index, None) or reader.submit(batches.sequence, index)
             waiting.clear()
             clip = asked.result()
-            waiting[index + 1] = reader.submit(batches.draw, index + 1)
+            waiting[index + 1] = reader.submit(batches.sequence, index + 1)
             return clip
 
         yield draw

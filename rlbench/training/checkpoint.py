@@ -28,7 +28,7 @@ def save(
     aside: nn.Module | None = None,
 ) -> None:
     """Write all of it to one file, at once: a kill leaves the old file or the new one."""
-    tensors = packed(networks, optimizer, aside)
+    tensors = state_tensors(networks, optimizer, aside)
     tensors |= {f"average.{k}": v for k, v in average.state_dict().items()}
     write(path, tensors, progress)
 
@@ -47,7 +47,7 @@ def load(
     return progress
 
 
-def packed(
+def state_tensors(
     networks: nn.Module, optimizer: torch.optim.Optimizer, aside: nn.Module | None
 ) -> dict[str, Tensor]:
     """All tensors that the next step depends on, by name; they are not copied."""
@@ -84,7 +84,7 @@ def write(path: Path, tensors: Mapping[str, Tensor], told: dict[str, Any]) -> No
         save_file(whole, temporary, {"progress": json.dumps(told)})
 
 
-def words(path: Path) -> dict[str, Any]:
+def read_metadata(path: Path) -> dict[str, Any]:
     """The words of a file that `write` made. Raises CheckpointError for another one, or none."""
     try:
         with safe_open(path, "pt") as file:
@@ -96,7 +96,7 @@ def words(path: Path) -> dict[str, Any]:
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The words and the tensors of a file that `write` made."""
-    told = words(path)
+    told = read_metadata(path)
     with safe_open(path, "pt") as file:
         return told, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
 

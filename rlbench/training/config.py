@@ -11,7 +11,7 @@ START, END = 1 / 25, 1e-4  # learning rate at the first and at the last step, of
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingConfig:
     """How long and on what; equal for all methods that are to be compared."""
 
     frames: int = 12_000  # crops to see, each frame of each clip in a batch counts
@@ -25,7 +25,7 @@ class Plan:
     every: int = 1_000  # frames between validations and checkpoints
     spp: tuple[float, ...] = ()  # budgets, one drawn a sequence; empty for those of the method
 
-    def rate(self, seen: int) -> float:
+    def lr_factor(self, seen: int) -> float:
         """One-cycle learning rate after `seen` frames, as a share of the peak.
 
         It rises by a cosine, then falls by one.

@@ -6,20 +6,20 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
-from rlbench.errors import AskedError
+from rlbench.errors import OptionError
 from rlbench.render.jobs.preset_clips import rendered
 
 VALIDATING = (0, 14)  # seeds of generated scenes, where it is not these that are trained on
 
 
-class TrainSet(NamedTuple):
+class TrainingSplit(NamedTuple):
     """Clip folders; no clip is in both."""
 
     train: list[Path]
     validate: list[Path]
 
 
-NONE = TrainSet([], [])  # of a training in which nothing learns
+NONE = TrainingSplit([], [])  # of a training in which nothing learns
 
 
 def chosen(
@@ -27,7 +27,7 @@ def chosen(
     seeds: tuple[int, ...] | None,
     without: str | None,
     kinds: Collection[str] | None = None,
-) -> TrainSet:
+) -> TrainingSplit:
     """What --preset, --seeds and --holdout ask for together, with those kinds of sample pools.
 
     Raises AskedError.
@@ -35,13 +35,13 @@ def chosen(
     if without is None:
         return generated(preset or "train", seeds, kinds)
     if seeds is not None:
-        raise AskedError("--seeds are of generated scenes; --holdout trains on those scored")
+        raise OptionError("--seeds are of generated scenes; --holdout trains on those scored")
     return holdout(without, preset or "mini", kinds)
 
 
 def generated(
     preset: str, seeds: tuple[int, ...] | None = None, kinds: Collection[str] | None = None
-) -> TrainSet:
+) -> TrainingSplit:
     """Generated scenes, a preset's or those of some seeds; the first and the middle validate.
 
     Clips that are missing are rendered now. Raises AskedError where the preset or one of the seeds
@@ -50,27 +50,27 @@ def generated(
     from rlbench.render.presets import PRESETS
 
     if seeds is not None and len(seeds) < 2:
-        raise AskedError(f"--seeds {seeds[0]} is one clip; at least 2 are needed, 1 validates")
-    if seeds is None and preset in PRESETS and PRESETS[preset].scored:
-        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.scored)
+        raise OptionError(f"--seeds {seeds[0]} is one clip; at least 2 are needed, 1 validates")
+    if seeds is None and preset in PRESETS and PRESETS[preset].is_test_set:
+        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.is_test_set)
         shown = ", ".join(PRESETS[preset].scenes) or "generated ones"
-        raise AskedError(
+        raise OptionError(
             f"preset '{preset}' has scenes that methods are scored on ({shown}), so "
             f"nothing may be trained on it; there is: {fit}"
         )
     for name, plan in PRESETS.items():
-        if plan.scored and (kept := sorted(set(seeds or ()) & set(plan.seeds))):
-            raise AskedError(
+        if plan.is_test_set and (kept := sorted(set(seeds or ()) & set(plan.seeds))):
+            raise OptionError(
                 f"--seeds: methods are scored on {', '.join(map(str, kept))} (preset '{name}'), so "
                 f"nothing may be trained on them; free are those that are not among "
                 f"{min(plan.seeds)} to {max(plan.seeds)}"
             )
     folders = rendered(None, preset, chosen=seeds, kinds=kinds)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
-    return TrainSet([folder for folder in folders if folder not in validate], validate)
+    return TrainingSplit([folder for folder in folders if folder not in validate], validate)
 
 
-def holdout(scene: str, preset: str, kinds: Collection[str] | None = None) -> TrainSet:
+def holdout(scene: str, preset: str, kinds: Collection[str] | None = None) -> TrainingSplit:
     """All scenes of a preset but one, which is to be scored: leave-one-scene-out.
 
     As Scardigli et al. 2023 evaluate. Two generated scenes validate, so that nothing of the
@@ -81,11 +81,11 @@ def holdout(scene: str, preset: str, kinds: Collection[str] | None = None) -> Tr
 
     known = PRESETS[preset].scenes if preset in PRESETS else ()
     if known and scene not in known:
-        raise AskedError(
+        raise OptionError(
             f"no scene {scene} to leave out: preset '{preset}' has: {', '.join(known)}"
         )
     if not known:
         fit = ", ".join(name for name, plan in PRESETS.items() if plan.scenes)
-        raise AskedError(f"--holdout takes a preset with scenes that are scored: --preset {fit}")
+        raise OptionError(f"--holdout takes a preset with scenes that are scored: --preset {fit}")
     folders = rendered([name for name in known if name != scene], preset, kinds=kinds)
-    return TrainSet(folders, rendered(None, "train", chosen=VALIDATING, kinds=kinds))
+    return TrainingSplit(folders, rendered(None, "train", chosen=VALIDATING, kinds=kinds))

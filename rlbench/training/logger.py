@@ -11,14 +11,14 @@ from typing import Any
 
 from rlbench.system import paths
 from rlbench.training.progress import Progress
-from rlbench.training.validation import Validated
+from rlbench.training.validation import ValidationResult
 
 LOG = "log.jsonl"  # one line a validation
 FOLDER = "tensorboard"
 GAMMA = 1 / 2.2  # of pictures, which are there to be looked at and not measured
 
 
-class Curves:
+class TrainingLogger:
     """The curves of one training; those of a resumed one go on where its checkpoint was."""
 
     def __init__(self, folder: Path, seen: int) -> None:
@@ -33,7 +33,7 @@ class Curves:
         for name, value in told.items() if self.board else ():
             self.board.add_scalar(name, value, progress.seen)
 
-    def validated(self, progress: Progress, loss: float, found: Validated) -> None:
+    def validated(self, progress: Progress, loss: float, found: ValidationResult) -> None:
         """Tell of a validation, and have all of it on disk."""
         line = {"seen": progress.seen, "loss": loss, "seconds": progress.seconds}
         self.log.parent.mkdir(parents=True, exist_ok=True)
@@ -48,9 +48,9 @@ class Curves:
 
 
 @contextmanager
-def told(folder: Path, seen: int) -> Iterator[Curves]:
+def told(folder: Path, seen: int) -> Iterator[TrainingLogger]:
     """The curves of a training that stands at `seen` frames, closed at the end."""
-    curves = Curves(folder, seen)
+    curves = TrainingLogger(folder, seen)
     try:
         yield curves
     finally:

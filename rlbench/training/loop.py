@@ -12,22 +12,29 @@ from typing import Any
 
 import torch
 
-from rlbench import weights
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.method import settings
-from rlbench.registry import lookup as registry
+from rlbench import registry, weights
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.method import config_json
 from rlbench.system import provenance
-from rlbench.training import checkpoint, validation
-from rlbench.training import logger as curves
+from rlbench.training import checkpoint, logger, validation
 from rlbench.training import replay as postmortem
-from rlbench.training.batches import Batches, ahead, one_of
-from rlbench.training.config import Plan
+from rlbench.training.batches import Batches, prefetch, sample_budget
+from rlbench.training.config import TrainingConfig
 from rlbench.training.progress import Progress
 from rlbench.training.replay import replay
-from rlbench.training.task import Trainer, TrainingError
-from rlbench.training.train_state import Learner, NotFiniteError
+from rlbench.training.task import TrainingError, TrainingTask
+from rlbench.training.train_state import NotFiniteError, TrainState
 
-__all__ = ["Plan", "Progress", "Trainer", "TrainingError", "check", "replay", "shipped", "train"]
+__all__ = [
+    "TrainingConfig",
+    "Progress",
+    "TrainingTask",
+    "TrainingError",
+    "check",
+    "replay",
+    "shipped",
+    "train",
+]
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -37,7 +44,7 @@ def train(
     train_on: Sequence[Path],
     validate_on: Sequence[Path],
     out: Path,
-    plan: Plan,
+    plan: TrainingConfig,
     device: str = "cpu",
     minutes: float = math.inf,
     command: str = "",
@@ -57,8 +64,8 @@ def train(
     a gradient is not finite: the sequence is then kept in a file, for `replay`.
     """
     check(name, plan)
-    trainer: Trainer = registry.trainer(name, device, plan.seed)
-    learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
+    trainer: TrainingTask = registry.training_task(name, device, plan.seed)
+    learner = TrainState(trainer, plan.norm, plan.average, plan.half, device)
     traits = trainer.method.traits
     batches = Batches.planned(train_on, plan, traits, device)
     budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
@@ -66,14 +73,14 @@ def train(
     if progress.seen >= plan.frames and _frames_shipped(name, out) == progress.seen:
         return progress
     began, before = time.monotonic(), progress.seconds
-    with ahead(batches) as draw, curves.told(out, progress.seen) as told:
+    with prefetch(batches) as draw, logger.told(out, progress.seen) as told:
         while progress.seen < plan.frames and time.monotonic() - began < 60 * minutes:
             due, started = progress.seen // plan.every, time.monotonic()
-            rate = plan.rate(progress.seen)
+            rate = plan.lr_factor(progress.seen)
             loss, frames = _sequence(name, learner, draw(progress.draws), plan, progress, out)
             progress.seconds = before + time.monotonic() - began
             progress.speed = frames / max(time.monotonic() - started, 1e-9)
-            told.sequence(progress, loss, trainer.peak * rate)
+            told.sequence(progress, loss, trainer.max_lr * rate)
             if progress.seen // plan.every > due or progress.seen >= plan.frames:
                 given = (trainer.method, learner.networks, learner.average)
                 found = validation.validate(*given, validate_on, budgets, device)
@@ -86,11 +93,11 @@ def train(
     return progress
 
 
-def check(name: str, plan: Plan) -> None:
+def check(name: str, plan: TrainingConfig) -> None:
     """Raise TrainingError where method `name` cannot be trained at a budget of the plan."""
     traits = registry.variant(name).traits
     for spp in plan.spp:
-        if why := traits.refuses(spp):
+        if why := traits.unsupported_reason(spp):
             raise TrainingError(f"'{name}' cannot be trained at {spp:g} spp: {why}")
 
 
@@ -110,16 +117,16 @@ def _frames_shipped(name: str, out: Path) -> int | None:
     return card.frames_seen if weights.digest(file) == card.sha256 else None
 
 
-def _asked(name: str, plan: Plan, data: list[str]) -> dict[str, Any]:
+def _asked(name: str, plan: TrainingConfig, data: list[str]) -> dict[str, Any]:
     return {"method": name, **plan.told(), "data": data}
 
 
-def _begin(learner: Learner, out: Path, asked: dict[str, Any], altered: bool) -> Progress:
+def _begin(learner: TrainState, out: Path, asked: dict[str, Any], altered: bool) -> Progress:
     """Where the training stands: at the start, or where its checkpoint was."""
     kept, trainer = out / CHECKPOINT, learner.trainer
     if not kept.exists():
         return Progress(plan=asked)
-    progress = Progress(**checkpoint.words(kept))
+    progress = Progress(**checkpoint.read_metadata(kept))
     whose = progress.plan.setdefault("method", asked["method"])  # older checkpoints do not say
     if whose != asked["method"]:
         raise TrainingError(
@@ -130,22 +137,27 @@ def _begin(learner: Learner, out: Path, asked: dict[str, Any], altered: bool) ->
             f"{kept} was trained by another plan: {progress.plan}, asked for {asked}; "
             "ask for the same, train into another folder, or go on all the same with --altered"
         )
-    progress.follow(asked)
+    progress.switch_config(asked)
     checkpoint.load(kept, learner.networks, learner.average, learner.optimizer, trainer.aside)
     learner.steps = progress.steps
     return progress
 
 
 def _sequence(
-    name: str, learner: Learner, clip: MemoryClip, plan: Plan, progress: Progress, out: Path
+    name: str,
+    learner: TrainState,
+    clip: InMemoryClip,
+    plan: TrainingConfig,
+    progress: Progress,
+    out: Path,
 ) -> tuple[float, int]:
     """Learn from the next draw; returns its mean loss and its number of frames."""
-    spp = one_of(plan.spp or learner.trainer.spp, plan.seed, progress.draws)
-    rate, done = plan.rate(progress.seen), progress.seen / plan.frames
+    spp = sample_budget(plan.spp or learner.trainer.spp, plan.seed, progress.draws)
+    rate, done = plan.lr_factor(progress.seen), progress.seen / plan.frames
     try:
         loss = learner.sequence(clip, spp, rate, done)
     except NotFiniteError as error:
-        halted = postmortem.Sequence(name, clip, progress.draws, spp, rate, done)
+        halted = postmortem.FailedSequence(name, clip, progress.draws, spp, rate, done)
         file = postmortem.write(out, learner, plan, halted, error.found)
         raise TrainingError(
             f"'{name}' halted in draw {progress.draws} at {spp:g} spp: {error}; the sequence is in "
@@ -159,7 +171,7 @@ def _sequence(
     return loss, frames
 
 
-def _keep(learner: Learner, out: Path, progress: Progress) -> None:
+def _keep(learner: TrainState, out: Path, progress: Progress) -> None:
     parts = (learner.networks, learner.average, learner.optimizer)
     checkpoint.save(out / CHECKPOINT, *parts, asdict(progress), learner.trainer.aside)
 
@@ -173,15 +185,15 @@ def _device(device: str) -> str:
 def _ship(
     name: str,
     out: Path,
-    learner: Learner,
-    plan: Plan,
+    learner: TrainState,
+    plan: TrainingConfig,
     progress: Progress,
     device: str,
     command: str,
 ) -> None:
     trainer = learner.trainer
-    budgets = {"spp": plan.spp or trainer.spp, "peak": trainer.peak}
-    card = weights.Card(
+    budgets = {"spp": plan.spp or trainer.spp, "peak": trainer.max_lr}
+    card = weights.ModelCard(
         name=name,
         data=tuple(progress.plan["data"]),
         frames_seen=progress.seen,
@@ -192,7 +204,7 @@ def _ship(
         command=command,
         commit=provenance.commit(),
         plan=json.dumps({**plan.told(), **budgets}),
-        config=settings(trainer.method),
+        config=config_json(trainer.method),
         origin=trainer.origin,
         curve=tuple(progress.curve),
         note=progress.note(plan.frames),

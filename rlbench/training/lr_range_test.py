@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench.registry import lookup as registry
+from rlbench import registry
 from rlbench.system import paths
-from rlbench.training.batches import Batches, one_of
-from rlbench.training.config import Plan
+from rlbench.training.batches import Batches, sample_budget
+from rlbench.training.config import TrainingConfig
 from rlbench.training.progress import Progress
-from rlbench.training.task import Trainer
-from rlbench.training.train_state import Learner, NotFiniteError
+from rlbench.training.task import TrainingTask
+from rlbench.training.train_state import NotFiniteError, TrainState
 
 LOW, HIGH = 1e-6, 1e-1  # learning rates at the first and at the last sequence
 BLUR = 0.25  # standard deviation of the window that losses are averaged in, decades of the rate
@@ -34,7 +34,7 @@ class Point(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Found:
+class LrRangeResult:
     """What a range test found."""
 
     points: tuple[Point, ...]
@@ -47,10 +47,10 @@ def run(
     name: str,
     train_on: Sequence[Path],
     out: Path,
-    plan: Plan,
+    plan: TrainingConfig,
     device: str = "cpu",
     report: Callable[[Progress, float], None] = lambda progress, loss: None,
-) -> Found:
+) -> LrRangeResult:
     """Train `name` from its first weights over `plan.frames`, the rate rising from 1e-6 to 1e-1.
 
     The rate grows by the same factor with every frame; a network that has a share of it keeps its
@@ -61,17 +61,17 @@ def run(
     grows geometrically, since it spans five decades, and the peak is a rule of thumb, where Smith
     reads the bounds off the curve: do look at it.
     """
-    trainer: Trainer = registry.trainer(name, device, plan.seed)
-    learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
+    trainer: TrainingTask = registry.training_task(name, device, plan.seed)
+    learner = TrainState(trainer, plan.norm, plan.average, plan.half, device)
     batches = Batches.planned(train_on, plan, trainer.method.traits, device)
     points: list[Point] = []
     progress = Progress()
     while progress.seen < plan.frames and not _diverged(points):
         done = progress.seen / plan.frames
-        rate, clip = LOW * (HIGH / LOW) ** done, batches.draw(progress.draws)
-        spp = one_of(plan.spp or trainer.spp, plan.seed, progress.draws)
+        rate, clip = LOW * (HIGH / LOW) ** done, batches.sequence(progress.draws)
+        spp = sample_budget(plan.spp or trainer.spp, plan.seed, progress.draws)
         try:
-            loss = learner.sequence(clip, spp, rate / trainer.peak, done)
+            loss = learner.sequence(clip, spp, rate / trainer.max_lr, done)
         except NotFiniteError:
             break
         points.append(Point(progress.seen, rate, loss))
@@ -79,7 +79,7 @@ def run(
         progress.draws += 1
         report(progress, loss)
     peak = proposed(points)
-    return Found(tuple(points), peak, _table(points, out), _figure(name, points, peak, out))
+    return LrRangeResult(tuple(points), peak, _table(points, out), _figure(name, points, peak, out))
 
 
 def averaged(points: Sequence[Point]) -> list[float]:

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import torch
 
-from rlbench.registry import discovery as plugins
-from rlbench.registry import lookup as registry
-from rlbench.training import dataset as trainset
-from rlbench.training.batches import Batches, one_of
-from rlbench.training.config import Plan
-from rlbench.training.task import Trainer
-from rlbench.training.train_state import Learner
+from rlbench import registry
+from rlbench.registry import discovery
+from rlbench.training import dataset
+from rlbench.training.batches import Batches, sample_budget
+from rlbench.training.config import TrainingConfig
+from rlbench.training.task import TrainingTask
+from rlbench.training.train_state import TrainState
 
 PARTS = {  # functions of the core, in the order in which they run
     ("batches.py", "draw"): "read and cut a draw",
@@ -60,7 +60,7 @@ class Profile(NamedTuple):
 def profile(
     name: str,
     folders: Sequence[Path],
-    plan: Plan,
+    plan: TrainingConfig,
     device: str = "cpu",
     clock: Callable[[], float] = time.perf_counter,
 ) -> Profile:
@@ -69,22 +69,24 @@ def profile(
     Nothing is read ahead, so that what reading takes is seen; each draw was read once before, as
     most draws of a long training were. On a GPU, where work is queued, parts wait for each other.
     """
-    trainer: Trainer = registry.trainer(name, device, plan.seed)
-    learner = Learner(trainer, plan.norm, plan.average, plan.half, device)
+    trainer: TrainingTask = registry.training_task(name, device, plan.seed)
+    learner = TrainState(trainer, plan.norm, plan.average, plan.half, device)
     batches = Batches.planned(folders, plan, trainer.method.traits, device)
-    learner.sequence(batches.draw(0), trainer.spp[0], 1e-3, 0.0)  # what is compiled or planned once
+    learner.sequence(
+        batches.sequence(0), trainer.spp[0], 1e-3, 0.0
+    )  # what is compiled or planned once
     draws = range(-(-plan.frames // (plan.batch * plan.length)))
     for index in draws:
-        batches.draw(index)
+        batches.sequence(index)
     seen, watched = 0, cProfile.Profile(clock)
     for index in draws:
-        spp = one_of(plan.spp or trainer.spp, plan.seed, index)
+        spp = sample_budget(plan.spp or trainer.spp, plan.seed, index)
         watched.enable()
-        clip = batches.draw(index)
+        clip = batches.sequence(index)
         learner.sequence(clip, spp, 1e-3, index / len(draws))
         watched.disable()
         seen += len(clip) * clip.size.n
-    own = plugins.place(registry.family(name).train).parent
+    own = discovery.module_file(registry.family(name).train).parent
     return _read(pstats.Stats(watched), seen, own)
 
 
@@ -119,8 +121,8 @@ def main(words: Sequence[str] | None = None) -> str:
     asked = parser.parse_args(words)
     torch.set_num_threads(asked.threads)
     pool = registry.variant(asked.method).traits.pool
-    folders = asked.clips or trainset.generated("train", kinds={pool}).train
-    plan = Plan(frames=asked.frames, crop=asked.crop, half=asked.half)
+    folders = asked.clips or dataset.generated("train", kinds={pool}).train
+    plan = TrainingConfig(frames=asked.frames, crop=asked.crop, half=asked.half)
     clock = time.process_time if asked.busy else time.perf_counter
     return profile(asked.method, folders, plan, asked.device, clock).text()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-SETTLED = 0.1  # dB: a validation curve that rose by less between its last two points is flat
+PLATEAU_DB = 0.1  # dB: a validation curve that rose by less between its last two points is flat
 
 
 @dataclass
@@ -21,7 +21,7 @@ class Progress:
     plan: dict[str, Any] = field(default_factory=dict)  # that it follows
     changes: list[str] = field(default_factory=list)  # of the plan, made on the way
 
-    def follow(self, plan: dict[str, Any]) -> None:
+    def switch_config(self, plan: dict[str, Any]) -> None:
         """Go on by another plan, and write down what changes."""
         names = sorted(key for key in self.plan | plan if self.plan.get(key) != plan.get(key))
         for name in names:
@@ -40,6 +40,6 @@ class Progress:
         if len(self.curve) < 2:
             return ""
         (before, low), (_, high) = self.curve[-2:]
-        if high - low < SETTLED:
+        if high - low < PLATEAU_DB:
             return ""
         return f"not yet flat: validation rose by {high - low:.2f} dB after {before} frames"

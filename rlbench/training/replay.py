@@ -10,17 +10,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Clip, Frame, Reference, StoredPool, View
-from rlbench.registry import lookup as registry
+from rlbench import registry
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.frames import Clip, Frame, GBuffer, Reference, StoredPool
 from rlbench.training import checkpoint
-from rlbench.training.config import Plan
+from rlbench.training.config import TrainingConfig
 from rlbench.training.task import TrainingError
-from rlbench.training.train_state import Learner, NotFinite, NotFiniteError
+from rlbench.training.train_state import NonFiniteStep, NotFiniteError, TrainState
 
 
 @dataclass(frozen=True)
-class Sequence:
+class FailedSequence:
     """One sequence of a training: all that `Learner.sequence` takes, and whose it is."""
 
     name: str  # of the method
@@ -31,7 +31,13 @@ class Sequence:
     done: float  # share of the training that was over
 
 
-def write(folder: Path, learner: Learner, plan: Plan, sequence: Sequence, found: NotFinite) -> Path:
+def write(
+    folder: Path,
+    learner: TrainState,
+    plan: TrainingConfig,
+    sequence: FailedSequence,
+    found: NonFiniteStep,
+) -> Path:
     """The file that `replay` reads: the clip, and the tensors that the sequence began with.
 
     Radiance, view and reference are stored as they were drawn, in float32. The checkpoint of the
@@ -49,7 +55,7 @@ def write(folder: Path, learner: Learner, plan: Plan, sequence: Sequence, found:
     return file
 
 
-def replay(file: Path | str, device: str = "cpu") -> NotFinite | None:
+def replay(file: Path | str, device: str = "cpu") -> NonFiniteStep | None:
     """Take the steps of a halted sequence again, from the weights that it began with.
 
     Returns what is not finite, or None where all is: on another machine, with other code, or in
@@ -60,15 +66,15 @@ def replay(file: Path | str, device: str = "cpu") -> NotFinite | None:
         raise TrainingError(
             f"{file} holds no halted sequence; a training that halts names the file it wrote"
         )
-    trainer = registry.trainer(told["name"], device, told["seed"])
-    learner = Learner(trainer, told["norm"], told["average"], told["half"], device)
+    trainer = registry.training_task(told["name"], device, told["seed"])
+    learner = TrainState(trainer, told["norm"], told["average"], told["half"], device)
     checkpoint.unpack(tensors, learner.networks, learner.optimizer, trainer.aside)
     inside = checkpoint.under("clip.", tensors)
     frames = [
         _frame(keys, checkpoint.under(f"{place}.", inside), torch.device(device))
         for place, keys in enumerate(told["frames"])
     ]
-    clip = MemoryClip(f"draw {told['draw']}", "training", "", frames)
+    clip = InMemoryClip(f"draw {told['draw']}", "training", "", frames)
     try:
         learner.sequence(clip, told["spp"], told["rate"], told["done"])
     except NotFiniteError as error:
@@ -77,21 +83,21 @@ def replay(file: Path | str, device: str = "cpu") -> NotFinite | None:
 
 
 def _keys(frame: Frame) -> dict[str, Any]:
-    return {"index": frame.index, "keys": frame.pool.keys, "static": frame.view.static}
+    return {"index": frame.index, "keys": frame.pool.rounding_seeds, "static": frame.gbuffer.static}
 
 
 def _tensors(frame: Frame) -> dict[str, Tensor]:
     assert isinstance(frame.pool, StoredPool)
-    view = {f"view.{name}": tensor for name, tensor in frame.view.buffers.items()}
-    reference = {"a": frame.reference.a, "b": frame.reference.b}
-    return view | reference | {"radiance": frame.pool.radiance}
+    gbuffer = {f"view.{name}": tensor for name, tensor in frame.gbuffer.buffers.items()}
+    reference = {"a": frame.reference.half_a, "b": frame.reference.half_b}
+    return gbuffer | reference | {"radiance": frame.pool.radiance}
 
 
 def _frame(keys: Mapping[str, Any], stored: Mapping[str, Tensor], device: torch.device) -> Frame:
     on = {name: tensor.to(device) for name, tensor in stored.items()}
     return Frame(
         keys["index"],
-        View(checkpoint.under("view.", on), keys["static"]),
+        GBuffer(checkpoint.under("view.", on), keys["static"]),
         StoredPool(on["radiance"], tuple(keys["keys"])),
         Reference(on["a"], on["b"]),
     )

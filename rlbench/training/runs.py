@@ -9,27 +9,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rlbench.cli import console as show
-from rlbench.registry import lookup as registry
-from rlbench.training import lr_range_test as range_test
-from rlbench.training.config import Plan
-from rlbench.training.dataset import TrainSet
+from rlbench import registry
+from rlbench.cli import console
+from rlbench.training import lr_range_test
+from rlbench.training.config import TrainingConfig
+from rlbench.training.dataset import TrainingSplit
 from rlbench.training.loop import check, shipped, train
 
 Bar = Callable[[str, int], AbstractContextManager[Callable[[Any, float], None]]]
 
 
 @dataclass(frozen=True)
-class Course:
+class TrainingRuns:
     """How methods are trained, and where."""
 
     out: Path
-    plan: Plan
+    plan: TrainingConfig
     device: str = "cpu"
     minutes: float = math.inf  # of each method
     command: str = ""
-    altered: bool = False  # may it go on from a checkpoint of another plan?
-    bar: Bar = show.training
+    allow_config_change: bool = False  # may it go on from a checkpoint of another plan?
+    bar: Bar = console.training
 
     def folder(self, name: str, without: str | None = None) -> Path:
         """Where a method's training lies: one folder for a variant, fold, and choice of budgets."""
@@ -42,7 +42,7 @@ class Course:
         for name in names:
             check(name, self.plan)
 
-    def train(self, name: str, chosen: TrainSet, without: str | None = None) -> Path:
+    def train(self, name: str, chosen: TrainingSplit, without: str | None = None) -> Path:
         """The weights of a method, trained now or before on those clips."""
         folder = self.folder(name, without)
         with self.bar(name, self.plan.frames) as tell:
@@ -56,18 +56,18 @@ class Course:
                 self.minutes,
                 self.command,
                 tell,
-                self.altered,
+                self.allow_config_change,
             )
         return shipped(name, folder)
 
-    def range_test(self, name: str, chosen: TrainSet) -> range_test.Found:
+    def range_test(self, name: str, chosen: TrainingSplit) -> lr_range_test.LrRangeResult:
         """The learning rates of a method, tried on the same clips."""
         folder = self.out / f"{self.folder(name).name}-range"
         with self.bar(f"{name}, range test", self.plan.frames) as tell:
-            return range_test.run(name, chosen.train, folder, self.plan, self.device, tell)
+            return lr_range_test.run(name, chosen.train, folder, self.plan, self.device, tell)
 
 
-def start_anew(folder: Path) -> Path | None:
+def archive_run(folder: Path) -> Path | None:
     """Move a training out of the way; returns where it is now, or None where there was none."""
     if not folder.exists():
         return None
@@ -80,4 +80,4 @@ def start_anew(folder: Path) -> Path | None:
 
 def learners(names: Sequence[str]) -> list[str]:
     """Those of the methods that there is something to train of."""
-    return [name for name in names if registry.learns(name)]
+    return [name for name in names if registry.is_trainable(name)]

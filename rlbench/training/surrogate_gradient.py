@@ -12,17 +12,17 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rlbench.family import Traits
-from rlbench.frames import Frame, Samples, Size, View
+from rlbench.frames import Frame, GBuffer, Samples, Size
 from rlbench.method import Method
 
 LOWEST = -30.0  # log density below which a pixel is at its floor in any case
 BISECTIONS = 32  # of the logarithm of a multiplier, some 30 wide: exact to float32
 NONE = 1e-20  # below any density: keeps the share of no pixel from dividing by zero
 
-Teach = Callable[[Samples, Float[Tensor, "n 1 h w"], Frame], Samples]
+SampleGradient = Callable[[Samples, Float[Tensor, "n 1 h w"], Frame], Samples]
 
 
-def pull(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
+def kuznetsov_gradient(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
     """The same samples, whose mean moves towards the truth as the share that is due grows.
 
     One sample more would move the mean I of a pixel's s samples towards the truth T, on average
@@ -39,7 +39,7 @@ def pull(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Sampl
 
 
 @dataclass
-class Surrogate:
+class SurrogateGradient:
     """A method while it is trained: its samples carry a gradient back to the density it asked for.
 
     The share of a pixel's samples that was due is differentiated with its normalisation, pixels
@@ -55,7 +55,7 @@ class Surrogate:
     method: Method
     frames: Iterator[Frame]  # those to come, in order
     spp: float  # budget, samples per pixel
-    teach: Teach = pull
+    teach: SampleGradient = kuznetsov_gradient
     density: Tensor | None = None  # what was last asked for
     held: Tensor | None = None  # counts at that time
 
@@ -68,25 +68,27 @@ class Surrogate:
         """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: Any) -> Float[Tensor, "n 1 h w"]:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: Any) -> Float[Tensor, "n 1 h w"]:
         """As the method's; remembered, with its graph, until the samples are here."""
         self.held = samples.counts
-        self.density = self.method.plan(view, samples, state)
+        self.density = self.method.plan(gbuffer, samples, state)
         return self.density
 
     def denoise(
-        self, view: View, samples: Samples, state: Any
+        self, gbuffer: GBuffer, samples: Samples, state: Any
     ) -> tuple[Float[Tensor, "n 3 h w"], Any]:
         """As the method's, on samples with a gradient to the density."""
         assert self.density is not None, "denoise before plan"
         assert self.held is not None, "denoise before plan"
-        stored, cap = samples.radiance.shape[1], self.traits.cap
-        low = self.held.clamp_min(self.traits.floor)
-        due = shares(self.density, self.spp, low, stored if cap is None else min(cap, stored))
-        return self.method.denoise(view, self.teach(samples, due, next(self.frames)), state)
+        stored, cap = samples.radiance.shape[1], self.traits.max_samples
+        low = self.held.clamp_min(self.traits.min_samples)
+        due = relaxed_counts(
+            self.density, self.spp, low, stored if cap is None else min(cap, stored)
+        )
+        return self.method.denoise(gbuffer, self.teach(samples, due, next(self.frames)), state)
 
 
-def shares(
+def relaxed_counts(
     density: Float[Tensor, "n 1 h w"], spp: float, low: Int[Tensor, "n 1 h w"], high: int
 ) -> Float[Tensor, "n 1 h w"]:
     """clip(k * density, low, high), differentiable, with the k at which its mean is `spp`.

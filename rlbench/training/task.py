@@ -10,7 +10,15 @@ from torch import Tensor, nn
 from rlbench.frames import Clip
 from rlbench.method import Method
 
-FROM1 = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)  # budgets of what needs a sample in every pixel
+BUDGETS_FROM_1_SPP = (
+    1.0,
+    1.0,
+    2.0,
+    2.0,
+    4.0,
+    4.0,
+    6.0,
+)  # budgets of what needs a sample in every pixel
 
 
 class TrainingError(RuntimeError):
@@ -18,7 +26,7 @@ class TrainingError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Trainer:
+class TrainingTask:
     """What is trained: made by the function that a family's `train` names.
 
     All that changes while it is trained lies in `networks` and `aside`: a training that was killed
@@ -30,8 +38,12 @@ class Trainer:
     networks: nn.Module  # what is trained and saved
     losses: Callable[[Clip, float], Iterator[Tensor]]  # one optimiser step for each that it yields
     spp: tuple[float, ...]  # budgets, one drawn for each sequence
-    peak: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
-    shares: Mapping[str, float] = field(default_factory=dict)  # of it, by child of `networks`
-    told: Callable[[float], None] = lambda done: None  # before each sequence, share of frames seen
+    max_lr: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
+    lr_multipliers: Mapping[str, float] = field(
+        default_factory=dict
+    )  # of it, by child of `networks`
+    on_progress: Callable[[float], None] = lambda done: (
+        None
+    )  # before each sequence, share of frames seen
     origin: str = ""  # of the first weights, for the card; empty for random ones
     aside: nn.Module | None = None  # trained at shares["aside"] and kept, but not shipped

@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 from rlbench.frames import Clip
 from rlbench.training import checkpoint
-from rlbench.training.task import Trainer, TrainingError
+from rlbench.training.task import TrainingError, TrainingTask
 
 
-class NotFinite(NamedTuple):
+class NonFiniteStep(NamedTuple):
     """What went out of bounds, and where."""
 
     what: str  # the loss, or the length of a network's gradient
@@ -32,20 +32,20 @@ class NotFinite(NamedTuple):
 class NotFiniteError(TrainingError):
     """A step that was not made, since it would have ruined the weights."""
 
-    def __init__(self, found: NotFinite) -> None:
+    def __init__(self, found: NonFiniteStep) -> None:
         """With what was found."""
         super().__init__(str(found))
         self.found = found
 
 
-class Learner:
+class TrainState:
     """What is trained, with Adam (Kingma and Ba 2015) and an exponential average of the weights.
 
     `before` holds the tensors that a sequence began with, so that one that failed can be replayed.
     """
 
     def __init__(
-        self, trainer: Trainer, norm: float, average: float, half: bool, device: str
+        self, trainer: TrainingTask, norm: float, average: float, half: bool, device: str
     ) -> None:
         """Begin with the trainer's weights."""
         self.trainer, self.norm, self.keep, self.half = trainer, norm, average, half
@@ -54,7 +54,7 @@ class Learner:
         self.networks = trainer.networks
         self.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = copy.deepcopy(self.networks)
-        self.optimizer = torch.optim.Adam(_groups(trainer), trainer.peak)
+        self.optimizer = torch.optim.Adam(_groups(trainer), trainer.max_lr)
         self.before: dict[str, Tensor] = {}
         self._pairs = _pairs(self.average, self.networks)
         self._learning = [("the networks", self.networks)]  # their gradients are clipped apart
@@ -71,8 +71,8 @@ class Learner:
         for _, module in self._learning:
             module.train()
         for group in self.optimizer.param_groups:
-            group["lr"] = self.trainer.peak * group["share"] * rate
-        self.trainer.told(done)
+            group["lr"] = self.trainer.max_lr * group["share"] * rate
+        self.trainer.on_progress(done)
         losses = self.trainer.losses(clip, spp)
         total, count = 0.0, 0
         while (loss := self._forward(losses)) is not None:
@@ -80,12 +80,12 @@ class Learner:
             self._backward(loss)
             self._clip(count)
             self._step()
-            self._follow()
+            self._update_ema()
             total, count = total + loss.item(), count + 1
         return total / max(count, 1)
 
     def _remember(self) -> None:
-        packed = checkpoint.packed(self.networks, self.optimizer, self.trainer.aside)
+        packed = checkpoint.state_tensors(self.networks, self.optimizer, self.trainer.aside)
         self.before = {name: tensor.detach().clone() for name, tensor in packed.items()}
 
     def _forward(self, losses: Iterator[Tensor]) -> Tensor | None:
@@ -107,7 +107,7 @@ class Learner:
         self.optimizer.step()
 
     @torch.no_grad()
-    def _follow(self) -> None:
+    def _update_ema(self) -> None:
         """Move the average towards the weights, faster at the start; counters are copied."""
         keep = min(self.keep, (1 + self.steps) / (10 + self.steps))
         slow, fast, counters = self._pairs
@@ -125,16 +125,16 @@ class Learner:
             for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
-        raise NotFiniteError(NotFinite(what, value.item(), step, tuple(wrong)))
+        raise NotFiniteError(NonFiniteStep(what, value.item(), step, tuple(wrong)))
 
 
-def _groups(trainer: Trainer) -> list[dict[str, Any]]:
+def _groups(trainer: TrainingTask) -> list[dict[str, Any]]:
     """The parameters of each child network, of none, and aside; each with its learning rate."""
     children = trainer.networks.named_children()
     pairs = [(list(child.parameters()), name) for name, child in children]
     pairs.append((list(trainer.networks.parameters(recurse=False)), ""))
     pairs.append((list(trainer.aside.parameters()) if trainer.aside else [], "aside"))
-    shares = trainer.shares
+    shares = trainer.lr_multipliers
     return [{"params": own, "share": shares.get(name, 1.0)} for own, name in pairs if own]
 
 

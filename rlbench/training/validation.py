@@ -11,15 +11,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.method import Method
-from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 
 BUDGETS = (1.0, 4.0)  # samples per pixel, unless others are trained for
 
 
-class Validated(NamedTuple):
+class ValidationResult(NamedTuple):
     """What a validation found."""
 
     psnr: float  # dB, mean over clips, budgets and frames
@@ -32,7 +32,7 @@ def budgets(method: Method, trained: Sequence[float], asked: Sequence[float]) ->
     1 and 4 spp where the method takes both and nothing else was asked for; else the least and the
     largest of those that it is trained for.
     """
-    if not asked and not any(method.traits.refuses(spp) for spp in BUDGETS):
+    if not asked and not any(method.traits.unsupported_reason(spp) for spp in BUDGETS):
         return list(BUDGETS)
     return sorted({min(asked or trained), max(asked or trained)})
 
@@ -44,7 +44,7 @@ def validate(
     folders: Sequence[Path],
     spp: Sequence[float],
     device: str,
-) -> Validated:
+) -> ValidationResult:
     """Mean PSNR of the averaged weights at each budget, all frames.
 
     `networks` have their own weights again afterwards, and are set to evaluation.
@@ -58,11 +58,11 @@ def validate(
     for folder in folders:
         for budget in spp:
             traits = method.traits
-            clip = open_clip(folder, traits.needs, pool=traits.pool, device=device)
+            clip = open_clip(folder, traits.inputs, pool=traits.pool, device=device)
             for shown in run_clip(method, clip, budget):
                 reference = shown.frame.reference
-                scores += psnr(shown.image, reference.a, reference.b).tolist()
+                scores += psnr(shown.image, reference.half_a, reference.half_b).tolist()
             if folder == folders[0] and budget == spp[0]:
                 picture = torch.cat((shown.image[0], reference.mean[0]), dim=-1)
     networks.load_state_dict(trained)
-    return Validated(sum(scores) / max(len(scores), 1), picture)
+    return ValidationResult(sum(scores) / max(len(scores), 1), picture)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rlbench.frames import View
+from rlbench.frames import GBuffer
 
 SIDE = 32
 FRAMES = 3
@@ -18,7 +18,7 @@ FRAMES = 3
 class Moving:
     """One frame of it."""
 
-    view: View
+    gbuffer: GBuffer
     radiance: Tensor  # [1 3 h w], one sample a pixel
 
     @property
@@ -30,10 +30,10 @@ class Moving:
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Albedo, normal, depth without an axis of channels, and motion, likewise."""
         return (
-            _array(self.view.albedo),
-            _array(self.view.normal),
-            _array(self.view.depth)[..., 0],
-            _array(self.view.motion),
+            _array(self.gbuffer.albedo),
+            _array(self.gbuffer.normal),
+            _array(self.gbuffer.depth)[..., 0],
+            _array(self.gbuffer.motion),
         )
 
 
@@ -60,7 +60,7 @@ def frame(index: int) -> Moving:
     light[source.random((SIDE, SIDE)) < 0.01] *= 50
     radiance = np.where((sky | lamp)[..., None], 2.0, light * albedo)
     buffers = {"albedo": albedo, "normal": normal, "depth": depth[..., None], "motion": motion}
-    return Moving(View({k: _tensor(v) for k, v in buffers.items()}), _tensor(radiance))
+    return Moving(GBuffer({k: _tensor(v) for k, v in buffers.items()}), _tensor(radiance))
 
 
 def _tensor(array: np.ndarray) -> Tensor:

@@ -17,11 +17,11 @@ from baselines.dasr.losses import edges, relative
 from baselines.dasr.method import Dasr, build
 from baselines.dasr.network import Networks
 from baselines.dasr.train import trainer
-from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
+from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.run import run_clip
-from rlbench.training.loop import Plan, train
+from rlbench.training.loop import TrainingConfig, train
 from rlbench.weights import digest
 from tests.conftest import write_noise
 
@@ -35,16 +35,16 @@ def drawn(*shape: int, seed: int = 0) -> Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def small_clip(frames: int = 1, size: Size = SIZE, seed: int = 0) -> MemoryClip:
+def small_clip(frames: int = 1, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
     return procedural(seed, size, frames=frames)
 
 
-def half_noisy(seed: int, side: int = 32) -> MemoryClip:
+def half_noisy(seed: int, side: int = 32) -> InMemoryClip:
     """A grey world: noise left, none right, and albedo tells them apart."""
     left = torch.arange(side).expand(1, 1, side, side) < side // 2
     truth = torch.full((1, 3, side, side), 0.5)
     noise = -drawn(1, 8, 1, side, side, seed=seed).clamp_min(1e-6).log()  # mean one
-    view = View(
+    gbuffer = GBuffer(
         {
             "albedo": torch.where(left, 0.8, 0.3).expand(1, 3, side, side),
             "normal": torch.zeros(1, 3, side, side),
@@ -52,8 +52,8 @@ def half_noisy(seed: int, side: int = 32) -> MemoryClip:
         }
     )
     pool = StoredPool(torch.where(left[:, None], noise, 1.0) * truth[:, None], (seed,))
-    frame = Frame(0, view, pool, Reference(truth, truth))
-    return MemoryClip("half noisy", "half noisy", "", [frame])
+    frame = Frame(0, gbuffer, pool, Reference(truth, truth))
+    return InMemoryClip("half noisy", "half noisy", "", [frame])
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_the_map_depends_on_the_first_samples(method: Dasr) -> None:
     pilot = Samples(frame.pool.radiance[:, :1], torch.ones(1, 1, SIZE.h, SIZE.w).long())
     brighter = Samples(2 * pilot.radiance, pilot.counts)
     assert not torch.equal(
-        method.plan(frame.view, pilot, None), method.plan(frame.view, brighter, None)
+        method.plan(frame.gbuffer, pilot, None), method.plan(frame.gbuffer, brighter, None)
     )
 
 
@@ -110,7 +110,7 @@ def test_a_bad_sample_leaves_the_image_finite(method: Dasr, bad: float) -> None:
     radiance = frame.pool.radiance.clone()
     radiance[..., 3, 3] = bad
     samples = Samples(radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
-    image, _ = method.denoise(frame.view, samples, None)
+    image, _ = method.denoise(frame.gbuffer, samples, None)
     assert torch.isfinite(image).all()
     assert (image >= 0).all()
 
@@ -118,9 +118,9 @@ def test_a_bad_sample_leaves_the_image_finite(method: Dasr, bad: float) -> None:
 def test_half_precision_gives_the_same_image_but_for_rounding(method: Dasr) -> None:
     (frame,) = small_clip()
     samples = Samples(frame.pool.radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
-    image, _ = method.denoise(frame.view, samples, None)
+    image, _ = method.denoise(frame.gbuffer, samples, None)
     with torch.autocast("cpu", torch.bfloat16):
-        half, _ = method.denoise(frame.view, samples, None)
+        half, _ = method.denoise(frame.gbuffer, samples, None)
     assert half.dtype == torch.float32
     # bfloat16 has 8 bits, and what is said is of order one tenth, through 23 layers
     torch.testing.assert_close(half, image, rtol=0, atol=1e-2)
@@ -167,7 +167,7 @@ def moved(variant: str, done: float) -> set[str]:
     nn.init.normal_(made.networks.sampler.last.weight, 0, 0.1, torch.Generator().manual_seed(0))
     before = {name: [p.clone() for p in net.parameters()] for name, net in _children(made)}
     optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
-    made.told(done)
+    made.on_progress(done)
     (loss,) = made.losses(small_clip(), 2.5)
     loss.backward()
     optimizer.step()
@@ -210,7 +210,7 @@ class KilledError(Exception):
 
 def test_a_training_killed_in_one_stage_goes_on_in_it(tmp_path: Path) -> None:
     clip = write_noise(tmp_path / "clips" / "noise", frames=1, h=32, w=32)
-    plan = Plan(frames=12, crop=16, every=4)  # stages of 5 frames, 1, and 6
+    plan = TrainingConfig(frames=12, crop=16, every=4)  # stages of 5 frames, 1, and 6
 
     def run(out: Path, kill_after: int | None = None) -> str:
         def report(progress, loss) -> None:
@@ -237,7 +237,7 @@ def test_the_map_learns_where_noise_is(variant: str) -> None:
     made = trainer(variant, CPU, seed=0)
     made.networks.denoiser = Averaging()
     optimizer = torch.optim.Adam(made.networks.sampler.parameters(), 1e-3)
-    made.told(MAP_ALONE)
+    made.on_progress(MAP_ALONE)
     for seed in range(12):
         for loss in made.losses(half_noisy(seed), 3.0):
             optimizer.zero_grad()
@@ -332,10 +332,15 @@ def test_gamma_draws_are_the_same_for_the_same_frame() -> None:
     losses = []
     for _ in range(2):
         made = trainer("gamma", CPU, seed=0)
-        made.told(DENOISER_ALONE)
+        made.on_progress(DENOISER_ALONE)
         losses.append([loss.item() for loss in made.losses(small_clip(2), 2.0)])
     assert losses[0] == losses[1]
 
 
 def test_the_traits_are_those_of_a_pilot_of_one_sample() -> None:
-    assert (TRAITS.pilot, TRAITS.floor, TRAITS.temporal, TRAITS.fresh) == (1.0, 1, False, False)
+    assert (TRAITS.pilot_spp, TRAITS.min_samples, TRAITS.temporal, TRAITS.discard_pilot) == (
+        1.0,
+        1,
+        False,
+        False,
+    )

@@ -16,17 +16,17 @@ from torch import Tensor
 from baselines.eaw import search
 from baselines.eaw.method import Config, Eaw, smooth
 from rlbench.clips.stored import open_clip
-from rlbench.frames import Samples, View
+from rlbench.frames import GBuffer, Samples
 from rlbench.ops.demodulation import reflectance
-from rlbench.ops.padded_rows import Flat
-from tests.baselines import wavelet_twins as twin
+from rlbench.ops.padded_rows import PaddedRows
+from tests.baselines import wavelet_twins
 from tests.baselines.moving import frame
 
 
-def shown(view: View, radiance: Tensor, config: Config = Config()) -> Tensor:  # noqa: B008
+def shown(gbuffer: GBuffer, radiance: Tensor, config: Config = Config()) -> Tensor:  # noqa: B008
     n, _, h, w = radiance.shape
     samples = Samples(radiance[:, None], torch.ones(n, 1, h, w, dtype=torch.int64))
-    return Eaw(config).denoise(view, samples, None)[0]
+    return Eaw(config).denoise(gbuffer, samples, None)[0]
 
 
 def test_metadata_is_readable_without_torch():
@@ -37,8 +37,8 @@ def test_metadata_is_readable_without_torch():
 @pytest.mark.parametrize("config", [Config(), Config(light=1.0, normal=0.02, depth=1e-2)], ids=str)
 def test_a_frame_equals_its_twin_in_loops(config):
     each = frame(0)
-    image = shown(each.view, each.radiance, config)[0].permute(1, 2, 0)
-    expected = twin.eaw(each.noisy, each.arrays, config.light, config.normal, config.depth)
+    image = shown(each.gbuffer, each.radiance, config)[0].permute(1, 2, 0)
+    expected = wavelet_twins.eaw(each.noisy, each.arrays, config.light, config.normal, config.depth)
     # float32 logarithms of radiance up to 4000 are halved in width, and squared
     np.testing.assert_allclose(image, expected, rtol=1e-3, atol=1e-5)
 
@@ -47,9 +47,9 @@ def test_a_frame_equals_its_twin_in_loops(config):
 @settings(max_examples=5, deadline=None)
 def test_constant_irradiance_stays_as_it_is(seed, light):
     """Whatever the texture and the shapes."""
-    view = frame(seed).view
-    lit = light * reflectance(view.albedo)
-    torch.testing.assert_close(shown(view, lit), lit, rtol=1e-5, atol=1e-6)  # float32 sums
+    gbuffer = frame(seed).gbuffer
+    lit = light * reflectance(gbuffer.albedo)
+    torch.testing.assert_close(shown(gbuffer, lit), lit, rtol=1e-5, atol=1e-6)  # float32 sums
 
 
 def test_infinite_widths_give_the_spline_of_each_pass():
@@ -57,30 +57,30 @@ def test_infinite_widths_give_the_spline_of_each_pass():
     wide = replace(Config(), passes=2, light=1e12, normal=1e12, depth=1e12)
     radiance = torch.rand(1, 3, 17, 19, generator=torch.Generator().manual_seed(0))
     flat = {"albedo": torch.ones_like(radiance), "normal": torch.ones_like(radiance)}
-    view = View({**flat, "depth": torch.ones(1, 1, 17, 19)})
+    gbuffer = GBuffer({**flat, "depth": torch.ones(1, 1, 17, 19)})
     kernel = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
     kernel = (kernel[:, None] * kernel).expand(3, 1, 5, 5)
     once = torch.nn.functional.conv2d(radiance, kernel, groups=3)
     expected = torch.nn.functional.conv2d(once, kernel, groups=3, dilation=2)
-    found = shown(view, radiance, wide)[..., 6:-6, 6:-6]
+    found = shown(gbuffer, radiance, wide)[..., 6:-6, 6:-6]
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)  # float32 sums
 
 
 def test_background_and_lamps_pass_through():
     each = frame(0)
-    through = (each.view.albedo == 0).all(1, keepdim=True).expand_as(each.radiance)
+    through = (each.gbuffer.albedo == 0).all(1, keepdim=True).expand_as(each.radiance)
     assert through.any()
-    assert torch.equal(shown(each.view, each.radiance)[through], each.radiance[through])
+    assert torch.equal(shown(each.gbuffer, each.radiance)[through], each.radiance[through])
 
 
 def test_an_edge_of_depth_is_not_crossed():
     half = torch.arange(16) < 8
     radiance = torch.where(half, 1.0, 5.0).expand(1, 3, 16, 16)
     depth = torch.where(half, 2.0, 4.0).expand(1, 1, 16, 16)
-    view = View(
+    gbuffer = GBuffer(
         {"albedo": torch.ones(1, 3, 16, 16), "normal": torch.ones(1, 3, 16, 16), "depth": depth}
     )
-    torch.testing.assert_close(shown(view, radiance), radiance)
+    torch.testing.assert_close(shown(gbuffer, radiance), radiance)
 
 
 def test_a_pass_treats_two_images_as_each_alone():
@@ -88,8 +88,10 @@ def test_a_pass_treats_two_images_as_each_alone():
     guide, light = (torch.rand(2, c, 9, 11, generator=source) for c in (7, 3))
 
     def passed(some: slice) -> Tensor:
-        flat = Flat(len(guide[some]), 9, 11, margin=4)
-        return flat.lift(smooth(flat, 2, flat.lay(guide[some], empty=1e4), flat.lay(light[some])))
+        flat = PaddedRows(len(guide[some]), 9, 11, margin=4)
+        return flat.unpack(
+            smooth(flat, 2, flat.pack(guide[some], empty=1e4), flat.pack(light[some]))
+        )
 
     alone = torch.cat((passed(slice(0, 1)), passed(slice(1, 2))))
     torch.testing.assert_close(passed(slice(0, 2)), alone)

@@ -16,9 +16,9 @@ from baselines.imcd.filter import Past, Windows, filtered
 from baselines.imcd.method import Config, Imcd, State, build
 from baselines.imcd.network import Encoder, Kernels, Networks
 from baselines.imcd.train import losses, strain, trainer
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
-from rlbench.ops.demodulation import of_area, raised
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.run import run_clip
 
 CPU = torch.device("cpu")
@@ -32,7 +32,7 @@ def drawn(*shape: int, seed: int = 0) -> Tensor:
 
 def small_clip(
     frames: int = 3, size: Size = SIZE, seed: int = 0, textured: bool = True
-) -> MemoryClip:
+) -> InMemoryClip:
     """Noise around smooth light on a coloured surface, under a slow pan."""
     n, h, w = size
     albedo, shown = drawn(n, 3, *((h, w) if textured else (1, 1)), seed=3).expand(n, 3, h, w), []
@@ -47,13 +47,13 @@ def small_clip(
             "motion": torch.full((n, 2, h, w), 0.5),
         }
         pool = StoredPool(truth[:, None] * noise, tuple(range(i, i + n)))
-        shown.append(Frame(i, View(buffers), pool, Reference(truth, truth)))
-    return MemoryClip("small", "small", "", shown)
+        shown.append(Frame(i, GBuffer(buffers), pool, Reference(truth, truth)))
+    return InMemoryClip("small", "small", "", shown)
 
 
 def bought(frame: Frame, count: int = 8) -> Samples:
-    counts = torch.full_like(frame.view.depth, count, dtype=torch.int64)
-    return Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    counts = torch.full_like(frame.gbuffer.depth, count, dtype=torch.int64)
+    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
 
 
 def kernels(h: int, w: int, sharpness: float | None = None, keep: float = 0.0) -> Kernels:
@@ -163,20 +163,20 @@ def test_the_filter_equals_its_slow_twin(remembers: bool) -> None:
 
 
 def test_the_mean_over_full_slots_is_the_plain_mean() -> None:
-    encoder, colours, view = Encoder(), drawn(2, 8, 3, 6, 7), drawn(2, 7, 6, 7, seed=1)
+    encoder, colours, gbuffer = Encoder(), drawn(2, 8, 3, 6, 7), drawn(2, 7, 6, 7, seed=1)
     every = torch.ones(2, 8, 1, 6, 7, dtype=torch.bool)
-    samples = torch.cat((colours, view[:, None].expand(-1, 8, -1, -1, -1)), 2)
+    samples = torch.cat((colours, gbuffer[:, None].expand(-1, 8, -1, -1, -1)), 2)
     expected = encoder.embed(samples.flatten(0, 1)).unflatten(0, (2, 8)).mean(1)
     # float32 sums of eight
-    torch.testing.assert_close(encoder(colours, view, every), expected, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(encoder(colours, gbuffer, every), expected, rtol=1e-5, atol=1e-6)
 
 
 def test_what_lies_in_empty_slots_does_not_count() -> None:
-    encoder, colours, view = Encoder(), drawn(1, 8, 3, 6, 7), drawn(1, 7, 6, 7, seed=1)
+    encoder, colours, gbuffer = Encoder(), drawn(1, 8, 3, 6, 7), drawn(1, 7, 6, 7, seed=1)
     filled = torch.arange(8).view(1, 8, 1, 1, 1) < 1 + torch.arange(7)
     other = colours.where(filled, 5.0)
     filled = filled.expand(1, 8, 1, 6, 7)
-    assert torch.equal(encoder(colours, view, filled), encoder(other, view, filled))
+    assert torch.equal(encoder(colours, gbuffer, filled), encoder(other, gbuffer, filled))
 
 
 def test_the_order_of_samples_does_not_matter(method: Imcd) -> None:
@@ -185,7 +185,7 @@ def test_the_order_of_samples_does_not_matter(method: Imcd) -> None:
     order = torch.tensor([3, 1, 7, 0, 2, 6, 5, 4])
     shuffled = replace(samples, radiance=samples.radiance[:, order])
     first, second = (
-        method.denoise(frame.view, each, method.start(SIZE))[0] for each in (samples, shuffled)
+        method.denoise(frame.gbuffer, each, method.start(SIZE))[0] for each in (samples, shuffled)
     )
     # sums of eight in another order, through a U-Net; of values of order one
     torch.testing.assert_close(first, second, rtol=1e-5, atol=1e-6)
@@ -195,14 +195,15 @@ def test_before_the_first_frame_the_state_means_nothing(method: Imcd) -> None:
     frame = small_clip().frames[0]
     noise = State(*(drawn(1, c, 16, 16, seed=c) for c in (32, 3, 8, 3)), age=0)
     first, second = (
-        method.denoise(frame.view, bought(frame), each)[0] for each in (method.start(SIZE), noise)
+        method.denoise(frame.gbuffer, bought(frame), each)[0]
+        for each in (method.start(SIZE), noise)
     )
     assert torch.equal(first, second)
 
 
 def test_the_same_frame_again_changes_no_feature(method: Imcd) -> None:
     frame = small_clip().frames[0]
-    still = replace(frame.view, static=True)
+    still = replace(frame.gbuffer, static=True)
     _, first = method.denoise(still, bought(frame), method.start(SIZE))
     _, second = method.denoise(still, bought(frame), first)
     assert all(torch.equal(a, b) for a, b in zip(first[:3], second[:3], strict=True))
@@ -210,7 +211,7 @@ def test_the_same_frame_again_changes_no_feature(method: Imcd) -> None:
 
 def test_the_same_frame_again_is_blended_with_the_first(method: Imcd) -> None:
     frame = small_clip().frames[0]
-    still = replace(frame.view, static=True)
+    still = replace(frame.gbuffer, static=True)
     _, first = method.denoise(still, bought(frame), method.start(SIZE))
     _, second, asked = method.step(still, bought(frame), first)
     past = Past(first.features, first.image, torch.ones(1, 1, 16, 16, dtype=torch.bool))
@@ -222,11 +223,11 @@ def test_the_same_frame_again_is_blended_with_the_first(method: Imcd) -> None:
 @pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
 def test_constant_light_stays_constant(method: Imcd, age: int) -> None:
     """Weights sum to one, whatever they are."""
-    view = small_clip().frames[0].view
-    reflectance = raised(of_area(view.albedo))
+    gbuffer = small_clip().frames[0].gbuffer
+    reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     before = State(*(torch.full((1, c, 16, 16), 0.7) for c in (32, 3, 8, 3)), age)
-    image, state = method.denoise(view, samples, before)
+    image, state = method.denoise(gbuffer, samples, before)
     # float32 sums of 242 weights, and one division by reflectance
     torch.testing.assert_close(state.image, torch.full_like(state.image, 0.7), rtol=1e-5, atol=0)
     torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
@@ -234,9 +235,9 @@ def test_constant_light_stays_constant(method: Imcd, age: int) -> None:
 
 def test_later_the_state_counts(method: Imcd) -> None:
     frame = small_clip().frames[0]
-    _, state = method.denoise(frame.view, bought(frame), method.start(SIZE))
+    _, state = method.denoise(frame.gbuffer, bought(frame), method.start(SIZE))
     dark, bright = (
-        method.denoise(frame.view, bought(frame), state._replace(image=state.image + more))[0]
+        method.denoise(frame.gbuffer, bought(frame), state._replace(image=state.image + more))[0]
         for more in (0.0, 9.0)
     )
     assert dark.mean() < bright.mean()
@@ -244,10 +245,10 @@ def test_later_the_state_counts(method: Imcd) -> None:
 
 def test_a_bad_state_is_forgotten_where_it_is_bad(method: Imcd) -> None:
     frame = small_clip().frames[0]
-    _, state = method.denoise(frame.view, bought(frame), method.start(SIZE))
+    _, state = method.denoise(frame.gbuffer, bought(frame), method.start(SIZE))
     for part in state[:4]:
         part[..., 3, 3] = torch.nan
-    image, after = method.denoise(frame.view, bought(frame), state)
+    image, after = method.denoise(frame.gbuffer, bought(frame), state)
     assert torch.isfinite(image).all()
     assert all(torch.isfinite(part).all() for part in after[:4])
 
@@ -258,7 +259,7 @@ def test_a_bad_sample_leaves_the_image_finite(method: Imcd, bad: float) -> None:
     radiance = frame.pool.radiance.clone()
     radiance[:, 2, :, 3, 3] = bad
     samples = replace(bought(frame), radiance=radiance)
-    image, _ = method.denoise(frame.view, samples, method.start(SIZE))
+    image, _ = method.denoise(frame.gbuffer, samples, method.start(SIZE))
     assert torch.isfinite(image).all()
     assert (image >= 0).all()
 
@@ -266,7 +267,7 @@ def test_a_bad_sample_leaves_the_image_finite(method: Imcd, bad: float) -> None:
 def test_lights_on_black_surfaces_keep_their_radiance() -> None:
     """Not a hundred times it, which neighbours would be flooded by."""
     frame = small_clip().frames[0]
-    black = View({**frame.view.buffers, "albedo": torch.zeros(1, 3, 16, 16)})
+    black = GBuffer({**frame.gbuffer.buffers, "albedo": torch.zeros(1, 3, 16, 16)})
     _, state = build("", CPU, "random").denoise(black, bought(frame), State(*_empty(), age=0))
     mean = bought(frame).mean
     torch.testing.assert_close(state.light, mean / 1.01, rtol=1e-5, atol=0)  # float32 sums of 8

@@ -12,9 +12,9 @@ from baselines.ntas import TRAITS
 from baselines.ntas.method import VARIANTS, Ntas, State, build
 from baselines.ntas.network import Networks
 from baselines.ntas.train import trainer
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
-from rlbench.ops.demodulation import of_area, raised
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
+from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.run import run_clip
 
 CPU = torch.device("cpu")
@@ -25,7 +25,7 @@ def drawn(*shape: int, seed: int = 0) -> Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> MemoryClip:
+def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
     """Noise around a smooth truth, under a slow pan."""
     n, h, w = size
     shown = []
@@ -33,7 +33,7 @@ def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> MemoryClip:
         truth = drawn(n, 3, 1, 1, seed=seed) * torch.linspace(0.2, 2, w).expand(n, 3, h, w)
         noise = -drawn(n, 8, 1, h, w, seed=seed + i + 1).clamp_min(1e-6).log()  # mean one
         normal = nn.functional.normalize(drawn(n, 3, h, w, seed=2) - 0.5, dim=1)
-        view = View(
+        gbuffer = GBuffer(
             {
                 "albedo": drawn(n, 3, h, w, seed=3),
                 "normal": normal,
@@ -42,11 +42,11 @@ def small_clip(frames: int = 3, size: Size = SIZE, seed: int = 0) -> MemoryClip:
             }
         )
         pool = StoredPool(truth[:, None] * noise, tuple(range(i, i + n)))
-        shown.append(Frame(i, view, pool, Reference(truth, truth)))
-    return MemoryClip("small", "small", "", shown)
+        shown.append(Frame(i, gbuffer, pool, Reference(truth, truth)))
+    return InMemoryClip("small", "small", "", shown)
 
 
-def half_noisy(seed: int) -> MemoryClip:
+def half_noisy(seed: int) -> InMemoryClip:
     """A grey world at rest: noise left, none right, and only albedo tells them apart."""
     shown = []
     for frame in small_clip(2, Size(1, 32, 32), seed):
@@ -55,10 +55,10 @@ def half_noisy(seed: int) -> MemoryClip:
         noise = -drawn(1, 8, 1, 32, 32, seed=100 * seed + frame.index).clamp_min(1e-6).log()
         radiance = torch.where(left[:, None], noise, 1.0) * truth[:, None]
         albedo = torch.where(left, 0.8, 0.3).expand(1, 3, 32, 32)
-        view = View({**frame.view.buffers, "albedo": albedo}, static=True)
+        gbuffer = GBuffer({**frame.gbuffer.buffers, "albedo": albedo}, static=True)
         pool = StoredPool(radiance, (frame.index,))
-        shown.append(Frame(frame.index, view, pool, Reference(truth, truth)))
-    return MemoryClip("half noisy", "half noisy", "", shown)
+        shown.append(Frame(frame.index, gbuffer, pool, Reference(truth, truth)))
+    return InMemoryClip("half noisy", "half noisy", "", shown)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_any_size_goes_in_and_comes_out(method: Ntas, size: Size) -> None:
 
 def test_density_is_positive_with_its_largest_at_one(method: Ntas) -> None:
     frame = next(iter(small_clip()))
-    density = method.plan(frame.view, frame.pool.empty(), method.start(frame.pool.size))
+    density = method.plan(frame.gbuffer, frame.pool.empty(), method.start(frame.pool.size))
     assert (density > 0).all()
     assert density.max() == 1
 
@@ -98,7 +98,7 @@ def test_a_map_of_any_range_still_gives_every_pixel_some_density(method: Ntas) -
     )
     frame = next(iter(small_clip()))
     steep = Ntas(networks)
-    density = steep.plan(frame.view, frame.pool.empty(), steep.start(frame.pool.size))
+    density = steep.plan(frame.gbuffer, frame.pool.empty(), steep.start(frame.pool.size))
     assert density.min() > 0
 
 
@@ -109,7 +109,8 @@ def test_before_the_first_frame_the_state_means_nothing(method: Ntas) -> None:
         State(light, age=0) for light in (torch.zeros(1, 3, 16, 16), drawn(1, 3, 16, 16))
     )
     assert torch.equal(
-        method.denoise(frame.view, samples, zeros)[0], method.denoise(frame.view, samples, noise)[0]
+        method.denoise(frame.gbuffer, samples, zeros)[0],
+        method.denoise(frame.gbuffer, samples, noise)[0],
     )
 
 
@@ -117,8 +118,8 @@ def test_later_the_state_counts(method: Ntas) -> None:
     frame = next(iter(small_clip()))
     samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
     dark, bright = (State(torch.full((1, 3, 16, 16), light), age=1) for light in (0.0, 9.0))
-    darker = method.denoise(frame.view, samples, dark)[0].mean()
-    assert darker < method.denoise(frame.view, samples, bright)[0].mean()
+    darker = method.denoise(frame.gbuffer, samples, dark)[0].mean()
+    assert darker < method.denoise(frame.gbuffer, samples, bright)[0].mean()
 
 
 def test_history_enters_no_pixel_that_has_only_invalid_taps() -> None:
@@ -136,10 +137,10 @@ def test_history_enters_no_pixel_that_has_only_invalid_taps() -> None:
 @pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
 def test_constant_light_stays_constant(method: Ntas, age: int) -> None:
     """Kernels sum to one on every level, masked or not, whatever the weights."""
-    view = next(iter(small_clip())).view
-    reflectance = raised(of_area(view.albedo))
+    gbuffer = next(iter(small_clip())).gbuffer
+    reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
-    image, state = method.denoise(view, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
+    image, state = method.denoise(gbuffer, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
     # float32 through five levels and one division by reflectance
     torch.testing.assert_close(state.light, torch.full_like(state.light, 0.7), rtol=1e-5, atol=0)
     torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
@@ -150,7 +151,7 @@ def test_a_bad_state_is_forgotten_where_it_is_bad(method: Ntas) -> None:
     samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
     light = torch.ones(1, 3, 16, 16)
     light[..., 3, 3] = torch.nan
-    image, state = method.denoise(frame.view, samples, State(light, age=1))
+    image, state = method.denoise(frame.gbuffer, samples, State(light, age=1))
     assert torch.isfinite(image).all()
     assert torch.isfinite(state.light).all()
 
@@ -161,7 +162,7 @@ def test_a_bad_sample_leaves_the_image_finite(method: Ntas, bad: float) -> None:
     radiance = frame.pool.radiance.clone()
     radiance[..., 3, 3] = bad
     samples = Samples(radiance, torch.full((1, 1, 16, 16), 8))
-    image, _ = method.denoise(frame.view, samples, method.start(SIZE))
+    image, _ = method.denoise(frame.gbuffer, samples, method.start(SIZE))
     assert torch.isfinite(image).all()
     assert (image >= 0).all()
 
@@ -218,9 +219,9 @@ def test_the_sampler_learns_where_noise_is() -> None:
 def test_half_precision_gives_the_same_image_but_for_rounding(method: Ntas) -> None:
     frame = next(iter(small_clip()))
     samples = Samples(frame.pool.radiance, torch.full((1, 1, 16, 16), 8))
-    image, _ = method.denoise(frame.view, samples, method.start(SIZE))
+    image, _ = method.denoise(frame.gbuffer, samples, method.start(SIZE))
     with torch.autocast("cpu", torch.bfloat16):
-        half, state = method.denoise(frame.view, samples, method.start(SIZE))
+        half, state = method.denoise(frame.gbuffer, samples, method.start(SIZE))
     assert state.light.dtype == torch.float32
     # bfloat16 has 8 bits, so logits of order one are off by 1/256, and weights by as much
     torch.testing.assert_close(half, image, rtol=3e-2, atol=0)
@@ -263,7 +264,7 @@ def test_seeds_decide_the_weights() -> None:
 
 
 def test_every_pixel_is_promised_a_sample() -> None:
-    assert TRAITS.floor == 1
+    assert TRAITS.min_samples == 1
     for shown in run_clip(build("", CPU, "random"), small_clip(2), spp=1.5):
         assert int(shown.samples.counts.min()) >= 1
         assert int(shown.samples.counts.sum()) == round(1.5 * 256)

@@ -10,21 +10,21 @@ import pytest
 import torch
 
 from baselines.oidn import FAMILY
-from baselines.oidn.method import VARIANTS, Oidn, build, develop
+from baselines.oidn.method import VARIANTS, Oidn, build, to_radiance
 from baselines.oidn.train import _loss, trainer
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.frames import Frame, Reference, Samples, StoredPool, View
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
 from rlbench.method import Method
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import pu_forward
 from rlbench.run import run_clip
-from rlbench.training.task import FROM1
-from rlbench.weights import Card, save
+from rlbench.training.task import BUDGETS_FROM_1_SPP
+from rlbench.weights import ModelCard, save
 
 CPU = torch.device("cpu")
 
 
-def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 1) -> MemoryClip:
+def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 1) -> InMemoryClip:
     """Noise around a smooth picture on a tilted plane, with background on the left."""
     generator = torch.Generator().manual_seed(7)
     made = []
@@ -33,10 +33,10 @@ def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 
         noise = torch.empty(n, 8, 3, h, w).exponential_(generator=generator)
         normal = torch.tensor([0.6, 0.0, -0.8]).view(1, 3, 1, 1).repeat(n, 1, h, w)
         normal[..., : w // 4] = 0
-        view = View({"albedo": torch.full((n, 3, h, w), 0.5), "normal": normal})
-        pool = StoredPool(picture[:, None] * noise, keys=tuple(range(index, index + n)))
-        made.append(Frame(index, view, pool, Reference(picture, picture)))
-    return MemoryClip("made", "made", "", made)
+        gbuffer = GBuffer({"albedo": torch.full((n, 3, h, w), 0.5), "normal": normal})
+        pool = StoredPool(picture[:, None] * noise, rounding_seeds=tuple(range(index, index + n)))
+        made.append(Frame(index, gbuffer, pool, Reference(picture, picture)))
+    return InMemoryClip("made", "made", "", made)
 
 
 def test_metadata_is_readable_without_torch():
@@ -86,7 +86,7 @@ def test_the_image_scales_with_the_light(gain):
 def test_one_frame_knows_nothing_of_another():
     method = build("", CPU, "random")
     third = list(run_clip(method, clip(frames=3), 4.0))[2].image
-    alone = MemoryClip("alone", "made", "", list(clip(frames=3))[2:])
+    alone = InMemoryClip("alone", "made", "", list(clip(frames=3))[2:])
     (shown,) = run_clip(method, alone, 4.0)
     assert torch.equal(shown.image, third)
 
@@ -96,10 +96,10 @@ def test_clips_of_a_batch_are_independent():
     (both,) = run_clip(method, clip(n=2), 8.0)
     for i in range(2):
         (frame,) = clip(n=2)
-        view = View({k: v[i : i + 1] for k, v in frame.view.buffers.items()})
+        gbuffer = GBuffer({k: v[i : i + 1] for k, v in frame.gbuffer.buffers.items()})
         assert isinstance(frame.pool, StoredPool)
         samples = Samples(frame.pool.radiance[i : i + 1], torch.full((1, 1, 21, 35), 8))
-        image, _ = method.denoise(view, samples, None)
+        image, _ = method.denoise(gbuffer, samples, None)
         torch.testing.assert_close(both.image[i : i + 1], image, rtol=1e-4, atol=1e-5)
 
 
@@ -107,26 +107,26 @@ def test_clips_of_a_batch_are_independent():
 def test_bad_radiance_gives_a_finite_image(bad):
     (frame,) = clip()
     samples = Samples(torch.full((1, 8, 3, 21, 35), bad), torch.full((1, 1, 21, 35), 8))
-    image, _ = build("", CPU, "random").denoise(frame.view, samples, None)
+    image, _ = build("", CPU, "random").denoise(frame.gbuffer, samples, None)
     assert torch.isfinite(image).all()
 
 
 @pytest.mark.parametrize("value", [-1e4, 1e4])
 def test_an_output_out_of_range_gives_radiance_that_half_floats_hold(value):
-    image = develop(torch.full((1, 3, 2, 2), value), torch.ones(1, 1, 1, 1))
+    image = to_radiance(torch.full((1, 3, 2, 2), value), torch.ones(1, 1, 1, 1))
     assert ((image >= 0) & (image <= 65504 * 1.001)).all()  # PU in float32
 
 
 def test_negative_radiance_counts_as_none():
     (frame,) = clip()
     counts = torch.full((1, 1, 21, 35), 8)
-    radiance = frame.pool.take(frame.pool.empty(), counts)
+    radiance = frame.pool.read(frame.pool.empty(), counts)
     radiance[..., :5] = 0
     lower = radiance.clone()
     lower[..., :5] = -1
     method = build("", CPU, "random")
-    expected, _ = method.denoise(frame.view, Samples(radiance, counts), None)
-    found, _ = method.denoise(frame.view, Samples(lower, counts), None)
+    expected, _ = method.denoise(frame.gbuffer, Samples(radiance, counts), None)
+    found, _ = method.denoise(frame.gbuffer, Samples(lower, counts), None)
     assert torch.equal(found, expected)
 
 
@@ -142,7 +142,7 @@ def test_a_network_that_changes_nothing_gives_the_mean_of_the_samples():
     """Exposure, transfer and padding are all undone."""
     (frame,) = clip()
     (shown,) = run_clip(Oidn(Spy()), clip(), 8.0)
-    mean = frame.pool.take(frame.pool.empty(), torch.full((1, 1, 21, 35), 8)).mean(1)
+    mean = frame.pool.read(frame.pool.empty(), torch.full((1, 1, 21, 35), 8)).mean(1)
     torch.testing.assert_close(shown.image, mean, rtol=2e-4, atol=1e-6)  # PU in float32
 
 
@@ -165,7 +165,7 @@ def test_weights_of_a_file_are_used(tmp_path):
     random = build("", CPU, "random")
     with torch.no_grad():
         random.network.dec_conv0.bias.fill_(0.125)
-    save(random.network, path, Card(name="oidn"))
+    save(random.network, path, ModelCard(name="oidn"))
     assert (build("", CPU, str(path)).network.dec_conv0.bias == 0.125).all()
 
 
@@ -176,7 +176,7 @@ def test_random_weights_are_the_same_each_time():
 
 def test_each_frame_gives_one_loss_that_reaches_every_parameter():
     made = trainer("", CPU, seed=0)
-    losses = list(made.losses(clip(32, 32, frames=3), FROM1[0]))
+    losses = list(made.losses(clip(32, 32, frames=3), BUDGETS_FROM_1_SPP[0]))
     assert len(losses) == 3
     losses[0].backward()
     without = [k for k, p in made.networks.named_parameters() if p.grad is None or not p.grad.any()]
@@ -187,7 +187,7 @@ def test_the_loss_of_a_perfect_output_is_zero():
     """Exposure and target are the reference's: a clean pool and a network that changes nothing."""
     (frame,) = clip(32, 32)
     pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    still = MemoryClip("", "", "", [Frame(0, frame.view, pool, frame.reference)])
+    still = InMemoryClip("", "", "", [Frame(0, frame.gbuffer, pool, frame.reference)])
     assert float(_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
 
 
@@ -195,7 +195,9 @@ def test_exposure_in_training_comes_from_the_reference():
     (frame,) = clip(32, 32)
     reference, spy = frame.reference.mean, Spy()
     dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    _loss(Oidn(spy), MemoryClip("", "", "", [Frame(0, frame.view, dark, frame.reference)]), 4.0)
+    _loss(
+        Oidn(spy), InMemoryClip("", "", "", [Frame(0, frame.gbuffer, dark, frame.reference)]), 4.0
+    )
     expected = pu_forward(0.1 * reference * autoexposure(reference))
     torch.testing.assert_close(spy.seen[:, :3], expected)
 
@@ -232,4 +234,4 @@ def test_tuning_starts_from_intels_weights():
 
     theirs, found = network().state_dict(), trainer("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(found[name], theirs[name]) for name in theirs)
-    assert trainer("tuned", CPU, 0).peak < trainer("", CPU, 0).peak
+    assert trainer("tuned", CPU, 0).max_lr < trainer("", CPU, 0).max_lr

@@ -11,11 +11,11 @@ import pytest
 import torch
 
 from baselines.oidn_intel import FAMILY, TRAITS
-from rlbench.clips.in_memory import MemoryClip
+from rlbench import registry
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Samples, Size
-from rlbench.registry import lookup as registry
-from rlbench.run import Shown, run_clip
+from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 
 installed = pytest.mark.skipif(
@@ -25,12 +25,12 @@ SIZE = Size(1, 96, 128)
 CPU = torch.device("cpu")
 
 
-def clip() -> MemoryClip:
+def clip() -> InMemoryClip:
     return procedural(3, SIZE, frames=1)
 
 
 @cache
-def shown(variant: str) -> Shown:
+def shown(variant: str) -> FrameResult:
     from baselines.oidn_intel.method import build
 
     (only,) = run_clip(build(variant, CPU, None), clip(), 2.0)
@@ -77,7 +77,7 @@ def test_the_image_scales_with_the_light():
 
     frame = shown("")
     brighter = Samples(frame.samples.radiance * 128, frame.samples.counts)
-    image, _ = build("", CPU, None).denoise(frame.frame.view, brighter, None)
+    image, _ = build("", CPU, None).denoise(frame.frame.gbuffer, brighter, None)
     # exposure in float32, then a logarithm and an exponential with 16 nats between 0 and 1
     torch.testing.assert_close(image / 128, frame.image, rtol=2e-3, atol=1e-5)
 
@@ -88,7 +88,7 @@ def test_bad_radiance_gives_a_finite_image(bad):
     from baselines.oidn_intel.method import build
 
     samples = Samples(torch.full((1, 8, 3, 96, 128), bad), torch.full((1, 1, 96, 128), 8))
-    image, _ = build("", CPU, None).denoise(shown("").frame.view, samples, None)
+    image, _ = build("", CPU, None).denoise(shown("").frame.gbuffer, samples, None)
     assert torch.isfinite(image).all()
 
 

@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from baselines.svgf import FAMILY
-from baselines.svgf.history import Past, accumulate, find
+from baselines.svgf.history import History, accumulate, reproject_history
 from baselines.svgf.method import BASE, VARIANTS, Svgf, build
-from baselines.svgf.wavelet import Edges, spread
-from rlbench.frames import Samples, Size, View
+from baselines.svgf.wavelet import Edges, atrous_pass
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import reflectance
-from rlbench.ops.padded_rows import Flat
-from rlbench.ops.stencils import holes
-from tests.baselines import wavelet_twins as twin
+from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.stencils import atrous_taps
+from tests.baselines import wavelet_twins
 from tests.baselines.moving import FRAMES, frame
 
 CPU = torch.device("cpu")
@@ -31,7 +31,7 @@ def one(radiance: Tensor) -> Samples:
     return Samples(radiance[:, None], torch.ones(n, 1, h, w, dtype=torch.int64))
 
 
-def plain(h: int, w: int, motion: Tensor | None = None, **changed: Tensor) -> View:
+def plain(h: int, w: int, motion: Tensor | None = None, **changed: Tensor) -> GBuffer:
     """A white wall that faces the camera."""
     buffers = {
         "albedo": torch.ones(1, 3, h, w),
@@ -41,10 +41,10 @@ def plain(h: int, w: int, motion: Tensor | None = None, **changed: Tensor) -> Vi
     }
     if motion is not None:
         buffers["motion"] = motion
-    return View(buffers, static=motion is None)
+    return GBuffer(buffers, static=motion is None)
 
 
-def lonely(h: int, w: int, motion: Tensor | None = None) -> View:
+def lonely(h: int, w: int, motion: Tensor | None = None) -> GBuffer:
     """A wall whose pixels look every way, so that no neighbour has a weight."""
     return plain(h, w, motion, normal=torch.zeros(1, 3, h, w))
 
@@ -53,11 +53,11 @@ def noise(*size: int, seed: int = 0) -> Tensor:
     return torch.empty(size).exponential_(generator=torch.Generator().manual_seed(seed))
 
 
-def run(method: Svgf, views: list[View], light: list[Tensor]) -> list[Tensor]:
+def run(method: Svgf, views: list[GBuffer], light: list[Tensor]) -> list[Tensor]:
     n, _, h, w = light[0].shape
     state, images = method.start(Size(n, h, w)), []
-    for view, radiance in zip(views, light, strict=True):
-        image, state = method.denoise(view, one(radiance), state)
+    for gbuffer, radiance in zip(views, light, strict=True):
+        image, state = method.denoise(gbuffer, one(radiance), state)
         images.append(image)
     return images
 
@@ -91,10 +91,10 @@ def test_every_frame_equals_its_twin_in_loops(variant):
         config.sigma_light,
     )
     frames = [frame(index) for index in range(FRAMES)]
-    found = run(method, [f.view for f in frames], [f.radiance for f in frames])
+    found = run(method, [f.gbuffer for f in frames], [f.radiance for f in frames])
     memory = None
     for each, image in zip(frames, found, strict=True):
-        expected, memory = twin.svgf(each.noisy, each.arrays, memory, *numbers)
+        expected, memory = wavelet_twins.svgf(each.noisy, each.arrays, memory, *numbers)
         # cosines in float32 to the power 128, and variance as a difference of squares
         np.testing.assert_allclose(image[0].permute(1, 2, 0), expected, rtol=1e-3, atol=1e-4)
 
@@ -103,9 +103,9 @@ def test_every_frame_equals_its_twin_in_loops(variant):
 def test_constant_irradiance_stays_as_it_is(variant):
     """Whatever the texture, the shapes and the motion."""
     frames = [frame(index) for index in range(FRAMES)]
-    lit = [3 * reflectance(f.view.albedo) for f in frames]
+    lit = [3 * reflectance(f.gbuffer.albedo) for f in frames]
     for image, expected in zip(
-        run(build(variant, CPU, None), [f.view for f in frames], lit), lit, strict=True
+        run(build(variant, CPU, None), [f.gbuffer for f in frames], lit), lit, strict=True
     ):
         torch.testing.assert_close(image, expected, rtol=1e-5, atol=1e-6)  # float32 sums
 
@@ -113,34 +113,39 @@ def test_constant_irradiance_stays_as_it_is(variant):
 @pytest.mark.parametrize("step", [1, 2, 4, 8, 16])
 def test_a_pass_without_edges_cuts_the_variance_of_noise_to_7_percent(step):
     side = 4 * step + 3
-    flat = Flat(1, side, side, margin=2 * step)
+    flat = PaddedRows(1, side, side, margin=2 * step)
     flatland = {"normal": (0.0, 0.0, 1.0), "depth": (0.0,), "decay": (0.0,)}
     edges = Edges(
         **{
-            k: flat.lay(torch.tensor(v).view(1, -1, 1, 1).expand(1, -1, side, side))
+            k: flat.pack(torch.tensor(v).view(1, -1, 1, 1).expand(1, -1, side, side))
             for k, v in flatland.items()
         }
     )
-    zero, ones = torch.zeros_like(edges.depth), flat.lay(torch.ones(1, 1, side, side))
-    sums = spread(flat, holes(step), edges, (zero, zero), ones, ones)
-    middle = flat.lift(sums.variance / sums.weight.square())[0, 0, side // 2, side // 2]
+    zero, ones = torch.zeros_like(edges.depth), flat.pack(torch.ones(1, 1, side, side))
+    sums = atrous_pass(flat, atrous_taps(step), edges, (zero, zero), ones, ones)
+    middle = flat.unpack(sums.variance / sums.weight.square())[0, 0, side // 2, side // 2]
     assert float(middle) == pytest.approx((70 / 256) ** 2, rel=1e-6)
 
 
 def test_a_pass_without_edges_is_the_spline():
     """Against a dilated convolution, away from the border."""
-    flat = Flat(2, 15, 17, margin=4)
+    flat = PaddedRows(2, 15, 17, margin=4)
     image = noise(2, 3, 15, 17)
     even = torch.zeros(2, 3, 15, 17)
     even[:, 2] = 1
-    zero = flat.lay(torch.zeros(2, 1, 15, 17))
-    sums = spread(
-        flat, holes(2), Edges(flat.lay(even), zero, zero), (zero, zero), flat.lay(image), zero
+    zero = flat.pack(torch.zeros(2, 1, 15, 17))
+    sums = atrous_pass(
+        flat,
+        atrous_taps(2),
+        Edges(flat.pack(even), zero, zero),
+        (zero, zero),
+        flat.pack(image),
+        zero,
     )
     kernel = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
     kernel = (kernel[:, None] * kernel).expand(3, 1, 5, 5)
     expected = torch.nn.functional.conv2d(image, kernel, dilation=2, groups=3)
-    found = flat.lift(sums.values / sums.weight)[..., 4:-4, 4:-4]
+    found = flat.unpack(sums.values / sums.weight)[..., 4:-4, 4:-4]
     torch.testing.assert_close(found, expected)
 
 
@@ -163,13 +168,13 @@ def test_a_pan_over_whole_pixels_averages_what_stays_in_view():
     light = [wall[..., speed * i : speed * i + 12] * (1 + i) for i in range(4)]
     motion = torch.zeros(1, 2, 8, 12)
     motion[:, 0] = speed
-    view, flat = plain(8, 12, motion), Flat(1, 8, 12, margin=32)
+    gbuffer, flat = plain(8, 12, motion), PaddedRows(1, 8, 12, margin=32)
     past = build("", CPU, None).start(Size(1, 8, 12))
     for each in light:
-        found = find(flat, past, view.motion, view.depth, view.normal)
+        found = reproject_history(flat, past, gbuffer.motion, gbuffer.depth, gbuffer.normal)
         mean = accumulate(each, torch.tensor(True), found, (0.2, 0.2))
-        rows = flat.lay(torch.cat((mean.light, mean.moments, mean.length), 1))
-        past = Past(rows, flat.lay(view.depth), flat.lay(view.normal))
+        rows = flat.pack(torch.cat((mean.light, mean.moments, mean.length), 1))
+        past = History(rows, flat.pack(gbuffer.depth), flat.pack(gbuffer.normal))
     expected = wall[..., 6:12] * (1 + 2 + 3 + 4) / 4
     torch.testing.assert_close(mean.light[..., :6], expected)
     # the last column was further outside than a 3 x 3 box around it reaches
@@ -183,7 +188,7 @@ def test_no_bilinear_tap_is_taken_from_another_surface():
     past, flat = _remembered(depth)
     motion = torch.full((1, 2, 4, 8), 0.0)
     motion[:, 0] = 0.5
-    found = find(flat, past, motion, depth, plain(4, 8).normal)
+    found = reproject_history(flat, past, motion, depth, plain(4, 8).normal)
     # column 3 lies between columns 3 (kept) and 4 (another surface); column 1 between 1 and 2
     assert found[0, 0, 0, [1, 3]].tolist() == [1.5, 3]
 
@@ -193,24 +198,24 @@ def test_no_bilinear_tap_is_taken_from_another_surface():
 )
 def test_what_was_hidden_is_not_found(buffer, value):
     past, flat = _remembered(torch.full((1, 1, 4, 8), 5.0))
-    view = plain(
+    gbuffer = plain(
         4, 8, torch.zeros(1, 2, 4, 8), **{buffer: torch.full_like(plain(4, 8).extra(buffer), value)}
     )
-    found = find(flat, past, view.motion, view.depth, view.normal)
+    found = reproject_history(flat, past, gbuffer.motion, gbuffer.depth, gbuffer.normal)
     assert (found == 0).all()
 
 
 @pytest.mark.parametrize("away", [-1e30, -100.0, 100.0, 1e30, float("nan"), float("inf")])
 def test_motion_that_leads_outside_finds_nothing(away):
     past, flat = _remembered(torch.full((1, 1, 4, 8), 5.0))
-    view = plain(4, 8, torch.full((1, 2, 4, 8), away))
-    assert (find(flat, past, view.motion, view.depth, view.normal) == 0).all()
+    gbuffer = plain(4, 8, torch.full((1, 2, 4, 8), away))
+    assert (reproject_history(flat, past, gbuffer.motion, gbuffer.depth, gbuffer.normal) == 0).all()
 
 
 def test_background_and_lamps_pass_through():
     moving = frame(0)
-    (image,) = run(build("", CPU, None), [moving.view], [moving.radiance])
-    through = (moving.view.albedo == 0).all(1, keepdim=True).expand_as(image)
+    (image,) = run(build("", CPU, None), [moving.gbuffer], [moving.radiance])
+    through = (moving.gbuffer.albedo == 0).all(1, keepdim=True).expand_as(image)
     assert through.any()
     assert torch.equal(image[through], moving.radiance[through])
 
@@ -226,10 +231,10 @@ def test_one_broken_pixel_keeps_its_history_and_spoils_nothing(bad):
     torch.testing.assert_close(found[2], expected)
 
 
-def _remembered(depth: Tensor) -> tuple[Past, Flat]:
+def _remembered(depth: Tensor) -> tuple[History, PaddedRows]:
     """A history of length 1 whose colours tell the column, on a wall at `depth`."""
     h, w = depth.shape[2:]
-    flat = Flat(1, h, w, margin=8)
+    flat = PaddedRows(1, h, w, margin=8)
     columns = torch.arange(w).float().expand(1, 5, h, w)
     mean = torch.cat((columns, torch.ones_like(depth)), 1)
-    return Past(flat.lay(mean), flat.lay(depth), flat.lay(plain(h, w).normal)), flat
+    return History(flat.pack(mean), flat.pack(depth), flat.pack(plain(h, w).normal)), flat

@@ -13,11 +13,11 @@ from torch.nn import functional as F
 
 from baselines.oidn import method, tza
 from baselines.oidn.method import INPUTS, VARIANTS, Oidn, build
-from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Samples, Size
 from rlbench.ops.unet import UNet
-from rlbench.run import Shown, run_clip
+from rlbench.run import FrameResult, run_clip
 from rlbench.weights import load_into
 
 CPU = torch.device("cpu")
@@ -38,25 +38,25 @@ single = pytest.mark.skipif(
 
 
 @cache
-def noisy(size: Size = EVEN) -> MemoryClip:
+def noisy(size: Size = EVEN) -> InMemoryClip:
     return procedural(3, size, frames=1)
 
 
-def ours(made: Oidn, size: Size = EVEN) -> Shown:
+def ours(made: Oidn, size: Size = EVEN) -> FrameResult:
     (shown,) = run_clip(made, noisy(size), 2.0)
     assert shown.image.std() > 0.1  # there is something to compare
     return shown
 
 
-def intels(shown: Shown, quality: str = "high", weights: bytes = b"") -> torch.Tensor:
+def intels(shown: FrameResult, quality: str = "high", weights: bytes = b"") -> torch.Tensor:
     """What Intel's library makes of the same mean, albedo and normal."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
     from baselines.oidn_intel.library import Filter, Settings
 
     _, _, h, w = shown.image.shape
     run = Filter(Settings(quality, weights=weights), h, w, threads=1)
-    view = shown.frame.view
-    return run(shown.samples.mean[0], view.albedo[0], view.normal[0]).unsqueeze(0)
+    gbuffer = shown.frame.gbuffer
+    return run(shown.samples.mean[0], gbuffer.albedo[0], gbuffer.normal[0]).unsqueeze(0)
 
 
 def numbers(tensors: dict[str, np.ndarray]) -> int:
@@ -82,9 +82,9 @@ def test_black_tiles_and_glaring_lamps_are_exposed_as_intel_does(gain):
     radiance[..., 40:44, 60:64] = 60 * gain
     counts = torch.full((1, 1, EVEN.h, EVEN.w), 2)
     (frame,), samples = noisy().frames, Samples(radiance, counts)
-    image, _ = build("", CPU, None).denoise(frame.view, samples, None)
+    image, _ = build("", CPU, None).denoise(frame.gbuffer, samples, None)
     assert image.max() > 20 * gain
-    found = intels(Shown(frame, samples, image), "high", tza.export(SHIPPED))
+    found = intels(FrameResult(frame, samples, image), "high", tza.export(SHIPPED))
     torch.testing.assert_close(found / gain, image / gain, **CLOSE)
 
 

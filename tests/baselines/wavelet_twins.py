@@ -28,9 +28,9 @@ def area_albedo(albedo):
     return np.clip(divisor, 1e-3, 1)
 
 
-def svgf(noisy, view, memory, alpha=0.2, alpha_moments=0.2, passes=5, feedback=0, sigma=4.0):
+def svgf(noisy, gbuffer, memory, alpha=0.2, alpha_moments=0.2, passes=5, feedback=0, sigma=4.0):
     """Image and memory of one frame; `memory` is None before the first."""
-    albedo, normal, depth, motion = view
+    albedo, normal, depth, motion = gbuffer
     h, w = depth.shape
     solid = np.isfinite(depth) & (albedo.max(-1) > 0)
     divisor = area_albedo(albedo)
@@ -70,9 +70,9 @@ def svgf(noisy, view, memory, alpha=0.2, alpha_moments=0.2, passes=5, feedback=0
     return image, (remembered, moments, length, depth, normal)
 
 
-def eaw(noisy, view, phi_light, phi_normal, phi_depth, passes=5):
+def eaw(noisy, gbuffer, phi_light, phi_normal, phi_depth, passes=5):
     """One frame; the widths are those of the first pass."""
-    albedo, normal, depth, _ = view
+    albedo, normal, depth, _ = gbuffer
     h, w = depth.shape
     solid = np.isfinite(depth) & (albedo.max(-1) > 0)
     divisor = area_albedo(albedo)

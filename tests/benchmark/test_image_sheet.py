@@ -10,27 +10,34 @@ import torch
 from matplotlib.image import imread
 
 from metrics.display import display as of_the_metrics
-from rlbench.benchmark import results as table
-from rlbench.benchmark.clip_sources import Stored
-from rlbench.benchmark.image_sheet import BROKEN, ImagesError, display, picture, reached, write
-from rlbench.benchmark.run_plan import Request
+from rlbench import registry
+from rlbench.benchmark import results
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.image_sheet import (
+    NONFINITE_COLOUR,
+    ImagesError,
+    display,
+    frame_at,
+    picture,
+    write,
+)
+from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure
 from rlbench.clips.exr import read_exr
 from rlbench.clips.stored import open_clip
-from rlbench.registry import lookup as registry
 from rlbench.run import run_clip
 from tests.conftest import write_noise, write_plugin
 
 
 def request(folder, *methods, spp=(1.0,)):
-    return Request(methods, (Stored(folder),), spp)
+    return RunPlan(methods, (StoredSource(folder),), spp)
 
 
 def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
     (sheet,) = write(request(clip_folder, "mean"), 1, tmp_path)
     assert sheet.file == tmp_path / "noise-1spp-01.png"
     assert imread(sheet.file).std() > 0
-    shown = reached(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 1)
+    shown = frame_at(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 1)
     for name, image in (("mean", shown.image), ("reference", shown.frame.reference.mean)):
         h, w = image.shape[-2:]
         stored = read_exr(tmp_path / "noise-1spp-01" / f"{name}.exr", "RGB", h, w)
@@ -42,15 +49,15 @@ def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
 
 def test_the_score_on_a_sheet_is_that_of_the_bench(clip_folder, tmp_path):
     measure(request(clip_folder, "mean"), tmp_path)
-    rows = table.read(tmp_path)
+    rows = results.read(tmp_path)
     score = rows[(rows["metric"] == "psnr") & (rows["frame"] == 2)]["value"].item()
-    shown = reached(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 2)
+    shown = frame_at(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 2)
     assert picture("mean", shown).psnr == pytest.approx(score, abs=1e-9)
 
 
 def test_a_budget_and_a_clip_have_a_sheet_each_by_default_of_the_last_frame(tmp_path):
-    clips = tuple(Stored(write_noise(tmp_path / name)) for name in ("attic", "foyer"))
-    sheets = list(write(Request(("mean", "eaw"), clips, (0.5, 2.0)), -1, tmp_path / "o"))
+    clips = tuple(StoredSource(write_noise(tmp_path / name)) for name in ("attic", "foyer"))
+    sheets = list(write(RunPlan(("mean", "eaw"), clips, (0.5, 2.0)), -1, tmp_path / "o"))
     names = [f"{clip}-{spp}spp-02.png" for clip in ("attic", "foyer") for spp in (0.5, 2)]
     assert [sheet.file.name for sheet in sheets] == names
     assert (
@@ -59,12 +66,12 @@ def test_a_budget_and_a_clip_have_a_sheet_each_by_default_of_the_last_frame(tmp_
 
 
 def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_path):
-    shown = reached(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 0)
+    shown = frame_at(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 0)
     image = shown.image.clone()
     image[0, 1, 3, 4], image[0, 2, 5, 6] = torch.nan, torch.inf
     broken = picture("mean", replace(shown, image=image))
     assert broken.broken == 2
-    magenta = (display(broken.radiance) == BROKEN).all(-1)
+    magenta = (display(broken.radiance) == NONFINITE_COLOUR).all(-1)
     assert np.argwhere(magenta).tolist() == [[3, 4], [5, 6]]
 
 
@@ -93,7 +100,7 @@ def test_a_frame_that_is_not_there_is_told(clip_folder, tmp_path, frame):
 
 def test_where_samples_went_is_shown_of_a_method_that_adapts(clip_folder, tmp_path):
     body = "return samples.mean, None"
-    plugin = write_plugin(tmp_path / "left.py", "left", traits="adapts=True", body=body)
+    plugin = write_plugin(tmp_path / "left.py", "left", traits="adaptive=True", body=body)
     code = plugin.read_text().replace(
         "return torch.ones_like(samples.counts, dtype=torch.float32)",
         "return (torch.arange(samples.counts.shape[-1]) < 4).float().expand(samples.counts.shape)",

@@ -36,11 +36,11 @@ class Sleepy:
     def start(self, size):
         return 0
 
-    def plan(self, view, samples, state):
+    def plan(self, gbuffer, samples, state):
         time.sleep(self.plan_s)
         return torch.ones_like(samples.counts, dtype=torch.float32)
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         time.sleep(self.denoise_s + (self.first_s if len(self.seen) < WARM_UP else 0))
         self.seen.append(state)
         return samples.mean, state + 1

@@ -19,7 +19,7 @@ from rlbench.benchmark.regression import (
     measured,
     update,
 )
-from rlbench.benchmark.results import Row, frame_of
+from rlbench.benchmark.results import Row, to_dataframe
 
 
 def rows(psnr, method="ours", scene="city", spp=2.0):
@@ -49,26 +49,26 @@ def verdicts(outcome):
     ],
 )
 def test_a_result_may_fall_by_the_tolerance_and_no_more(found, verdict, passed):
-    outcome = compare(frame_of(rows(found)), baseline())
+    outcome = compare(to_dataframe(rows(found)), baseline())
     assert (outcome.changes[0].verdict, outcome.passed) == (verdict, passed)
 
 
 def test_an_entry_may_have_a_tolerance_of_its_own():
-    assert compare(frame_of(rows(29.8)), baseline(tolerance_db=0.2)).passed
+    assert compare(to_dataframe(rows(29.8)), baseline(tolerance_db=0.2)).passed
 
 
 def test_a_tolerance_of_zero_is_not_the_default():
-    assert not compare(frame_of(rows(29.99)), baseline(tolerance_db=0.0)).passed
+    assert not compare(to_dataframe(rows(29.99)), baseline(tolerance_db=0.0)).passed
 
 
 def test_a_missing_entry_fails():
-    outcome = compare(frame_of(rows(30.0, scene="hall")), baseline())
+    outcome = compare(to_dataframe(rows(30.0, scene="hall")), baseline())
     assert verdicts(outcome) == {("ours", "city", 2.0): "missing", ("ours", "hall", 2.0): "new"}
     assert not outcome.passed
 
 
 def test_a_missing_entry_of_a_subset_is_skipped():
-    table = frame_of(rows(30.0))
+    table = to_dataframe(rows(30.0))
     written = replace(baseline(), entries=(*baseline().entries, Entry("ours", "hall", 2.0, 30.0)))
     outcome = compare(table, written, subset=True)
     assert verdicts(outcome)["ours", "hall", 2.0] == "skipped"
@@ -76,13 +76,13 @@ def test_a_missing_entry_of_a_subset_is_skipped():
 
 
 def test_a_method_without_any_result_is_missing_even_in_a_subset():
-    outcome = compare(frame_of(rows(12.0, method="mean")), baseline(), subset=True)
+    outcome = compare(to_dataframe(rows(12.0, method="mean")), baseline(), subset=True)
     assert verdicts(outcome)["ours", "city", 2.0] == "missing"
     assert not outcome.passed
 
 
 def test_results_without_entries_are_no_comparison():
-    outcome = compare(frame_of(rows(30.0, scene="hall")), Baseline("mini"))
+    outcome = compare(to_dataframe(rows(30.0, scene="hall")), Baseline("mini"))
     assert "FAILED: nothing was compared, 1 new" in outcome.text()
 
 
@@ -90,38 +90,38 @@ def test_results_of_several_devices_are_not_averaged():
     other = [replace(row, device="a GPU", value=row.value + 9) for row in rows(20.0)]
     ours = [replace(row, device="a CPU") for row in rows(30.0)]
     with pytest.raises(BaselineError, match="2 devices .a CPU, a GPU."):
-        compare(frame_of(ours + other), baseline())
+        compare(to_dataframe(ours + other), baseline())
 
 
 def test_an_entry_is_not_dropped_from_a_baseline_because_its_method_crashed(tmp_path):
-    update(frame_of(rows(30.0)), tmp_path / "b.json")
+    update(to_dataframe(rows(30.0)), tmp_path / "b.json")
     crashed = replace(rows(0.0)[0], frame=-1, value=math.nan, note="RuntimeError: ...")
     with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
-        update(frame_of([crashed, *rows(12.0, method="mean")]), tmp_path / "b.json")
+        update(to_dataframe([crashed, *rows(12.0, method="mean")]), tmp_path / "b.json")
 
 
 @pytest.mark.parametrize("entries", [baseline(), Baseline()])
 def test_nothing_compared_is_not_passed(entries):
-    outcome = compare(frame_of(rows(30.0)).iloc[:0], entries, subset=True)
+    outcome = compare(to_dataframe(rows(30.0)).iloc[:0], entries, subset=True)
     assert not outcome.passed
     assert "nothing was compared" in outcome.text()
 
 
 def test_a_result_without_value_is_missing_even_in_a_subset():
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
-    outcome = compare(frame_of([*rows(30.0), hole]), baseline(), subset=True)
+    outcome = compare(to_dataframe([*rows(30.0), hole]), baseline(), subset=True)
     assert not outcome.passed
 
 
 def test_a_new_result_does_not_fail():
-    table = frame_of(rows(30.0) + rows(12.0, method="ntas"))
+    table = to_dataframe(rows(30.0) + rows(12.0, method="ntas"))
     outcome = compare(table, baseline())
     assert verdicts(outcome)["ntas", "city", 2.0] == "new"
     assert outcome.passed
 
 
 def test_the_text_says_what_fell_by_how_much_and_what_was_allowed():
-    table = frame_of(rows(29.0) + rows(12.0, method="ntas"))
+    table = to_dataframe(rows(29.0) + rows(12.0, method="ntas"))
     text = compare(table, baseline()).text()
     worse = next(line for line in text.splitlines() if "WORSE" in line)
     assert worse.split() == ["WORSE", "ours", "city", "2", "30.000", "29.000", "-1.000", "-0.050"]
@@ -129,19 +129,21 @@ def test_the_text_says_what_fell_by_how_much_and_what_was_allowed():
 
 
 def test_the_text_of_equal_results_is_one_line():
-    assert compare(frame_of(rows(30.0)), baseline()).text() == "passed: 1 same"
+    assert compare(to_dataframe(rows(30.0)), baseline()).text() == "passed: 1 same"
 
 
 def test_results_of_another_preset_are_no_regression_and_no_success():
     other = [replace(row, preset="standard") for row in rows(30.0)]
     with pytest.raises(BaselineError, match="of preset standard, the baseline of mini"):
-        compare(frame_of(other), baseline())
+        compare(to_dataframe(other), baseline())
     with pytest.raises(BaselineError, match="2 presets"):
-        compare(frame_of([*rows(30.0), *other]), baseline())
+        compare(to_dataframe([*rows(30.0), *other]), baseline())
 
 
 def test_columns_of_the_text_line_up():
-    table = frame_of(rows(29.0) + rows(9.0, method="a-much-longer/name", scene="temple", spp=0.25))
+    table = to_dataframe(
+        rows(29.0) + rows(9.0, method="a-much-longer/name", scene="temple", spp=0.25)
+    )
     head, first, second, _ = compare(table, baseline()).text().splitlines()
     assert len(head) == len(first) == len(second)
     assert head.index("scene") == first.index("city") == second.index("temple")
@@ -149,11 +151,11 @@ def test_columns_of_the_text_line_up():
 
 def test_the_mean_is_over_frames_and_clips():
     more = [replace(row, clip="city-1", value=row.value + 4) for row in rows(30.0)]
-    assert measured(frame_of(rows(30.0) + more)) == {("ours", "city", 2.0): 32.0}
+    assert measured(to_dataframe(rows(30.0) + more)) == {("ours", "city", 2.0): 32.0}
 
 
 def test_a_rewritten_baseline_equals_its_results(tmp_path):
-    table = frame_of(rows(30.123456) + rows(12.0, method="ntas"))
+    table = to_dataframe(rows(30.123456) + rows(12.0, method="ntas"))
     written = update(table, tmp_path / "b.json")
     assert load(tmp_path / "b.json") == written
     assert compare(table, written).text() == "passed: 2 same"
@@ -161,26 +163,26 @@ def test_a_rewritten_baseline_equals_its_results(tmp_path):
 
 def test_a_rewritten_baseline_keeps_tolerances_and_command(tmp_path):
     path = tmp_path / "b.json"
-    update(frame_of(rows(30.0)), path)
+    update(to_dataframe(rows(30.0)), path)
     content = json.loads(path.read_text())
     content["command"] = "rlbench run"
     content["tolerance_db"] = 0.1
     content["entries"][0]["tolerance_db"] = 0.3
     path.write_text(json.dumps(content))
     entry = Entry("ours", "city", 2.0, 31.0, 0.3)
-    assert update(frame_of(rows(31.0)), path) == Baseline("mini", "rlbench run", 0.1, (entry,))
+    assert update(to_dataframe(rows(31.0)), path) == Baseline("mini", "rlbench run", 0.1, (entry,))
 
 
 def test_a_refused_budget_is_left_out_of_a_rewritten_baseline(tmp_path):
     refused = replace(rows(0.0, spp=0.5)[0], frame=-1, value=math.nan, note="supports 1 to 8 spp")
-    table = frame_of([*rows(31.0), refused])
+    table = to_dataframe([*rows(31.0), refused])
     written = update(table, tmp_path / "b.json")
     assert [entry.spp for entry in written.entries] == [2.0]
     assert compare(table, written).passed
 
 
 def test_the_file_has_one_line_an_entry(tmp_path):
-    update(frame_of(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
+    update(to_dataframe(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
     lines = (tmp_path / "b.json").read_text().splitlines()
     assert sum('"method"' in line for line in lines) == 2
 
@@ -188,7 +190,7 @@ def test_the_file_has_one_line_an_entry(tmp_path):
 def test_a_result_without_value_cannot_be_a_baseline(tmp_path):
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
     with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
-        update(frame_of([hole]), tmp_path / "b.json")
+        update(to_dataframe([hole]), tmp_path / "b.json")
 
 
 @pytest.mark.parametrize(
@@ -214,7 +216,7 @@ def test_a_baseline_that_is_not_there_says_how_to_make_it(tmp_path):
 def test_an_entry_twice_is_refused():
     twice = replace(baseline(), entries=baseline().entries * 2)
     with pytest.raises(BaselineError, match="two entries"):
-        compare(frame_of(rows(30.0)), twice)
+        compare(to_dataframe(rows(30.0)), twice)
 
 
 def test_the_gate_does_not_import_torch():

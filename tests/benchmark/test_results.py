@@ -18,9 +18,9 @@ from rlbench.benchmark.results import (
     TableError,
     cells,
     drop_cell,
-    frame_of,
     read,
-    whose,
+    select_methods,
+    to_dataframe,
     write_cell,
 )
 
@@ -135,7 +135,7 @@ def test_rows_with_a_silent_hole_are_refused(tmp_path, rows, says):
 
 def test_frame_of_is_what_read_gives(tmp_path):
     write_cell(tmp_path, "a", [ROW, MISSING])
-    pd.testing.assert_frame_equal(frame_of([ROW, MISSING]), read(tmp_path))
+    pd.testing.assert_frame_equal(to_dataframe([ROW, MISSING]), read(tmp_path))
 
 
 def test_the_table_does_not_import_torch():
@@ -155,4 +155,4 @@ def test_the_table_does_not_import_torch():
 )
 def test_rows_of_named_weights_belong_to_their_method(names, found):
     rows = pd.DataFrame({"method": ["ours", "ours@seed0", "ours@seed1", "ours/A2", "ntas"]})
-    assert list(rows[whose(rows, names)]["method"]) == found
+    assert list(rows[select_methods(rows, names)]["method"]) == found

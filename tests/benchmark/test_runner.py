@@ -14,22 +14,22 @@ import pytest
 import torch
 
 from reports.analysis.aggregate import points
+from rlbench import registry
 from rlbench.benchmark import results as table
-from rlbench.benchmark.cell_ids import Names
-from rlbench.benchmark.clip_sources import Stored, affordable
-from rlbench.benchmark.run_plan import CellsError, Request, cells
-from rlbench.benchmark.runner import Done, measure
+from rlbench.benchmark.cell_ids import CellIds
+from rlbench.benchmark.clip_sources import StoredSource, max_samples_needed
+from rlbench.benchmark.run_plan import CellsError, RunPlan, cells
+from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.clips.stored import open_clip
-from rlbench.registry import lookup as registry
 from rlbench.system import code_hash, provenance
 from tests.conftest import write_noise, write_plugin
 
 MS = "_ms"  # end of the names of times, which no two runs share
 
 
-def request(folder: Path, *methods: str, **asked: object) -> Request:
-    return Request(
-        methods or ("mean",), (Stored(folder),), **{"spp": (1.0,), "repeats": 2, **asked}
+def request(folder: Path, *methods: str, **asked: object) -> RunPlan:
+    return RunPlan(
+        methods or ("mean",), (StoredSource(folder),), **{"spp": (1.0,), "repeats": 2, **asked}
     )
 
 
@@ -46,7 +46,7 @@ def reasons(results: Path) -> list[str]:
 
 def test_every_frame_has_a_row_of_every_metric(tmp_path):
     folder = write_noise(tmp_path / "large", h=176, w=176, frames=2)  # MS-SSIM needs 161
-    assert measure(request(folder), tmp_path / "r") == Done(measured=1)
+    assert measure(request(folder), tmp_path / "r") == RunSummary(measured=1)
     rows = table.read(tmp_path / "r")
     found = set(zip(rows["frame"], rows["metric"], strict=True))
     assert {(f, m) for f, m in found if f >= 0} == {
@@ -87,7 +87,7 @@ def test_the_report_has_the_total_of_the_table(clip_folder, tmp_path):
 def test_a_second_run_measures_nothing(clip_folder, tmp_path):
     measure(request(clip_folder), tmp_path / "r")
     before = _files(tmp_path / "r")
-    assert measure(request(clip_folder), tmp_path / "r") == Done(known=1)
+    assert measure(request(clip_folder), tmp_path / "r") == RunSummary(cached=1)
     assert _files(tmp_path / "r") == before
 
 
@@ -109,7 +109,7 @@ def test_a_run_that_was_cut_short_ends_as_an_undisturbed_one(clip_folder, tmp_pa
 
     with pytest.raises(CutError):
         measure(asked, tmp_path / "r", cut)
-    assert measure(asked, tmp_path / "r") == Done(measured=1, known=2)
+    assert measure(asked, tmp_path / "r") == RunSummary(measured=1, cached=2)
     measure(asked, tmp_path / "undisturbed")
     assert scores(tmp_path / "r") == scores(tmp_path / "undisturbed")
 
@@ -125,7 +125,7 @@ def test_what_else_is_measured_does_not_change_a_cell(clip_folder, tmp_path):
 )
 def test_another_request_is_another_cell(clip_folder, tmp_path, asked):
     measure(request(clip_folder), tmp_path / "r")
-    assert measure(request(clip_folder, **asked), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, **asked), tmp_path / "r") == RunSummary(measured=1)
 
 
 def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
@@ -133,7 +133,7 @@ def test_changed_code_replaces_the_older_rows(clip_folder, tmp_path):
     registry.use_plugin(plugin)
     measure(request(clip_folder, "grey"), tmp_path / "r")
     write_plugin(plugin, "grey", gain=0.5)
-    assert measure(request(clip_folder, "grey"), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, "grey"), tmp_path / "r") == RunSummary(measured=1)
     assert len(table.cells(tmp_path / "r")) == 1
 
 
@@ -148,10 +148,10 @@ def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monk
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv(registry.VARIABLE, "far=faraway.method:FAMILY")
 
-    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(measured=1)
-    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(known=1)
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == RunSummary(measured=1)
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == RunSummary(cached=1)
     (package / "net.py").write_text("WIDTH = 9\n")
-    assert measure(request(clip_folder, "far"), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, "far"), tmp_path / "r") == RunSummary(measured=1)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_a_cell_that_cannot_run_is_one_row_that_says_why(tmp_path, plugin, heade
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", **plugin))
     folder = write_noise(tmp_path / "clip", **header)
     done = measure(request(folder, "odd", spp=(spp,), cost="paper-2080ti"), tmp_path / "r")
-    assert done == (Done(refused=1) if reason else Done(measured=1))
+    assert done == (RunSummary(skipped=1) if reason else RunSummary(measured=1))
     default = "the profile's default, as it has no 'noise'"
     assert reasons(tmp_path / "r") == [reason or default]
     if reason:
@@ -210,7 +210,9 @@ def test_a_clip_in_which_nothing_is_moved_is_timed_by_itself(tmp_path):
     for name, second in (("one", {}), ("two", {"static": True}), ("short", {"frames": 1})):
         seen.unlink(missing_ok=True)
         clips = [write_noise(tmp_path / name / "a"), write_noise(tmp_path / name / "b", **second)]
-        measure(Request(("odd",), tuple(map(Stored, clips)), (1.0,), repeats=5), tmp_path / name)
+        measure(
+            RunPlan(("odd",), tuple(map(StoredSource, clips)), (1.0,), repeats=5), tmp_path / name
+        )
         frames.append(len(seen.read_text().splitlines()))
     # scored, and timed after 2 frames of warm-up
     assert frames == [2 * 3 + 7, 2 * (3 + 7), 3 + 7 + 1 + 7]
@@ -223,7 +225,7 @@ def test_a_method_whose_code_is_not_there_does_not_stop_the_others(clip_folder, 
     plugin.write_text(text.replace("learned=False", f"learned={learned}"))
     registry.use_plugin(plugin)
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == Done(measured=1, refused=1)
+    assert done == RunSummary(measured=1, skipped=1)
     assert "ModuleNotFoundError: No module named 'nowhere'" in reasons(tmp_path / "r")
 
 
@@ -238,7 +240,7 @@ def packaged(path: Path, package: str) -> Path:
 def test_a_package_that_is_not_installed_is_a_reason_with_what_to_do(clip_folder, tmp_path):
     registry.use_plugin(packaged(tmp_path / "odd.py", "nowhere-at-all"))
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == Done(measured=1, refused=1)
+    assert done == RunSummary(measured=1, skipped=1)
     reason = (
         "PluginError: 'odd' needs nowhere-at-all, which is not here: pip install nowhere-at-all"
     )
@@ -249,38 +251,40 @@ def test_another_version_of_a_package_that_makes_the_images_is_measured_anew(
     clip_folder, tmp_path, monkeypatch
 ):
     registry.use_plugin(packaged(tmp_path / "odd.py", "numpy"))
-    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1)
-    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(known=1)
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == RunSummary(measured=1)
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == RunSummary(cached=1)
     monkeypatch.setattr(importlib.metadata, "version", lambda name: f"99.{len(name)}")
-    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1, replaced=1)
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == RunSummary(
+        measured=1, replaced=1
+    )
     assert set(table.read(tmp_path / "r").weights) == {"numpy 99.5"}
 
 
 def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == Done(measured=1, refused=1)
+    assert done == RunSummary(measured=1, skipped=1)
 
 
 def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
     body = f"open({str(tmp_path / 'there')!r}); return samples.mean, None"
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     for _ in range(2):
-        assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(refused=1)
+        assert measure(request(clip_folder, "odd"), tmp_path / "r") == RunSummary(skipped=1)
     (tmp_path / "there").touch()
-    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(measured=1)
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == RunSummary(measured=1)
     assert len(table.cells(tmp_path / "r")) == 1
 
 
 def test_a_budget_that_a_method_does_not_support_is_not_tried_again(clip_folder, tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", traits="spp=(2.0, 4.0)"))
     measure(request(clip_folder, "odd"), tmp_path / "r")
-    assert measure(request(clip_folder, "odd"), tmp_path / "r") == Done(known=1)
+    assert measure(request(clip_folder, "odd"), tmp_path / "r") == RunSummary(cached=1)
 
 
 def test_two_clips_of_one_name_are_refused(tmp_path):
     folders = [write_noise(tmp_path / place / "same") for place in ("a", "b")]
-    twins = Request(("mean",), tuple(map(Stored, folders)), spp=(1.0,))
+    twins = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,))
     with pytest.raises(CellsError, match="2 of the clips given are called 'same'"):
         measure(twins, tmp_path / "r")
 
@@ -311,12 +315,12 @@ def test_cells_are_the_whole_grid(clip_folder):
     ],
 )
 def test_only_samples_that_can_be_bought_are_read(adapts, cap, spp, slots):
-    traits = replace(registry.variant("mean").traits, adapts=adapts, cap=cap)
-    assert affordable(traits, spp, 8) == slots
+    traits = replace(registry.variant("mean").traits, adaptive=adapts, max_samples=cap)
+    assert max_samples_needed(traits, spp, 8) == slots
 
 
 def test_fewer_samples_read_are_the_same_samples(clip_folder):
-    few, all_ = (next(iter(open_clip(clip_folder, slots=n))).pool.radiance for n in (3, 8))
+    few, all_ = (next(iter(open_clip(clip_folder, max_samples=n))).pool.radiance for n in (3, 8))
     assert torch.equal(few, all_[:, :3])
 
 
@@ -329,14 +333,14 @@ def test_named_weights_are_a_row_of_their_own_and_leave_unlearned_methods_alone(
 
 
 def test_weights_without_a_name_never_replace_scores_of_those_that_ship(clip_folder, tmp_path):
-    shipped = Path(registry.place("methods.ours:FAMILY")).parent / "cards" / "A2.safetensors"
+    shipped = Path(registry.module_file("methods.ours:FAMILY")).parent / "cards" / "A2.safetensors"
     shutil.copy(shipped, tmp_path / "my own.safetensors")
     for weights in (None, "random", str(tmp_path / "my own.safetensors")):
         asked = request(clip_folder, "ours/A2", "mean", weights=weights, frames=1)
         assert measure(asked, tmp_path / "r").replaced == 0
     rows = table.read(tmp_path / "r")
     assert set(rows["method"]) == {"ours/A2", "ours/A2@random", "ours/A2@my-own", "mean"}
-    assert Names(replace(asked, methods=("ours/ppo",))).method("ours/ppo") == "ours/ppo"
+    assert CellIds(replace(asked, methods=("ours/ppo",))).method("ours/ppo") == "ours/ppo"
 
 
 def test_an_older_copy_that_a_kill_has_left_is_removed_by_the_next_run(clip_folder, tmp_path):
@@ -345,7 +349,7 @@ def test_an_older_copy_that_a_kill_has_left_is_removed_by_the_next_run(clip_fold
     (name,) = table.cells(tmp_path / "r")
     rows = [table.Row(**row) for row in table.read(tmp_path / "r").to_dict("records")]
     table.write_cell(tmp_path / "r", name.rpartition(" ")[0] + " 0123456789abcdef", rows)
-    assert measure(asked, tmp_path / "r") == Done(known=1)
+    assert measure(asked, tmp_path / "r") == RunSummary(cached=1)
     assert table.cells(tmp_path / "r") == {name}
 
 
@@ -358,7 +362,7 @@ def test_another_price_of_a_pool_is_another_cell(tmp_path):
         for file in folder.glob("pool.path.*"):
             shutil.copy(file, folder / file.name.replace("path", "restir"))
         asked = request(folder, "restir", "mean", cost="paper-2080ti")
-        found |= {Names(asked).of(cell) for cell in cells(asked)}
+        found |= {CellIds(asked).cell_id(cell) for cell in cells(asked)}
     assert sorted(name.partition(" ")[0] for name in found) == ["mean", "restir", "restir"]
 
 
@@ -370,7 +374,7 @@ def test_what_a_loose_file_imports_decides_its_name(clip_folder, tmp_path, monke
     asked, names = request(clip_folder, "odd", "mean"), []
     for width in (4, 8):
         (tmp_path / "beside_it.py").write_text(f"WIDTH = {width}\n")
-        names.append([Names(asked).of(cell) for cell in cells(asked)])
+        names.append([CellIds(asked).cell_id(cell) for cell in cells(asked)])
     (odd, mean), (changed, same) = names
     assert odd != changed
     assert mean == same
@@ -392,16 +396,16 @@ def test_whatever_a_loose_file_imports_it_has_a_hash(clip_folder, tmp_path, monk
     plugin = write_plugin(tmp_path / "odd.py", "odd")
     plugin.write_text(f"{line}\n{plugin.read_text()}")
     registry.use_plugin(plugin)
-    first = Names(request(clip_folder, "odd")).code["odd"]
+    first = CellIds(request(clip_folder, "odd")).code["odd"]
     (tmp_path / "helpers" / "net.py").write_text("WIDTH = 8")
-    changed = Names(request(clip_folder, "odd")).code["odd"]
+    changed = CellIds(request(clip_folder, "odd")).code["odd"]
     assert len(first) == len(changed) == 16
     assert (first != changed) == ("helpers" in line)
 
 
 @pytest.mark.parametrize("name", ["half", "crossval-3"])
 def test_weights_are_never_called_as_rows_of_another_kind(clip_folder, tmp_path, name):
-    told = Names(request(clip_folder, "ours/A2", weights=f"runs/{name}.safetensors"))
+    told = CellIds(request(clip_folder, "ours/A2", weights=f"runs/{name}.safetensors"))
     assert told.method("ours/A2") == f"ours/A2@weights-{name}"
 
 
@@ -410,9 +414,9 @@ def test_samples_that_another_machine_is_charged_for_are_measured_anew(clip_fold
     for cores in (2, 16):
         here = provenance.Machine("cpu", cores, "gpu", "os")
         monkeypatch.setattr(provenance, "machine", lambda here=here: here)
-        names = Names(asked)
+        names = CellIds(asked)
         monkeypatch.setitem(names.__dict__, "device", "gpu")
-        found |= {names.of(cell) for cell in cells(asked)}
+        found |= {names.cell_id(cell) for cell in cells(asked)}
     assert len(found) == 2
 
 
@@ -475,14 +479,14 @@ def test_a_score_on_a_clip_that_was_trained_on_says_that_it_is_no_test(tmp_path,
 def test_what_ours_is_made_of_decides_its_name(clip_folder, monkeypatch, part):
     asked = request(clip_folder, "ours")
     (cell,) = cells(asked)
-    before, sources = Names(asked).of(cell), code_hash._sources
+    before, sources = CellIds(asked).cell_id(cell), code_hash._sources
 
     def changed(name: str) -> list[tuple[str, Path]]:
         found = sources(name)
         return [(f"{place}, changed", path) for place, path in found] if name == part else found
 
     monkeypatch.setattr(code_hash, "_sources", changed)
-    assert Names(asked).of(cell) != before
+    assert CellIds(asked).cell_id(cell) != before
 
 
 def _files(folder: Path) -> dict[str, int]:

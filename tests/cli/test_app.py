@@ -16,16 +16,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rlbench import errors
+from rlbench import errors, registry
 from rlbench.benchmark import results as table
 from rlbench.benchmark.results import Row
-from rlbench.cli import arguments as asked
-from rlbench.cli import benchmark
+from rlbench.cli import arguments, benchmark
 from rlbench.cli.app import app
-from rlbench.registry import lookup as registry
 from rlbench.render.jobs import preset_clips
 from rlbench.render.presets import PRESETS
-from rlbench.training import dataset as trainset
+from rlbench.training import dataset
 from tests.conftest import write_noise, write_plugin
 
 CHECKOUT = Path(__file__).parents[2]
@@ -176,7 +174,7 @@ def test_what_cannot_be_rendered_is_told(words, told):
     [("0:3", (0, 1, 2)), ("7", (7,)), ("3,1", (3, 1)), ("0:2,9,1:3", (0, 1, 9, 2)), (None, None)],
 )
 def test_seeds_are_ranges_without_their_end_and_lists(text, seeds):
-    assert asked.seeds(text) == seeds
+    assert arguments.seeds(text) == seeds
 
 
 def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
@@ -188,8 +186,8 @@ def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
     rlbench("render", "--preset", "train", "--seeds", "0:48")
-    trainset.generated("train", (30, 31))
-    trainset.generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    dataset.generated("train", (30, 31))
+    dataset.generated("mini", (30, 31))  # generated scenes, as large as those of mini
     whole = tuple(range(48))
     assert wanted == [
         ("train", None, whole),
@@ -213,7 +211,7 @@ def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
         return [Path(plan.name, str(name)) for name in scenes or seeds]
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
-    held = trainset.chosen("standard", None, "hall")
+    held = dataset.chosen("standard", None, "hall")
     assert held.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
     assert held.validate == [Path("train", "0"), Path("train", "14")]
 
@@ -299,7 +297,7 @@ def test_nothing_is_trained_on_what_is_scored(preset):
 def test_no_generated_scene_is_trained_on_that_is_scored():
     told = rlbench("train", "-m", "oidn", "--seeds", "70:82", code=2)
     assert "methods are scored on 80, 81 (preset 'unseen')" in told
-    seeds = {plan.scored: set(plan.seeds) for plan in PRESETS.values() if plan.seeds}
+    seeds = {plan.is_test_set: set(plan.seeds) for plan in PRESETS.values() if plan.seeds}
     assert not seeds[True] & seeds[False]
 
 
@@ -375,7 +373,9 @@ def test_a_baseline_is_not_rewritten_by_a_part(clip_folder, tmp_path):
 
 
 def test_a_pattern_finds_rows_of_variants_that_are_not_shipped(tmp_path):
-    found = table.frame_of([Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in UNSHIPPED])
+    found = table.to_dataframe(
+        [Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in UNSHIPPED]
+    )
     assert set(benchmark.rows(found, ["ours/*"], tmp_path)["method"]) == set(UNSHIPPED)
 
 
@@ -424,7 +424,7 @@ def test_reports_that_can_be_written_are_though_another_cannot(clip_folder, tmp_
 def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
     plugin, out = write_plugin(tmp_path / "grey.py", "grey"), tmp_path / "r"
     rlbench("run", "-m", "grey,mean", "--plugin", plugin, "--clips", clip_folder, "--out", out)
-    registry.forget_plugins()
+    registry.clear_plugins()
     words = ("report", "summary", "--results", out, "--out", tmp_path / "figures")
     rlbench(*words, "-m", "grey")
     assert "| grey |" in (tmp_path / "figures" / "summary.md").read_text()
@@ -458,10 +458,10 @@ def test_a_broken_plugin_is_told_in_one_line(text, told, tmp_path):
 
 def test_all_goes_on_without_a_broken_family_and_says_so(monkeypatch, capsys):
     monkeypatch.setenv(registry.VARIABLE, "torn=nowhere_at_all:FAMILY")
-    assert asked.methods(["all"]) == tuple(n for n in registry.names("methods") if n != "torn")
+    assert arguments.methods(["all"]) == tuple(n for n in registry.names("methods") if n != "torn")
     assert "all is without torn, which is broken: ModuleNotFound" in capsys.readouterr().err
     with pytest.raises(ModuleNotFoundError):
-        asked.methods(["mean,torn"])
+        arguments.methods(["mean,torn"])
 
 
 @pytest.mark.parametrize("content", [None, b"junk"])
@@ -559,7 +559,7 @@ def _python(*words: str) -> str:
 def test_weights_may_be_named(text, found, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.safetensors").touch()
-    assert asked.weights(text) == found
+    assert arguments.weights(text) == found
 
 
 @pytest.mark.parametrize("words", [["--norm", "-1"], ["--norm", "0"], ["--minutes", "0"]])
@@ -571,12 +571,12 @@ def test_a_training_by_numbers_that_teach_nothing_is_refused(words, tmp_path):
 
 
 def test_weights_that_are_not_there_are_told_before_anything_runs():
-    with pytest.raises(errors.AskedError, match="no file b.safetensors; 'rlbench train'"):
-        asked.weights("seed1=b.safetensors")
+    with pytest.raises(errors.OptionError, match="no file b.safetensors; 'rlbench train'"):
+        arguments.weights("seed1=b.safetensors")
 
 
 def test_a_name_of_weights_that_no_row_could_have_is_refused():
-    with pytest.raises(errors.AskedError, match="letters, digits"):
-        asked.weights("a@b=file")
-    with pytest.raises(errors.AskedError, match="METHOD@half is what rows of another kind"):
-        asked.weights("half-a=file")
+    with pytest.raises(errors.OptionError, match="letters, digits"):
+        arguments.weights("a@b=file")
+    with pytest.raises(errors.OptionError, match="METHOD@half is what rows of another kind"):
+        arguments.weights("half-a=file")

@@ -15,7 +15,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rlbench.clips import decode_cache as decoded
+from rlbench.clips import decode_cache
 from rlbench.clips import stored as clips
 from rlbench.clips.exr import write_exr
 from rlbench.clips.stored import (
@@ -68,8 +68,8 @@ def content(index: int) -> dict[str, np.ndarray]:
 def write(folder: Path, header: Header = HEADER) -> Path:
     for index in range(header.frames):
         images = content(index)
-        view = {name: images[name] for name in header.buffers}
-        write_frame(folder, index, view, {"path": images["pool"]}, images["a"], images["b"])
+        gbuffer = {name: images[name] for name in header.buffers}
+        write_frame(folder, index, gbuffer, {"path": images["pool"]}, images["a"], images["b"])
     write_header(folder, header)
     return folder
 
@@ -105,7 +105,7 @@ def touch_up(path: Path, channel: str, value: float) -> None:
     ],
 )
 def test_a_view_buffer_comes_back_at_its_precision(folder, buffer, precision):
-    stored = open_clip(folder).frame(1).view.buffers[buffer][0].permute(1, 2, 0).numpy()
+    stored = open_clip(folder).frame(1).gbuffer.buffers[buffer][0].permute(1, 2, 0).numpy()
     np.testing.assert_array_equal(stored, content(1)[buffer].astype(precision).astype(np.float32))
 
 
@@ -124,10 +124,10 @@ def test_the_pool_comes_back_as_exposed_halves_in_some_order(folder):
 def test_a_firefly_beyond_half_precision_is_not_clipped(tmp_path):
     images = content(0)
     images["pool"][2, 1, 1] = 3e6
-    view = {"depth": images["depth"]}
-    write_frame(tmp_path, 0, view, {"path": images["pool"]}, images["a"], images["b"])
+    gbuffer = {"depth": images["depth"]}
+    write_frame(tmp_path, 0, gbuffer, {"path": images["pool"]}, images["a"], images["b"])
     write_header(tmp_path, replace(HEADER, frames=1, reference_spp=(1,), buffers=("depth",)))
-    assert open_clip(tmp_path, needs=frozenset()).frame(0).pool.radiance.max() == 1.5e6
+    assert open_clip(tmp_path, inputs=frozenset()).frame(0).pool.radiance.max() == 1.5e6
 
 
 def test_other_readers_find_the_channels_that_the_format_names(folder):
@@ -182,7 +182,7 @@ def test_an_unknown_sample_time_is_nan(folder):
 
 def test_a_static_clip_has_no_motion(tmp_path):
     still = replace(HEADER, static=True, buffers=("albedo", "normal", "depth"))
-    assert open_clip(write(tmp_path, still)).frame(0).view.motion is None
+    assert open_clip(write(tmp_path, still)).frame(0).gbuffer.motion is None
 
 
 def test_a_window_is_the_same_pixels_of_the_frame(folder):
@@ -220,8 +220,8 @@ def test_opening_decodes_nothing(folder):
 
 
 def test_only_needed_buffers_and_slots_are_decoded(folder):
-    open_clip(folder, needs=frozenset({"depth"}), slots=1).frame(1)
-    first = clips.sale(0, HEADER.name, 1, STORED)[0][0]
+    open_clip(folder, inputs=frozenset({"depth"}), max_samples=1).frame(1)
+    first = clips.sample_order(0, HEADER.name, 1, STORED)[0][0]
     assert decoded_files() == {
         "view/depth.0001",
         f"pool.path/s{first}.0001",
@@ -232,44 +232,44 @@ def test_only_needed_buffers_and_slots_are_decoded(folder):
 
 def test_what_was_decoded_is_not_decoded_again(folder, monkeypatch):
     opened = []
-    read = decoded.read_exr
+    read = decode_cache.read_exr
     monkeypatch.setattr(
-        decoded, "read_exr", lambda path, *rest: opened.append(path.name) or read(path, *rest)
+        decode_cache, "read_exr", lambda path, *rest: opened.append(path.name) or read(path, *rest)
     )
-    open_clip(folder, slots=2).frame(0)
-    open_clip(folder, slots=3).frame(0)
+    open_clip(folder, max_samples=2).frame(0)
+    open_clip(folder, max_samples=3).frame(0)
     assert opened.count("view.0000.exr") == 1
     assert opened.count("pool.path.0000.exr") == 2  # the third slot was new
 
 
 def test_more_slots_than_stored_are_as_many_as_stored(folder):
-    assert open_clip(folder, slots=99).frame(0).pool.cap == STORED
+    assert open_clip(folder, max_samples=99).frame(0).pool.max_samples == STORED
 
 
 # The order of sale
 
 
 def test_few_slots_are_the_first_of_many(folder):
-    few, many = (open_clip(folder, slots=s).frame(0).pool.radiance for s in (2, STORED))
+    few, many = (open_clip(folder, max_samples=s).frame(0).pool.radiance for s in (2, STORED))
     assert torch.equal(few, many[:, :2])
 
 
 @settings(deadline=None)
 @given(seed=st.integers(0, 2**40), index=st.integers(0, 10**6), stored=st.integers(1, 64))
 def test_every_stored_sample_is_sold_once(seed, index, stored):
-    assert sorted(clips.sale(seed, "clip", index, stored)[0]) == list(range(stored))
+    assert sorted(clips.sample_order(seed, "clip", index, stored)[0]) == list(range(stored))
 
 
 @pytest.mark.parametrize("other", [(1, "clip", 0), (0, "other", 0), (0, "clip", 1)])
 def test_seed_name_and_frame_each_change_order_and_key(other):
-    order, key = clips.sale(0, "clip", 0, 64)
-    other_order, other_key = clips.sale(*other, 64)
+    order, key = clips.sample_order(0, "clip", 0, 64)
+    other_order, other_key = clips.sample_order(*other, 64)
     assert (order != other_order, key != other_key) == (True, True)
 
 
 def test_each_slot_is_as_likely_to_be_sold_first():
     draws = 4000
-    first = np.bincount([clips.sale(s, "c", 0, 8)[0][0] for s in range(draws)], minlength=8)
+    first = np.bincount([clips.sample_order(s, "c", 0, 8)[0][0] for s in range(draws)], minlength=8)
     error = math.sqrt(draws / 8 * 7 / 8)
     assert np.abs(first - draws / 8).max() < 4 * error  # 4 standard errors of a binomial
 
@@ -286,7 +286,7 @@ def test_one_pixel_changes_the_digest(folder):
 def test_a_changed_pixel_is_read_anew(folder):
     open_clip(folder).frame(1)
     touch_up(folder / "referenceA.0001.exr", "G", 7.0)
-    assert open_clip(folder).frame(1).reference.a[0, 1, 1, 2] == 3.5  # exposed by a half
+    assert open_clip(folder).frame(1).reference.half_a[0, 1, 1, 2] == 3.5  # exposed by a half
 
 
 @pytest.mark.parametrize(
@@ -423,7 +423,7 @@ def test_no_such_folder_says_what_there_is(folder):
 def test_a_missing_buffer_names_those_that_exist(tmp_path):
     write(tmp_path, replace(HEADER, buffers=("albedo", "depth")))
     with pytest.raises(ClipError, match="no buffer normal; it has: albedo, depth"):
-        open_clip(tmp_path, needs=frozenset({"albedo", "normal"}))
+        open_clip(tmp_path, inputs=frozenset({"albedo", "normal"}))
 
 
 def test_a_missing_pool_names_those_that_exist(folder):
@@ -433,12 +433,12 @@ def test_a_missing_pool_names_those_that_exist(folder):
 
 def test_no_slots_is_an_error(folder):
     with pytest.raises(ClipError, match="asked for 0 samples"):
-        open_clip(folder, slots=0)
+        open_clip(folder, max_samples=0)
 
 
 def test_a_broken_buffer_that_nobody_needs_hurts_nobody(folder):
     touch_up(folder / "view.0000.exr", "normal.X", math.nan)
-    assert len(list(open_clip(folder, needs=frozenset({"albedo"})))) == FRAMES
+    assert len(list(open_clip(folder, inputs=frozenset({"albedo"})))) == FRAMES
 
 
 @pytest.mark.parametrize(
@@ -451,9 +451,9 @@ def test_a_broken_buffer_that_nobody_needs_hurts_nobody(folder):
 )
 def test_what_could_not_be_read_is_not_written(tmp_path, name, value, message):
     images = content(3) | {name: value}
-    view = {"albedo": images["albedo"]}
+    gbuffer = {"albedo": images["albedo"]}
     with pytest.raises(ClipError, match=message):
-        write_frame(tmp_path, 3, view, {"path": images["pool"]}, images["a"], images["b"])
+        write_frame(tmp_path, 3, gbuffer, {"path": images["pool"]}, images["a"], images["b"])
     assert list(tmp_path.glob("*.exr")) == []
 
 

@@ -9,12 +9,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.accumulation import Light
-from methods.ours.antilag import CELL, ERRORS, FAINT, FEW, WINDOWS, doubted, holds
+from methods.ours.accumulation import AccumulatedRadiance
+from methods.ours.antilag import (
+    CELL,
+    ERRORS,
+    FAINT,
+    FEW,
+    WINDOWS,
+    history_confidence,
+    relative_change,
+)
 from methods.ours.method import build
 from methods.ours.train import trainer
 from methods.ours.variants import VARIANTS
-from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Reference, Size, StoredPool
 from rlbench.ops.exposure import luminance
@@ -22,10 +30,10 @@ from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip
 
 
-def light(samples: Tensor) -> Light:
+def light(samples: Tensor) -> AccumulatedRadiance:
     """Of so many samples [s 1 h w] in each pixel, all of them grey."""
     weight = torch.full_like(samples[:1], len(samples))
-    return Light(
+    return AccumulatedRadiance(
         samples.mean(0, True).expand(-1, 3, -1, -1), samples.square().mean(0, True), weight
     )
 
@@ -48,20 +56,22 @@ def noisy(count: int, side: int = 64, seed: int = 0, rare: float = 0.1) -> Tenso
 @pytest.mark.parametrize("rare", [0.5, 0.1, 0.01])
 def test_chance_is_hardly_taken_for_a_change(count, rare):
     """At two standard errors and three windows; even where one sample in a hundred is bright."""
-    share = holds(light(noisy(16, rare=rare)), light(noisy(count, seed=1, rare=rare)), EVEN)
+    share = history_confidence(
+        light(noisy(16, rare=rare)), light(noisy(count, seed=1, rare=rare)), EVEN
+    )
     assert share.mean() > 0.95
 
 
 @pytest.mark.parametrize("factor", [0.25, 4.0])
 def test_a_light_that_is_switched_is_forgotten(factor):
-    share = holds(light(noisy(16)), light(factor * noisy(4, seed=1)), EVEN)
+    share = history_confidence(light(noisy(16)), light(factor * noisy(4, seed=1)), EVEN)
     assert share.mean() < 0.01
 
 
 def test_what_changes_in_one_half_is_kept_in_the_other():
     after = noisy(4, seed=1, rare=0.5)
     after[..., :32] /= 8
-    share = holds(light(noisy(16, rare=0.5)), light(after), EVEN)[0, 0]
+    share = history_confidence(light(noisy(16, rare=0.5)), light(after), EVEN)[0, 0]
     # the largest window reaches 26 pixels, but what it doubts is diluted by what has not changed
     assert share[:, :24].mean() < 0.01
     assert share[:, 60:].mean() > 0.9
@@ -75,25 +85,25 @@ def test_what_goes_dark_beside_a_lamp_that_stays_is_forgotten_too():
     old = light(torch.where(lamp, 500 * before, before))
     new = light(torch.where(lamp, 500 * after, after / 8))
     beside &= ~lamp
-    assert holds(old, new, image(torch.where(lamp, 500.0, 1.0)))[beside].mean() < 0.05
-    assert holds(old, new, EVEN)[beside].mean() > 0.5  # were all counted alike
+    assert history_confidence(old, new, image(torch.where(lamp, 500.0, 1.0)))[beside].mean() < 0.05
+    assert history_confidence(old, new, EVEN)[beside].mean() > 0.5  # were all counted alike
 
 
 def test_where_either_has_no_samples_there_is_no_doubt():
     old, new = light(noisy(16)), light(noisy(4) / 8)
-    none = torch.zeros_like(new.weight)
-    assert (holds(old._replace(weight=none), new, EVEN) == 1).all()
-    assert (holds(old, new._replace(weight=none), EVEN) == 1).all()
+    none = torch.zeros_like(new.accumulated_spp)
+    assert (history_confidence(old._replace(weight=none), new, EVEN) == 1).all()
+    assert (history_confidence(old, new._replace(weight=none), EVEN) == 1).all()
 
 
-def by_loops(old: Light, new: Light, shown: np.ndarray) -> np.ndarray:
+def by_loops(old: AccumulatedRadiance, new: AccumulatedRadiance, shown: np.ndarray) -> np.ndarray:
     """The doubt of each cell, from the pixels of its windows."""
-    h, w = new.weight.shape[-2:]
-    both = ((old.weight > 0) & (new.weight > 0))[0, 0].numpy()
+    h, w = new.accumulated_spp.shape[-2:]
+    both = ((old.accumulated_spp > 0) & (new.accumulated_spp > 0))[0, 0].numpy()
     scale = 1 / (shown + FAINT)
     then, now = (luminance(x.mean)[0, 0].double().numpy() * scale for x in (old, new))
-    square = old.square[0, 0].double().numpy() * scale**2
-    counts = [x.weight[0, 0].double().numpy() for x in (old, new)]
+    square = old.second_moment[0, 0].double().numpy() * scale**2
+    counts = [x.accumulated_spp[0, 0].double().numpy() for x in (old, new)]
     most = np.zeros((-(-h // CELL), -(-w // CELL)))
     for i, j in np.ndindex(most.shape):
         for side in WINDOWS:
@@ -116,14 +126,18 @@ def by_loops(old: Light, new: Light, shown: np.ndarray) -> np.ndarray:
 def test_doubts_are_those_of_loops_over_pixels(h, w):
     """Some pixels have no new samples. 1e-4: float32 sums against float64."""
     old, new = light(noisy(8, 64, rare=0.5)), light(noisy(2, 64, seed=2, rare=0.5) * 0.8)
-    holes = torch.rand(new.weight.shape, generator=torch.Generator().manual_seed(3)) < 0.5
+    holes = torch.rand(new.accumulated_spp.shape, generator=torch.Generator().manual_seed(3)) < 0.5
     old, new = (
-        Light(*(x[..., :h, :w] for x in y)) for y in (old, new._replace(weight=new.weight * holes))
+        AccumulatedRadiance(*(x[..., :h, :w] for x in y))
+        for y in (old, new._replace(weight=new.accumulated_spp * holes))
     )
     shown = torch.rand(h, w, generator=torch.Generator().manual_seed(4)) + 0.5
     wanted = by_loops(old, new, shown.double().numpy())
     assert np.allclose(
-        doubted(old, new, log_forward(shown.expand(1, 3, -1, -1)))[0, 0], wanted, rtol=0, atol=1e-4
+        relative_change(old, new, log_forward(shown.expand(1, 3, -1, -1)))[0, 0],
+        wanted,
+        rtol=0,
+        atol=1e-4,
     )
     assert 0.02 < wanted.mean() < 0.3
 
@@ -133,15 +147,15 @@ def dimmed(frame: Frame, factor: float) -> Frame:
     pool, reference = frame.pool, frame.reference
     return replace(
         frame,
-        pool=StoredPool(pool.radiance * factor, pool.keys),
-        reference=Reference(reference.a * factor, reference.b * factor),
+        pool=StoredPool(pool.radiance * factor, pool.rounding_seeds),
+        reference=Reference(reference.half_a * factor, reference.half_b * factor),
     )
 
 
 def test_after_a_light_is_switched_ours_shows_the_new_one():
     """With the shipped weights; the first frame of the other light, and no loss before it."""
     frames = list(procedural(seed=3, size=Size(1, 64, 64), frames=4))
-    clip = MemoryClip(
+    clip = InMemoryClip(
         "switched", "test", "", [dimmed(f, 4.0 if f.index < 3 else 1.0) for f in frames]
     )
     errors = {}

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from methods.ours.experiments.oracle_map import ceiling, improved
-from methods.ours.frame_problem import Turn
+from methods.ours.frame_problem import FrameProblem
 from methods.ours.method import build
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Size, StoredPool
@@ -18,7 +18,7 @@ SIZE = Size(1, 32, 48)
 NOISY = 24  # columns from here on are noisy
 
 
-def turns(count: int) -> list[Turn]:
+def turns(count: int) -> list[FrameProblem]:
     """One frame whose left half has no noise, sold in several orders."""
     method = build("", torch.device("cpu"), None)
     frame = next(iter(procedural(seed=2, size=SIZE, frames=1)))
@@ -30,8 +30,8 @@ def turns(count: int) -> list[Turn]:
     return [_turn(method, each) for each in frames]
 
 
-def _turn(method, frame: Frame) -> Turn:
-    return Turn(method, frame, frame.view, method.start(SIZE), 1.0)
+def _turn(method, frame: Frame) -> FrameProblem:
+    return FrameProblem(method, frame, frame.gbuffer, method.start(SIZE), 1.0)
 
 
 @pytest.mark.parametrize("index", [-1, 3])
@@ -43,7 +43,7 @@ def test_a_frame_that_the_clip_does_not_have_is_refused(index, tmp_path):
 
 def test_a_turn_that_was_tried_can_be_improved():
     tried = turns(1)
-    tried[0].attempt(torch.zeros(1, 1, 1, *SIZE[1:]))
+    tried[0].rollout(torch.zeros(1, 1, 1, *SIZE[1:]))
     assert improved(tried, torch.zeros(1, 1, *SIZE[1:]), steps=1).isfinite().all()
 
 
@@ -54,5 +54,5 @@ def test_it_samples_where_there_is_noise_and_errs_less():
     assert found.abs().max() <= 1
     assert found[..., NOISY:].mean() > found[..., :NOISY].mean() + 0.5
     maps = torch.stack((uniform, found))
-    errors = sum(held.attempt(maps).errors.mean((1, 2, 3, 4)) for held in (a, b, c, d))
+    errors = sum(held.rollout(maps).errors.mean((1, 2, 3, 4)) for held in (a, b, c, d))
     assert errors[1] < errors[0]  # of one order alone, that is chance

@@ -13,20 +13,20 @@ from baselines.oidn.method import Oidn
 from methods.ours import FAMILY
 from methods.ours.method import build
 from methods.ours.networks import Encoder, Networks, Sampler
-from methods.ours.state import looked
+from methods.ours.state import gbuffer_features
 from methods.ours.train import trainer
 from methods.ours.variants import BASE, SLOTS, VARIANTS
 from rlbench.clips.procedural.clip import procedural
-from rlbench.frames import Frame, Samples, Size, View
-from rlbench.ops.init import initialise
-from rlbench.ops.losses import mixed
+from rlbench.frames import Frame, GBuffer, Samples, Size
+from rlbench.ops.init import kaiming_init
+from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip, unroll
 
 CPU = torch.device("cpu")
 
 
-VIEW = next(iter(procedural(seed=3, size=Size(1, 32, 32), frames=1))).view
+VIEW = next(iter(procedural(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
 
 
 def parameters(network: nn.Module) -> int:
@@ -52,7 +52,7 @@ def test_a_step_is_as_long_where_the_loss_is_large_as_where_it_is_small():
     """The gradient is that of the loss over the loss: equal decibels count equally."""
     made, clip = trainer("A2", CPU, seed=0), procedural(seed=3, size=Size(1, 32, 32), frames=1)
     ((loss,), (shown,)) = made.losses(clip, 1.0), unroll(made.method, clip, 1.0)
-    plain = mixed(log_forward(shown.image), log_forward(shown.frame.reference.mean))
+    plain = l1_ms_ssim_loss(log_forward(shown.image), log_forward(shown.frame.reference.mean))
     weights = list(made.networks.parameters())
     found = torch.autograd.grad(loss, weights, allow_unused=True)
     wanted = torch.autograd.grad(plain, weights, allow_unused=True)
@@ -106,7 +106,7 @@ def test_training_starts_with_the_image_of_open_image_denoise(variant):
     clip = procedural(seed=3, size=Size(1, 48, 64), frames=1)
     (shown,) = run_clip(replace(method, config=replace(method.config, flat=True)), clip, 2.0)
     intels = Oidn(network(VARIANTS[variant].denoiser))
-    theirs, _ = intels.denoise(shown.frame.view, shown.samples, None)
+    theirs, _ = intels.denoise(shown.frame.gbuffer, shown.samples, None)
     # sums in another order, and the exposure is of the same image
     torch.testing.assert_close(shown.image, theirs, rtol=1e-4, atol=1e-5)
 
@@ -116,7 +116,7 @@ def test_a_mean_that_enters_the_encoder_is_of_the_samples_that_were_bought(varia
     clip = procedural(seed=3, size=Size(1, 16, 24), frames=1)
     (frame,) = clip
     counts = torch.arange(16 * 24).view(1, 1, 16, 24) % 9
-    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    samples = Samples(frame.pool.read(frame.pool.empty(), counts), counts)
     values = build(variant, CPU, "random")._values(samples)
     assert values.shape[1] == channels
     for x, y in ((0, 0), (3, 2), (8, 5), (23, 15)):
@@ -133,10 +133,10 @@ def test_without_a_state_the_image_is_of_this_frame_alone(variant):
     clip = procedural(seed=3, size=Size(1, 32, 32), frames=2)
     first, second = clip
     counts = torch.full((1, 1, 32, 32), 2)
-    samples = [Samples(f.pool.take(f.pool.empty(), counts), counts) for f in (first, second)]
-    _, left = method.denoise(first.view, samples[0], method.start(clip.size))
-    alone, _ = method.denoise(second.view, samples[1], method.start(clip.size))
-    after, _ = method.denoise(second.view, samples[1], left)
+    samples = [Samples(f.pool.read(f.pool.empty(), counts), counts) for f in (first, second)]
+    _, left = method.denoise(first.gbuffer, samples[0], method.start(clip.size))
+    alone, _ = method.denoise(second.gbuffer, samples[1], method.start(clip.size))
+    after, _ = method.denoise(second.gbuffer, samples[1], left)
     assert torch.equal(alone, after)
 
 
@@ -144,17 +144,17 @@ def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
     clip = procedural(seed=3, size=Size(1, 32, 32), frames=2)
     first, second = clip
     counts = torch.full((1, 1, 32, 32), 2)
-    samples = Samples(first.pool.take(first.pool.empty(), counts), counts)
+    samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
     for variant, moves in (("B1", True), ("B2", False)):
         method = build(variant, CPU, "random")
-        view = second.view.only(method.traits.needs)
-        _, left = method.denoise(first.view, samples, method.start(clip.size))
-        plans = [method.plan(view, samples, state) for state in (left, method.start(clip.size))]
+        gbuffer = second.gbuffer.select(method.traits.inputs)
+        _, left = method.denoise(first.gbuffer, samples, method.start(clip.size))
+        plans = [method.plan(gbuffer, samples, state) for state in (left, method.start(clip.size))]
         assert (not torch.equal(*plans)) == moves
 
 
 def bought(frame: Frame, counts: Tensor) -> Samples:
-    return Samples(frame.pool.take(frame.pool.empty(), counts), counts)
+    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
 
 
 @pytest.fixture
@@ -163,7 +163,7 @@ def after_one():
     method = build("", CPU, "random")
     (frame,) = procedural(seed=3, size=Size(1, 32, 32), frames=1)
     samples = bought(frame, torch.full((1, 1, 32, 32), 2))
-    _, left = method.denoise(frame.view, samples, method.start(Size(1, 32, 32)))
+    _, left = method.denoise(frame.gbuffer, samples, method.start(Size(1, 32, 32)))
     return method, frame, left
 
 
@@ -173,8 +173,8 @@ def test_a_still_pixel_without_samples_keeps_its_state_and_its_light(after_one):
     motion[..., 16:] = 0.25  # the right half moves
     counts = torch.full((1, 1, 32, 32), 2)
     counts[..., :16, :] = 0  # the upper half gets nothing
-    view = View({**frame.view.buffers, "motion": motion}).only(method.traits.needs)
-    _, after = method.denoise(view, bought(frame, counts), before)
+    gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": motion}).select(method.traits.needs)
+    _, after = method.denoise(gbuffer, bought(frame, counts), before)
     kept = (after.state == before.state).all(1) & (after.past.light.weight == 2)[:, 0]
     assert kept[:, :16, :16].all()
     assert not kept[:, 16:].any()
@@ -183,13 +183,13 @@ def test_a_still_pixel_without_samples_keeps_its_state_and_its_light(after_one):
 
 def test_what_is_uncovered_in_a_still_picture_keeps_nothing(after_one):
     method, frame, before = after_one
-    nearer = frame.view.depth.clone()
+    nearer = frame.gbuffer.depth.clone()
     nearer[..., :16] = 1.0  # what hid the left half in the last frame
-    hid = {**frame.view.buffers, "depth": nearer}
-    before = before._replace(past=before.past._replace(seen=looked(View(hid))))
-    view = View({**frame.view.buffers, "motion": torch.zeros(1, 2, 32, 32)})
-    view = view.only(method.traits.needs)
-    _, after = method.denoise(view, frame.pool.empty(), before)
+    hid = {**frame.gbuffer.buffers, "depth": nearer}
+    before = before._replace(past=before.past._replace(seen=gbuffer_features(GBuffer(hid))))
+    gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": torch.zeros(1, 2, 32, 32)})
+    gbuffer = gbuffer.select(method.traits.needs)
+    _, after = method.denoise(gbuffer, frame.pool.empty(), before)
     kept = (after.state == before.state).all(1)
     assert kept[..., 16:].all()
     assert not kept[..., :16].any()
@@ -199,37 +199,37 @@ def test_the_sampler_is_told_how_many_samples_the_last_frame_got(after_one):
     method, frame, left = after_one
     (first,), told = method.start(Size(1, 32, 32)).past.spent, left.past.spent
     assert (float(first), float(told)) == (1.0, 2.0)
-    seen = method.known(replace(frame.view, static=True), left).foreseen
+    seen = method.known(replace(frame.gbuffer, static=True), left).foreseen
     assert seen.shape[1] == method.networks.foreseen
     assert torch.allclose(seen[:, -1], torch.tensor(2.0).log())
-    _, none = method.denoise(frame.view, frame.pool.empty(), left)
-    assert method.known(frame.view, none).foreseen.isfinite().all()  # none were bought
-    outside = View({**frame.view.buffers, "motion": torch.full((1, 2, 32, 32), 100.0)})
+    _, none = method.denoise(frame.gbuffer, frame.pool.empty(), left)
+    assert method.known(frame.gbuffer, none).foreseen.isfinite().all()  # none were bought
+    outside = GBuffer({**frame.gbuffer.buffers, "motion": torch.full((1, 2, 32, 32), 100.0)})
     assert not method.known(outside, left).foreseen[:, -1].any()  # another shot: as before any
 
 
 def test_memory_is_moved_once_for_planning_and_denoising_a_frame(after_one):
     method, frame, left = after_one
-    again, none = replace(frame.view), method.start(Size(1, 32, 32))
+    again, none = replace(frame.gbuffer), method.start(Size(1, 32, 32))
     with torch.inference_mode():
-        known = method.known(frame.view, left)
-        assert method.known(frame.view, left) is known
-        for view, memory in ((again, left), (frame.view, none)):
-            assert method.known(view, memory) is not known
-        known = method.known(frame.view, left)
-    assert method.known(frame.view, left) is not known  # whoever trains needs its graph
+        known = method.known(frame.gbuffer, left)
+        assert method.known(frame.gbuffer, left) is known
+        for gbuffer, memory in ((again, left), (frame.gbuffer, none)):
+            assert method.known(gbuffer, memory) is not known
+        known = method.known(frame.gbuffer, left)
+    assert method.known(frame.gbuffer, left) is not known  # whoever trains needs its graph
 
 
 @pytest.mark.parametrize("variant", ["paper", "B1"])
 def test_where_no_light_is_gathered_the_sampler_sees_what_the_encoder_sees(variant):
     method = build(variant, CPU, "random")
     known = method.known(VIEW, method.start(Size(1, 32, 32)))
-    assert known.foreseen is known.seen
+    assert known.sampler_input is known.seen
 
 
 def test_a_paced_sampler_multiplies_its_action_by_a_power_of_the_budget():
     sampler = Sampler(4, (4, 8, 16), paced=True)
-    initialise(sampler, 0)
+    kaiming_init(sampler, 0)
     sampler.last.weight.data.mul_(0.01)  # far from where tanh is flat
     known = torch.randn(1, 4, 16, 16, generator=torch.Generator().manual_seed(0))
     known[:, -1] = math.log(3.0)
@@ -250,28 +250,28 @@ def test_densities_grow_by_factors_and_in_the_papers_recipe_by_steps(variant, lo
 
 def test_light_of_another_surface_is_worth_little(after_one):
     method, frame, left = after_one
-    view = replace(frame.view, static=True)
-    moved = method.known(view, left).moved
+    gbuffer = replace(frame.gbuffer, static=True)
+    moved = method.known(gbuffer, left).moved
     assert torch.equal(moved.same, torch.ones_like(moved.same))
     turned = left.past.seen.clone()
     turned[:, :3] *= -1  # normals
     other = left._replace(past=left.past._replace(seen=turned))
-    weight = method.known(view, other).moved.light.weight
-    solid = frame.view.depth.isfinite()
+    weight = method.known(gbuffer, other).moved.light.weight
+    solid = frame.gbuffer.depth.isfinite()
     assert weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
     assert (weight[~solid] == 2).all()
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_no_more_samples_are_bought_than_the_encoder_sees(variant):
-    assert FAMILY.variants[variant].traits.cap == SLOTS
+    assert FAMILY.variants[variant].traits.max_samples == SLOTS
 
 
 def test_an_untrained_sampler_is_uniform():
     method = trainer("", CPU, seed=0).method
     clip = procedural(seed=1, size=Size(1, 32, 48), frames=1)
     frame = next(iter(clip))
-    wish = method.plan(frame.view, frame.pool.empty(), method.start(clip.size))
+    wish = method.plan(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
     assert wish.unique().numel() == 1
 
 
@@ -279,7 +279,7 @@ def contrast(variant: str, steps: int = 6) -> float:
     """Mean absolute action after steps of Adam towards random actions, at the variant's rate."""
     made, generator = trainer(variant, CPU, seed=0), torch.Generator().manual_seed(0)
     sampler = made.networks.sampler
-    adam = torch.optim.Adam(sampler.parameters(), made.peak * made.shares["sampler"])
+    adam = torch.optim.Adam(sampler.parameters(), made.max_lr * made.lr_multipliers["sampler"])
     seen = torch.rand(1, made.networks.foreseen, 16, 16, generator=generator)
     wanted = torch.rand(1, 1, 16, 16, generator=generator) * 2 - 1
     for _ in range(steps):
@@ -310,14 +310,14 @@ def test_the_samplers_last_layer_is_shown_where_the_last_frame_was_rough(variant
         state.past.image[:] = 0.5
         state.past.image[..., 32:] += noise
     with torch.no_grad():
-        method.act(replace(frame.view, static=True), state)
+        method.act(replace(frame.gbuffer, static=True), state)
     contrast = shown[0][0, 0]
     assert contrast[8:-8, 40:-8].mean() > contrast[8:-8, 8:24].mean() + 0.2
 
 
 def test_every_network_gets_a_gradient_from_one_sequence():
     made = trainer("", CPU, seed=0)
-    initialise(made.networks, 0)
+    kaiming_init(made.networks, 0)
     clip = procedural(seed=1, size=Size(2, 32, 32), frames=2)
     for loss in made.losses(clip, 2.0):
         loss.backward()
@@ -332,10 +332,10 @@ def test_the_state_carries_a_gradient_over_as_many_frames_as_asked_for(bptt):
     method = replace(method, config=replace(method.config, bptt=bptt))
     clip = procedural(seed=1, size=Size(1, 32, 32), frames=1)
     frame = next(iter(clip))
-    _, memory = method.denoise(frame.view, frame.pool.empty(), method.start(clip.size))
+    _, memory = method.denoise(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
     assert memory.state.requires_grad
     memory.state.retain_grad()
-    image, _ = method.denoise(frame.view, frame.pool.empty(), memory)
+    image, _ = method.denoise(frame.gbuffer, frame.pool.empty(), memory)
     image.sum().backward()
     assert (memory.state.grad is None) == (bptt == 1)
 
@@ -355,4 +355,4 @@ def test_a_step_is_taken_for_as_many_frames_as_gradients_flow_through(bptt, step
 def test_the_first_frame_has_no_state():
     memory = build("", CPU, "random").start(Size(1, 8, 9))
     assert (memory.state == -1).all()
-    assert not memory.past.light.weight.any()
+    assert not memory.past.light.accumulated_spp.any()

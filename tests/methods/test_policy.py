@@ -12,14 +12,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.experiments import compare_learners as compare
-from methods.ours.experiments.evaluation import Exam, Scenes
+from methods.ours.experiments import compare_learners
+from methods.ours.experiments.evaluation import Evaluation, Scenes
 from methods.ours.experiments.known_optimum import (
     MODES,
     Direct,
     Filter,
     Mode,
-    Moment,
+    ToyProblem,
     density,
     greedy,
 )
@@ -27,20 +27,20 @@ from methods.ours.experiments.toy_scenes import CHANNELS, FRAMES, scenes
 from methods.ours.method import density as wished
 from methods.ours.policy import (
     LEARNERS,
-    Both,
-    Draws,
-    Learner,
-    Policy,
+    BlockPolicyGradient,
+    CombinedLearner,
+    RolloutBatch,
+    SamplerLearner,
     appo,
     appo_config,
     critic,
     learner,
 )
-from methods.ours.policy.block_reinforce import PpoPixel
+from methods.ours.policy.block_reinforce import BlockReinforce
 from methods.ours.policy.gamma_gradient import gamma_each
 from methods.ours.policy.surrogate_gradient import pull_each
-from rlbench.frames import Frame, Reference, Samples, View
-from rlbench.sampling import spend
+from rlbench.frames import Frame, GBuffer, Reference, Samples
+from rlbench.sampling import allocate_counts
 
 SIDE = 24
 NEEDED = {  # in 200 steps
@@ -63,16 +63,16 @@ class Free(nn.Module):
         return torch.tanh(self.free)
 
 
-def pixels(priced: float = 1.0) -> PpoPixel:
-    return PpoPixel(Policy(block=1, margin=0, priced=priced))
+def pixels(priced: float = 1.0) -> BlockReinforce:
+    return BlockReinforce(BlockPolicyGradient(block=1, margin=0, price_weight=priced))
 
 
-def moment(mode: Mode | None = None, **settings: int) -> Moment:
+def moment(mode: Mode | None = None, **settings: int) -> ToyProblem:
     frame = next(scenes(0, n=1, side=SIDE))
-    return Moment(frame, mode or Direct(), Free(), **settings)
+    return ToyProblem(frame, mode or Direct(), Free(), **settings)
 
 
-def learned(way: Learner, steps: int = 200) -> float:
+def learned(way: SamplerLearner, steps: int = 200) -> float:
     """Share of the optimal reduction of error of one frame, whose samples are new in every step."""
     generator, first = torch.Generator().manual_seed(0), moment(floor=way.floor)
     sampler = first.sampler
@@ -86,7 +86,7 @@ def learned(way: Learner, steps: int = 200) -> float:
     return share(first, first.buy(sampler(first.seen)))
 
 
-def share(case: Moment, counts: Tensor) -> float:
+def share(case: ToyProblem, counts: Tensor) -> float:
     best = greedy(case.field.sigma, case.spp * SIDE * SIDE)
     uniform = torch.full_like(best, case.spp)
     errors = [float(case.expected(n.float()).mean()) for n in (uniform, counts, best)]
@@ -96,20 +96,26 @@ def share(case: Moment, counts: Tensor) -> float:
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_learner_finds_a_known_optimum(name):
     """A free action for each pixel, trained by the learner's loss alone, at 4 spp."""
-    single = {"ppo-pixel": pixels(), "ppo-pixel+surrogate": Both(pixels())}  # not in blocks
+    single = {
+        "ppo-pixel": pixels(),
+        "ppo-pixel+surrogate": CombinedLearner(pixels()),
+    }  # not in blocks
     assert learned(single.get(name) or learner(name, CHANNELS)) > NEEDED[name]
 
 
 @pytest.mark.parametrize("spp", [0.5, 1, 4])
 def test_trial_and_gradient_add_up_from_one_sample_a_pixel_on(spp):
-    def loss(way: Learner) -> Tensor:
+    def loss(way: SamplerLearner) -> Tensor:
         asked = moment(spp=spp)
         way.loss(asked, torch.Generator().manual_seed(0)).backward()
         return asked.sampler.free.grad
 
-    trial, gradient = PpoPixel(Policy(block=1, margin=0)), learner("surrogate", CHANNELS)
+    trial, gradient = (
+        BlockReinforce(BlockPolicyGradient(block=1, margin=0)),
+        learner("surrogate", CHANNELS),
+    )
     expected = loss(trial) + (loss(gradient) if spp >= 1 else 0)
-    torch.testing.assert_close(loss(Both(trial)), expected)
+    torch.testing.assert_close(loss(CombinedLearner(trial)), expected)
 
 
 def test_a_price_on_samples_pays():
@@ -117,18 +123,21 @@ def test_a_price_on_samples_pays():
 
 
 def test_a_uniform_map_scores_zero():
-    exam = Exam.of(Direct(), frames=1, n=2, side=16)
+    exam = Evaluation.of(Direct(), frames=1, n=2, side=16)
     assert exam.score(lambda seen: torch.zeros_like(seen[:, :1])) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_random_map_scores_less_than_a_uniform_one():
-    exam, generator = Exam.of(Direct(), frames=1, n=2, side=16), torch.Generator().manual_seed(0)
+    exam, generator = (
+        Evaluation.of(Direct(), frames=1, n=2, side=16),
+        torch.Generator().manual_seed(0),
+    )
     assert exam.score(lambda seen: 2 * torch.rand(seen[:, :1].shape, generator=generator) - 1) < -1
 
 
 def test_the_optimum_scores_one():
-    exam = Exam.of(Direct(), frames=1, n=2, side=16)
-    case = Moment(exam.fields[0], Direct(), Free())
+    exam = Evaluation.of(Direct(), frames=1, n=2, side=16)
+    case = ToyProblem(exam.fields[0], Direct(), Free())
     best = greedy(case.field.sigma, 4 * 16 * 16)
     reached = case.expected(best.float()).mean((1, 2, 3))
     torch.testing.assert_close(reached, exam.best[0])
@@ -160,7 +169,7 @@ def test_the_expected_error_is_the_mean_of_realised_errors(mode):
     action = torch.rand(1, 1, 1, SIDE, SIDE, generator=generator) * 2 - 1
     fixed = case.field.keys
     drawn = [replace(case.field.again(generator), keys=fixed) for _ in range(400)]
-    errors = torch.stack([replace(case, field=f).attempt(action).errors.mean() for f in drawn])
+    errors = torch.stack([replace(case, field=f).rollout(action).errors.mean() for f in drawn])
     expected = case.expected(case.buy(action[0]).float()).mean()
     # 4 standard errors of the mean
     assert abs(errors.mean() - expected) < 4 * errors.std() / len(errors) ** 0.5
@@ -197,9 +206,9 @@ def taught(teach, counts: Tensor, due: Tensor) -> tuple[Samples, Samples, Tensor
     radiance = field.stored.expand(-1, -1, 3, -1, -1)
     truth = field.truth.expand(-1, 3, -1, -1)
     bought = Samples(radiance, counts)
-    bought = replace(bought, radiance=radiance.where(bought.filled, 0.0))
-    pool = Moment(field, Direct(), Free()).pool
-    frame = Frame(0, View({}), pool, Reference(truth, truth))
+    bought = replace(bought, radiance=radiance.where(bought.valid_mask, 0.0))
+    pool = ToyProblem(field, Direct(), Free()).pool
+    frame = Frame(0, GBuffer({}), pool, Reference(truth, truth))
     return bought, teach(bought, due, frame), truth
 
 
@@ -208,7 +217,7 @@ def test_what_was_not_bought_stays_empty(teach):
     counts = torch.arange(16).view(1, 1, 4, 4) % 5
     bought, after, _ = taught(teach, counts, counts + 0.5)
     assert torch.equal(after.counts, counts)
-    assert not after.radiance.where(~bought.filled, 0.0).any()
+    assert not after.radiance.where(~bought.valid_mask, 0.0).any()
 
 
 def test_the_surrogate_shows_the_samples_as_they_are():
@@ -316,7 +325,7 @@ def test_an_episode_ends_with_what_was_seen_last():
 def test_a_comparison_that_cannot_be_made_is_refused(words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["compare", "--out", str(tmp_path), *words])
     with pytest.raises(SystemExit):
-        compare.main()
+        compare_learners.main()
     assert "it takes 32 frames or more, and a side that divides by 8" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -332,9 +341,11 @@ def test_a_missing_extra_is_told_with_what_would_do(monkeypatch):
     importlib.util.find_spec("gymnasium") is None, reason="needs ray[rllib] and gymnasium"
 )
 def test_rllib_learns_by_single_pixels():
-    exam = Exam.of(Direct(), frames=1, n=4, side=SIDE)
+    exam = Evaluation.of(Direct(), frames=1, n=4, side=SIDE)
     world = lambda: Scenes(Direct(), 0, SIDE)  # noqa: E731
-    trained = appo.train(world, lambda: compare.network(0), 1500, appo_config.Appo(rate=2e-3))
+    trained = appo.train(
+        world, lambda: compare_learners.network(0), 1500, appo_config.Appo(rate=2e-3)
+    )
     assert exam.score(trained) > 0.3
 
 
@@ -345,14 +356,14 @@ def test_rllib_learns_by_single_pixels():
 def test_every_learner_trains_the_real_sampler(name):
     """On moving scenes that it has not seen it beats uniform sampling clearly."""
     scores: list[float] = []
-    exam = Exam.of(Direct(), frames=1, n=4, side=32)
-    compare.by_torch(name, exam, 0, 1200, lambda *told: scores.append(told[-1]))
+    exam = Evaluation.of(Direct(), frames=1, n=4, side=32)
+    compare_learners.by_torch(name, exam, 0, 1200, lambda *told: scores.append(told[-1]))
     assert scores[-1] > 0.4
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (3, 5)])
 def test_noise_is_the_same_all_over_a_block_and_differs_between_blocks(corner):
-    policy, mean = Policy(), torch.zeros(2, 1, 30, 41)
+    policy, mean = BlockPolicyGradient(), torch.zeros(2, 1, 30, 41)
     drawn = policy.explore(mean, corner, torch.Generator().manual_seed(0))
     row, column = corner
     whole = drawn[..., row : row + 24, column : column + 32].unfold(2, 8, 8).unfold(3, 8, 8)
@@ -373,9 +384,9 @@ def test_the_policy_gradient_is_that_of_the_error_at_a_fixed_budget(factors):
         return sigma.square() / counts, counts
 
     (true,) = torch.autograd.grad(error(mean)[0].sum(), mean)
-    policy = Policy(spread=0.02, draws=8192, block=1, margin=0, most=1e9)
-    actions = policy.tries(mean, (0, 0), generator)
-    policy.loss(mean, Draws(actions, *error(actions), (0, 0), factors)).backward()
+    policy = BlockPolicyGradient(action_std=0.02, draws=8192, block=1, margin=0, advantage_clip=1e9)
+    actions = policy.antithetic_actions(mean, (0, 0), generator)
+    policy.loss(mean, RolloutBatch(actions, *error(actions), (0, 0), factors)).backward()
     found = mean.grad - torch.autograd.grad(mean.mean().square(), mean)[0]  # less the drift
     likeness = F.cosine_similarity(found.flatten(), true.flatten(), dim=0)
     assert likeness > 0.998  # noise of the draws: 0.001; with the other coupling 0.95 and less
@@ -384,7 +395,7 @@ def test_the_policy_gradient_is_that_of_the_error_at_a_fixed_budget(factors):
 def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing():
     """A quarter of the image is four times as noisy, but every error is spread over 9x9 pixels."""
     generator = torch.Generator().manual_seed(0)
-    policy, spread = Policy(), torch.nn.AvgPool2d(9, 1, 4, count_include_pad=False)
+    policy, spread = BlockPolicyGradient(), torch.nn.AvgPool2d(9, 1, 4, count_include_pad=False)
     sigma = torch.ones(1, 1, 48, 48)
     sigma[..., 24:, 24:] = 4.0
     free = torch.zeros_like(sigma, requires_grad=True)
@@ -392,11 +403,13 @@ def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing(
     nothing, cost = torch.zeros(1, 1, 48, 48, dtype=torch.int64), 2 * 48 * 48
     for step in range(150):
         mean, corner = torch.tanh(free), policy.corner(generator)
-        actions = policy.tries(mean, corner, generator)
-        counts = torch.stack([spend(density(a), cost, nothing, 8, (step,)) for a in actions])
+        actions = policy.antithetic_actions(mean, corner, generator)
+        counts = torch.stack(
+            [allocate_counts(density(a), cost, nothing, 8, (step,)) for a in actions]
+        )
         errors = spread((sigma.square() / (counts + 0.5)).flatten(0, 1)).unflatten(0, (-1, 1))
         optimizer.zero_grad()
-        policy.loss(mean, Draws(actions, errors, counts.float(), corner)).backward()
+        policy.loss(mean, RolloutBatch(actions, errors, counts.float(), corner)).backward()
         optimizer.step()
     found = torch.tanh(free.detach())
     assert found[..., 28:, 28:].mean() > 0.5
@@ -406,7 +419,7 @@ def test_blocks_of_noisy_pixels_are_given_more_where_single_pixels_tell_nothing(
 @pytest.mark.parametrize("corner", [(0, 0), (3, 5), (7, 1)])
 def test_a_block_is_summed_with_the_margin_that_there_is_around_it(corner):
     """Also above and to the left of the first whole block."""
-    policy = Policy(block=8, margin=4)
+    policy = BlockPolicyGradient(block=8, margin=4)
     values = torch.rand(2, 1, 1, 37, 45, generator=torch.Generator().manual_seed(0))
     found = policy._blocks(values, corner, policy.margin)
     for i, j in itertools.product(range(found.shape[-2]), range(found.shape[-1])):
@@ -416,7 +429,7 @@ def test_a_block_is_summed_with_the_margin_that_there_is_around_it(corner):
 
 
 def test_trainings_of_other_lengths_are_not_put_into_one_table(tmp_path):
-    table = tmp_path / compare.TABLE
-    compare.compare(table, 16, 16, [0], ["surrogate"], ["direct"])
+    table = tmp_path / compare_learners.TABLE
+    compare_learners.compare(table, 16, 16, [0], ["surrogate"], ["direct"])
     with pytest.raises(ValueError, match=r"--frames 16 --side 16.*--frames 64 --side 16.*--out"):
-        compare.compare(table, 64, 16, [0], ["surrogate"], ["direct"])
+        compare_learners.compare(table, 64, 16, [0], ["surrogate"], ["direct"])

@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 import torch
 
-from methods.ours.frame_problem import Turn
+from methods.ours.frame_problem import FrameProblem
 from methods.ours.policy import LEARNERS
 from methods.ours.policy.gamma_gradient import gamma_each
 from methods.ours.policy.surrogate_gradient import pull_each
@@ -21,7 +21,7 @@ SIZE = Size(1, 32, 48)
 
 
 @cache
-def turn(variant: str = "", spp: float = 2.0) -> Turn:
+def turn(variant: str = "", spp: float = 2.0) -> FrameProblem:
     """The second frame of a clip, with a sampler that is not uniform."""
     method = trainer(variant, CPU, seed=0).method
     drawn = torch.Generator().manual_seed(0)
@@ -29,25 +29,25 @@ def turn(variant: str = "", spp: float = 2.0) -> Turn:
     clip = procedural(seed=2, size=SIZE, frames=2)
     first, second = clip
     (shown,) = unroll(method, procedural(seed=2, size=SIZE, frames=1), spp)
-    _, state = method.denoise(first.view, shown.samples, method.start(SIZE))
-    return Turn(method, second, second.view, state, spp)
+    _, state = method.denoise(first.gbuffer, shown.samples, method.start(SIZE))
+    return FrameProblem(method, second, second.gbuffer, state, spp)
 
 
 @pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5), ("A1", 4.0)])
 def test_every_trial_costs_exactly_the_budget(variant, spp):
     asked = turn(variant, spp)
     actions = torch.rand(3, 1, 1, 32, 48, generator=torch.Generator().manual_seed(1)) * 2 - 1
-    trial = asked.attempt(actions)
+    trial = asked.rollout(actions)
     assert trial.counts.sum((1, 2, 3, 4)).tolist() == [round(spp * 32 * 48)] * 3
-    assert trial.counts.min() >= asked.method.traits.floor
-    assert torch.equal(asked.attempt(actions).errors, trial.errors)
+    assert trial.counts.min() >= asked.method.traits.min_samples
+    assert torch.equal(asked.rollout(actions).errors, trial.errors)
 
 
 @pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5)])
 def test_relaxed_counts_cost_the_budget_and_are_what_counts_are_rounded_from(variant, spp):
     asked = turn(variant, spp)
     action = asked.act().detach()
-    due, trial = asked.relaxed(action), asked.attempt(action[None])
+    due, trial = asked.relaxed(action), asked.rollout(action[None])
     assert float(due.mean()) == pytest.approx(spp, rel=1e-4)
     assert (due - trial.counts[0]).abs().max() < 1.001  # rounded down or up
 
@@ -57,7 +57,7 @@ def test_a_slope_reaches_the_sampler(teach):
     asked = turn("A1", 2.0)
     sampler = asked.method.networks.sampler
     sampler.zero_grad()
-    asked.slope(teach).backward()
+    asked.surrogate_loss(teach).backward()
     assert sampler.last.weight.grad.abs().max() > 0
 
 
@@ -80,8 +80,8 @@ def test_a_learner_leaves_encoder_and_denoiser_to_the_image(name):
     others = [*networks.encoder.parameters(), *networks.denoiser.parameters()]
 
     def gradients(weight: float) -> list[torch.Tensor]:
-        samples = asked.frame.pool.take(asked.frame.pool.empty(), counts)
-        image, _ = asked.method.denoise(asked.view, Samples(samples, counts), asked.state)
+        samples = asked.frame.pool.read(asked.frame.pool.empty(), counts)
+        image, _ = asked.method.denoise(asked.gbuffer, Samples(samples, counts), asked.state)
         loss = image.square().mean()
         if weight:
             loss = loss + weight * learns.loss(asked, torch.Generator().manual_seed(0))

@@ -11,7 +11,7 @@ import torch
 from metrics.catalog import BIAS, MS_SSIM, MSE_DEBIASED, NONFINITE, PSNR, RELMSE, TPSNR
 
 ALL = (PSNR, TPSNR, MS_SSIM, RELMSE, MSE_DEBIASED, BIAS, NONFINITE)
-DIRECTED = [metric for metric in ALL if metric.better]
+DIRECTED = [metric for metric in ALL if metric.direction]
 SIZE = (2, 3, 165, 170)
 
 

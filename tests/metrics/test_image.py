@@ -14,7 +14,7 @@ from metrics.image import (
     CAP_DB,
     SCALE_WEIGHTS,
     bias,
-    most_scales,
+    max_scales,
     ms_ssim,
     mse_debiased,
     nonfinite,
@@ -146,7 +146,7 @@ def test_ms_ssim_of_a_small_image_is_that_of_scikit_image(size, scales):
     [(10, 0), (11, 1), (20, 1), (21, 2), (40, 2), (80, 3), (81, 4), (160, 4), (161, 5), (2160, 5)],
 )
 def test_the_coarsest_scale_holds_a_whole_window(side, scales):
-    assert most_scales(side, 5000) == scales
+    assert max_scales(side, 5000) == scales
 
 
 def test_ms_ssim_of_a_small_image_at_five_scales_says_what_would_do():

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from rlbench.ops import affinity
-from rlbench.ops.affinity import alike, alike_in
+from rlbench.ops.affinity import affinity_sum, cross_affinity_sum
 from tests.ops import unfolded
 
 SIZES = [(1, 1), (2, 7), (12, 12), (9, 30)]
@@ -34,7 +34,7 @@ def drawn(n: int, h: int, w: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def test_alike_equals_its_slow_twin(h: int, w: int, side: int, dilation: int) -> None:
     features, sharpness, _, source = (part.double() for part in drawn(2, h, w))
     expected = unfolded.alike(features, sharpness, source, side, dilation)
-    found = alike(features, sharpness, source, side, dilation)
+    found = affinity_sum(features, sharpness, source, side, dilation)
     torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
 
 
@@ -45,7 +45,7 @@ def test_alike_in_another_image_equals_its_slow_twin(
 ) -> None:
     features, sharpness, others, source = (part.double() for part in drawn(2, h, w))
     expected = unfolded.alike_in(features, sharpness, others, source, side, dilation)
-    found = alike_in(features, sharpness, others, source, side, dilation)
+    found = cross_affinity_sum(features, sharpness, others, source, side, dilation)
     torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
 
 
@@ -54,9 +54,9 @@ def test_strips_of_any_length_add_up_to_the_same(
     strip: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     features, sharpness, _, source = (part.double() for part in drawn(2, 12, 12))
-    whole = alike(features, sharpness, source, 5, 2)
+    whole = affinity_sum(features, sharpness, source, 5, 2)
     monkeypatch.setattr(affinity, "STRIP", strip)
-    found = alike(features, sharpness, source, 5, 2)
+    found = affinity_sum(features, sharpness, source, 5, 2)
     torch.testing.assert_close(found, whole, rtol=1e-12, atol=1e-12)  # doubles, another order
 
 
@@ -66,7 +66,7 @@ def test_without_sharpness_it_is_a_dilated_box(dilation: int) -> None:
     footprint = torch.zeros(4 * dilation + 1, 4 * dilation + 1)
     footprint[::dilation, ::dilation] = 1
     box = ndimage.correlate(source[0, 0].numpy(), footprint.numpy(), mode="constant")
-    found = alike(features, torch.zeros_like(sharpness), source, 5, dilation)[0, 0]
+    found = affinity_sum(features, torch.zeros_like(sharpness), source, 5, dilation)[0, 0]
     # float32 sums of 25 terms of order one
     torch.testing.assert_close(found, torch.from_numpy(box) - source[0, 0], rtol=0, atol=1e-5)
 
@@ -75,14 +75,14 @@ def test_a_row_does_not_run_on_into_the_next() -> None:
     source = torch.zeros(1, 1, 3, 6)
     source[..., 1, 5] = 1
     flat = torch.zeros(1, 1, 3, 6)
-    touched = alike(flat, flat, source, 3) > 0
+    touched = affinity_sum(flat, flat, source, 3) > 0
     rows, columns = touched[0, 0].nonzero().T.tolist()
     assert (set(rows), set(columns)) == ({0, 1, 2}, {4, 5})
 
 
 def test_unlike_neighbours_leave_nothing() -> None:
     features, sharpness, _, source = drawn(1, 8, 8)
-    total = alike(1e3 * features, torch.ones_like(sharpness), source, 5)
+    total = affinity_sum(1e3 * features, torch.ones_like(sharpness), source, 5)
     assert total.abs().max() < 1e-20  # exp(-60) = 9e-27 each
 
 
@@ -90,7 +90,7 @@ def test_unlike_neighbours_leave_nothing() -> None:
 def test_features_of_any_size_give_finite_sums_and_gradients(scale: float) -> None:
     features, sharpness, others, source = drawn(1, 6, 6)
     parts = [(scale * features).requires_grad_(), sharpness.requires_grad_(), source]
-    total = alike(*parts, 5) + alike_in(*parts[:2], scale * others, source, 5)
+    total = affinity_sum(*parts, 5) + cross_affinity_sum(*parts[:2], scale * others, source, 5)
     total.sum().backward()
     assert torch.isfinite(total).all()
     assert torch.isfinite(parts[0].grad).all()
@@ -100,14 +100,14 @@ def test_features_of_any_size_give_finite_sums_and_gradients(scale: float) -> No
 @pytest.mark.parametrize("dilation", [1, 2])
 def test_gradients_of_alike_agree_with_finite_differences(dilation: int) -> None:
     features, sharpness, _, source = (part.double().requires_grad_() for part in drawn(2, 3, 5))
-    window = partial(alike, side=3, dilation=dilation)
+    window = partial(affinity_sum, side=3, dilation=dilation)
     assert torch.autograd.gradcheck(window, (features, sharpness, source))
 
 
 @pytest.mark.parametrize("dilation", [1, 2])
 def test_gradients_of_alike_in_another_image_agree_with_finite_differences(dilation: int) -> None:
     parts = tuple(part.double().requires_grad_() for part in drawn(2, 3, 5))
-    window = partial(alike_in, side=3, dilation=dilation)
+    window = partial(cross_affinity_sum, side=3, dilation=dilation)
     assert torch.autograd.gradcheck(window, parts)
 
 
@@ -115,7 +115,7 @@ def test_gradients_of_alike_in_another_image_agree_with_finite_differences(dilat
 def test_gradients_are_those_of_the_slow_twin(side: int) -> None:
     parts = [part.double().requires_grad_() for part in drawn(1, 12, 13)]
     slope = randn(1, 2, 12, 13, seed=4).double()
-    fast = torch.autograd.grad(alike_in(*parts, side), parts, slope)
+    fast = torch.autograd.grad(cross_affinity_sum(*parts, side), parts, slope)
     slow = torch.autograd.grad(unfolded.alike_in(*parts, side), parts, slope)
     for found, expected in zip(fast, slow, strict=True):
         torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-10)  # doubles, 121 taps
@@ -123,7 +123,7 @@ def test_gradients_are_those_of_the_slow_twin(side: int) -> None:
 
 def test_the_backward_pass_survives_a_source_without_gradient() -> None:
     features, sharpness, _, source = drawn(1, 3, 3)
-    alike(features.requires_grad_(), sharpness, source, 3).sum().backward()
+    affinity_sum(features.requires_grad_(), sharpness, source, 3).sum().backward()
     assert features.grad.abs().sum() > 0
 
 
@@ -143,7 +143,7 @@ def test_no_tensor_in_it_is_larger_than_the_features_with_their_rows_joined() ->
     features, sharpness, _, source = drawn(1, 32, 32)
     features.requires_grad_()
     with Largest() as largest:
-        alike(features, sharpness, source, 11).sum().backward()
+        affinity_sum(features, sharpness, source, 11).sum().backward()
     assert largest.size <= 4 * 3 * 32 * 37  # floats of 3 channels; unfolding: 121 times as many
 
 
@@ -151,4 +151,4 @@ def test_no_tensor_in_it_is_larger_than_the_features_with_their_rows_joined() ->
 def test_windows_without_a_centre_are_refused(side: int, dilation: int) -> None:
     features, sharpness, _, source = drawn(1, 3, 3)
     with pytest.raises(ValueError, match=f"not {side} and {dilation}"):
-        alike(features, sharpness, source, side, dilation)
+        affinity_sum(features, sharpness, source, side, dilation)

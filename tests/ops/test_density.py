@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rlbench.ops.density import exponential
+from rlbench.ops.density import bounded_exp_density
 
 
 def drawn() -> torch.Tensor:
@@ -16,20 +16,20 @@ def drawn() -> torch.Tensor:
 def test_a_constant_added_to_the_map_changes_nothing(shift: float) -> None:
     # the sum is rounded to 1e-4 at a thousand
     torch.testing.assert_close(
-        exponential(drawn() + shift), exponential(drawn()), rtol=2e-4, atol=0
+        bounded_exp_density(drawn() + shift), bounded_exp_density(drawn()), rtol=2e-4, atol=0
     )
 
 
 def test_ratios_of_a_faint_map_are_those_of_exponentials() -> None:
     faint = drawn() / 100
-    ratios, wanted = (x / x[..., :1, :1] for x in (exponential(faint), faint.exp()))
+    ratios, wanted = (x / x[..., :1, :1] for x in (bounded_exp_density(faint), faint.exp()))
     torch.testing.assert_close(ratios, wanted, rtol=1e-4, atol=0)  # its rms is 1/150 of STEEP
 
 
 @pytest.mark.parametrize("steepness", [1.0, 1e3, 1e6, 1e12])
 def test_a_map_of_any_scale_keeps_its_order_and_can_learn(steepness: float) -> None:
     wish = (steepness * drawn()).requires_grad_()
-    density = exponential(wish)
+    density = bounded_exp_density(wish)
     assert torch.equal(density[0].flatten().argsort(), wish[0].flatten().argsort())
     (density.log() * drawn().square()).sum().backward()
     assert (wish.grad * steepness).abs().median() > 0.05  # as a share of the map's own scale
@@ -39,7 +39,7 @@ def test_one_pixel_far_above_the_others_does_not_stop_them() -> None:
     wish = drawn()
     wish[..., 4, 5] = 1e6
     wish.requires_grad_()
-    density = exponential(wish)
+    density = bounded_exp_density(wish)
     assert density.min() > 0.002
     (density.log() * drawn().square()).sum().backward()
     assert (wish.grad != 0).float().mean() > 0.9
@@ -47,6 +47,6 @@ def test_one_pixel_far_above_the_others_does_not_stop_them() -> None:
 
 @pytest.mark.parametrize("steepness", [0.0, 1.0, 1e4])
 def test_the_largest_is_one_and_none_is_zero(steepness: float) -> None:
-    density = exponential(steepness * drawn())
+    density = bounded_exp_density(steepness * drawn())
     assert torch.equal(density.amax((1, 2, 3)), torch.ones(2))
     assert density.min() > 0

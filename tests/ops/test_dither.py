@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.ops.dither import choose, hilbert, shift
+from rlbench.ops.dither import hilbert, shift, systematic_sample
 
 CPU = torch.device("cpu")
 
@@ -64,12 +64,12 @@ def test_it_agrees_with_marks_laid_one_by_one(values, data, key):
     weight = torch.tensor(values).view(1, -1)
     order = hilbert(1, len(values), CPU)
     along = weight.flatten()[order].tolist()
-    found = choose(weight, number, key).flatten()[order].tolist()
+    found = systematic_sample(weight, number, key).flatten()[order].tolist()
     assert found == marked(along, number, Fraction(shift(key)))
 
 
 def counted(density: Tensor, number: int, key: int) -> Tensor:
-    return choose((density * 2**20).long(), number, key)
+    return systematic_sample((density * 2**20).long(), number, key)
 
 
 def test_every_square_of_the_image_gets_its_share_rounded_down_or_up():
@@ -88,11 +88,11 @@ def test_every_square_of_the_image_gets_its_share_rounded_down_or_up():
 def test_the_first_mark_is_anywhere():
     """Over many keys, each of eight equal pixels is the one chosen equally often."""
     keys = 4000
-    hits = torch.stack([choose(torch.ones(2, 4).long(), 1, key) for key in range(keys)])
+    hits = torch.stack([systematic_sample(torch.ones(2, 4).long(), 1, key) for key in range(keys)])
     share = hits.double().mean(0)
     assert (share - 1 / 8).abs().max() < 4.5 * math.sqrt(1 / 8 * 7 / 8 / keys)
 
 
 def test_a_pixel_of_no_weight_is_never_chosen():
     weight = torch.tensor([[0, 5, 0, 5, 5, 0]])
-    assert all(not choose(weight, 3, key)[0, [0, 2, 5]].any() for key in range(50))
+    assert all(not systematic_sample(weight, 3, key)[0, [0, 2, 5]].any() for key in range(50))

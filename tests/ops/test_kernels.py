@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from rlbench.ops.kernels import gather
+from rlbench.ops.kernels import apply_kernels
 
 
 def slow_gather(kernels: Tensor, image: Tensor) -> Tensor:
@@ -38,7 +38,7 @@ def test_gather_equals_its_slow_twin(side: int, h: int, w: int) -> None:
     kernels, image = randn(2, side * side, h, w), randn(2, 3, h, w, seed=1)
     # float32 sums of at most 25 terms of order one
     torch.testing.assert_close(
-        gather(kernels, image).double(), slow_gather(kernels, image), atol=1e-5, rtol=0
+        apply_kernels(kernels, image).double(), slow_gather(kernels, image), atol=1e-5, rtol=0
     )
 
 
@@ -46,32 +46,32 @@ def test_a_kernel_of_its_centre_alone_is_the_identity() -> None:
     kernels = torch.zeros(1, 25, 4, 6)
     kernels[:, 12] = 1
     image = randn(1, 3, 4, 6)
-    assert torch.equal(gather(kernels, image), image)
+    assert torch.equal(apply_kernels(kernels, image), image)
 
 
 def test_taps_lie_in_reading_order() -> None:
     kernels = torch.zeros(1, 9, 3, 3)
     kernels[:, 5] = 1  # middle row, right column
     image = torch.arange(9.0).view(1, 1, 3, 3)
-    assert gather(kernels, image)[0, 0].tolist() == [[1, 2, 2], [4, 5, 5], [7, 8, 8]]
+    assert apply_kernels(kernels, image)[0, 0].tolist() == [[1, 2, 2], [4, 5, 5], [7, 8, 8]]
 
 
 def test_a_huge_pixel_stays_within_reach() -> None:
     image = torch.zeros(1, 1, 11, 11)
     image[..., 5, 5] = 1e30
-    touched = gather(torch.ones(1, 25, 11, 11), image) > 0
+    touched = apply_kernels(torch.ones(1, 25, 11, 11), image) > 0
     assert int(touched.sum()) == 25
 
 
 def test_gradients_agree_with_finite_differences() -> None:
     kernels = randn(2, 9, 3, 4).double().requires_grad_()
     image = randn(2, 2, 3, 4, seed=1).double().requires_grad_()
-    assert torch.autograd.gradcheck(gather, (kernels, image))
+    assert torch.autograd.gradcheck(apply_kernels, (kernels, image))
 
 
 def test_the_backward_pass_survives_an_image_without_gradient() -> None:
     kernels = randn(1, 9, 3, 3).requires_grad_()
-    gather(kernels, torch.ones(1, 2, 3, 3)).sum().backward()
+    apply_kernels(kernels, torch.ones(1, 2, 3, 3)).sum().backward()
     assert torch.equal(kernels.grad, torch.full_like(kernels, 2.0))
 
 
@@ -90,11 +90,11 @@ class Largest(TorchDispatchMode):
 def test_no_tensor_in_it_is_larger_than_what_it_was_given() -> None:
     kernels, image = randn(1, 25, 32, 32), randn(1, 4, 32, 32)
     with Largest() as largest:
-        gather(kernels, image)
+        apply_kernels(kernels, image)
     assert largest.elements <= max(kernels.numel(), 4 * 36 * 36)  # unfolding: 4 * 25 * 32 * 32
 
 
 @pytest.mark.parametrize("taps", [0, 4, 8, 16, 24])
 def test_taps_that_are_no_odd_square_are_refused(taps: int) -> None:
     with pytest.raises(ValueError, match=f"not {taps}"):
-        gather(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3))
+        apply_kernels(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3))

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rlbench.ops.upsample import Rise
+from rlbench.ops.upsample import UpsampleConcatConv
 
 
 def joined(layer, coarse, skip):
@@ -24,14 +24,14 @@ def inputs(h, w, dtype=torch.float64):
 @pytest.mark.parametrize("size", [(1, 1), (1, 4), (6, 5)])
 @pytest.mark.parametrize("order", [torch.contiguous_format, torch.channels_last])
 def test_it_is_the_convolution_of_the_doubled_level_and_the_skip(size, order):
-    layer = Rise(5, 3, 4).double().to(memory_format=order)
+    layer = UpsampleConcatConv(5, 3, 4).double().to(memory_format=order)
     coarse, skip = inputs(*size)
     # sums of 72 products of numbers about 1 in double precision
     torch.testing.assert_close(layer(coarse, skip), joined(layer, coarse, skip), rtol=0, atol=1e-13)
 
 
 def test_so_are_its_gradients():
-    layer, given = Rise(5, 3, 4).double(), inputs(4, 3)
+    layer, given = UpsampleConcatConv(5, 3, 4).double(), inputs(4, 3)
     found = []
     for run in (layer, lambda *pair: joined(layer, *pair)):
         leaves = [x.clone().requires_grad_() for x in given]
@@ -41,13 +41,13 @@ def test_so_are_its_gradients():
 
 
 def test_its_parameters_are_those_of_a_convolution():
-    layer, plain = Rise(5, 3, 4), torch.nn.Conv2d(8, 4, 3, padding=1)
+    layer, plain = UpsampleConcatConv(5, 3, 4), torch.nn.Conv2d(8, 4, 3, padding=1)
     shapes = [{k: v.shape for k, v in each.state_dict().items()} for each in (layer, plain)]
     assert shapes[0] == shapes[1]
 
 
 def test_under_autocast_it_computes_in_half_precision():
-    layer, (coarse, skip) = Rise(5, 3, 4), inputs(6, 5, torch.float32)
+    layer, (coarse, skip) = UpsampleConcatConv(5, 3, 4), inputs(6, 5, torch.float32)
     with torch.autocast("cpu", torch.bfloat16):
         found = layer(coarse, skip)
     assert found.dtype == torch.bfloat16

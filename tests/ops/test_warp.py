@@ -8,7 +8,7 @@ import kornia
 import pytest
 import torch
 
-from rlbench.ops.reprojection import recall, reproject, reproject_sharp
+from rlbench.ops.reprojection import reproject, reproject_bicubic, reproject_or_fill
 
 N, C, H, W = 2, 3, 9, 14
 
@@ -26,7 +26,7 @@ def constant(dx: float, dy: float) -> torch.Tensor:
     return torch.tensor([float(dx), float(dy)]).view(1, 2, 1, 1).expand(N, 2, H, W)
 
 
-BOTH = pytest.mark.parametrize("warp", [reproject, reproject_sharp])
+BOTH = pytest.mark.parametrize("warp", [reproject, reproject_bicubic])
 
 
 @BOTH
@@ -74,7 +74,7 @@ def test_sharp_taps_are_those_of_a_loop_over_keys_kernel_between_the_four_neares
         far = a * t**3 - 5 * a * t**2 + 8 * a * t - 4 * a
         return near if t <= 1 else far if t < 2 else 0.0
 
-    moved, valid = reproject_sharp(history(), motion())
+    moved, valid = reproject_bicubic(history(), motion())
     assert torch.equal(valid, reproject(history(), motion())[1])
     for n in range(N):
         for y, x in valid[n, 0].nonzero().tolist():
@@ -98,7 +98,7 @@ def test_after_many_steps_sharp_taps_keep_more_of_a_line():
     line = torch.zeros(1, 1, 16, 32)
     line[..., 16] = 1.0
     kept = []
-    for warp in (reproject, reproject_sharp):
+    for warp in (reproject, reproject_bicubic):
         moved = line
         for step in range(20):
             motion = torch.tensor([(-1) ** step / 3, 0.0]).view(1, 2, 1, 1).expand(1, 2, 16, 32)
@@ -122,7 +122,7 @@ def test_valid_means_that_every_tap_with_weight_is_inside():
 
 
 def test_what_was_outside_has_the_value_for_missing():
-    remembered = recall(history(), constant(4, 0), missing=-1.0)
+    remembered = reproject_or_fill(history(), constant(4, 0), missing=-1.0)
     assert (remembered[..., W - 4 :] == -1).all()
     assert (remembered[..., : W - 4] >= 0).all()
 

@@ -10,16 +10,15 @@ from functools import partial
 import pytest
 
 from rlbench.benchmark import results as table
-from rlbench.benchmark.clip_sources import Stored
-from rlbench.benchmark.run_plan import Request
-from rlbench.benchmark.runner import Done, measure
-from rlbench.parallel import ray_executor as cluster
-from rlbench.parallel import worker
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.parallel import ray_executor, worker
 from rlbench.parallel.executor import LOCAL, EngineError
-from rlbench.parallel.ray_executor import Cluster, opened
+from rlbench.parallel.ray_executor import RayExecutor, opened
 from rlbench.registry.lookup import VARIABLE, use_plugin
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import finish
+from rlbench.render.jobs.render_clips import render_missing
 from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
 from tests.render.test_record import PLAN, contents
@@ -32,7 +31,7 @@ RETRIES = 1
 def workers():
     """A local Ray, for all tests of this file: starting one takes seconds."""
     pytest.importorskip("ray", reason='pip install "rlbench[ray]"')
-    engine = Cluster(retries=RETRIES)
+    engine = RayExecutor(retries=RETRIES)
     yield engine
     engine.close()
 
@@ -62,9 +61,9 @@ def test_a_clip_that_cannot_be_read_takes_no_other_with_it(tmp_path):
     """Though times are taken before cells are handed out, and both would have the same."""
     folders = [write_noise(tmp_path / name) for name in ("aaa", "bbb")]
     (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
-    asked = Request(("mean",), tuple(map(Stored, folders)), spp=(1.0,), repeats=2)
+    asked = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,), repeats=2)
     done = measure(asked, tmp_path / "r", engine=replace(LOCAL, alone=False))
-    assert done == Done(measured=1, refused=1)
+    assert done == RunSummary(measured=1, skipped=1)
     rows = table.read(tmp_path / "r")
     assert set(rows[rows["value"].isna() & (rows["metric"] == "psnr")]["clip"]) == {"aaa"}
 
@@ -116,7 +115,7 @@ def test_clips_rendered_on_ray_are_those_rendered_here_bit_for_bit(workers, tmp_
     folders = {}
     for name, engine in (("here", LOCAL), ("ray", workers)):
         jobs = [Job(each, room(), PLAN, tmp_path / name / each) for each in ("a", "b")]
-        folders[name] = finish(jobs, engine=engine)
+        folders[name] = render_missing(jobs, engine=engine)
     for here, there in zip(folders["here"], folders["ray"], strict=True):
         assert contents(here) == contents(there)
         assert len(contents(there)) == 4 * PLAN.frames
@@ -131,28 +130,28 @@ def test_scores_from_ray_are_those_from_here_bit_for_bit(workers, tmp_path, monk
     write_plugin(package / "faraway.py", "far", body="raise RuntimeError('no luck')")
     monkeypatch.syspath_prepend(str(package))
     monkeypatch.setenv(VARIABLE, "far=faraway:FAMILY")
-    clips = tuple(Stored(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
-    asked = Request(
+    clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
+    asked = RunPlan(
         ("mean", "ours", "loose", "far"), clips, spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
     )
     here = measure(asked, tmp_path / "here")
     there = measure(asked, tmp_path / "there", engine=workers)
-    assert here == there == Done(measured=12, refused=4)
+    assert here == there == RunSummary(measured=12, skipped=4)
     # as words, for no nan equals another
     assert repr(scores(tmp_path / "here")) == repr(scores(tmp_path / "there"))
     assert rows(tmp_path / "here") == rows(tmp_path / "there")
     assert table.cells(tmp_path / "here") == table.cells(tmp_path / "there")
-    assert measure(asked, tmp_path / "there", engine=workers).known == 12
+    assert measure(asked, tmp_path / "there", engine=workers).cached == 12
 
 
 @pytest.mark.slow
 def test_a_method_that_kills_its_process_is_a_row_with_the_reason(workers, clip_folder, tmp_path):
     body = "import os; os.kill(os.getpid(), 9)"
     use_plugin(write_plugin(tmp_path / "deadly.py", "deadly", body=body))
-    clips = (Stored(clip_folder),)
-    asked = Request(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
+    clips = (StoredSource(clip_folder),)
+    asked = RunPlan(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
     done = measure(asked, tmp_path / "r", engine=workers)
-    assert done == Done(measured=1, refused=1)
+    assert done == RunSummary(measured=1, skipped=1)
     found = table.read(tmp_path / "r")
     (why,) = found[found["method"] == "deadly"]["note"]
     assert why.startswith("EngineError: its worker died 2 times")
@@ -165,7 +164,7 @@ def test_a_worker_with_other_code_refuses_to_work():
 
 
 def test_without_ray_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(cluster.sys.modules, "ray", None)  # as import finds a missing package
+    monkeypatch.setitem(ray_executor.sys.modules, "ray", None)  # as import finds a missing package
     with pytest.raises(EngineError, match=r'pip install "rlbench\[ray\]"'), opened("ray"):
         pass
 

@@ -44,6 +44,8 @@ def test_affinity_of_a_whole_frame(benchmark: Any, side: int) -> None:
         torch.rand(1, channels, 720, 720, generator=generator) for channels in (8, 1, 4)
     )
     total = benchmark.pedantic(
-        lambda: affinity.alike(features, sharpness, source, side, 4), rounds=3, warmup_rounds=1
+        lambda: affinity.affinity_sum(features, sharpness, source, side, 4),
+        rounds=3,
+        warmup_rounds=1,
     )
     assert torch.isfinite(total).all()

@@ -15,8 +15,8 @@ from baselines.svgf.method import BASE, LOG2E, build, gradient, wavelet
 from baselines.svgf.wavelet import Edges
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Samples, Size
-from rlbench.ops.padded_rows import Flat
-from tests.performance import plain_filters as plain
+from rlbench.ops.padded_rows import PaddedRows
+from tests.performance import plain_filters
 
 SIDE = 720
 WIDTHS = (Config.light, Config.normal, Config.depth)
@@ -33,12 +33,12 @@ def frame() -> Frame:
 def test_passes_of_svgf(benchmark: Any, frame: Frame, name: str) -> None:
     light, normal, depth = _guides(frame)
     variance, slope = light[:, :1].square(), gradient(depth, depth > 0)
-    flat = Flat(1, SIDE, SIDE, margin=32)
-    light_row, variance_row = flat.lay(light), flat.lay(variance)
-    edges = Edges(flat.lay(normal), flat.lay(depth), flat.lay(-LOG2E / slope))
+    flat = PaddedRows(1, SIDE, SIDE, margin=32)
+    light_row, variance_row = flat.pack(light), flat.pack(variance)
+    edges = Edges(flat.pack(normal), flat.pack(depth), flat.pack(-LOG2E / slope))
     filters: dict[str, Callable[[], Tensor]] = {
-        "ours": lambda: flat.lift(wavelet(flat, edges, light_row, variance_row, BASE)[0]),
-        "plain": lambda: plain.svgf_passes(light, variance, normal, depth, slope),
+        "ours": lambda: flat.unpack(wavelet(flat, edges, light_row, variance_row, BASE)[0]),
+        "plain": lambda: plain_filters.svgf_passes(light, variance, normal, depth, slope),
     }
     _equal(_timed(benchmark, filters[name]), filters["plain"]())
 
@@ -47,13 +47,13 @@ def test_passes_of_svgf(benchmark: Any, frame: Frame, name: str) -> None:
 @pytest.mark.benchmark(group="EAW, one pass, 720x720")
 def test_pass_of_eaw(benchmark: Any, frame: Frame, name: str) -> None:
     light, normal, depth = _guides(frame)
-    flat = Flat(1, SIDE, SIDE, margin=32)
-    row, scales = flat.lay(light), [(LOG2E / width) ** 0.5 for width in WIDTHS]
+    flat = PaddedRows(1, SIDE, SIDE, margin=32)
+    row, scales = flat.pack(light), [(LOG2E / width) ** 0.5 for width in WIDTHS]
     guides = (light.log1p() * scales[0], normal * scales[1], depth.log() * scales[2])
-    guide = torch.cat([flat.lay(each, empty=1e4) for each in guides])
+    guide = torch.cat([flat.pack(each, empty=1e4) for each in guides])
     filters: dict[str, Callable[[], Tensor]] = {
-        "ours": lambda: flat.lift(smooth(flat, 1, guide, row)),
-        "plain": lambda: plain.eaw_pass(light, normal, depth, 1, WIDTHS),
+        "ours": lambda: flat.unpack(smooth(flat, 1, guide, row)),
+        "plain": lambda: plain_filters.eaw_pass(light, normal, depth, 1, WIDTHS),
     }
     _equal(_timed(benchmark, filters[name]), filters["plain"]())
 
@@ -74,22 +74,22 @@ def test_pass_of_kornia(benchmark: Any, frame: Frame) -> None:
 def test_frame(benchmark: Any, frame: Frame, name: str) -> None:
     method = build("", torch.device("cpu"), None) if name == "svgf" else Eaw()
     counts = torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64)
-    samples = Samples(frame.pool.take(frame.pool.empty(), counts), counts)
-    view = frame.view.only(method.traits.needs)
+    samples = Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+    gbuffer = frame.gbuffer.select(method.traits.inputs)
     with torch.inference_mode():
-        _, state = method.denoise(view, samples, method.start(Size(1, SIDE, SIDE)))
-    image = _timed(benchmark, lambda: method.denoise(view, samples, state)[0])
+        _, state = method.denoise(gbuffer, samples, method.start(Size(1, SIDE, SIDE)))
+    image = _timed(benchmark, lambda: method.denoise(gbuffer, samples, state)[0])
     assert torch.isfinite(image).all()
 
 
 def _guides(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
     """Irradiance, normal and depth, with a wall instead of sky."""
-    view = frame.view
-    radiance = frame.pool.take(frame.pool.empty(), torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
-    sky = view.depth.isinf()
+    gbuffer = frame.gbuffer
+    radiance = frame.pool.read(frame.pool.empty(), torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
+    sky = gbuffer.depth.isinf()
     forward = torch.tensor([0.0, -1.0, 0.0]).view(1, 3, 1, 1)
-    normal = torch.where(sky, forward, view.normal)
-    return radiance[:, 0], normal, torch.where(sky, 100.0, view.depth)
+    normal = torch.where(sky, forward, gbuffer.normal)
+    return radiance[:, 0], normal, torch.where(sky, 100.0, gbuffer.depth)
 
 
 def _timed(benchmark: Any, run: Callable[[], Tensor]) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.ops.kernels import gather
+from rlbench.ops.kernels import apply_kernels
 
 
 def unfolded(kernels: Tensor, image: Tensor) -> Tensor:
@@ -20,7 +20,7 @@ def unfolded(kernels: Tensor, image: Tensor) -> Tensor:
     return (kernels[:, None] * taps).sum(2)
 
 
-@pytest.mark.parametrize("apply", [gather, unfolded], ids=["shift", "unfold"])
+@pytest.mark.parametrize("apply", [apply_kernels, unfolded], ids=["shift", "unfold"])
 @pytest.mark.parametrize("size", [128, 720])
 @pytest.mark.benchmark(group="5x5 kernels, forward and backward")
 def test_kernels_of_25_taps(

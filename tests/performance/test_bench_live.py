@@ -11,9 +11,9 @@ import torch
 
 from rlbench.frames import Samples
 from rlbench.render.jobs.live_pool import LivePool
-from rlbench.render.jobs.render_clips import named
-from rlbench.render.mitsuba.gbuffer import views
-from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.jobs.render_clips import scene_of_clip
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
 
 SIDE = 720
@@ -47,8 +47,8 @@ def table(request):
 
 @pytest.fixture(scope="module", params=SCENES)
 def tracer(request):
-    activate()
-    return open_tracer(named(request.param), SIDE, SIDE)
+    select_variant()
+    return open_tracer(scene_of_clip(request.param), SIDE, SIDE)
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_live(benchmark, pool, table, spp):
     ms, radiance = median_ms(benchmark, lambda: pool.take(pool.empty(), wanted))
     if spp == 0.01:
         table[pool.tracer.scene.name, COLUMNS[2]] = f"{ms:.0f}"
-    assert torch.equal(Samples(radiance, wanted).filled.any(1), wanted > 0)
+    assert torch.equal(Samples(radiance, wanted).valid_mask.any(1), wanted > 0)
     assert torch.isfinite(radiance).all()
 
 
@@ -131,7 +131,9 @@ def test_kernels_compiled_live(benchmark, pool, table):
 @pytest.mark.benchmark(group="before any path")
 def test_before_any_path(benchmark, tracer, table, what):
     times = iter(range(1, 100))
-    work = {"moving": lambda: tracer.set_time(next(times)), "view": lambda: views(tracer)}[what]
+    work = {"moving": lambda: tracer.set_time(next(times)), "view": lambda: render_gbuffer(tracer)}[
+        what
+    ]
     ms, _ = median_ms(benchmark, work)
     table[tracer.scene.name, f"{what} [ms]"] = f"{ms:.0f}"
 
@@ -140,7 +142,7 @@ def test_before_any_path(benchmark, tracer, table, what):
 @pytest.mark.benchmark(group="without LLVM")
 def test_without_llvm(benchmark, table, name):
     """Whole images of 8 spp, as a reference is made of."""
-    fast = open_tracer(named(name), SMALL, SMALL)
+    fast = open_tracer(scene_of_clip(name), SMALL, SMALL)
     fast.mean(8, "pilot")
     full = []
 
@@ -151,10 +153,10 @@ def test_without_llvm(benchmark, table, name):
 
     for _ in range(ROUNDS):
         with_it()
-    activate("scalar_rgb")
+    select_variant("scalar_rgb")
     try:
-        slow = open_tracer(named(name), SMALL, SMALL)
+        slow = open_tracer(scene_of_clip(name), SMALL, SMALL)
         ms, _ = median_ms(benchmark, lambda: slow.mean(8, "pilot"))
     finally:
-        activate("llvm_ad_rgb")
+        select_variant("llvm_ad_rgb")
     table[name, COLUMNS[7]] = f"{ms / 1e3 / statistics.median(full):.1f}"

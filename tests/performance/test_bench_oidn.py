@@ -26,11 +26,11 @@ def test_oidn(benchmark, name):
 
     made = method.build("", torch.device("cpu"), None)
     (shown,) = run_clip(made, procedural(3, SIZE, frames=1), 1.0)
-    view, settings = shown.frame.view, Settings("balanced", weights=tza.export(WEIGHTS))
+    gbuffer, settings = shown.frame.gbuffer, Settings("balanced", weights=tza.export(WEIGHTS))
     intel = Filter(settings, SIZE.h, SIZE.w, torch.get_num_threads())
-    seen = (shown.samples.mean[0], view.albedo[0], view.normal[0])
+    seen = (shown.samples.mean[0], gbuffer.albedo[0], gbuffer.normal[0])
     runs: dict[str, Callable[[], torch.Tensor]] = {
-        "rlbench": lambda: made.denoise(view, shown.samples, None)[0][0],
+        "rlbench": lambda: made.denoise(gbuffer, shown.samples, None)[0][0],
         "intel": lambda: intel(*seen),
     }
     with torch.inference_mode():

@@ -12,10 +12,10 @@ from torch.nn import functional as F
 
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import ms_ssim
-from rlbench.ops.reprojection import reproject, reproject_sharp
+from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import FAST, UNet
-from rlbench.ops.upsample import Rise
+from rlbench.ops.upsample import UpsampleConcatConv
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 KORNIA = kornia.losses.MS_SSIMLoss(alpha=1.0, compensation=1.0, reduction="mean")  # no L1
@@ -54,7 +54,7 @@ def test_op(benchmark, pair):
         "autoexposure": lambda: autoexposure(image),
         "pu": lambda: pu_inverse(pu_forward(image)),
         "reproject": lambda: reproject(image, motion)[0],
-        "reproject_sharp": lambda: reproject_sharp(image, motion)[0],
+        "reproject_sharp": lambda: reproject_bicubic(image, motion)[0],
         "unet": lambda: net(image),
     }
     with torch.inference_mode():
@@ -71,7 +71,9 @@ def test_rise(benchmark, name):
         torch.randn(1, c, side, side, generator=generator).to(memory_format=torch.channels_last)
         for c, side in ((64, 96), (41, 192))
     )
-    layer = Rise(64, 41, 64).to(memory_format=torch.channels_last).requires_grad_(False)
+    layer = (
+        UpsampleConcatConv(64, 41, 64).to(memory_format=torch.channels_last).requires_grad_(False)
+    )
 
     def plain() -> torch.Tensor:
         doubled = F.interpolate(coarse, scale_factor=2.0, mode="nearest")

@@ -6,8 +6,8 @@ import pytest
 
 from baselines.restir import POOL
 from rlbench.render.jobs.extra_pools import chains
-from rlbench.render.jobs.render_clips import named
-from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.jobs.render_clips import scene_of_clip
+from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
 
 SIDE = 192
@@ -17,9 +17,9 @@ ROUNDS = 5
 
 @pytest.fixture(scope="module")
 def tracer():
-    if activate().startswith("scalar"):
+    if select_variant().startswith("scalar"):
         pytest.skip("chains are traced with LLVM or CUDA alone")
-    return open_tracer(named("hall"), SIDE, SIDE)
+    return open_tracer(scene_of_clip("hall"), SIDE, SIDE)
 
 
 @pytest.mark.benchmark(group=f"{COUNT} samples per pixel, hall")

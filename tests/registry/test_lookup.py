@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from rlbench import registry
 from rlbench.family import Family
-from rlbench.registry import lookup as registry
 from rlbench.registry.lookup import PluginError
 from tests.conftest import write_plugin
 
@@ -90,7 +90,7 @@ def test_a_broken_file_is_listed_and_raises_its_own_error(tmp_path, content, err
     (tmp_path / "torn.py").write_text(content)
     registry.use_plugin(tmp_path / "torn.py")
     assert "torn" in registry.names("methods")
-    assert str(registry.broken("methods", "torn")).startswith(error.__name__)
+    assert str(registry.import_error("methods", "torn")).startswith(error.__name__)
     with pytest.raises(error):
         registry.method("torn")
 
@@ -99,7 +99,7 @@ def test_a_metric_that_cannot_be_imported_is_named(monkeypatch):
     def torn():
         raise ImportError("no such codec")
 
-    found = {"flip": registry.Entry("flip", "flip:FLIP", "flip-metric 1.0", torn)}
+    found = {"flip": registry.PluginEntry("flip", "flip:FLIP", "flip-metric 1.0", torn)}
     monkeypatch.setattr(registry, "entries", lambda group: found)
     with pytest.raises(PluginError, match=r"metric 'flip' of flip-metric 1.0 is broken: Import"):
         registry.metrics()
@@ -108,7 +108,7 @@ def test_a_metric_that_cannot_be_imported_is_named(monkeypatch):
 def test_a_loose_file_that_holds_no_family_is_broken(tmp_path):
     (tmp_path / "three.py").write_text("METHODS = [3]")
     registry.use_plugin(tmp_path / "three.py")
-    assert "holds a int where a Family is wanted" in registry.broken("methods", "three")
+    assert "holds a int where a Family is wanted" in registry.import_error("methods", "three")
 
 
 def test_what_is_not_a_family_is_refused(tmp_path, monkeypatch):
@@ -120,7 +120,7 @@ def test_what_is_not_a_family_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_method_that_is_not_what_its_family_declared_is_refused(tmp_path):
-    build = "return Scaled(Traits(floor=1))"
+    build = "return Scaled(Traits(min_samples=1))"
     registry.use_plugin(write_plugin(tmp_path / "loose.py", "liar", build=build))
     with pytest.raises(PluginError, match="'liar' declares .* but was built as .*floor=1"):
         registry.method("liar")
@@ -157,13 +157,13 @@ def test_all_is_every_family_once():
 
 def test_what_learns_nothing_has_no_trainer():
     with pytest.raises(PluginError, match="'mean' has nothing to train"):
-        registry.trainer("mean")
+        registry.training_task("mean")
 
 
 def test_families_are_read_without_torch():
     code = """
         import sys
-        from rlbench.registry import lookup as registry
+        from rlbench import registry
         for name in registry.names("methods"):
             registry.family(name)
         for name in registry.names("metrics"):
@@ -198,7 +198,7 @@ def test_a_package_of_its_own_is_found_by_its_entry_point(tmp_path):
     code = f"""
         import sys
         sys.path.insert(0, {str(place)!r})
-        from rlbench.registry import lookup as registry
+        from rlbench import registry
         origin = registry.entries("methods")["stranger"].origin
         print(origin, registry.method("stranger").traits.pool)
     """

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.render.mitsuba.llvm import activate, libraries
+from rlbench.render.mitsuba.llvm import libraries, select_variant
 from rlbench.system import paths
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
@@ -34,14 +34,14 @@ def _probed(noted, _own_cache):
 def llvm():
     if all(library.refused for library in libraries()):
         pytest.skip(NO_LLVM)
-    return activate("llvm_ad_rgb")
+    return select_variant("llvm_ad_rgb")
 
 
 @pytest.fixture(params=["llvm_ad_rgb", "scalar_rgb"])
 def variant(request):
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("llvm")
-    return activate(request.param)
+    return select_variant(request.param)
 
 
 @pytest.fixture(autouse=True)
@@ -50,4 +50,4 @@ def _fast_again():
     yield
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
     if running == "scalar_rgb" and not all(library.refused for library in libraries()):
-        activate("llvm_ad_rgb")
+        select_variant("llvm_ad_rgb")

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.clips.compatibility import unusable
+from rlbench.clips.compatibility import incompatibility
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
-from rlbench.render.jobs import extra_pools as chains
+from rlbench.render.jobs import extra_pools
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import finish, render
-from rlbench.render.mitsuba.llvm import activate
+from rlbench.render.jobs.render_clips import render, render_missing
+from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.presets import Preset
 from tests.render.worlds import room
 
@@ -37,7 +37,7 @@ def plain(llvm, tmp_path):
 @pytest.fixture
 def clip(plain):
     """The same with a pool of chains, added later."""
-    finish([job(plain)])
+    render_missing([job(plain)])
     return plain
 
 
@@ -58,7 +58,7 @@ def killer(after):
 def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
     before = {file: file.stat().st_mtime_ns for file in plain.glob("*.exr")}
     digest = open_clip(plain).digest
-    finish([job(plain)])
+    render_missing([job(plain)])
     assert before == {file: file.stat().st_mtime_ns for file in before}
     assert open_clip(plain).digest == digest
     assert read_header(plain).pools == ("path", "restir")
@@ -75,7 +75,7 @@ def test_samples_of_each_pool_have_a_digest_of_their_own(clip):
 
 
 def test_a_finished_pool_is_not_traced_again(clip):
-    assert chains.lacking([job(clip)]) == []
+    assert extra_pools.lacking([job(clip)]) == []
 
 
 @pytest.mark.slow
@@ -84,14 +84,14 @@ def test_a_finished_pool_is_not_traced_again(clip):
 def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, cuts, after):
     scene = replace(room(), cuts=cuts)
     whole, again = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
-    finish([whole])
-    finish([replace(again, preset=PLAN)])
-    (lack,) = chains.lacking([again])
+    render_missing([whole])
+    render_missing([replace(again, preset=PLAN)])
+    (lack,) = extra_pools.lacking([again])
     with pytest.raises(Killed):
-        chains.add(lack, killer(after))
+        extra_pools.add(lack, killer(after))
     assert read_header(again.folder).pools == ("path",)
     assert len(contents(again.folder, "pool.restir.*.exr")) == after + 1
-    finish([again])
+    render_missing([again])
     assert contents(again.folder) == contents(whole.folder)
 
 
@@ -99,15 +99,15 @@ def test_a_lost_file_is_traced_again_and_the_others_are_left_alone(clip):
     before = contents(clip)
     kept = (clip / "pool.restir.0000.exr").stat().st_mtime_ns
     (clip / "pool.restir.0002.exr").unlink()
-    finish([job(clip)])
+    render_missing([job(clip)])
     assert contents(clip) == before
     assert (clip / "pool.restir.0000.exr").stat().st_mtime_ns == kept
 
 
 def test_a_pool_of_another_recipe_is_replaced(clip):
     (lack,) = [
-        chains.Lack(job(clip), replace(kind, recipe=kind.recipe + 1))
-        for kind in [chains.registry.load("pools", "restir")]
+        extra_pools.MissingPool(job(clip), replace(kind, recipe=kind.recipe + 1))
+        for kind in [extra_pools.registry.load("pools", "restir")]
     ]
     assert lack.missing == [0, 1, 2, 3]
     lack.claim()
@@ -123,8 +123,10 @@ def test_the_header_says_what_a_sample_of_each_pool_costs(clip):
 
 
 def test_without_wavefronts_there_is_no_pool_and_a_method_that_needs_it_says_so(plain):
-    activate("scalar_rgb")
-    finish([job(plain)])
+    select_variant("scalar_rgb")
+    render_missing([job(plain)])
     header = read_header(plain)
     assert header.pools == ("path",)
-    assert "'restir' pool, the clip has: path" in unusable(header, Traits(pool="restir"), 1.0)
+    assert "'restir' pool, the clip has: path" in incompatibility(
+        header, Traits(pool="restir"), 1.0
+    )

@@ -6,34 +6,38 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rlbench.render.jobs import contact_sheet as contact
+from rlbench.render.jobs import contact_sheet
 
 
 def test_black_stays_black_and_white_is_reached():
-    white = np.array([[[0.0] * 3, [contact.WHITE] * 3]])
-    assert contact.shown(white, 1.0)[0, :, 0].tolist() == [0, 255]
+    white = np.array([[[0.0] * 3, [contact_sheet.WHITE] * 3]])
+    assert contact_sheet.shown(white, 1.0)[0, :, 0].tolist() == [0, 255]
 
 
 def test_exposure_is_a_factor_of_radiance():
     radiance = np.random.default_rng(0).uniform(0, 2, (4, 5, 3))
-    assert np.array_equal(contact.shown(radiance, 3.0), contact.shown(3 * radiance, 1.0))
+    assert np.array_equal(
+        contact_sheet.shown(radiance, 3.0), contact_sheet.shown(3 * radiance, 1.0)
+    )
 
 
 def test_brighter_is_never_shown_darker():
     ramp = np.repeat(np.geomspace(1e-4, 50, 300)[None, :, None], 3, -1)
-    assert (np.diff(contact.shown(ramp, 1.0)[0, :, 0].astype(int)) >= 0).all()
+    assert (np.diff(contact_sheet.shown(ramp, 1.0)[0, :, 0].astype(int)) >= 0).all()
 
 
 def test_what_is_not_finite_is_black():
-    assert contact.shown(np.array([[[np.nan, np.inf, -np.inf]]]), 1.0).tolist() == [[[0, 0, 0]]]
+    assert contact_sheet.shown(np.array([[[np.nan, np.inf, -np.inf]]]), 1.0).tolist() == [
+        [[0, 0, 0]]
+    ]
 
 
 def test_the_third_picture_starts_the_second_row():
     pictures = [np.full((3, 5, 3), k, np.uint8) for k in range(3)]
-    page = contact.tiled(pictures)
-    assert page.shape == (6 + contact.GAP, 10 + contact.GAP, 3)
-    assert page[3 + contact.GAP :, :5].tolist() == pictures[2].tolist()
-    assert (page[3 + contact.GAP :, 5:] == 255).all()
+    page = contact_sheet.tiled(pictures)
+    assert page.shape == (6 + contact_sheet.GAP, 10 + contact_sheet.GAP, 3)
+    assert page[3 + contact_sheet.GAP :, :5].tolist() == pictures[2].tolist()
+    assert (page[3 + contact_sheet.GAP :, 5:] == 255).all()
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +45,14 @@ def asked(tmp_path_factory):
     """Scene, size and spp of a sheet, in a cache of its own."""
     folder = tmp_path_factory.mktemp("contact")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contact.paths, "cache", lambda: folder)
+        patch.setattr(contact_sheet.paths, "cache", lambda: folder)
         yield (["temple", "temple"], 16, 2, folder / "sheet.png")
 
 
 @pytest.mark.slow
 def test_a_second_sheet_traces_nothing_and_is_the_same(asked, monkeypatch):
-    first = Image.open(contact.sheet(*asked)).tobytes()
-    monkeypatch.setattr(contact, "open_tracer", None)
-    second = Image.open(contact.sheet(*asked))
-    assert second.size == (32 + contact.GAP, 16)
+    first = Image.open(contact_sheet.sheet(*asked)).tobytes()
+    monkeypatch.setattr(contact_sheet, "open_tracer", None)
+    second = Image.open(contact_sheet.sheet(*asked))
+    assert second.size == (32 + contact_sheet.GAP, 16)
     assert second.tobytes() == first

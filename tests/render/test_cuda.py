@@ -42,4 +42,4 @@ def test_a_driver_that_works_is_used(false_driver, tmp_path):
 
 
 def test_the_probe_passes_where_rays_can_be_traced(llvm):
-    assert probe.tried(cuda.PROBE.replace("cuda_ad_rgb", llvm), {}) == ""
+    assert probe.probe_subprocess(cuda.PROBE.replace("cuda_ad_rgb", llvm), {}) == ""

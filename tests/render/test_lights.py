@@ -65,9 +65,9 @@ def test_a_light_that_changed_shines_as_if_it_was_made_so(llvm, kind, share):
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
 def test_without_llvm_lights_change_too(kind):
-    from rlbench.render.mitsuba.llvm import activate
+    from rlbench.render.mitsuba.llvm import select_variant
 
-    activate("scalar_rgb")
+    select_variant("scalar_rgb")
     light, made = MADE[kind]
     tracer, fresh = open_tracer(switched(made(1.0), light), 4, 6), open_tracer(made(0.25), 4, 6)
     for each in (tracer, fresh):

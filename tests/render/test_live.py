@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from rlbench.benchmark.clip_sources import Stored, pooled
+from rlbench import registry
+from rlbench.benchmark.clip_sources import StoredSource, open_source
 from rlbench.clips.exr import precision
 from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
-from rlbench.registry import lookup as registry
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live
-from rlbench.render.jobs.render_clips import named, render
+from rlbench.render.jobs.render_clips import render, scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
 from rlbench.run import run_clip
-from rlbench.sampling import buy, nothing
+from rlbench.sampling import draw_samples, nothing
 from tests.conftest import write_noise
 from tests.render.worlds import grey, room
 
@@ -31,15 +31,15 @@ PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
 class Follows:
     """Samples where it was bright, in two passes, and remembers what it saw."""
 
-    traits: Traits = Traits(adapts=True, temporal=True, passes=(0.3, 1.0))
+    traits: Traits = Traits(adaptive=True, temporal=True, passes=(0.3, 1.0))
 
     def start(self, size):
         return torch.zeros(1, 1, size.h, size.w)
 
-    def plan(self, view, samples, state):
+    def plan(self, gbuffer, samples, state):
         return samples.mean.mean(1, keepdim=True) + state + 0.01
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         return samples.mean, samples.mean.mean(1, keepdim=True)
 
 
@@ -77,9 +77,9 @@ def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, tmp_
 
 
 def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
-    from rlbench.render.mitsuba.llvm import activate
+    from rlbench.render.mitsuba.llvm import select_variant
 
-    activate("scalar_rgb")
+    select_variant("scalar_rgb")
     stored, live = both(rendered(tmp_path, room()), room())
     assert torch.equal(images(live, 0.7), images(stored, 0.7))
 
@@ -101,9 +101,9 @@ def test_a_frame_that_was_kept_still_sells_its_own_samples(llvm, tmp_path):
     stored, live = both(rendered(tmp_path, room()), room())
     kept = list(live)[1].pool
     density = torch.ones(1, 1, H, W)
-    first = buy(kept, nothing(kept), density, 1.5)
+    first = draw_samples(kept, nothing(kept), density, 1.5)
     again = stored.frame(1).pool
-    assert torch.equal(first.radiance, buy(again, nothing(again), density, 1.5).radiance)
+    assert torch.equal(first.radiance, draw_samples(again, nothing(again), density, 1.5).radiance)
 
 
 def launches(work):
@@ -122,7 +122,9 @@ def test_each_sample_bought_is_one_path_and_nothing_else_is_traced(llvm, tmp_pat
     density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
     held, sizes = nothing(pool), []
     for upto in (0.1, 0.9, 4.0):
-        kernels, held = launches(lambda upto=upto, held=held: buy(pool, held, density, upto))
+        kernels, held = launches(
+            lambda upto=upto, held=held: draw_samples(pool, held, density, upto)
+        )
         sizes += [kernel["size"] for kernel in kernels]
     assert sizes == [38, 346 - 38, 1536 - 346]  # 0.1, 0.9 and 4 times 16 x 24, less what is held
 
@@ -151,11 +153,11 @@ def check_no_map_compiles_a_kernel(scene, h, w):
         return LivePool(tracer, time, tuple(range(8)), 1, 1.0, np.float16, torch.device("cpu"))
 
     first = pool(0.0)
-    first.take(first.empty(), torch.ones(1, 1, h, w, dtype=torch.int64))
+    first.read(first.empty(), torch.ones(1, 1, h, w, dtype=torch.int64))
     for time in (1.0, 2.0):
         later = pool(time)
         for counts in maps(h, w):
-            kernels, _ = launches(partial(later.take, later.empty(), counts))
+            kernels, _ = launches(partial(later.read, later.empty(), counts))
             assert all(kernel["cache_hit"] for kernel in kernels)
             bought = int(counts.sum())
             # one wavefront as wide as what is bought; a single lane would be another kernel
@@ -169,7 +171,7 @@ def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
 def test_no_map_compiles_a_kernel_in_a_real_scene(llvm, name):
-    check_no_map_compiles_a_kernel(named(name), 32, 32)
+    check_no_map_compiles_a_kernel(scene_of_clip(name), 32, 32)
 
 
 def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
@@ -193,24 +195,24 @@ def test_a_clip_knows_its_scene(temple):
 
 
 def test_the_bench_may_take_either_and_tells_them_apart(temple):
-    live, stored = pooled(temple, "live"), pooled(temple, "stored")
+    live, stored = open_source(temple, "live"), open_source(temple, "stored")
     device = torch.device("cpu")
     clips = [source.open(Follows().traits, 1.0, 3, device) for source in (live, stored)]
     assert isinstance(clips[0], LiveClip)
     assert agree(images(clips[0], 1.0), images(clips[1], 1.0))
-    assert live.content("path") != stored.content("path") == Stored(temple).content("path")
+    assert live.content("path") != stored.content("path") == StoredSource(temple).content("path")
 
 
 def test_a_scene_that_has_changed_is_told(temple):
     mark = temple / "scene.txt"
     mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
     with pytest.raises(ClipError, match="the clip shows 0123456789abcdef.*--pool stored"):
-        pooled(temple, "live")
+        open_source(temple, "live")
 
 
 def test_a_clip_of_another_renderer_is_told(tmp_path):
     with pytest.raises(ClipError, match="did not write it; use --pool stored"):
-        pooled(write_noise(tmp_path / "noise"), "live")
+        open_source(write_noise(tmp_path / "noise"), "live")
 
 
 def test_a_pool_that_is_not_of_paths_is_told(tmp_path):
@@ -223,4 +225,4 @@ def test_a_scene_that_is_not_installed_is_told(llvm, tmp_path):
     rendered(tmp_path / "room", room())
     assert read_header(tmp_path / "room").name == "room"
     with pytest.raises(LookupError, match="'room' is not a scene"):
-        pooled(tmp_path / "room", "live")
+        open_source(tmp_path / "room", "live")

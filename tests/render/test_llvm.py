@@ -118,7 +118,7 @@ def test_the_fastest_variant_that_works_is_chosen(library, cuda_refused, variant
 
 
 def test_a_variant_that_mitsuba_lacks_is_an_error_that_lists_those_there_are(llvm):
-    from rlbench.render.mitsuba.llvm import activate
+    from rlbench.render.mitsuba.llvm import select_variant
 
     with pytest.raises(ValueError, match="no variant 'metal_rgb'; it has: .*scalar_rgb"):
-        activate("metal_rgb")
+        select_variant("metal_rgb")

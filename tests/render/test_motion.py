@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rlbench.render.jobs.render_clips import named
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.jobs.render_clips import scene_of_clip
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.pose import Pose
 
@@ -15,11 +15,11 @@ NEAR = 1e-3  # m, between where a point was and where it is found
 
 @pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
 def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
-    tracer = open_tracer(named(name), SIDE, SIDE)
+    tracer = open_tracer(scene_of_clip(name), SIDE, SIDE)
     rows, columns = np.indices((SIDE, SIDE)).reshape(2, -1)
     film = np.stack([columns, rows], 1) + 0.5
     tracer.set_time(TIME)
-    motion = views(tracer, {"motion"})["motion"].reshape(-1, 2)
+    motion = render_gbuffer(tracer, {"motion"})["motion"].reshape(-1, 2)
     mesh, place, hit = seen(tracer, film)
     towards = tracer.pose.directions(film, SIDE, SIDE)
     tracer.set_time(TIME - 1)

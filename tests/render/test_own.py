@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from rlbench.benchmark import results as table
+from rlbench.benchmark import results
 from rlbench.cli.app import app
 from rlbench.clips.stored import open_clip, read_header, verify
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
-from rlbench.render.user import auto_exposure as sight
-from rlbench.render.user import camera_path as flight
-from rlbench.render.user.clip import Wish, ensure_own
+from rlbench.render.user import auto_exposure, camera_path
+from rlbench.render.user.clip import UserSceneOptions, ensure_own
 from rlbench.render.user.scene_file import opened
 from tests.render.worlds import looking_down
 
@@ -113,7 +112,7 @@ def contents(folder):
 
 
 def buffer(clip, name, index):
-    return open_clip(clip).frame(index).view.buffers[name][0].permute(1, 2, 0).double().numpy()
+    return open_clip(clip).frame(index).gbuffer.buffers[name][0].permute(1, 2, 0).double().numpy()
 
 
 def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tmp_path):
@@ -126,12 +125,12 @@ def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tm
     words = ["-m", "mean", "--clips", tmp_path / "clip", "--out", tmp_path / "results"]
     told = run.invoke(app, ["run", "--spp", "1", *map(str, words)])
     assert told.exit_code == 0, told.output
-    rows = table.read(tmp_path / "results")
+    rows = results.read(tmp_path / "results")
     assert np.isfinite(rows[rows["metric"] == "psnr"]["value"]).all()
 
 
 def test_the_clip_says_what_it_shows(room):
-    header = read_header(ensure_own(Wish(room, flown(room.parent, PASSING[:2])), PLAN))
+    header = read_header(ensure_own(UserSceneOptions(room, flown(room.parent, PASSING[:2])), PLAN))
     assert (header.name, header.scene, header.frames) == ("room-path", "room", 2)
     assert (header.height, header.width) == (H, W)  # the film is 3 : 2, as the preset is
     assert header.licence == ""
@@ -145,9 +144,9 @@ def test_radiance_is_that_of_mitsuba_itself(room):
     )
     file = document(room.parent, known.replace('"1200"', f'"{W}"').replace('"800"', f'"{H}"'))
     truth = mi.TensorXf(mi.render(mi.load_file(str(file)), spp=256)).numpy()
-    wish = Wish(file, "still", exposure=1.0)
+    wish = UserSceneOptions(file, "still", exposure=1.0)
     clip = open_clip(ensure_own(wish, replace(PLAN, frames=1, reference_spp=128)))
-    found = clip.frame(0).reference.a[0].permute(1, 2, 0).numpy()
+    found = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
 
     def areas(image):  # 8 x 8 pixels each
         return image.reshape(H // 8, 8, W // 8, 8, 3).mean((1, 3))
@@ -178,7 +177,9 @@ def world(matrix, film):
 def test_motion_and_depth_are_those_of_a_closed_form(variant, tmp_path):
     room = document(tmp_path)
     plan = replace(PLAN, reference_spp=1, pool_spp=1)
-    clip = ensure_own(Wish(room, flown(room.parent, PASSING), out=tmp_path / "clip"), plan)
+    clip = ensure_own(
+        UserSceneOptions(room, flown(room.parent, PASSING), out=tmp_path / "clip"), plan
+    )
     centres = np.stack(np.meshgrid(np.arange(W), np.arange(H)), -1) + 0.5
     now, before = PASSING[2], PASSING[1]
     points = world(now, centres)
@@ -195,21 +196,23 @@ def test_motion_and_depth_are_those_of_a_closed_form(variant, tmp_path):
 
 
 def test_the_sensor_of_the_file_is_the_middle_of_an_orbit(room):
-    clip = ensure_own(Wish(room), PLAN)
+    clip = ensure_own(UserSceneOptions(room), PLAN)
     middle = buffer(clip, "depth", 1)
-    still = ensure_own(Wish(room, flown(room.parent, [look_at([0, 1.2, 4], [0, 0.8, 0])])), PLAN)
+    still = ensure_own(
+        UserSceneOptions(room, flown(room.parent, [look_at([0, 1.2, 4], [0, 0.8, 0])])), PLAN
+    )
     np.testing.assert_allclose(middle, buffer(still, "depth", 0), rtol=1e-4)
 
 
 @pytest.mark.parametrize("camera", ["orbit", "dolly"])
 def test_a_camera_made_from_the_scenes_own_moves(room, camera):
-    clip = ensure_own(Wish(room, camera), PLAN)
+    clip = ensure_own(UserSceneOptions(room, camera), PLAN)
     # half a degree of 60, or 2 % of the way, on 48 pixels
     assert 0.1 < np.median(np.linalg.norm(buffer(clip, "motion", 1), axis=-1)) < 2
 
 
 def test_a_still_camera_makes_a_static_clip(room):
-    header = read_header(ensure_own(Wish(room, "still"), PLAN))
+    header = read_header(ensure_own(UserSceneOptions(room, "still"), PLAN))
     assert header.static
     assert "motion" not in header.buffers
 
@@ -217,7 +220,7 @@ def test_a_still_camera_makes_a_static_clip(room):
 def test_moved_vertices_have_their_motion_and_all_else_has_none(room):
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
-    clip = ensure_own(Wish(hook, "still"), PLAN)
+    clip = ensure_own(UserSceneOptions(hook, "still"), PLAN)
     motion = buffer(clip, "motion", 2)
     depth = buffer(clip, "depth", 2)[..., 0]
     moved = np.abs(motion).max(-1) > 0
@@ -239,7 +242,7 @@ def test_an_instance_is_seen_and_stands_still_beside_what_moves(room):
     room.write_text(text)
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
-    clip = ensure_own(Wish(hook, "still"), PLAN)
+    clip = ensure_own(UserSceneOptions(hook, "still"), PLAN)
     middle = slice(H // 2 - 3, H // 2 + 3), slice(W // 2 - 3, W // 2 + 3)
     assert (buffer(clip, "depth", 2)[middle] < 4 - RADIUS / 2).all()
     assert not buffer(clip, "motion", 2)[middle].any()
@@ -250,13 +253,13 @@ def test_no_kernel_is_compiled_after_the_first_frame_of_a_document(room):
 
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
-    path = flight.listed(PASSING)
-    scene = replace(opened(hook).scene, camera=lambda time: flight.camera(path(time), FOV))
+    path = camera_path.listed(PASSING)
+    scene = replace(opened(hook).scene, camera=lambda time: camera_path.camera(path(time), FOV))
     tracer = open_tracer(scene, H, W)
 
     def work(time):
         tracer.set_time(time)
-        views(tracer)
+        render_gbuffer(tracer)
         tracer.stack(2)
 
     work(0.0)
@@ -276,7 +279,7 @@ def test_what_is_rendered_otherwise_than_asked_is_said(room):
     lens = '<float name="apertureRadius" value="0.1"/><float name="focusDistance" value="4"/>'
     room.write_text(text.replace('type="perspective">', f'type="thinlens">{lens}'))
     told = []
-    ensure_own(Wish(room, "still"), PLAN, told.append)
+    ensure_own(UserSceneOptions(room, "still"), PLAN, told.append)
     assert "integrator volpath is replaced by path" in told
     assert any("everything is sharp" in words for words in told)
 
@@ -284,39 +287,45 @@ def test_what_is_rendered_otherwise_than_asked_is_said(room):
 def test_a_python_scene_is_rendered_with_its_own_camera_and_exposure(room):
     file = room.with_name("mine.py")
     file.write_text(PYTHON)
-    header = read_header(ensure_own(Wish(file), PLAN))
+    header = read_header(ensure_own(UserSceneOptions(file), PLAN))
     assert (header.name, header.exposure) == ("room-own", 2.0)
 
 
 def test_defaults_of_the_file_can_be_replaced(room):
     def brightness(depth):
-        wish = Wish(room, "still", exposure=1.0, parameters=(("max_depth", depth),))
-        return open_clip(ensure_own(wish, PLAN)).frame(0).reference.a.mean()
+        wish = UserSceneOptions(room, "still", exposure=1.0, parameters=(("max_depth", depth),))
+        return open_clip(ensure_own(wish, PLAN)).frame(0).reference.half_a.mean()
 
     assert brightness("2") < 0.95 * brightness("5")  # without light from the floor
 
 
 def test_an_exposure_that_is_given_is_that_of_the_clip(room):
-    assert read_header(ensure_own(Wish(room, "still", exposure=3.5), PLAN)).exposure == 3.5
+    assert (
+        read_header(ensure_own(UserSceneOptions(room, "still", exposure=3.5), PLAN)).exposure == 3.5
+    )
 
 
 def test_the_exposure_makes_a_uniform_picture_grey(llvm):
     # an albedo of one half under a sky of 0.4 on all sides shows 0.2 everywhere
     material = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5] * 3}}
     tracer = open_tracer(looking_down(material, sky=0.4), 16, 16)
-    assert sight.survey(tracer, 1) == pytest.approx(0.18 / 0.2, rel=0.02)  # two digits, and noise
+    assert auto_exposure.estimate_exposure(tracer, 1) == pytest.approx(
+        0.18 / 0.2, rel=0.02
+    )  # two digits, and noise
 
 
 def test_what_is_there_is_not_rendered_again(room):
-    clip = ensure_own(Wish(room), PLAN)
+    clip = ensure_own(UserSceneOptions(room), PLAN)
     before = {file: file.stat().st_mtime_ns for file in clip.iterdir()}
-    assert ensure_own(Wish(room), PLAN) == clip
+    assert ensure_own(UserSceneOptions(room), PLAN) == clip
     assert {file: file.stat().st_mtime_ns for file in clip.iterdir()} == before
 
 
 def test_the_same_scene_elsewhere_is_the_same_clip(room, tmp_path):
-    again = ensure_own(Wish(document(tmp_path / "b" / "room"), out=tmp_path / "again"), PLAN)
-    assert contents(again) == contents(ensure_own(Wish(room), PLAN))
+    again = ensure_own(
+        UserSceneOptions(document(tmp_path / "b" / "room"), out=tmp_path / "again"), PLAN
+    )
+    assert contents(again) == contents(ensure_own(UserSceneOptions(room), PLAN))
 
 
 def _paint(room):
@@ -335,10 +344,10 @@ def _dim(room):
 
 @pytest.mark.parametrize("change", [_paint, _bend, _dim], ids=["texture", "mesh", "XML"])
 def test_a_changed_file_is_rendered_anew(room, change):
-    clip = ensure_own(Wish(room), PLAN)
+    clip = ensure_own(UserSceneOptions(room), PLAN)
     before = contents(clip)
     change(room)
-    ensure_own(Wish(room), PLAN)
+    ensure_own(UserSceneOptions(room), PLAN)
     after = contents(clip)
     assert after.keys() == before.keys()
     assert after["referenceA.0001.exr"] != before["referenceA.0001.exr"]
@@ -369,24 +378,24 @@ def test_a_changed_file_is_rendered_anew(room, change):
 def test_a_broken_file_is_refused(room, old, new, match):
     assert room.read_text().count(old) == 1
     room.write_text(room.read_text().replace(old, new))
-    refused(Wish(room), match)
+    refused(UserSceneOptions(room), match)
 
 
 def test_a_scene_without_lights_is_refused(room):
     dark = BODY.replace(
         '<emitter type="area"><rgb name="radiance" value="17, 12, 4"/></emitter>', ""
     )
-    refused(Wish(document(room.parent, dark)), "no light")
+    refused(UserSceneOptions(document(room.parent, dark)), "no light")
 
 
 def test_a_parameter_that_the_file_does_not_have_is_refused(room):
-    refused(Wish(room, parameters=(("colour", "red"),)), "unused parameters")
+    refused(UserSceneOptions(room, parameters=(("colour", "red"),)), "unused parameters")
 
 
 def test_a_scene_without_a_sensor_needs_matrices(room):
     bare = BODY[: BODY.index("<sensor")] + BODY[BODY.index("</sensor>") + len("</sensor>") :]
-    refused(Wish(document(room.parent, bare)), "has no sensor.*JSON")
-    clip = ensure_own(Wish(room, flown(room.parent, PASSING)), PLAN)
+    refused(UserSceneOptions(document(room.parent, bare)), "has no sensor.*JSON")
+    clip = ensure_own(UserSceneOptions(room, flown(room.parent, PASSING)), PLAN)
     assert read_header(clip).frames == 3
 
 
@@ -409,20 +418,20 @@ AWAY = look_at([0, 1, 20], [0, 1, 40])
     ],
 )
 def test_a_camera_path_that_cannot_be_is_refused(room, matrices, match):
-    refused(Wish(room, flown(room.parent, matrices)), match)
+    refused(UserSceneOptions(room, flown(room.parent, matrices)), match)
 
 
 @pytest.mark.parametrize("fov", [0, 180, "wide"])
 def test_a_field_of_view_that_cannot_be_is_refused(room, fov):
-    refused(Wish(room, flown(room.parent, PASSING, fov)), "between 0 and 180")
+    refused(UserSceneOptions(room, flown(room.parent, PASSING, fov)), "between 0 and 180")
 
 
 def test_a_camera_that_is_no_file_is_refused(room):
-    refused(Wish(room, "zoom"), "takes still, orbit, dolly, or a JSON")
+    refused(UserSceneOptions(room, "zoom"), "takes still, orbit, dolly, or a JSON")
 
 
 def test_more_frames_than_matrices_are_refused(room):
-    refused(Wish(room, flown(room.parent, PASSING), frames=4), "has 3 matrices")
+    refused(UserSceneOptions(room, flown(room.parent, PASSING), frames=4), "has 3 matrices")
 
 
 @pytest.mark.parametrize(
@@ -449,12 +458,12 @@ def test_more_frames_than_matrices_are_refused(room):
 def test_a_python_file_that_cannot_be_used_is_refused(room, code, match):
     file = room.with_name("mine.py")
     file.write_text(code)
-    refused(Wish(file, "still"), match)
+    refused(UserSceneOptions(file, "still"), match)
 
 
 @pytest.mark.parametrize("name", ["none.xml", "textures/wood.png"])
 def test_a_file_that_is_no_scene_is_refused(room, name):
-    refused(Wish(room.parent / name), "--scene takes")
+    refused(UserSceneOptions(room.parent / name), "--scene takes")
 
 
 def test_options_of_one_scene_without_one_are_refused(tmp_path):

@@ -9,7 +9,7 @@ from rlbench.clips.stored import ClipError, open_clip, read_header, verify
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import ensure, render
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset, preset
 from tests.render.worlds import diffuse, room, square
@@ -88,7 +88,7 @@ def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
 
 def test_halves_of_the_reference_are_other_paths(clip):
     reference = open_clip(clip).frame(0).reference
-    assert not (reference.a == reference.b).all()
+    assert not (reference.half_a == reference.half_b).all()
 
 
 def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
@@ -101,30 +101,30 @@ EXTRAS = ("object", "albedo_first", "normal_behind", "depth_behind", "object_beh
 
 
 def test_view_buffers_that_were_asked_for_are_in_the_clip(llvm, tmp_path):
-    render(job(tmp_path, plan=PLAN.showing(EXTRAS)))
+    render(job(tmp_path, plan=PLAN.with_buffers(EXTRAS)))
     assert verify(tmp_path) == []
-    view = open_clip(tmp_path, needs=frozenset(EXTRAS)).frame(1).view
+    gbuffer = open_clip(tmp_path, inputs=frozenset(EXTRAS)).frame(1).gbuffer
     tracer = open_tracer(room(), 16, 24)
     tracer.set_time(1.0)
-    for name, expected in views(tracer, EXTRAS).items():
-        found = view.extra(name)[0].permute(1, 2, 0).numpy()
+    for name, expected in render_gbuffer(tracer, EXTRAS).items():
+        found = gbuffer.extra(name)[0].permute(1, 2, 0).numpy()
         np.testing.assert_allclose(found, expected, atol=2**-11, err_msg=name)  # half, up to 1
 
 
 def test_a_clip_without_them_says_so(clip):
     with pytest.raises(ClipError, match="no buffer object; it has: albedo, normal, depth, motion"):
-        open_clip(clip, needs=frozenset({"object"}))
+        open_clip(clip, inputs=frozenset({"object"}))
 
 
 def test_clips_with_more_buffers_are_another_set():
-    more = PRESETS["mini"].showing(["object"])
+    more = PRESETS["mini"].with_buffers(["object"])
     assert more.name == "mini-views"
-    assert job("a", plan=more).mark != job("a", plan=PRESETS["mini"]).mark
+    assert job("a", plan=more).content_key != job("a", plan=PRESETS["mini"]).content_key
 
 
 def test_a_buffer_that_cannot_be_added_is_an_error_that_lists_those_there_are():
     with pytest.raises(ValueError, match="no view buffer emission to add; there are: object"):
-        PRESETS["mini"].showing(["object", "emission"])
+        PRESETS["mini"].with_buffers(["object", "emission"])
 
 
 def test_a_changed_scene_replaces_its_frames(clip):
@@ -179,7 +179,7 @@ def test_the_papers_protocol():
 def test_a_capped_preset_is_another_set_of_clips():
     capped = PRESETS["mini"].capped(64.0)
     assert capped.name == "mini-cap64"
-    assert job("a", plan=capped).mark != job("a", plan=PRESETS["mini"]).mark
+    assert job("a", plan=capped).content_key != job("a", plan=PRESETS["mini"]).content_key
 
 
 @pytest.mark.parametrize("cap", [0.0, -1.0, float("nan")])
@@ -193,13 +193,15 @@ def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_p
     assert read_header(tmp_path / "capped").radiance_cap == 0.25
     free, capped = (open_clip(folder).frame(1) for folder in (clip, tmp_path / "capped"))
     assert free.pool.radiance.max() > 1
-    assert free.reference.a.max() > 1
+    assert free.reference.half_a.max() > 1
     # half precision has 11 bits; the header's exposure is a power of two
     assert capped.pool.radiance.max() <= 0.25 * (1 + 2**-10)
-    assert capped.reference.a.max() <= 0.25 * (1 + 1e-6)
+    assert capped.reference.half_a.max() <= 0.25 * (1 + 1e-6)
 
 
 def test_presets_of_clips_in_use_keep_their_mark():
     # what stands in scene.txt of clips that were rendered before there were rounds and caps
-    assert job("a", plan=PRESETS["mini"]).mark.endswith(" 192x192 8 frames 8 + 2 x 64 spp\n")
-    assert job("a", plan=PRESETS["train"]).mark.endswith(" 160x160 5 frames 8 + 2 x 64 spp\n")
+    assert job("a", plan=PRESETS["mini"]).content_key.endswith(" 192x192 8 frames 8 + 2 x 64 spp\n")
+    assert job("a", plan=PRESETS["train"]).content_key.endswith(
+        " 160x160 5 frames 8 + 2 x 64 spp\n"
+    )

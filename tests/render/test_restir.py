@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
-from rlbench.render.mitsuba.pool_stage import Staged
-from rlbench.render.mitsuba.wavefront import Wavefront
+from rlbench.render.mitsuba.pool_stage import PoolStage
+from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Camera, Mesh, Scene
 from tests.render.worlds import diffuse, grey, room, square
 
@@ -16,13 +16,13 @@ SIGMAS = 4.0  # standard errors that a mean may be away from what it estimates
 
 
 def opened(scene, time=0.0):
-    tracer = Wavefront(scene, H, W)
+    tracer = WavefrontTracer(scene, H, W)
     tracer.set_time(time)
     return tracer
 
 
 def chains(tracer, count, config=BIASED, indirect=True):
-    return Restir(Staged(tracer, "restir"), range(count), config, indirect)
+    return Restir(PoolStage(tracer, "restir"), range(count), config, indirect)
 
 
 def camera_alone(depth):
@@ -69,7 +69,7 @@ def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
     (found,) = chains(tracer, 1, PLAIN, indirect=False)()
 
     pixels = mi.UInt32(np.arange(H * W))
-    numbers = Staged(tracer, "restir").numbers(pixels, mi.UInt32(np.zeros(H * W)))
+    numbers = PoolStage(tracer, "restir").numbers(pixels, mi.UInt32(np.zeros(H * W)))
     jitter, place = numbers.next_2d(), numbers.next_2d()
     rows, columns = np.indices((H, W)).reshape(2, -1)
     ray = tracer.rays(mi.Float(columns) + jitter.x, mi.Float(rows) + jitter.y)
@@ -135,7 +135,7 @@ def test_what_has_just_come_into_view_has_no_past(llvm):
     for time in (0.0, 1.0):
         tracer.set_time(time)
         pool()
-    count = pool.past.kept.count.numpy().reshape(H, W)
+    count = pool.past.kept.M.numpy().reshape(H, W)
     columns = np.arange(W) + 0.5 + pool.stage.motion()[0].numpy().reshape(H, W)
     new = columns >= W
     assert new.any()
@@ -148,12 +148,12 @@ def test_the_past_counts_at_most_twenty_times_the_present(llvm):
     pool = chains(tracer, 1, replace(BIASED, candidates=2, passes=0))
     for _ in range(25):
         pool()
-    assert pool.past.kept.count.numpy().max() == 2 * (20 + 1)
+    assert pool.past.kept.M.numpy().max() == 2 * (20 + 1)
 
 
 def test_a_chain_does_not_depend_on_those_beside_it(llvm):
     tracer = opened(room())
-    stage = Staged(tracer, "restir")
+    stage = PoolStage(tracer, "restir")
     pools = [Restir(stage, numbers) for numbers in (range(4), range(2), range(2, 4))]
     for time in (0.0, 1.0):
         tracer.set_time(time)

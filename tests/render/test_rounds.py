@@ -9,7 +9,7 @@ import torch
 
 from metrics.image import psnr
 from rlbench.clips.stored import open_clip, read_header
-from rlbench.render.jobs import references as rounds
+from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render
 from rlbench.render.mitsuba.open_tracer import open_tracer
@@ -32,23 +32,25 @@ def test_the_ceiling_is_what_the_truth_scores(sigma):
     truth, a, b = noisy(sigma, seed=1)
     shown = [torch.from_numpy(i).permute(2, 0, 1)[None] for i in (truth, (a + b) / 2)]
     # the deviation of a mean of 30000 squares, which is below 0.05 dB, and the curve's bend
-    assert rounds.ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*shown)), abs=0.1)
+    assert references.ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*shown)), abs=0.1)
 
 
 def test_the_ceiling_sees_what_exposure_lifts_above_white():
     _, a, b = noisy(0.05, seed=2)
-    assert rounds.ceiling_db(a, b, 1000.0) == 100.0  # all is white, and the display shows no noise
+    assert (
+        references.ceiling_db(a, b, 1000.0) == 100.0
+    )  # all is white, and the display shows no noise
 
 
 def test_equal_halves_have_the_highest_psnr():
     image = np.full((4, 4, 3), 0.5, np.float32)
-    assert rounds.ceiling_db(image, image, 1.0) == 100.0
+    assert references.ceiling_db(image, image, 1.0) == 100.0
 
 
 @pytest.mark.parametrize("spp", [1, 5])
 def test_one_round_is_the_mean_of_each_stream(llvm, spp):
     tracer = open_tracer(room(), H, W)
-    a, b, spent = rounds.trace(tracer, replace(PLAN, reference_spp=spp), 1.0)
+    a, b, spent = references.trace_reference(tracer, replace(PLAN, reference_spp=spp), 1.0)
     assert spent == 2 * spp
     np.testing.assert_array_equal(a, tracer.mean(spp, "referenceA"))
     np.testing.assert_array_equal(b, tracer.mean(spp, "referenceB"))
@@ -56,7 +58,7 @@ def test_one_round_is_the_mean_of_each_stream(llvm, spp):
 
 def test_rounds_go_on_where_the_last_ended(llvm):
     tracer = open_tracer(room(), H, W)
-    a, _, spent = rounds.trace(tracer, replace(PLAN, rounds=3), 1.0)
+    a, _, spent = references.trace_reference(tracer, replace(PLAN, rounds=3), 1.0)
     assert spent == 2 * 3 * 4
     # a float64 sum in another order, rounded to float32
     np.testing.assert_allclose(a, tracer.mean(12, "referenceA"), rtol=1e-6)
@@ -65,18 +67,18 @@ def test_rounds_go_on_where_the_last_ended(llvm):
 def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     tracer = open_tracer(room(), H, W)
     plan = replace(PLAN, rounds=50, ceiling_db=25.0)
-    a, b, spent = rounds.trace(tracer, plan, room().exposure)
+    a, b, spent = references.trace_reference(tracer, plan, room().exposure)
     assert 8 < spent < 400
-    assert rounds.ceiling_db(a, b, room().exposure) >= 25.0
+    assert references.ceiling_db(a, b, room().exposure) >= 25.0
     fewer = replace(plan, rounds=spent // 8 - 1, ceiling_db=math.inf)
-    before = rounds.trace(tracer, fewer, room().exposure)
-    assert rounds.ceiling_db(*before[:2], room().exposure) < 25.0
+    before = references.trace_reference(tracer, fewer, room().exposure)
+    assert references.ceiling_db(*before[:2], room().exposure) < 25.0
 
 
 def test_progress_counts_the_samples_that_were_not_needed(llvm):
     told = []
     plan = replace(PLAN, rounds=50, ceiling_db=25.0)
-    rounds.trace(open_tracer(room(), H, W), plan, room().exposure, told.append)
+    references.trace_reference(open_tracer(room(), H, W), plan, room().exposure, told.append)
     assert sum(told) == 2 * 50 * 4
 
 
@@ -95,8 +97,10 @@ def test_an_easy_scene_costs_less_and_the_header_says_what(llvm, tmp_path, easy)
     assert max(headers[0].reference_spp) < min(headers[1].reference_spp)
     assert min(headers[0].noise_ceiling_db) >= 30.0
     frame = open_clip(tmp_path / "hard").frame(1)
-    halves = [h[0].permute(1, 2, 0).numpy() for h in (frame.reference.a, frame.reference.b)]
-    assert headers[1].noise_ceiling_db[1] == pytest.approx(rounds.ceiling_db(*halves, 1.0))
+    halves = [
+        h[0].permute(1, 2, 0).numpy() for h in (frame.reference.half_a, frame.reference.half_b)
+    ]
+    assert headers[1].noise_ceiling_db[1] == pytest.approx(references.ceiling_db(*halves, 1.0))
 
 
 def test_a_resumed_clip_knows_what_its_first_frames_cost(llvm, tmp_path):

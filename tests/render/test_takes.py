@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from rlbench import registry
 from rlbench.clips.stored import ClipError, open_clip, read_header, write_header
 from rlbench.ops.reprojection import reproject
-from rlbench.registry import lookup as registry
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.live_pool import open_live
-from rlbench.render.jobs.render_clips import ensure, named
-from rlbench.render.jobs.retime import retime
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.jobs.render_clips import ensure, scene_of_clip
+from rlbench.render.jobs.retime import remeasure_sample_ms
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset
 from rlbench.render.scene import Camera, SceneError, Take
@@ -56,17 +56,24 @@ def test_a_take_is_the_scene_but_for_what_it_says():
     scene, take = filmed(), filmed().take("still")
     assert [mesh.name for mesh in take.meshes] == [mesh.name for mesh in scene.meshes]
     assert (take.name, take.sky, take.exposure, take.depth) == ("room", scene.sky, 2.0, 8)
-    assert (take.static, take.camera(7.0), take.moving(7.0), take.takes) == (True, AWAY, {}, ())
+    assert (take.static, take.camera(7.0), take.vertex_animation(7.0), take.takes) == (
+        True,
+        AWAY,
+        {},
+        (),
+    )
 
 
 def test_a_take_that_says_nothing_of_motion_moves_as_the_scene():
     scene = filmed()
-    assert np.array_equal(scene.take("cut").moving(3.0)["cube"], scene.moving(3.0)["cube"])
+    assert np.array_equal(
+        scene.take("cut").vertex_animation(3.0)["cube"], scene.vertex_animation(3.0)["cube"]
+    )
 
 
 def test_an_unknown_take_is_an_error_that_lists_those_there_are(installed):
     with pytest.raises(SceneError, match="scene 'room' has no take 'crane'; it has: cut, still"):
-        named("room-crane")
+        scene_of_clip("room-crane")
 
 
 def test_a_preset_of_all_takes_has_a_clip_of_each_and_the_scene_is_told(clips):
@@ -107,7 +114,7 @@ def test_the_header_tells_the_cuts_that_the_clip_has(clips):
 def test_at_a_cut_every_pixel_comes_from_outside_and_only_there(clips):
     clip = open_clip(clips["room-cut"])
     history = torch.zeros(1, 1, 16, 24)
-    shares = [float(reproject(history, f.view.motion)[1].float().mean()) for f in clip]
+    shares = [float(reproject(history, f.gbuffer.motion)[1].float().mean()) for f in clip]
     assert shares[2] == 0
     assert min(shares[1], shares[3]) > 0.5
 
@@ -118,7 +125,7 @@ def test_between_frames_a_cut_lasts_as_long_as_the_frame_before_is_of_the_other_
 ):
     tracer = open_tracer(filmed().take("cut"), 8, 12)
     tracer.set_time(time)
-    motion = views(tracer, ("motion",))["motion"]
+    motion = render_gbuffer(tracer, ("motion",))["motion"]
     assert bool((motion == np.array([-24, -16], np.float32)).all()) is outside
 
 
@@ -130,8 +137,8 @@ def test_a_still_take_has_no_motion_buffer(clips):
 
 def test_a_switched_light_is_seen_in_its_frame_and_in_no_buffer(clips):
     two, three = (open_clip(clips["room-cut"]).frame(i) for i in (2, 3))
-    assert float(three.reference.a.mean()) < 0.8 * float(two.reference.a.mean())
-    still = two.view.normal == three.view.normal
+    assert float(three.reference.half_a.mean()) < 0.8 * float(two.reference.half_a.mean())
+    still = two.gbuffer.normal == three.gbuffer.normal
     assert float(still.float().mean()) > 0.8  # but for the cube, which moves
 
 
@@ -139,7 +146,7 @@ def test_a_take_is_sampled_live_as_it_was_stored(clips):
     stored = open_clip(clips["room-cut"])
     for one, other in zip(stored, open_live(stored), strict=True):
         counts = torch.full((1, 1, 16, 24), 2)
-        whole, traced = (pool.take(pool.empty(), counts) for pool in (one.pool, other.pool))
+        whole, traced = (pool.read(pool.empty(), counts) for pool in (one.pool, other.pool))
         # but for what Embree decides by the rays around: see Wavefront
         assert float((whole != traced).double().mean()) < 0.01
 
@@ -171,7 +178,7 @@ def test_retiming_measures_a_sample_anew_and_touches_nothing_else(clips):
     before = read_header(folder)
     slow = replace(before, sample_ms=1e6, pools=("path", "restir"), pools_ms=(1e6, 3e6))
     write_header(folder, slow)
-    now = retime(folder)
+    now = remeasure_sample_ms(folder)
     assert now == read_header(folder)
     assert 0 < now.sample_ms < 1e5  # 384 pixels: a millisecond or two
     assert now.pools_ms == pytest.approx((now.sample_ms, 3 * now.sample_ms))
@@ -184,5 +191,5 @@ def test_what_another_machine_has_rendered_is_not_retimed(clips):
     before = read_header(folder)
     write_header(folder, replace(before, device="abacus"))
     with pytest.raises(ClipError, match="was rendered on 'abacus'.*times its samples here"):
-        retime(folder)
+        remeasure_sample_ms(folder)
     write_header(folder, before)

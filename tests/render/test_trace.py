@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render.jobs.render_clips import named
+from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.worlds import atlas, diffuse, looking_down, room, under_a_lamp
 
@@ -26,9 +26,9 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
 
 
 def test_without_llvm_pairs_are_those_of_the_stack_too():
-    from rlbench.render.mitsuba.llvm import activate
+    from rlbench.render.mitsuba.llvm import select_variant
 
-    activate("scalar_rgb")
+    select_variant("scalar_rgb")
     tracer = open_tracer(room(), H, W)
     pixels, samples = np.array([5, 700, 5]), np.array([1, 0, 0])
     stack = tracer.stack(2).reshape(2, -1, 3)
@@ -130,10 +130,10 @@ def test_a_floor_below_an_atlas_of_lamps_has_the_radiance_of_the_form_factor(var
 
 
 def test_both_kinds_of_tracer_see_the_same_picture(llvm):
-    from rlbench.render.mitsuba.llvm import activate
+    from rlbench.render.mitsuba.llvm import select_variant
 
     first = open_tracer(room(), H, W).stack(256)
-    activate("scalar_rgb")
+    select_variant("scalar_rgb")
     second = open_tracer(room(), H, W).stack(256)
     blocks = [s.reshape(256, 3, 8, 4, 8, 3).mean((2, 4)) for s in (first, second)]
     error = np.sqrt(sum(b.var(0) for b in blocks) / 256) + 1e-4
@@ -157,7 +157,7 @@ def test_a_cap_dims_what_is_brighter_in_its_own_colour(variant):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["city", "hall"])
 def test_hardly_a_sample_of_a_real_scene_depends_on_the_wavefront(llvm, name):
-    tracer = open_tracer(named(name), 96, 96)
+    tracer = open_tracer(scene_of_clip(name), 96, 96)
     stack = tracer.stack(8).reshape(8, -1, 3)
     pixels = np.arange(96 * 96)
     samples = np.random.default_rng(0).integers(0, 8, len(pixels))
@@ -169,11 +169,11 @@ def test_hardly_a_sample_of_a_real_scene_depends_on_the_wavefront(llvm, name):
 def test_no_kernel_is_compiled_after_the_first_frame(tracer):
     import drjit as dr
 
-    from rlbench.render.mitsuba.gbuffer import views
+    from rlbench.render.mitsuba.gbuffer import render_gbuffer
 
     def work(time):
         tracer.set_time(time)
-        views(tracer)
+        render_gbuffer(tracer)
         tracer.stack(2)
         random = np.random.default_rng(int(time))
         count = int(random.integers(1, 200))

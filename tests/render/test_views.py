@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rlbench.clips.header import VIEWS
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Scene
@@ -24,7 +24,7 @@ ROUGH = {**MIRROR, "type": "roughconductor", "alpha": 0.05}
 
 
 def plane_albedo(material):
-    return views(open_tracer(looking_down(material, fov=1.0), 4, 4), {"albedo"})["albedo"]
+    return render_gbuffer(open_tracer(looking_down(material, fov=1.0), 4, 4), {"albedo"})["albedo"]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_albedo_is_the_hemispherical_reflectance(llvm, material):
 
 def test_albedo_looks_through_glass(variant):
     tracer = open_tracer(room(), H, W)
-    found = views(tracer, {"albedo"})["albedo"]
+    found = render_gbuffer(tracer, {"albedo"})["albedo"]
     rows, columns = np.nonzero(_mesh(tracer) == 3)
     assert len(rows) > 20
     behind = (abs(found[rows, columns] - [0.6, 0.5, 0.4]) < 0.02).all(-1)
@@ -93,14 +93,16 @@ def test_albedo_looks_through_glass(variant):
     ids=lambda material: material["type"],
 )
 def test_albedo_is_a_share_and_no_surface_is_black(llvm, material):
-    found = views(open_tracer(around_the_corner(material), 8, 8), {"albedo", "albedo_first"})
+    found = render_gbuffer(
+        open_tracer(around_the_corner(material), 8, 8), {"albedo", "albedo_first"}
+    )
     for albedo in found.values():
         assert albedo.min() > 0.05  # the wall behind what is clear has 0.2 of red
         assert albedo.max() <= 1
 
 
 def test_a_mirror_shows_how_far_behind_it_things_are(variant):
-    found = views(open_tracer(around_the_corner(MIRROR), 5, 5), VIEWS)
+    found = render_gbuffer(open_tracer(around_the_corner(MIRROR), 5, 5), VIEWS)
     middle = {name: buffer[2, 2] for name, buffer in found.items()}
     assert middle["depth"] == pytest.approx(4.0, rel=1e-5)
     # Mitsuba starts a reflected ray a little off the mirror
@@ -113,7 +115,7 @@ def test_a_mirror_shows_how_far_behind_it_things_are(variant):
 
 
 def test_behind_what_is_not_clear_there_is_itself(variant):
-    found = views(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
+    found = render_gbuffer(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
     for name in ("normal", "object"):
         np.testing.assert_array_equal(found[f"{name}_behind"], found[name])
     np.testing.assert_allclose(found["depth_behind"], found["depth"], rtol=1e-5)
@@ -122,20 +124,20 @@ def test_behind_what_is_not_clear_there_is_itself(variant):
 
 def test_objects_are_numbered_as_the_meshes_are(variant):
     tracer = open_tracer(room(), H, W)
-    found = views(tracer, {"object"})["object"][..., 0]
+    found = render_gbuffer(tracer, {"object"})["object"][..., 0]
     np.testing.assert_array_equal(found, _mesh(tracer) + 1)
     assert {0, 1, 2, 3, 4} <= set(found.ravel())
 
 
 def test_glass_itself_passes_all_light_on(variant):
     tracer = open_tracer(room(), H, W)
-    pane = views(tracer, {"albedo_first"})["albedo_first"][_mesh(tracer) == 3]
+    pane = render_gbuffer(tracer, {"albedo_first"})["albedo_first"][_mesh(tracer) == 3]
     np.testing.assert_allclose(pane, 1.0, atol=1e-5)  # not scaled by the squared refractive index
 
 
 def test_background_behind_is_background(variant):
     tracer = open_tracer(room(), H, W)
-    found = views(tracer, VIEWS)
+    found = render_gbuffer(tracer, VIEWS)
     sky = np.isinf(found["depth_behind"][..., 0])
     assert (sky & np.isfinite(found["depth"][..., 0])).sum() > 0  # seen through the pane
     assert not found["normal_behind"][sky].any()
@@ -143,12 +145,14 @@ def test_background_behind_is_background(variant):
 
 
 def test_depth_runs_along_the_view_axis(variant):
-    depth = views(open_tracer(looking_down(diffuse(0.5, 0.5, 0.5), height=3.0), 8, 8))["depth"]
+    depth = render_gbuffer(open_tracer(looking_down(diffuse(0.5, 0.5, 0.5), height=3.0), 8, 8))[
+        "depth"
+    ]
     np.testing.assert_allclose(depth, 3.0, rtol=1e-6)
 
 
 def test_background_has_no_normal_no_albedo_and_infinite_depth(variant):
-    found = views(open_tracer(room(), H, W), VIEWS)
+    found = render_gbuffer(open_tracer(room(), H, W), VIEWS)
     sky = np.isinf(found["depth"][..., 0])
     assert 0 < sky.sum() < sky.size
     assert not found["normal"][sky].any()
@@ -158,7 +162,7 @@ def test_background_has_no_normal_no_albedo_and_infinite_depth(variant):
 
 def test_normals_are_unit_vectors_towards_the_camera(variant):
     tracer = open_tracer(room(), H, W)
-    found = views(tracer)
+    found = render_gbuffer(tracer)
     seen = np.isfinite(found["depth"][..., 0])
     normal = found["normal"][seen]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-5)
@@ -167,11 +171,14 @@ def test_normals_are_unit_vectors_towards_the_camera(variant):
 
 
 def test_only_what_is_needed_is_returned(variant):
-    assert set(views(open_tracer(room(), 4, 4), {"depth", "normal"})) == {"depth", "normal"}
+    assert set(render_gbuffer(open_tracer(room(), 4, 4), {"depth", "normal"})) == {
+        "depth",
+        "normal",
+    }
 
 
 def test_nothing_moves_where_nothing_moves(variant):
-    assert not views(open_tracer(room(static=True), H, W))["motion"].any()
+    assert not render_gbuffer(open_tracer(room(static=True), H, W))["motion"].any()
 
 
 def test_the_sky_moves_with_the_turning_camera(llvm):
@@ -182,9 +189,9 @@ def test_the_sky_moves_with_the_turning_camera(llvm):
     sky = ({"type": "constant", "radiance": grey(1.0)},)
     ground = looking_down(diffuse(0.5, 0.5, 0.5)).meshes[0]
     below = ground.vertices - np.float32([0, 0, 5])
-    scene = Scene("sky", "", (ground,), camera, sky, moving=lambda time: {"plane": below})
+    scene = Scene("sky", "", (ground,), camera, sky, vertex_animation=lambda time: {"plane": below})
     tracer = open_tracer(scene, 3, 65)
-    motion = views(tracer)["motion"][0, 32]
+    motion = render_gbuffer(tracer)["motion"][0, 32]
     # what is ahead now was to the left of ahead, as the camera then looked further right
     pixels = np.tan(0.01) / (np.tan(np.radians(30)) / 32.5)
     np.testing.assert_allclose(motion[0], -pixels, rtol=1e-4)
@@ -193,7 +200,7 @@ def test_the_sky_moves_with_the_turning_camera(llvm):
 def test_motion_leads_to_the_same_point_in_the_previous_frame(variant):
     tracer = open_tracer(room(), H, W)
     tracer.set_time(3.0)
-    motion = views(tracer)["motion"].reshape(-1, 2)
+    motion = render_gbuffer(tracer)["motion"].reshape(-1, 2)
     mesh = _mesh(tracer).ravel()
     hit = mesh >= 0
     now = _places(tracer, _centres())
@@ -216,7 +223,7 @@ def test_motion_of_a_mesh_that_deforms_is_exact(variant):
     from_middle = np.stack([columns, rows], -1) - 4.0
     # 1.4 times its first size before, 1.5 times now
     expected = from_middle * (1.4 / 1.5 - 1)
-    np.testing.assert_allclose(views(tracer)["motion"], expected, atol=1e-4)
+    np.testing.assert_allclose(render_gbuffer(tracer)["motion"], expected, atol=1e-4)
 
 
 def test_projection_undoes_directions():

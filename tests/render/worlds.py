@@ -70,7 +70,7 @@ def room(static=False):
         ),
         camera=lambda time: Camera((0.5 + 0.2 * pace * time, -6.0, 2.5), (0, 0, 0.5), fov=50.0),
         sky=({"type": "constant", "radiance": grey(0.3)},),
-        moving=lambda time: {
+        vertex_animation=lambda time: {
             "cube": (cube.vertices + pace * time * STEP).astype(np.float32),
         },
         exposure=2.0,

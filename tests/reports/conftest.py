@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rlbench.benchmark.results import Row, frame_of
+from rlbench.benchmark.results import Row, to_dataframe
 
 SCENES = {"city": 0.0, "temple": -2.0, "hall": -4.0, "ripples": 1.5}  # dB
 SAMPLE_MS = {"city": 16.6, "temple": 17.6, "hall": 34.5, "ripples": 36.6}
@@ -65,4 +65,4 @@ def cell(method, scene, spp, clip, device, profile):
 
 @pytest.fixture(scope="session")
 def results():
-    return frame_of(rows())
+    return to_dataframe(rows())

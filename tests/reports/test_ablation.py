@@ -10,9 +10,9 @@ import pytest
 from conftest import rows
 
 from reports import ablation
-from reports.analysis import variant_differences as variants
+from reports.analysis import variant_differences
 from reports.analysis.aggregate import ReportError
-from rlbench.benchmark.results import LacksError, frame_of
+from rlbench.benchmark.results import MissingRowsError, to_dataframe
 
 SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/small": '{"bptt": 1, "sampler": []}'}
 
@@ -31,12 +31,12 @@ def written(table, folder, **asked):
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    return written(frame_of(configured()), tmp_path_factory.mktemp("ablation"))[0]
+    return written(to_dataframe(configured()), tmp_path_factory.mktemp("ablation"))[0]
 
 
 @pytest.fixture(scope="module")
 def found(results):
-    return variants.differences(results, "ours", draws=200).set_index(["method", "spp"])
+    return variant_differences.differences(results, "ours", draws=200).set_index(["method", "spp"])
 
 
 def line(page, title, start):
@@ -47,7 +47,7 @@ def line(page, title, start):
 
 def test_trainings_of_one_name_are_compared_by_it(page, tmp_path):
     brief = [replace(r, method=f"{r.method}@brief") for r in configured()]
-    (named, *_) = written(frame_of([*brief, *rows(("mean",))]), tmp_path)
+    (named, *_) = written(to_dataframe([*brief, *rows(("mean",))]), tmp_path)
     assert "rows @brief" in named.splitlines()[0]
     assert named.splitlines()[1:] == page.splitlines()[1:]
 
@@ -69,8 +69,8 @@ def test_every_clip_and_frame_is_a_pair(found):
 
 
 def test_the_interval_of_one_scene_is_that_of_its_clips():
-    city = frame_of([r for r in configured() if r.scene == "city"])
-    row = variants.differences(city, "ours", draws=500).set_index("spp").loc[1.0]
+    city = to_dataframe([r for r in configured() if r.scene == "city"])
+    row = variant_differences.differences(city, "ours", draws=500).set_index("spp").loc[1.0]
     half = 12.7062 * 0.06  # Student's t of its two clips, which have -0.76 and -0.64
     assert (row["low"], row["high"]) == pytest.approx((-0.7 - half, -0.7 + half), rel=1e-4)
 
@@ -86,8 +86,8 @@ def test_a_seed_that_only_one_of_them_has_is_left_out_and_told(tmp_path):
         for r in made
         if r.method == "ours/small" and r.metric == "psnr"
     ]
-    table = frame_of([*made, *wild])
-    row = variants.differences(table, "ours", draws=10).set_index("spp").loc[1.0]
+    table = to_dataframe([*made, *wild])
+    row = variant_differences.differences(table, "ours", draws=10).set_index("spp").loc[1.0]
     assert row["difference"] == pytest.approx(-0.7)
     told = "- ours/small at 1 spp: 32 scores without a partner, 32 pairs"
     assert told in written(table, tmp_path)[0]
@@ -98,7 +98,9 @@ def test_seeds_are_paired_with_their_own():
     base = [r for r in configured(["ours"]) if r.metric == "psnr" and r.spp == 1]
     seeded = [replace(r, seed=s, value=10.0 * s) for r in base for s in (0, 1)]
     more = [replace(r, method="ours/small", value=r.value + 1) for r in seeded]
-    found = variants.differences(frame_of([*seeded, *more]), "ours", draws=100).iloc[0]
+    found = variant_differences.differences(to_dataframe([*seeded, *more]), "ours", draws=100).iloc[
+        0
+    ]
     assert (found["difference"], found["low"], found["high"]) == (1, 1, 1)
     assert found["pairs"] == 64
 
@@ -111,7 +113,7 @@ def test_a_difference_that_holds_zero_is_not_bold(tmp_path):
     base = [r for r in configured(["ours"]) if r.metric == "psnr"]
     ends = {clip: 1 - 2 * (i % 2) for i, clip in enumerate(sorted({r.clip for r in base}))}
     swung = [replace(r, method="ours/A9", value=r.value + ends[r.clip]) for r in base]
-    page = written(frame_of([*base, *swung]), tmp_path)[0]
+    page = written(to_dataframe([*base, *swung]), tmp_path)[0]
     assert "**" not in page
 
 
@@ -124,7 +126,7 @@ def test_what_a_variant_changes_is_read_from_its_settings(page):
 
 
 def test_equal_settings_are_said_to_be_equal(results):
-    assert variants.changes(results, "ours/small", "ours") == "none that they wrote down"
+    assert variant_differences.changes(results, "ours/small", "ours") == "none that they wrote down"
 
 
 @pytest.mark.parametrize(
@@ -137,7 +139,7 @@ def test_equal_settings_are_said_to_be_equal(results):
 )
 def test_settings_that_only_one_has_are_told(one, other, told):
     two = [replace(rows(["ours"])[0], method=m, config=c) for m, c in (("f/v", one), ("f", other))]
-    assert variants.changes(frame_of(two), "f/v", "f") == told
+    assert variant_differences.changes(to_dataframe(two), "f/v", "f") == told
 
 
 @pytest.mark.parametrize(
@@ -150,38 +152,40 @@ def test_settings_that_only_one_has_are_told(one, other, told):
 )
 def test_the_family_is_the_one_asked_for_or_ours_or_that_of_most_variants(families, asked, chosen):
     one = [r for r in rows(["ours"]) if r.metric == "psnr"][:1]
-    table = frame_of([r for family in families for r in renamed(one, family)])
-    assert variants.chosen(table, asked) == chosen
+    table = to_dataframe([r for family in families for r in renamed(one, family)])
+    assert variant_differences.chosen(table, asked) == chosen
 
 
 def test_a_family_without_variants_is_refused_with_those_that_have_some(results, tmp_path):
-    with pytest.raises(LacksError, match="'ntas' has no default and variant .* do: ours; rlbench"):
+    with pytest.raises(
+        MissingRowsError, match="'ntas' has no default and variant .* do: ours; rlbench"
+    ):
         ablation.write(results, tmp_path, family="ntas")
 
 
 @pytest.mark.parametrize("methods", [["mean", "ntas"], ["ours/small"], []])
 def test_a_table_without_variants_beside_their_default_is_refused(methods, tmp_path):
-    table = frame_of(rows(methods))
-    with pytest.raises(LacksError, match="no family has its default and a variant"):
+    table = to_dataframe(rows(methods))
+    with pytest.raises(MissingRowsError, match="no family has its default and a variant"):
         ablation.write(table, tmp_path)
 
 
 def test_a_default_of_another_device_is_no_partner():
     split = rows(["ours"]) + rows(["ours/small"], device="H100")
-    with pytest.raises(LacksError, match="on one device"):
-        variants.chosen(frame_of(split))
+    with pytest.raises(MissingRowsError, match="on one device"):
+        variant_differences.chosen(to_dataframe(split))
 
 
 def test_budgets_that_one_lacks_are_told(tmp_path):
     made = [r for r in configured() if r.method == "ours" or r.spp > 1]
-    page = written(frame_of(made), tmp_path)[0]
+    page = written(to_dataframe(made), tmp_path)[0]
     assert "- ours/small at 0.5 spp: not scored, or ours is not" in page
     assert len(line(page, "PSNR less", "ours/small")) == 3 + 1  # 2, 4 and 8 spp, and the paper's
 
 
 def test_no_budget_in_common_is_told(tmp_path):
     made = [r for r in configured() if (r.method == "ours") == (r.spp > 1)]
-    page = written(frame_of(made), tmp_path)[0]
+    page = written(to_dataframe(made), tmp_path)[0]
     assert page.count("- ours/small at") == 5
 
 
@@ -192,18 +196,18 @@ def test_variants_of_the_paper_that_are_not_here_are_told(page):
 
 def test_rows_of_named_weights_are_no_variants(tmp_path):
     made = [*configured(), *renamed(configured(["ours"]), "ours@seed1")]
-    assert "@" not in written(frame_of(made), tmp_path)[0]
+    assert "@" not in written(to_dataframe(made), tmp_path)[0]
 
 
 def test_results_of_two_weights_are_not_mixed(tmp_path):
     made = configured()
     made += [replace(r, weights="new", clip="other") for r in made]
     with pytest.raises(ReportError, match="2 weights values"):
-        ablation.write(frame_of(made), tmp_path)
+        ablation.write(to_dataframe(made), tmp_path)
 
 
 def test_without_times_the_scores_are_still_there(tmp_path):
-    page = written(frame_of([r for r in configured() if r.unit != "ms"]), tmp_path)[0]
+    page = written(to_dataframe([r for r in configured() if r.unit != "ms"]), tmp_path)[0]
     assert line(page, "Frame time", "ours/small") == ["-"] * 5
     assert "cost of a sample: not measured" in page
 
@@ -221,7 +225,7 @@ def test_latex_and_markdown_escape_settings_and_names(tmp_path):
     made += [
         replace(r, method="ours/a_b|c", config='{"x": {"y": 1}}') for r in configured(["ours"])
     ]
-    page, _, tex = written(frame_of(made), tmp_path)
+    page, _, tex = written(to_dataframe(made), tmp_path)
     assert "| ours/a_b\\|c |" in page
     assert r"ours/a\_b|c & " in tex
     assert r'x: - -> \{"y": 1\}' in tex

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 from conftest import SCENES, psnr, rows
 
-from reports import per_clip as clips
-from rlbench.benchmark.results import frame_of
+from reports import per_clip
+from rlbench.benchmark.results import to_dataframe
 
 FRAMES = range(4)
 
 
 @pytest.fixture(scope="module")
 def page(results, tmp_path_factory):
-    return clips.write(results, tmp_path_factory.mktemp("clips"), draws=200)[0].read_text()
+    return per_clip.write(results, tmp_path_factory.mktemp("clips"), draws=200)[0].read_text()
 
 
 def grid(page, spp):
@@ -44,15 +44,15 @@ def test_the_last_line_is_the_difference_to_ours(page):
 
 
 def test_without_ours_rows_are_held_against_the_best(tmp_path):
-    table = frame_of(rows(("mean", "oidn", "ntas")))
-    head, body = grid(clips.write(table, tmp_path, draws=10)[0].read_text(), 2)
+    table = to_dataframe(rows(("mean", "oidn", "ntas")))
+    head, body = grid(per_clip.write(table, tmp_path, draws=10)[0].read_text(), 2)
     assert head[1] == "ntas"
     assert body["less ntas"]["ntas"] == "-"
 
 
 def test_what_lacks_a_scene_has_dashes_there_and_no_mean_and_comes_last(tmp_path):
     made = [r for r in rows(("oidn", "ntas")) if (r.method, r.scene) != ("ntas", "hall")]
-    head, body = grid(clips.write(frame_of(made), tmp_path, draws=10)[0].read_text(), 2)
+    head, body = grid(per_clip.write(to_dataframe(made), tmp_path, draws=10)[0].read_text(), 2)
     assert head[1:] == ["oidn", "ntas"]
     for line in ("hall-0", "mean over scenes", "less oidn"):
         assert body[line]["ntas"] == "-"

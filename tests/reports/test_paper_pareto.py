@@ -12,27 +12,27 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.colors import same_color
 from scipy.optimize import isotonic_regression
 
-from reports import published_pareto as paper_pareto
-from reports.layout import paired_panels as beside
+from reports import published_pareto
+from reports.layout import paired_panels
 from reports.published import published
-from rlbench.benchmark.results import LacksError, frame_of
+from rlbench.benchmark.results import MissingRowsError, to_dataframe
 
 OFFSET = sum(SCENES.values()) / 4
 
 
 @pytest.fixture(scope="module")
 def drawn(results):
-    return paper_pareto.figures(results, "a GPU")
+    return published_pareto.figures(results, "a GPU")
 
 
 @pytest.fixture(scope="module")
 def files(results, tmp_path_factory):
-    return paper_pareto.write(results, tmp_path_factory.mktemp("paper"))
+    return published_pareto.write(results, tmp_path_factory.mktemp("paper"))
 
 
 def points(axes, method, face):
     """Coordinates of the markers of a method, filled or white, as matplotlib holds them."""
-    look = beside.style.looks([s.row for s in published().table])[method]
+    look = paired_panels.style.line_styles([s.row for s in published().table])[method]
     wanted = "white" if face == "hollow" else look.color
     return next(
         line.get_xydata()
@@ -75,14 +75,14 @@ def test_the_right_panel_has_the_published_points_hollow(drawn, axis, method, wa
     assert found == pytest.approx(np.array(wanted))
 
 
-@pytest.mark.parametrize("axis", beside.AXES)
+@pytest.mark.parametrize("axis", paired_panels.AXES)
 def test_both_panels_have_one_scale(drawn, axis):
     heights = [low - high for low, high in (axes.get_ylim() for axes in drawn[axis].axes)]
     assert heights[0] == pytest.approx(heights[1])
 
 
 @pytest.mark.parametrize("panel", [0, 1])
-@pytest.mark.parametrize("axis", beside.AXES)
+@pytest.mark.parametrize("axis", paired_panels.AXES)
 def test_no_name_lies_over_another_or_beyond_the_edge(drawn, axis, panel):
     figure = drawn[axis]
     figure.draw_without_rendering()
@@ -99,7 +99,7 @@ def test_points_below_the_panel_are_named_and_take_no_room_in_it(results):
     low.loc[low["metric"] == "psnr", "value"] = 1.0
     low.loc[low["metric"] == "total_ms", "value"] = 0.01
     others = results[results["method"] != "mean"]
-    left = paper_pareto.figures(pd.concat([others, low]), "a GPU")["time"].axes[0]
+    left = published_pareto.figures(pd.concat([others, low]), "a GPU")["time"].axes[0]
     assert "below: mean from 1.0" in [text.get_text() for text in left.texts]
     assert left.get_xlim()[0] > 0.1
 
@@ -112,16 +112,16 @@ def test_names_move_as_little_as_need_be(heights):
     step = 0.7
     stairs = step * np.arange(len(heights))
     wanted = isotonic_regression(np.array(heights) - stairs).x + stairs
-    assert beside.apart(heights, step, 0, 10) == pytest.approx(wanted)
+    assert paired_panels.spread_labels(heights, step, 0, 10) == pytest.approx(wanted)
 
 
 def test_names_stay_within_the_panel():
-    found = beside.apart([9.8, 9.9, 9.9], 0.5, 0, 10)
+    found = paired_panels.spread_labels([9.8, 9.9, 9.9], 0.5, 0, 10)
     assert found == pytest.approx([9.0, 9.5, 10.0])
 
 
 def test_names_that_do_not_fit_are_evenly_spread():
-    assert beside.apart([1.0, 1.0, 9.0], 8, 0, 10) == [0, 5, 10]
+    assert paired_panels.spread_labels([1.0, 1.0, 9.0], 8, 0, 10) == [0, 5, 10]
 
 
 def caption(figure):
@@ -130,7 +130,7 @@ def caption(figure):
 
 def test_rows_that_the_paper_lacks_are_named_in_the_caption():
     strange = [replace(r, method="eaw") for r in rows(["ours"])]
-    figures = paper_pareto.figures(frame_of([*rows(["ours"]), *strange]), "")
+    figures = published_pareto.figures(to_dataframe([*rows(["ours"]), *strange]), "")
     assert "not in the paper or not on every scene: eaw." in caption(figures["spp"])
 
 
@@ -140,8 +140,8 @@ def test_the_time_figure_says_where_it_was_taken_and_whose_cost_it_has(drawn, to
 
 
 def test_without_times_the_budgets_are_still_drawn():
-    timeless = frame_of([r for r in rows(["ours", "mean"]) if r.unit != "ms"])
-    figures = paper_pareto.figures(timeless, "")
+    timeless = to_dataframe([r for r in rows(["ours", "mean"]) if r.unit != "ms"])
+    figures = published_pareto.figures(timeless, "")
     assert [t.get_text() for t in figures["time"].axes[0].texts] == ["no times were measured"]
     assert "Without a time: mean, ours." in caption(figures["time"])
     assert len(points(figures["spp"].axes[0], "ours", "filled")) == 5
@@ -154,12 +154,12 @@ def test_the_csv_holds_both(files):
 
 @pytest.mark.slow  # twelve files
 def test_each_device_has_figures_of_its_own(tmp_path):
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
-    names = {file.name for file in paper_pareto.write(mixed, tmp_path) if file.suffix == ".png"}
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
+    names = {file.name for file in published_pareto.write(mixed, tmp_path) if file.suffix == ".png"}
     assert {"paper-spp-h100.png", "paper-time-nvidia-rtx-2080-ti.png"} < names
 
 
 def test_a_table_without_any_row_of_the_paper_is_refused(tmp_path):
-    strange = frame_of([replace(r, method="mine") for r in rows(["ours"])])
-    with pytest.raises(LacksError, match="results are of: mine"):
-        paper_pareto.write(strange, tmp_path)
+    strange = to_dataframe([replace(r, method="mine") for r in rows(["ours"])])
+    with pytest.raises(MissingRowsError, match="results are of: mine"):
+        published_pareto.write(strange, tmp_path)

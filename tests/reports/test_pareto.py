@@ -15,7 +15,7 @@ from reports import pareto
 from reports.analysis.aggregate import ReportError
 from reports.layout import style
 from reports.layout.pareto_panels import MOST, OVERALL, WINDOW, draw
-from rlbench.benchmark.results import frame_of
+from rlbench.benchmark.results import to_dataframe
 
 TEXTS = {"value": "PSNR", "direction": "", "better": "high", "caption": "profile paper-2080ti"}
 
@@ -33,7 +33,7 @@ def files(results, tmp_path_factory):
 def drawn(figure, panel, method):
     """Times and values of a curve as matplotlib holds them."""
     axes = next(a for a in figure.axes if a.get_title(loc="left") == panel)
-    color = style.looks(METHODS)[method].color
+    color = style.line_styles(METHODS)[method].color
     line = next(a for a in axes.lines if a.get_color() == color and a.get_linestyle() == "-")
     return line.get_xdata(), line.get_ydata()
 
@@ -77,7 +77,7 @@ def test_there_is_a_panel_for_each_scene(figure):
 
 def test_a_mean_of_some_scenes_is_not_drawn_as_that_of_all_and_is_told(tmp_path):
     made = rows(["ours", "oidn"])
-    table = frame_of(
+    table = to_dataframe(
         [r for r in made if (r.method, r.scene, r.metric) != ("oidn", "hall", "sample_ms")]
     )
     found = pareto.curves(table)
@@ -89,13 +89,15 @@ def test_a_mean_of_some_scenes_is_not_drawn_as_that_of_all_and_is_told(tmp_path)
 
 
 def test_a_frame_that_is_missing_is_told():
-    table = frame_of([r for r in rows() if (r.method, r.clip, r.frame) != ("ours", "city-0", 2)])
+    table = to_dataframe(
+        [r for r in rows() if (r.method, r.clip, r.frame) != ("ours", "city-0", 2)]
+    )
     caption = pareto._texts(table, "psnr", "x")["caption"]
     assert "Not on every scene and frame: ours." in caption
 
 
 def test_many_scenes_are_one_panel_of_their_mean():
-    every = pareto.curves(frame_of(rows()))
+    every = pareto.curves(to_dataframe(rows()))
     parts = [every.assign(scene=f"generated-{number}") for number in range(MOST + 1)]
     axes = draw(pd.concat([every[every["scene"] == OVERALL], *parts]), TEXTS).axes
     assert [a.get_title(loc="left") for a in axes] == [OVERALL]
@@ -109,7 +111,7 @@ def test_times_of_what_is_not_shown_stretch_no_axis(results):
 
 
 def test_one_scene_is_one_panel():
-    one = frame_of([r for r in rows() if r.scene == "city"])
+    one = to_dataframe([r for r in rows() if r.scene == "city"])
     assert [a.get_title(loc="left") for a in draw(pareto.curves(one), TEXTS).axes] == ["city"]
 
 
@@ -118,7 +120,7 @@ def test_times_that_span_more_than_ten_are_logarithmic(figure):
 
 
 def test_times_that_span_less_than_ten_are_linear():
-    near = frame_of([r for r in rows(["ours", "ntas"]) if r.spp in (1, 2)])
+    near = to_dataframe([r for r in rows(["ours", "ntas"]) if r.spp in (1, 2)])
     assert {a.get_xscale() for a in draw(pareto.curves(near), TEXTS).axes} == {"linear"}
 
 
@@ -153,8 +155,8 @@ def test_the_caption_names_device_and_cost_profile(results, tmp_path, monkeypatc
 
 
 def test_methods_without_a_scene_in_common_have_no_panel_of_their_mean(tmp_path):
-    table = frame_of([r for r in rows(["ours"]) if r.scene == "city"])
-    other = frame_of([r for r in rows(["ntas"]) if r.scene == "hall"])
+    table = to_dataframe([r for r in rows(["ours"]) if r.scene == "city"])
+    other = to_dataframe([r for r in rows(["ntas"]) if r.scene == "hall"])
     pareto.write(pd.concat([table, other]), tmp_path)
     assert set(pd.read_csv(tmp_path / "pareto.csv")["scene"]) == {"city", "hall"}
     assert (tmp_path / "pareto.png").is_file()
@@ -167,18 +169,18 @@ def test_many_scenes_without_a_common_method_are_refused(tmp_path):
         for row in rows(["ours"])
     ]
     with pytest.raises(ReportError, match="12 scenes.*fewer scenes"):
-        pareto.write(frame_of(parts), tmp_path)
+        pareto.write(to_dataframe(parts), tmp_path)
 
 
 def test_each_device_has_a_plot_of_its_own(tmp_path):
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
     files = {file.name for file in pareto.write(mixed, tmp_path) if file.suffix == ".csv"}
     assert files == {"pareto-h100.csv", "pareto-nvidia-rtx-2080-ti.csv"}
     assert set(pd.read_csv(tmp_path / "pareto-h100.csv")["method"]) == {"ntas"}
 
 
 def test_without_times_it_says_what_is_missing(tmp_path):
-    timeless = frame_of([r for r in rows(["ours"]) if r.unit != "ms"])
+    timeless = to_dataframe([r for r in rows(["ours"]) if r.unit != "ms"])
     with pytest.raises(ReportError, match="no cell has psnr, plan_ms, denoise_ms and sample_ms"):
         pareto.write(timeless, tmp_path)
 
@@ -190,7 +192,7 @@ def test_equal_results_give_equal_files(results, files, tmp_path):
 
 @pytest.mark.parametrize(("better", "edge"), [("high", 0), ("low", 1)])
 def test_what_a_single_point_beats_is_grey_on_its_worse_side(better, edge):
-    point = frame_of([r for r in rows(["ours"]) if r.scene == "city" and r.spp == 1])
+    point = to_dataframe([r for r in rows(["ours"]) if r.scene == "city" and r.spp == 1])
     axes = draw(pareto.curves(point), TEXTS | {"better": better}).axes[0]
     heights = axes.collections[0].get_paths()[0].vertices[:, 1]
     assert {round(h, 6) for h in heights} == {29.9, round(axes.get_ylim()[edge], 6)}

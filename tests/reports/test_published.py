@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from reports.analysis import method_names as names
+from reports.analysis import method_names
 from reports.published import published
+from rlbench import registry
 from rlbench.benchmark import cost
-from rlbench.registry import lookup as registry
 
 TABLE = {stated.name: stated for stated in published().table}
 
@@ -39,7 +39,7 @@ def test_the_time_saved_is_the_factor_that_the_abstract_tells():
 
 @pytest.mark.parametrize("row", sorted({s.row for s in published().table}))
 def test_a_row_of_the_paper_is_of_a_family_that_is_here(row):
-    assert registry.family(row).name == names.family(row)
+    assert registry.family(row).name == method_names.family(row)
 
 
 def test_only_what_no_table_prints_is_called_derived():
@@ -57,5 +57,10 @@ def test_only_what_no_table_prints_is_called_derived():
     ],
 )
 def test_a_name_says_family_row_weights_and_series(method, parts):
-    found = (names.family(method), names.row(method), names.weights(method), names.series(method))
+    found = (
+        method_names.family(method),
+        method_names.row(method),
+        method_names.weights(method),
+        method_names.training_series(method),
+    )
     assert found == parts

@@ -9,26 +9,26 @@ import pandas as pd
 import pytest
 from conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
 
-from reports.analysis import aggregate as scores
-from rlbench.benchmark.results import frame_of
+from reports.analysis import aggregate
+from rlbench.benchmark.results import to_dataframe
 
 
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("method", ["ours", "mean"])
 def test_the_score_of_a_scene_is_the_formula_without_its_wobbles(results, method, scene):
-    found = scores.scene_means(results, "psnr").set_index(["method", "scene", "spp"])["value"]
+    found = aggregate.scene_means(results, "psnr").set_index(["method", "scene", "spp"])["value"]
     start, slope, _, _ = METHODS[method]
     assert found[method, scene, 4.0] == pytest.approx(start + 2 * slope + SCENES[scene])
 
 
 @pytest.mark.parametrize("spp", BUDGETS)
 def test_total_time_is_plan_and_denoise_and_the_samples_bought(results, spp):
-    found = scores.points(results).set_index(["method", "scene", "spp"])["total_ms"]
+    found = aggregate.points(results).set_index(["method", "scene", "spp"])["total_ms"]
     assert found["ours", "hall", spp] == pytest.approx(5.5 + 11.0 + 0.99 * spp * SAMPLE_MS["hall"])
 
 
 def test_overall_is_the_mean_over_scenes(results):
-    found = scores.overall(scores.points(results)).set_index(["method", "spp"])
+    found = aggregate.overall(aggregate.points(results)).set_index(["method", "spp"])
     offset = sum(SCENES.values()) / 4
     assert found.loc[("ntas", 1.0), "value"] == pytest.approx(28.6 + offset)
     sampling = 0.99 * sum(SAMPLE_MS.values()) / 4
@@ -38,21 +38,21 @@ def test_overall_is_the_mean_over_scenes(results):
 def test_a_clip_of_many_frames_weighs_no_more_than_another():
     made = [r for r in rows(["ours"]) if r.metric == "psnr" and r.scene == "city" and r.spp == 1]
     extra = [replace(r, frame=r.frame + 100) for r in made if r.clip == "city-1"]
-    found = scores.scene_means(frame_of(made + extra), "psnr")["value"].item()
+    found = aggregate.scene_means(to_dataframe(made + extra), "psnr")["value"].item()
     assert found == pytest.approx(METHODS["ours"][0])
 
 
 def test_seeds_are_averaged_before_frames_are_counted():
     made = [r for r in rows(["ours", "ntas"]) if r.metric == "psnr"]
     again = [replace(r, seed=1, value=r.value + 2) for r in made if r.method == "ours"]
-    found = scores.scene_means(frame_of(made + again), "psnr")
+    found = aggregate.scene_means(to_dataframe(made + again), "psnr")
     cells = found[(found["scene"] == "city") & (found["spp"] == 1.0)].set_index("method")["value"]
     assert cells.to_dict() == pytest.approx({"ours": 30.9, "ntas": 28.6})
 
 
 def incomplete():
     """ntas lacks one frame of the city at 1 spp, and all of the hall."""
-    return frame_of(
+    return to_dataframe(
         [
             r
             for r in rows(["ours", "ntas"])
@@ -63,25 +63,25 @@ def incomplete():
 
 
 def test_a_cell_that_lacks_frames_has_no_mean():
-    found = scores.scene_means(incomplete(), "psnr")
+    found = aggregate.scene_means(incomplete(), "psnr")
     assert found[(found["method"] == "ntas") & (found["scene"] == "city")]["spp"].tolist() == [
         0.5, 2.0, 4.0, 8.0,
     ]  # fmt: skip
 
 
 def test_a_method_that_lacks_a_scene_has_no_overall_mean():
-    assert set(scores.overall(scores.points(incomplete()))["method"]) == {"ours"}
+    assert set(aggregate.overall(aggregate.points(incomplete()))["method"]) == {"ours"}
 
 
 def untimed():
     """oidn has no cost of a sample in the hall."""
     made = [r for r in rows(["ours", "oidn"]) if r.metric != "sample_ms"]
     costs = [r for r in rows(["ours", "oidn"]) if r.metric == "sample_ms"]
-    return frame_of(made + [r for r in costs if (r.method, r.scene) != ("oidn", "hall")])
+    return to_dataframe(made + [r for r in costs if (r.method, r.scene) != ("oidn", "hall")])
 
 
 def test_a_method_that_lacks_the_time_of_a_scene_has_no_overall_time():
-    found = scores.overall(scores.points(untimed())).set_index(["method", "spp"])
+    found = aggregate.overall(aggregate.points(untimed())).set_index(["method", "spp"])
     assert found["total_ms"].isna().groupby("method").all().to_dict() == {
         "oidn": True,
         "ours": False,
@@ -90,71 +90,73 @@ def test_a_method_that_lacks_the_time_of_a_scene_has_no_overall_time():
 
 
 def test_what_was_left_out_is_told():
-    lines = scores.gaps(incomplete(), "psnr")
+    lines = aggregate.incomplete_groups(incomplete(), "psnr")
     assert "ntas on city at 1 spp: psnr of 6 frames, others have 8" in lines
     assert "ntas at 2 spp: no psnr on hall" in lines
 
 
 def test_a_method_without_time_has_a_score_and_no_total():
-    timeless = frame_of([r for r in rows(["ours"]) if r.unit != "ms"])
-    found = scores.points(timeless)
+    timeless = to_dataframe([r for r in rows(["ours"]) if r.unit != "ms"])
+    found = aggregate.points(timeless)
     assert found["total_ms"].isna().all()
     assert found["value"].notna().all()
 
 
 def test_two_devices_do_not_share_a_column():
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
-    with pytest.raises(scores.ReportError, match="2 devices in one column: H100, NVIDIA RTX"):
-        scores.check(mixed)
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
+    with pytest.raises(aggregate.ReportError, match="2 devices in one column: H100, NVIDIA RTX"):
+        aggregate.check(mixed)
 
 
 def test_a_clip_of_two_presets_is_refused():
     one = [replace(row, preset="mini") for row in rows(["ours"])]
     other = [replace(row, preset="standard") for row in rows(["ours/small"])]
-    with pytest.raises(scores.ReportError, match=r"city-0 .* 2 presets \(mini, standard\)"):
-        scores.check(frame_of(one + other))
+    with pytest.raises(aggregate.ReportError, match=r"city-0 .* 2 presets \(mini, standard\)"):
+        aggregate.check(to_dataframe(one + other))
 
 
 def test_rows_are_split_by_device():
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
-    parts = {name: set(part["method"]) for name, part in scores.by_device(mixed).items()}
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
+    parts = {name: set(part["method"]) for name, part in aggregate.by_device(mixed).items()}
     assert parts == {"H100": {"ntas"}, "NVIDIA RTX 2080 Ti": {"ours"}}
 
 
 def test_the_machine_that_rendered_is_not_a_device_of_the_methods():
     made = [replace(r, device="farm") if r.metric == "sample_ms" else r for r in rows(["ours"])]
-    assert list(scores.by_device(frame_of(made))) == ["NVIDIA RTX 2080 Ti"]
+    assert list(aggregate.by_device(to_dataframe(made))) == ["NVIDIA RTX 2080 Ti"]
 
 
 def test_samples_of_another_pool_have_their_own_price():
     dear = [replace(r, value=3 * r.value) if r.metric == "sample_ms" else r for r in rows(["ntas"])]
-    alone, beside = (scores.points(frame_of(made)) for made in (dear, rows(["ours"]) + dear))
+    alone, beside = (aggregate.points(to_dataframe(made)) for made in (dear, rows(["ours"]) + dear))
     beside = beside[beside["method"] == "ntas"].reset_index(drop=True)
     pd.testing.assert_frame_equal(beside, alone)
 
 
 def test_two_costs_per_sample_are_refused():
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], profile="this machine"))
-    with pytest.raises(scores.ReportError, match="2 sources: profile paper-2080ti; this .*--out"):
-        scores.check(mixed)
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], profile="this machine"))
+    with pytest.raises(
+        aggregate.ReportError, match="2 sources: profile paper-2080ti; this .*--out"
+    ):
+        aggregate.check(mixed)
 
 
 @pytest.mark.parametrize("column", ["code", "weights", "dtype"])
 def test_two_versions_of_a_method_are_refused(column):
     made = rows(["ours"])
     made[0] = replace(made[0], **{column: "other"})
-    with pytest.raises(scores.ReportError, match=f"'ours' has results of 2 {column} values"):
-        scores.check(frame_of(made))
+    with pytest.raises(aggregate.ReportError, match=f"'ours' has results of 2 {column} values"):
+        aggregate.check(to_dataframe(made))
 
 
 def test_an_empty_table_is_refused():
-    with pytest.raises(scores.ReportError, match="has no rows"):
-        scores.check(frame_of(rows(["ours"])).iloc[:0])
+    with pytest.raises(aggregate.ReportError, match="has no rows"):
+        aggregate.check(to_dataframe(rows(["ours"])).iloc[:0])
 
 
 def test_reasons_are_told_once_for_each_method():
     hole = replace(rows(["ours"])[0], method="restir", value=math.nan, note="no restir pool")
-    lines = scores.reasons(frame_of([hole, replace(hole, scene="hall", frame=1)]))
+    lines = aggregate.reasons(to_dataframe([hole, replace(hole, scene="hall", frame=1)]))
     assert lines == ["restir on city, hall at 0.5 spp (psnr): no restir pool"]
 
 
@@ -163,7 +165,7 @@ def test_reasons_are_told_once_for_each_method():
 )
 def test_the_front_is_what_none_beats(better, expected):
     times, values = pd.Series([1.0, 2.0, 3.0, 4.0, 4.0]), pd.Series([5.0, 4.0, 6.0, 9.0, 7.0])
-    assert scores.front(times, values, better) == expected
+    assert aggregate.pareto_front(times, values, better) == expected
 
 
 def test_wobbles_of_the_made_up_table_have_mean_zero():
@@ -178,13 +180,13 @@ def crossvalidated(**weights):
         for r in rows(["ours"])
         if r.metric == "psnr"
     ]
-    return frame_of([replace(r, weights=weights.get(r.clip, r.weights)) for r in made])
+    return to_dataframe([replace(r, weights=weights.get(r.clip, r.weights)) for r in made])
 
 
 def test_weights_that_differ_by_the_scene_left_out_share_a_column():
-    scores.check(crossvalidated())
+    aggregate.check(crossvalidated())
 
 
 def test_weights_that_differ_within_a_scene_left_out_do_not():
-    with pytest.raises(scores.ReportError, match="'ours@crossval' has results of 2 weights"):
-        scores.check(crossvalidated(**{"city-1": "without city 0"}))
+    with pytest.raises(aggregate.ReportError, match="'ours@crossval' has results of 2 weights"):
+        aggregate.check(crossvalidated(**{"city-1": "without city 0"}))

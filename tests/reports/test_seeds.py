@@ -11,10 +11,9 @@ import pytest
 from conftest import SCENES, rows
 from scipy import stats
 
-from reports import training_seeds as seeds
-from reports.analysis import aggregate as scores
-from reports.analysis import training_differences as trainings
-from rlbench.benchmark.results import LacksError, frame_of
+from reports import training_seeds
+from reports.analysis import aggregate, training_differences
+from rlbench.benchmark.results import MissingRowsError, to_dataframe
 
 SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 2)
 
@@ -29,7 +28,7 @@ def trained(shifts=SHIFTS, name="ours@seed", method="ours"):
 
 
 def written(made, folder):
-    return [file.read_text() for file in seeds.write(frame_of(made), folder)]
+    return [file.read_text() for file in training_seeds.write(to_dataframe(made), folder)]
 
 
 def lines(page, title="Deviation between"):
@@ -40,11 +39,11 @@ def lines(page, title="Deviation between"):
 
 @pytest.fixture(scope="module")
 def found():
-    return seeds.deviations(frame_of(trained())).set_index("spp")
+    return training_seeds.deviations(to_dataframe(trained())).set_index("spp")
 
 
 def test_markdown_csv_and_latex_are_written(tmp_path):
-    files = seeds.write(frame_of(trained()), tmp_path)
+    files = training_seeds.write(to_dataframe(trained()), tmp_path)
     assert [file.name for file in files] == ["seeds.md", "seeds.csv", "seeds.tex"]
     assert len(pd.read_csv(files[1])) == 5
 
@@ -78,8 +77,10 @@ def test_the_paper_s_deviation_stands_beside_that_of_ours_alone(tmp_path):
 def test_rows_are_compared_over_their_trainings_by_welch_s_test(tmp_path):
     ours, ntas = SHIFTS, (0.3, -0.1, 0.2, 0.0)
     made = trained() + trained(ntas, name="ntas@seed", method="ntas")
-    table = frame_of(made)
-    found = trainings.against(scores.overall(scores.scene_means(table, "psnr")))
+    table = to_dataframe(made)
+    found = training_differences.differences_to(
+        aggregate.overall(aggregate.scene_means(table, "psnr"))
+    )
     row = found.set_index("spp").loc[1.0]
     gap = np.mean(ntas) - np.mean(ours) + 28.6 - 29.9
     spreads = [np.var(each, ddof=1) / len(each) for each in (ntas, ours)]
@@ -135,19 +136,19 @@ def test_folds_of_a_crossvalidation_are_no_seeds(tmp_path):
     """Each fold is scored on the scene that it was not trained on, so no two can be compared."""
     folds = dict(zip(SCENES, range(4), strict=True))
     made = [r for r in trained((0, 0, 0, 0), "ours@fold") if r.method[-1] == str(folds[r.scene])]
-    with pytest.raises(LacksError, match="no row was scored with two trainings"):
+    with pytest.raises(MissingRowsError, match="no row was scored with two trainings"):
         written(made, tmp_path)
 
 
 @pytest.mark.parametrize("made", [rows(["ours"]), trained((0.0,))])
 def test_a_table_without_two_trainings_is_refused(made, tmp_path):
-    with pytest.raises(LacksError, match="rows of named weights are: (none|ours@seed0)"):
+    with pytest.raises(MissingRowsError, match="rows of named weights are: (none|ours@seed0)"):
         written(made, tmp_path)
 
 
 def test_equal_weights_under_two_names_are_refused(tmp_path):
     made = [replace(r, weights="same") for r in trained()]
-    with pytest.raises(scores.ReportError, match="ours@seed0 and .* ran with the same weights"):
+    with pytest.raises(aggregate.ReportError, match="ours@seed0 and .* ran with the same weights"):
         written(made, tmp_path)
 
 

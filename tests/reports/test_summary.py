@@ -13,7 +13,7 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from reports import summary
 from reports.analysis.ranking import ranking
 from reports.layout.tables import Bold, Grid, latex, markdown
-from rlbench.benchmark.results import frame_of
+from rlbench.benchmark.results import to_dataframe
 
 OFFSET = sum(SCENES.values()) / 4
 
@@ -44,7 +44,7 @@ def tied(gap):
     ours = [r for r in rows(["ours"]) if r.metric == "psnr"]
     swing = {clip: 1 - 2 * (i // 2 % 2) for i, clip in enumerate(sorted({r.clip for r in ours}))}
     theirs = [replace(r, method="theirs", value=r.value + gap + swing[r.clip]) for r in ours]
-    return frame_of(ours + theirs)
+    return to_dataframe(ours + theirs)
 
 
 def test_three_files_are_written(tmp_path):
@@ -102,7 +102,7 @@ def test_a_clear_difference_is_no_tie(tmp_path):
 
 
 def test_one_clip_a_scene_and_one_scene_has_no_interval_and_no_tie():
-    one = frame_of([r for r in rows(["ours", "ntas"]) if r.clip == "city-0"])
+    one = to_dataframe([r for r in rows(["ours", "ntas"]) if r.clip == "city-0"])
     found = ranking(one, "psnr")
     assert found["low"].isna().all()
     assert not found["tie"].any()
@@ -121,17 +121,17 @@ def test_nothing_is_best_without_a_better_end(results):
 def test_reasons_are_listed(tmp_path):
     made = rows(["ours"])
     hole = replace(made[0], method="restir", value=math.nan, note="no restir pool")
-    text = written(frame_of([*made, hole]), tmp_path)[0]
+    text = written(to_dataframe([*made, hole]), tmp_path)[0]
     assert "### Not run\n\n- restir on city at 0.5 spp (psnr): no restir pool" in text
 
 
 def test_only_reasons_still_make_a_summary(tmp_path):
     hole = replace(rows(["ours"])[0], value=math.nan, note="needs CUDA")
-    assert "needs CUDA" in written(frame_of([hole]), tmp_path)[0]
+    assert "needs CUDA" in written(to_dataframe([hole]), tmp_path)[0]
 
 
 def test_each_device_has_a_section(tmp_path):
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
     text = written(mixed, tmp_path)[0]
     first, second = text.split("## NVIDIA RTX 2080 Ti")
     assert "## H100" in first

@@ -11,7 +11,7 @@ from conftest import METHODS, SCENES, rows
 
 from reports import table1
 from reports.published import published
-from rlbench.benchmark.results import LacksError, frame_of
+from rlbench.benchmark.results import MissingRowsError, to_dataframe
 
 OFFSET = sum(SCENES.values()) / 4
 
@@ -67,7 +67,7 @@ def test_the_difference_is_paired_with_ours(compared):
 
 
 def test_the_interval_of_one_scene_is_that_of_its_clips():
-    city = frame_of([r for r in rows(["ours", "ntas"]) if r.scene == "city"])
+    city = to_dataframe([r for r in rows(["ours", "ntas"]) if r.scene == "city"])
     row = table1.compared(city, draws=500).set_index(["method", "spp"]).loc[("ntas", 1.0)]
     half = 12.7062 * 0.06  # Student's t of its two clips, which have -1.36 and -1.24
     assert (row["low"], row["high"]) == pytest.approx((-1.3 - half, -1.3 + half), rel=1e-4)
@@ -78,7 +78,7 @@ def test_a_difference_that_excludes_zero_is_bold_and_one_that_holds_it_is_not(tm
     ends = {clip: 1 - 2 * (i // 2 % 2) for i, clip in enumerate(sorted({r.clip for r in ours}))}
     tied = [replace(r, method="ntas", value=r.value + ends[r.clip]) for r in ours]
     worse = [replace(r, method="oidn", value=r.value - 3) for r in ours]
-    page = written(frame_of([*ours, *tied, *worse]), tmp_path)[0]
+    page = written(to_dataframe([*ours, *tied, *worse]), tmp_path)[0]
     bold = [x for x in page.splitlines() if "**" in x]
     assert [x.split(" | ")[0] for x in bold] == ["| oidn"]
 
@@ -91,7 +91,7 @@ def test_the_orders_are_compared_at_the_papers_budget(results):
 
 def test_rows_stand_as_in_the_paper_and_strangers_after_them(tmp_path):
     strange = [replace(r, method="eaw") for r in rows(["ours"])]
-    page = written(frame_of([*strange, *rows(["mean", "ours"])]), tmp_path)[0]
+    page = written(to_dataframe([*strange, *rows(["mean", "ours"])]), tmp_path)[0]
     lines = [x.split("|")[1].strip() for x in page.splitlines() if x.startswith("| ")]
     assert lines == ["method", "---", "ours", "mean", "eaw"]
     assert line(page, "eaw")[-3:] == ["-", "-", "-"]
@@ -109,40 +109,40 @@ def test_the_page_warns_that_columns_cannot_be_compared(results, tmp_path, kind)
 
 
 def test_without_ours_the_differences_are_told_to_be_missing(tmp_path):
-    page = written(frame_of(rows(["ntas", "mean"])), tmp_path)[0]
+    page = written(to_dataframe(rows(["ntas", "mean"])), tmp_path)[0]
     assert "differences: 'ours' was not measured on every scene" in page
     assert line(page, "ntas")[6] == "-"
 
 
 def test_without_the_papers_budget_that_is_told(tmp_path):
-    page = written(frame_of([r for r in rows(["ours", "mean"]) if r.spp < 4]), tmp_path)[0]
+    page = written(to_dataframe([r for r in rows(["ours", "mean"]) if r.spp < 4]), tmp_path)[0]
     assert "- 4 spp, the paper's budget" in page
     assert "The orders were not compared: 0 rows are in both." in page
 
 
 def test_a_method_that_lacks_a_scene_is_told_and_not_averaged(tmp_path):
     made = [r for r in rows(["ours", "ntas"]) if r.method == "ours" or r.scene != "hall"]
-    page = written(frame_of(made), tmp_path)[0]
+    page = written(to_dataframe(made), tmp_path)[0]
     assert "- ntas at 4 spp: no psnr on hall" in page
     assert "\n| ntas" not in page
 
 
 def test_rows_of_named_weights_are_told_and_left_out(tmp_path):
     named = [replace(r, method="ours@seed1") for r in rows(["ours"])]
-    page = written(frame_of([*rows(["ours"]), *named]), tmp_path)[0]
+    page = written(to_dataframe([*rows(["ours"]), *named]), tmp_path)[0]
     assert "### Left out, as they ran with named weights\n\n- ours@seed1" in page
     assert "\n| ours@seed1" not in page
 
 
 def test_a_table_without_any_row_of_the_paper_is_refused(tmp_path):
-    strange = frame_of([replace(r, method="mine") for r in rows(["ours"])])
-    with pytest.raises(LacksError, match="results are of: mine"):
+    strange = to_dataframe([replace(r, method="mine") for r in rows(["ours"])])
+    with pytest.raises(MissingRowsError, match="results are of: mine"):
         table1.write(strange, tmp_path)
 
 
 def test_a_device_without_rows_of_the_paper_keeps_no_other_from_its_table(tmp_path):
     strange = [replace(row, method="mine") for row in rows(["ntas"], device="H100")]
-    page = table1.write(frame_of(rows(["ours"]) + strange), tmp_path)[0].read_text()
+    page = table1.write(to_dataframe(rows(["ours"]) + strange), tmp_path)[0].read_text()
     assert "## NVIDIA RTX 2080 Ti" in page
     assert "H100" not in page
 
@@ -150,7 +150,7 @@ def test_a_device_without_rows_of_the_paper_keeps_no_other_from_its_table(tmp_pa
 def test_named_weights_on_more_scenes_keep_no_row_out_of_the_table(tmp_path):
     some = [row for row in rows(["ours"]) if row.scene in ("city", "hall")]
     named = [replace(row, method="ours@seed0") for row in rows(["ours"])]
-    assert "\n| ours |" in table1.write(frame_of(some + named), tmp_path)[0].read_text()
+    assert "\n| ours |" in table1.write(to_dataframe(some + named), tmp_path)[0].read_text()
 
 
 def test_the_csv_has_a_row_for_each_method_and_budget(results, tmp_path):
@@ -161,7 +161,7 @@ def test_the_csv_has_a_row_for_each_method_and_budget(results, tmp_path):
 
 
 def test_each_device_has_a_section(tmp_path):
-    mixed = frame_of(rows(["ours"]) + rows(["ntas"], device="H100"))
+    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
     page = written(mixed, tmp_path)[0]
     assert page.count(f"### Table 1 of {published().title}") == 2
 

@@ -239,7 +239,7 @@ def test_the_panes_of_the_temple_face_inside():
 @pytest.mark.parametrize("time", range(0, 340, 34))
 def test_the_camera_keeps_clear_of_columns_machines_and_walls(name, time):
     found = _scene(name)
-    moved = found.moving(time)
+    moved = found.vertex_animation(time)
     eye = np.array(found.camera(time).origin)
     for mesh in found.meshes:
         a, b, c = np.moveaxis(moved.get(mesh.name, mesh.vertices)[mesh.faces], 1, 0)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.system.code_hash import CORE, closure, code_hash
+from rlbench.system.code_hash import CORE, code_hash, import_closure
 from rlbench.system.provenance import Machine, commit, machine, versions
 
 
@@ -92,7 +92,7 @@ def test_what_a_module_imports_of_its_package_is_found(plugin, line):
     (plugin / "method.py").write_text(f"import os\nimport torch\n{line}\n")
     (plugin / "unused.py").write_text("")
     importlib.invalidate_caches()
-    found = closure("stranger.method")
+    found = import_closure("stranger.method")
     assert found - {"stranger"} == {"stranger.method", "stranger.net"}
 
 
@@ -101,7 +101,7 @@ def test_what_is_imported_in_turn_is_found_though_it_goes_round(plugin):
     (plugin / "net.py").write_text("import stranger.loss\nWIDTH = 8\n")
     (plugin / "loss.py").write_text("import stranger.method\n")
     importlib.invalidate_caches()  # a folder whose time has not changed is not listed again
-    assert closure("stranger.method") >= {"stranger.net", "stranger.loss"}
+    assert import_closure("stranger.method") >= {"stranger.net", "stranger.loss"}
 
 
 def test_the_formulas_of_metrics_are_found_and_torch_is_not_imported():
@@ -116,13 +116,13 @@ def test_the_formulas_of_metrics_are_found_and_torch_is_not_imported():
 def test_parts_of_other_packages_are_followed_where_that_is_asked_for(plugin):
     (plugin / "method.py").write_text("from metrics.display import srgb\nimport torch\n")
     importlib.invalidate_caches()
-    assert "metrics.display" not in closure("stranger.method")
-    assert "metrics.display" in closure("stranger.method", {"metrics"})
+    assert "metrics.display" not in import_closure("stranger.method")
+    assert "metrics.display" in import_closure("stranger.method", {"metrics"})
 
 
 def test_all_of_the_core_that_makes_images_is_hashed():
     """What is left out decides no number: names, places on disk, errors."""
-    used = closure("rlbench.run") | closure("rlbench.clips.stored")
+    used = import_closure("rlbench.run") | import_closure("rlbench.clips.stored")
     left = {
         "rlbench.clips.digest",
         "rlbench.errors",

@@ -8,13 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.registry import lookup as registry
-from rlbench.training import logger as curves
-from rlbench.training.loop import Plan, train
+from rlbench import registry
+from rlbench.training import logger
+from rlbench.training.loop import TrainingConfig, train
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 
-PLAN = Plan(frames=18, crop=16, length=3, every=6)  # six draws, a checkpoint after each second
+PLAN = TrainingConfig(
+    frames=18, crop=16, length=3, every=6
+)  # six draws, a checkpoint after each second
 SCALARS = {"loss", "learning rate", "frames a second", "validation PSNR"}
 
 
@@ -45,7 +47,7 @@ def clip(tmp_path: Path) -> Path:
 
 def board(folder: Path) -> object:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    read = accumulator.EventAccumulator(str(folder / curves.FOLDER))
+    read = accumulator.EventAccumulator(str(folder / logger.FOLDER))
     read.Reload()
     return read
 
@@ -72,10 +74,10 @@ def test_a_picture_is_shown_beside_its_reference_at_each_validation(clip, tmp_pa
 
 
 def test_what_was_logged_after_the_checkpoint_is_logged_once(tmp_path):
-    log = tmp_path / curves.LOG
+    log = tmp_path / logger.LOG
     lines = [json.dumps({"seen": seen, "psnr": 20.0}) + "\n" for seen in (6, 12, 18)]
     log.write_text("".join(lines) + '{"seen": 2')
-    with curves.told(tmp_path, 12):
+    with logger.told(tmp_path, 12):
         assert log.read_text() == "".join(lines[:2])
 
 
@@ -84,8 +86,8 @@ def test_without_tensorboard_training_goes_on_and_one_line_says_so(clip, tmp_pat
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == "tensorboard" else find(name)
     )
-    assert 'pip install "rlbench[train]"' in curves.lacking()
+    assert 'pip install "rlbench[train]"' in logger.lacking()
     folder = trained(tmp_path / "run", clip)
-    assert not (folder / curves.FOLDER).exists()
-    told = [json.loads(line)["seen"] for line in (folder / curves.LOG).read_text().splitlines()]
+    assert not (folder / logger.FOLDER).exists()
+    told = [json.loads(line)["seen"] for line in (folder / logger.LOG).read_text().splitlines()]
     assert told == [6, 12, 18]

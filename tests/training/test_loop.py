@@ -14,16 +14,16 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench.cli import console as show
+from rlbench import registry
+from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.ops.reprojection import reproject
-from rlbench.registry import lookup as registry
 from rlbench.training import checkpoint, validation
 from rlbench.training.batches import Augmentation, BatchError, Batches
-from rlbench.training.loop import Plan, Progress, TrainingError, train
-from rlbench.training.runs import Course, start_anew
-from rlbench.training.train_state import Learner
+from rlbench.training.loop import Progress, TrainingConfig, TrainingError, train
+from rlbench.training.runs import TrainingRuns, archive_run
+from rlbench.training.train_state import TrainState
 from rlbench.weights import digest, read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
@@ -32,7 +32,7 @@ CHECKOUT = Path(__file__).parents[2]
 
 
 def test_the_learning_rate_is_torchs_one_cycle():
-    plan = Plan(frames=200)
+    plan = TrainingConfig(frames=200)
     weight = torch.zeros(1, requires_grad=True)
     optimizer = torch.optim.Adam([weight])
     theirs = torch.optim.lr_scheduler.OneCycleLR(
@@ -43,7 +43,7 @@ def test_the_learning_rate_is_torchs_one_cycle():
         rates.append(theirs.get_last_lr()[0])
         optimizer.step()
         theirs.step() if len(rates) < 201 else None
-    ours = [5e-5 * plan.rate(seen) for seen in range(201)]
+    ours = [5e-5 * plan.lr_factor(seen) for seen in range(201)]
     # torch turns at step 29.15 of 200, we at 30: the curves differ by less than one step
     assert max(abs(a - b) for a, b in zip(ours, rates, strict=True)) < 5e-5 * 0.06
 
@@ -54,12 +54,14 @@ def test_the_learning_rate_is_torchs_one_cycle():
 )
 def test_the_learning_rate_goes_through_the_points_of_the_fact_sheet(seen, rate):
     # three digits are given, of the authors' 200,000 steps up to 5e-5; they end lower than we do
-    assert 5e-5 * Plan(frames=200_000).rate(seen) == pytest.approx(rate, rel=5e-3)
+    assert 5e-5 * TrainingConfig(frames=200_000).lr_factor(seen) == pytest.approx(rate, rel=5e-3)
 
 
 @pytest.mark.parametrize("seen", [0, 200])
 def test_the_learning_rate_starts_and_ends_where_it_should(seen):
-    assert Plan(frames=200).rate(seen) == pytest.approx(1 / 25 if seen == 0 else 1e-4)
+    assert TrainingConfig(frames=200).lr_factor(seen) == pytest.approx(
+        1 / 25 if seen == 0 else 1e-4
+    )
 
 
 @pytest.mark.parametrize("mirror", [False, True])
@@ -70,12 +72,12 @@ def test_a_turned_clip_still_moves_as_its_motion_says(mirror, flip, transpose):
     cut = Augmentation(mirror, flip, transpose, gain=1.5, colours=(2, 0, 1))
     clip = procedural(seed=3, size=Size(1, 64, 80), frames=2)
     before, after = list(clip)
-    moved, valid = reproject(before.view.albedo, after.view.motion)
+    moved, valid = reproject(before.gbuffer.albedo, after.gbuffer.motion)
     before_cut, after_cut = cut.apply(before), cut.apply(after)
-    moved_cut, valid_cut = reproject(before_cut.view.albedo, after_cut.view.motion)
-    both = valid_cut & cut.turn(valid)
+    moved_cut, valid_cut = reproject(before_cut.gbuffer.albedo, after_cut.gbuffer.motion)
+    both = valid_cut & cut.flip(valid)
     assert both.float().mean() > 0.5
-    difference = (moved_cut - cut.tint(moved)).abs() * both
+    difference = (moved_cut - cut.permute_channels(moved)).abs() * both
     assert difference.max() < 1e-4  # bilinear weights in float32
 
 
@@ -111,7 +113,7 @@ def trained(out, clip, kill_after=None):
         if progress.draws == kill_after:
             raise KilledError
 
-    plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+    plan = TrainingConfig(frames=24, batch=2, crop=16, length=3, every=12)
     train("oidn", [clip], [clip], out, plan, report=report)
     return read_card(out / "oidn.safetensors"), digest(out / "oidn.safetensors")
 
@@ -163,7 +165,10 @@ WITH_CRITIC = """loss + (aside(shown.image) - loss.detach()).square().mean()"""
 
 def test_a_network_aside_is_kept_for_a_training_that_goes_on_and_not_shipped(tmp_path):
     registry.use_plugin(write_learner(tmp_path, WITH_CRITIC, CRITIC))
-    clip, plan = write_noise(tmp_path / "noise", h=24, w=24), Plan(24, crop=16, length=3, every=6)
+    clip, plan = (
+        write_noise(tmp_path / "noise", h=24, w=24),
+        TrainingConfig(24, crop=16, length=3, every=6),
+    )
 
     def run(out, kill=None):
         def report(progress, loss):
@@ -194,16 +199,16 @@ def test_budgets_are_those_asked_for_or_the_methods_own_and_the_card_says_which(
     tmp_path, monkeypatch, spp, drawn
 ):
     found = set()
-    sequence = Learner.sequence
+    sequence = TrainState.sequence
 
     def watched(self, clip, spp, rate, done):
         found.add(spp)
         return sequence(self, clip, spp, rate, done)
 
-    monkeypatch.setattr(Learner, "sequence", watched)
+    monkeypatch.setattr(TrainState, "sequence", watched)
     registry.use_plugin(write_learner(tmp_path))
     clip = write_noise(tmp_path / "noise", h=24, w=24)
-    train("blur", [clip], [clip], tmp_path / "run", Plan(24, crop=16, length=3, spp=spp))
+    train("blur", [clip], [clip], tmp_path / "run", TrainingConfig(24, crop=16, length=3, spp=spp))
     assert found == drawn
     assert set(json.loads(read_card(tmp_path / "run" / "blur.safetensors").plan)["spp"]) == drawn
 
@@ -213,7 +218,7 @@ def test_a_budget_that_the_method_cannot_take_is_refused(tmp_path, spp):
     registry.use_plugin(write_learner(tmp_path))
     told = f"'blur' cannot be trained at {spp:g} spp: supports 1 to 4 spp"
     with pytest.raises(TrainingError, match=told):
-        train("blur", [], [], tmp_path, Plan(spp=(2.0, spp)))
+        train("blur", [], [], tmp_path, TrainingConfig(spp=(2.0, spp)))
 
 
 @pytest.mark.parametrize(
@@ -233,15 +238,15 @@ def test_validation_is_at_one_and_four_samples_or_at_the_ends_of_what_is_asked_f
 def test_a_checkpoint_of_before_there_were_budgets_still_fits():
     told = {"frames": 24, "batch": 1, "crop": 16, "length": 3, "average": 0.998, "seed": 0}
     told |= {"norm": 1.0, "half": False, "every": 1000}
-    assert Plan(24, crop=16, length=3).told() == told
-    assert Plan(24, crop=16, length=3, spp=(4.0,)).told() == {**told, "spp": [4.0]}
+    assert TrainingConfig(24, crop=16, length=3).told() == told
+    assert TrainingConfig(24, crop=16, length=3, spp=(4.0,)).told() == {**told, "spp": [4.0]}
 
 
 def test_weights_of_chosen_budgets_and_folds_have_folders_of_their_own(tmp_path):
-    course = Course(tmp_path, Plan(spp=(0.5, 4.0)))
+    course = TrainingRuns(tmp_path, TrainingConfig(spp=(0.5, 4.0)))
     folders = {
-        Course(tmp_path, Plan()).folder("ours/A2"): "ours-A2",
-        Course(tmp_path, Plan()).folder("ours", "hall"): "ours-without-hall",
+        TrainingRuns(tmp_path, TrainingConfig()).folder("ours/A2"): "ours-A2",
+        TrainingRuns(tmp_path, TrainingConfig()).folder("ours", "hall"): "ours-without-hall",
         course.folder("ours"): "ours-0.5+4spp",
         course.folder("ours", "hall"): "ours-without-hall-0.5+4spp",
     }
@@ -252,25 +257,28 @@ def test_weights_of_chosen_budgets_and_folds_have_folders_of_their_own(tmp_path)
 
 def test_a_training_started_anew_leaves_the_old_ones(tmp_path):
     folder = tmp_path / "ours"
-    assert start_anew(folder) is None
+    assert archive_run(folder) is None
     for number in (1, 2):
         folder.mkdir()
         (folder / "log").write_text(str(number))
-        assert start_anew(folder) == tmp_path / f"ours.old-{number}"
+        assert archive_run(folder) == tmp_path / f"ours.old-{number}"
     assert [(tmp_path / f"ours.old-{n}" / "log").read_text() for n in (1, 2)] == ["1", "2"]
 
 
 def test_progress_tells_loss_validation_and_speed():
     stands = Progress(seen=6, speed=12.34, curve=[(3, 20.0), (6, 21.5)])
-    assert show.lesson(stands, 0.12345) == "loss 0.1235, validation 21.50 dB, 12.3 frames/s"
-    assert show.lesson(Progress(), 1.0) == "loss 1.0000, 0.0 frames/s"
+    assert (
+        console.training_status(stands, 0.12345)
+        == "loss 0.1235, validation 21.50 dB, 12.3 frames/s"
+    )
+    assert console.training_status(Progress(), 1.0) == "loss 1.0000, 0.0 frames/s"
 
 
 def test_a_checkpoint_of_another_plan_is_refused(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
     trained(tmp_path / "run", clip)
     with pytest.raises(TrainingError, match="another plan"):
-        train("oidn", [clip], [clip], tmp_path / "run", Plan(frames=48, crop=16))
+        train("oidn", [clip], [clip], tmp_path / "run", TrainingConfig(frames=48, crop=16))
 
 
 def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
@@ -299,7 +307,7 @@ def test_a_card_tells_of_a_training_that_was_too_short(seen, curve, note):
 
 def test_a_training_does_not_go_on_from_another_methods_checkpoint(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    plan = Plan(frames=12, batch=2, crop=16, length=3, every=12)
+    plan = TrainingConfig(frames=12, batch=2, crop=16, length=3, every=12)
     train("oidn", [clip], [clip], tmp_path, plan)
     with pytest.raises(TrainingError, match=r"is of 'oidn', asked for is 'oidn/small'"):
         train("oidn/small", [clip], [clip], tmp_path, plan)
@@ -307,7 +315,7 @@ def test_a_training_does_not_go_on_from_another_methods_checkpoint(tmp_path):
 
 def test_a_training_that_is_done_keeps_its_card(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+    plan = TrainingConfig(frames=24, batch=2, crop=16, length=3, every=12)
     train("oidn", [clip], [clip], tmp_path, plan, command="first")
     train("oidn", [clip], [clip], tmp_path, plan, command="second")
     assert read_card(tmp_path / "oidn.safetensors").command == "first"
@@ -316,7 +324,7 @@ def test_a_training_that_is_done_keeps_its_card(tmp_path):
 @pytest.mark.parametrize("left", ["no card", "another card", "older weights"])
 def test_a_training_that_was_killed_while_it_wrote_its_weights_writes_them(tmp_path, left):
     clip, out = write_noise(tmp_path / "clips" / "noise", h=32, w=32), tmp_path / "run"
-    plan = Plan(frames=24, batch=2, crop=16, length=3, every=12)
+    plan = TrainingConfig(frames=24, batch=2, crop=16, length=3, every=12)
     if left == "older weights":  # a training that was given little time ships what it has
         train("oidn", [clip], [clip], out, plan, minutes=1e-9)
     older = [(file, file.read_bytes()) for file in out.glob("oidn.*")]
@@ -335,7 +343,7 @@ def test_a_training_that_was_killed_while_it_wrote_its_weights_writes_them(tmp_p
 def test_crops_larger_than_a_clip_are_refused(tmp_path):
     clip = write_noise(tmp_path / "noise", h=32, w=40)
     with pytest.raises(BatchError, match="48 x 48 asked for, clip 'noise' has 32 x 40"):
-        Batches([clip], batch=1, crop=48, length=2, seed=0).draw(0)
+        Batches([clip], batch=1, crop=48, length=2, seed=0).sequence(0)
 
 
 def test_batches_of_no_clips_are_refused():

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.registry import lookup as registry
-from rlbench.training import lr_range_test as range_test
-from rlbench.training.config import Plan
+from rlbench import registry
+from rlbench.training import lr_range_test
+from rlbench.training.config import TrainingConfig
 from rlbench.training.lr_range_test import Point, averaged, proposed
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
@@ -34,11 +34,11 @@ def test_the_average_is_that_of_a_gaussian_window():
     assert averaged(points)[20] == pytest.approx(wanted / sum(shares))
 
 
-def tried(tmp_path: Path, loss: str = "loss") -> range_test.Found:
+def tried(tmp_path: Path, loss: str = "loss") -> lr_range_test.LrRangeResult:
     registry.use_plugin(write_learner(tmp_path, loss))
     clip = write_noise(tmp_path / "noise", h=24, w=24)
-    plan = Plan(frames=60, crop=16, length=3)
-    return range_test.run("blur", [clip], tmp_path / "range", plan)
+    plan = TrainingConfig(frames=60, crop=16, length=3)
+    return lr_range_test.run("blur", [clip], tmp_path / "range", plan)
 
 
 def test_the_rate_grows_by_one_factor_from_a_millionth_to_a_tenth(tmp_path):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rlbench.registry import lookup as registry
-from rlbench.training.config import Plan
+from rlbench import registry
+from rlbench.training.config import TrainingConfig
 from rlbench.training.profiler import PARTS, main, profile
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
@@ -18,7 +18,7 @@ def clip(tmp_path):
 
 
 def test_every_part_of_a_step_is_told_and_together_they_are_nearly_all_of_it(clip):
-    found = profile("blur", [clip], Plan(frames=30, crop=16, length=3))
+    found = profile("blur", [clip], TrainingConfig(frames=30, crop=16, length=3))
     parts = {part.told: part.seconds for part in found.parts}
     own = set(PARTS.values()) - {"of that, L1 and MS-SSIM"}  # blur has a loss of its own
     assert own <= set(parts)

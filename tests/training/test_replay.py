@@ -8,10 +8,10 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from rlbench import registry
 from rlbench.cli.app import app
-from rlbench.registry import lookup as registry
 from rlbench.training import checkpoint
-from rlbench.training.loop import Plan, TrainingError, replay, train
+from rlbench.training.loop import TrainingConfig, TrainingError, replay, train
 from rlbench.weights import read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
@@ -19,7 +19,9 @@ from tests.learning_plugin import write_learner
 FAULT = """loss * (
                 1e39 if torch.is_autocast_enabled("cpu") and clip.name == "draw 3" and step else 1
             )"""
-PLAN = Plan(frames=18, crop=16, length=3, every=3, half=True)  # six draws, a checkpoint after each
+PLAN = TrainingConfig(
+    frames=18, crop=16, length=3, every=3, half=True
+)  # six draws, a checkpoint after each
 
 
 @pytest.fixture
@@ -61,7 +63,7 @@ def test_a_halted_sequence_holds_its_clip_and_what_it_began_with(halted):
 
 
 def test_a_training_that_halted_goes_on_by_another_plan(halted, clip, tmp_path):
-    gentle = Plan(frames=18, crop=16, length=3, every=3)
+    gentle = TrainingConfig(frames=18, crop=16, length=3, every=3)
     with pytest.raises(TrainingError, match="--altered"):
         train("blur", [clip], [clip], tmp_path / "run", gentle)
     progress = train("blur", [clip], [clip], tmp_path / "run", gentle, altered=True)

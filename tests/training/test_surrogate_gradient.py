@@ -8,13 +8,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from rlbench.clips.in_memory import MemoryClip
+from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.family import Traits
-from rlbench.frames import Frame, Reference, Samples, Size, StoredPool, View
+from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.run import unroll
-from rlbench.sampling import spend
-from rlbench.training.surrogate_gradient import Surrogate, pull, shares
+from rlbench.sampling import allocate_counts
+from rlbench.training.surrogate_gradient import (
+    SurrogateGradient,
+    kuznetsov_gradient,
+    relaxed_counts,
+)
 
 SIZE = Size(1, 12, 16)
 
@@ -29,13 +33,13 @@ def ones(*shape: int) -> Tensor:
 
 def framed(truth: Tensor) -> Frame:
     """A frame of which only the truth matters."""
-    return Frame(0, View({}), StoredPool(truth[:, None], (0,)), Reference(truth, truth))
+    return Frame(0, GBuffer({}), StoredPool(truth[:, None], (0,)), Reference(truth, truth))
 
 
 def test_shares_are_what_spend_rounds() -> None:
     density = (4 * drawn(1, 1, 20, 20)).exp() / 55
-    counts = spend(density, 2 * 400, ones(1, 1, 20, 20), 8, keys=(0,))
-    due = shares(density, 2.0, ones(1, 1, 20, 20), 8)
+    counts = allocate_counts(density, 2 * 400, ones(1, 1, 20, 20), 8, keys=(0,))
+    due = relaxed_counts(density, 2.0, ones(1, 1, 20, 20), 8)
     assert float(due.mean()) == pytest.approx(2.0, rel=1e-5)  # float32 sum of 400
     assert ((due - counts).abs() < 1 + 1e-4).all()
 
@@ -43,8 +47,8 @@ def test_shares_are_what_spend_rounds() -> None:
 def test_shares_over_uneven_holdings_are_what_spend_rounds() -> None:
     density = (4 * drawn(1, 1, 20, 20)).exp() / 55
     low = 1 + (3 * drawn(1, 1, 20, 20, seed=1)).long()  # as after a first pass
-    counts = spend(density, 3 * 400, low, 8, keys=(0,))
-    due = shares(density, 3.0, low, 8)
+    counts = allocate_counts(density, 3 * 400, low, 8, keys=(0,))
+    due = relaxed_counts(density, 3.0, low, 8)
     assert float(due.mean()) == pytest.approx(3.0, rel=1e-5)  # float32 sum of 400
     assert ((due - counts).abs() < 1 + 1e-4).all()
 
@@ -53,7 +57,10 @@ def test_shares_do_not_ask_for_the_scale_of_a_density() -> None:
     density, low = drawn(1, 1, 12, 16).clamp_min(1e-3), ones(1, 1, 12, 16)
     # the same bisection from the same bounds: its last step is 1e-8 of the multiplier
     torch.testing.assert_close(
-        shares(density / 7, 2.5, low, 8), shares(density, 2.5, low, 8), rtol=1e-5, atol=0
+        relaxed_counts(density / 7, 2.5, low, 8),
+        relaxed_counts(density, 2.5, low, 8),
+        rtol=1e-5,
+        atol=0,
     )
 
 
@@ -64,13 +71,13 @@ def test_shares_have_the_gradient_of_finite_differences(low: int) -> None:
     held[..., :2] = low
     # the multiplier is bisected to 1e-8, which the step of 1e-4 turns into 1e-4
     assert torch.autograd.gradcheck(
-        lambda d: shares(d, 2.5, held, 8), density, eps=1e-4, atol=1e-3, rtol=1e-3
+        lambda d: relaxed_counts(d, 2.5, held, 8), density, eps=1e-4, atol=1e-3, rtol=1e-3
     )
 
 
 def test_shares_at_the_floor_have_no_gradient() -> None:
     density = drawn(1, 1, 4, 4).requires_grad_()
-    shares(density, 1.0, ones(1, 1, 4, 4), 8).square().sum().backward()
+    relaxed_counts(density, 1.0, ones(1, 1, 4, 4), 8).square().sum().backward()
     assert torch.equal(density.grad, torch.zeros_like(density))
 
 
@@ -81,10 +88,10 @@ def test_the_surrogate_is_twice_the_derivative_of_the_squared_error(count: int) 
     generator = torch.Generator().manual_seed(count)
     radiance = 1 + deviation * torch.randn(1, 8, 3, 1, pixels, generator=generator)
     counts = torch.full((1, 1, 1, pixels), count)
-    samples = Samples(radiance.where(Samples(radiance, counts).filled, 0.0), counts)
+    samples = Samples(radiance.where(Samples(radiance, counts).valid_mask, 0.0), counts)
     due = counts.float().requires_grad_()
     truth = torch.ones(1, 3, 1, pixels)
-    taught = pull(samples, due, framed(truth))
+    taught = kuznetsov_gradient(samples, due, framed(truth))
     (taught.mean - truth).square().mean(1).sum().backward()
     expected = -2 * deviation**2 / count**2
     error = due.grad.std() / pixels**0.5
@@ -102,24 +109,25 @@ class Learner:
     def start(self, size: Size) -> None:
         self.asked.clear()
 
-    def plan(self, view: View, samples: Samples, state: None) -> Tensor:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Tensor:
         self.asked.append(int(samples.counts.sum()))
         return self.weights[(len(self.asked) - 1) % len(self.weights)].exp()
 
-    def denoise(self, view: View, samples: Samples, state: None) -> tuple[Tensor, None]:
+    def denoise(self, gbuffer: GBuffer, samples: Samples, state: None) -> tuple[Tensor, None]:
         return samples.mean, None
 
 
 def learner(**traits: object) -> Learner:
-    passes = Traits(adapts=True, floor=1, **traits).passes
+    passes = Traits(adaptive=True, min_samples=1, **traits).passes
     weights = tuple(-drawn(1, 1, 12, 16, seed=i) for i in range(len(passes)))
     return Learner(
-        Traits(adapts=True, floor=1, **traits), tuple(each.requires_grad_() for each in weights)
+        Traits(adaptive=True, min_samples=1, **traits),
+        tuple(each.requires_grad_() for each in weights),
     )
 
 
-def taught(method: Learner, clip: MemoryClip, spp: float) -> list[Tensor]:
-    return [shown.image for shown in unroll(Surrogate(method, iter(clip), spp), clip, spp)]
+def taught(method: Learner, clip: InMemoryClip, spp: float) -> list[Tensor]:
+    return [shown.image for shown in unroll(SurrogateGradient(method, iter(clip), spp), clip, spp)]
 
 
 PASSES = pytest.mark.parametrize(
@@ -150,20 +158,20 @@ def test_the_mean_that_is_pulled_holds_the_pilot() -> None:
     """With one pixel free the slope is (T - I) / n for the mean I of all n samples."""
     truth = torch.full((1, 3, 1, 2), 2.0)
     radiance = torch.arange(1.0, 9.0).view(1, 8, 1, 1, 1).expand(1, 8, 3, 1, 2)
-    frame = Frame(0, View({}), StoredPool(radiance, (0,)), Reference(truth, truth))
+    frame = Frame(0, GBuffer({}), StoredPool(radiance, (0,)), Reference(truth, truth))
     seen: list[Tensor] = []
 
     def teach(samples: Samples, due: Tensor, frame: Frame) -> Samples:
         seen.append(due)
         due.retain_grad()
-        return pull(samples, due, frame)
+        return kuznetsov_gradient(samples, due, frame)
 
     method = Learner(
-        Traits(adapts=True, floor=1, pilot=1.0),
+        Traits(adaptive=True, min_samples=1, pilot_spp=1.0),
         (torch.tensor([[[[0.0, -1.0]]]], requires_grad=True),),
     )
-    clip = MemoryClip("two pixels", "two pixels", "", [frame])
-    (shown,) = unroll(Surrogate(method, iter(clip), 3.0, teach), clip, 3.0)
+    clip = InMemoryClip("two pixels", "two pixels", "", [frame])
+    (shown,) = unroll(SurrogateGradient(method, iter(clip), 3.0, teach), clip, 3.0)
     shown.image.sum().backward()
     counts = shown.samples.counts.flatten()
     mean = (counts + 1) / 2  # of 1, 2, .. n
@@ -174,7 +182,7 @@ def test_a_pixel_that_the_pilot_filled_beyond_its_share_is_not_taught() -> None:
     low = ones(1, 1, 1, 4)
     low[..., 0] = 6
     density = torch.tensor([[[[0.1, 1.0, 0.5, 0.2]]]], requires_grad=True)
-    due = shares(density, 3.0, low, 8)
+    due = relaxed_counts(density, 3.0, low, 8)
     assert due[..., 0].item() == 6
     (slope,) = torch.autograd.grad(due[..., 1].sum(), density)
     assert float(slope[..., 0]) == 0
@@ -182,7 +190,7 @@ def test_a_pixel_that_the_pilot_filled_beyond_its_share_is_not_taught() -> None:
 
 def test_a_cap_bounds_what_is_due() -> None:
     method = learner()
-    capped = replace(method, traits=replace(method.traits, cap=3))
+    capped = replace(method, traits=replace(method.traits, max_samples=3))
     due: list[Tensor] = []
 
     def teach(samples: Samples, share: Tensor, frame: Frame) -> Samples:
@@ -190,5 +198,5 @@ def test_a_cap_bounds_what_is_due() -> None:
         return samples
 
     clip = procedural(3, SIZE, frames=1)
-    list(unroll(Surrogate(capped, iter(clip), 2.8, teach), clip, 2.8))
+    list(unroll(SurrogateGradient(capped, iter(clip), 2.8, teach), clip, 2.8))
     assert due[0].max().item() == 3

@@ -9,27 +9,27 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from rlbench import registry
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
-from rlbench.registry import lookup as registry
-from rlbench.training.task import Trainer
-from rlbench.training.train_state import Learner, NotFiniteError
+from rlbench.training.task import TrainingTask
+from rlbench.training.train_state import NotFiniteError, TrainState
 
 CLIP = procedural(0, Size(1, 16, 16), frames=1)
 
 
 def learner(
     networks: nn.Module, *losses: Callable[[], Tensor], half: bool = False, **more: object
-) -> Learner:
+) -> TrainState:
     """One that takes a step for each of these losses."""
-    trainer = Trainer(
+    trainer = TrainingTask(
         registry.method("mean"),
         networks,
         lambda clip, spp: (loss() for loss in losses),
         (1.0,),
         **{"peak": 1e-2, **more},
     )
-    return Learner(trainer, norm=1.0, average=0.998, half=half, device="cpu")
+    return TrainState(trainer, norm=1.0, average=0.998, half=half, device="cpu")
 
 
 def pair(value: float = 1.0) -> nn.Sequential:

@@ -16,14 +16,22 @@ import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.experiments.evaluation import Exam, Scenes
-from methods.ours.experiments.known_optimum import MODES, Mode, Moment
+from methods.ours.experiments.evaluation import Evaluation, Scenes
+from methods.ours.experiments.known_optimum import MODES, Mode, ToyProblem
 from methods.ours.experiments.toy_scenes import CHANNELS, scenes
 from methods.ours.networks import Sampler
-from methods.ours.policy import Both, Learner, Policy, Situation, appo, appo_config, learner
-from methods.ours.policy.block_reinforce import PpoPixel
+from methods.ours.policy import (
+    AllocationProblem,
+    BlockPolicyGradient,
+    CombinedLearner,
+    SamplerLearner,
+    appo,
+    appo_config,
+    learner,
+)
+from methods.ours.policy.block_reinforce import BlockReinforce
 from methods.ours.variants import BASE
-from rlbench.ops.init import initialise
+from rlbench.ops.init import kaiming_init
 from rlbench.system import paths
 
 PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
@@ -42,26 +50,28 @@ class Truth:
     floor = 0
     network = None
 
-    def loss(self, situation: Situation, generator: torch.Generator) -> torch.Tensor:
+    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> torch.Tensor:
         """The exact expected error of the relaxed counts."""
-        assert isinstance(situation, Moment)
+        assert isinstance(situation, ToyProblem)
         return situation.expected(situation.relaxed(situation.act())).mean()
 
 
-def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], PpoPixel]:
+def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], BlockReinforce]:
     """Errors are credited as far as the mode spreads them, and draws are as large."""
 
-    def made(mode: Mode) -> PpoPixel:
+    def made(mode: Mode) -> BlockReinforce:
         side = block or max(1, 2 * mode.reach)
-        return PpoPixel(Policy(block=side, margin=mode.reach, priced=priced))
+        return BlockReinforce(
+            BlockPolicyGradient(block=side, margin=mode.reach, price_weight=priced)
+        )
 
     return made
 
 
-TORCH: dict[str, Callable[[Mode], Learner]] = {
+TORCH: dict[str, Callable[[Mode], SamplerLearner]] = {
     "true gradient": lambda mode: Truth(),
     "ppo-pixel": ppo(),
-    "ppo-pixel+surrogate": lambda mode: Both(ppo()(mode)),
+    "ppo-pixel+surrogate": lambda mode: CombinedLearner(ppo()(mode)),
     "critic": lambda mode: learner("critic", CHANNELS),
     "surrogate": lambda mode: learner("surrogate", CHANNELS),
     "gamma": lambda mode: learner("gamma", CHANNELS),
@@ -77,26 +87,26 @@ RLLIB: dict[str, Callable[[Mode], appo_config.Appo]] = {
 def network(seed: int) -> Sampler:
     """The sampler of `ours`, with seeded weights and a uniform density."""
     made = Sampler(CHANNELS, BASE.sampler)
-    initialise(made, seed)
+    kaiming_init(made, seed)
     made.start_uniform()
     return made
 
 
-def by_torch(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
+def by_torch(name: str, exam: Evaluation, seed: int, frames: int, tell: Tell) -> None:
     """One training; a step for every SCENES frames."""
     mode, sampler, way = exam.mode, network(seed), TORCH[name](exam.mode)
     trained = nn.ModuleList(part for part in (sampler, way.network) if part is not None)
     optimizer = torch.optim.Adam(trained.parameters(), PEAK)
     generator = torch.Generator().manual_seed(seed + 2 * APART)
     if way.network is not None:
-        initialise(way.network, seed + APART)
+        kaiming_init(way.network, seed + APART)
     seconds, every = 0.0, max(frames // POINTS, SCENES)
     stream = scenes(seed, SCENES, exam.side)
     for seen, field in zip(range(SCENES, frames + 1, SCENES), stream, strict=False):
         began = time.process_time()
         for group in optimizer.param_groups:
             group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
-        loss = way.loss(Moment(field, mode, sampler, floor=way.floor), generator)
+        loss = way.loss(ToyProblem(field, mode, sampler, floor=way.floor), generator)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
@@ -105,7 +115,7 @@ def by_torch(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
             tell(seen, seconds, exam.score(sampler, way.floor))
 
 
-def by_rllib(name: str, exam: Exam, seed: int, frames: int, tell: Tell) -> None:
+def by_rllib(name: str, exam: Evaluation, seed: int, frames: int, tell: Tell) -> None:
     """One training in Ray's own loop; seconds are those of this process, without its start."""
     began: list[float] = []
     away = 0.0  # seconds spent on scores
@@ -143,7 +153,7 @@ def compare(
     wanted = [(name, mode, seed) for seed in seeds for mode in modes for name in names]
     done = {(row["learner"], row["mode"], int(row["seed"])) for row in rows}
     todo = [cell for cell in wanted if cell not in done]
-    exams = {mode: Exam.of(MODES[mode], side=side) for mode in {cell[1] for cell in todo}}
+    exams = {mode: Evaluation.of(MODES[mode], side=side) for mode in {cell[1] for cell in todo}}
     with Progress() as progress:
         task = progress.add_task("trainings", total=len(todo) * frames)
         for at, (name, mode, seed) in enumerate(todo):

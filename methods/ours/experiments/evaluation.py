@@ -9,11 +9,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from methods.ours.experiments.known_optimum import Mode, Moment, greedy
-from methods.ours.experiments.toy_scenes import CHANNELS, STORED, Field, scenes
-from methods.ours.policy.environment import Outcome
-from rlbench.sampling import spend
-from rlbench.training.surrogate_gradient import shares
+from methods.ours.experiments.known_optimum import Mode, ToyProblem, greedy
+from methods.ours.experiments.toy_scenes import CHANNELS, STORED, ToyFrame, scenes
+from methods.ours.policy.environment import StepResult
+from rlbench.sampling import allocate_counts
+from rlbench.training.surrogate_gradient import relaxed_counts
 
 UNSEEN = 10**6  # seed of the scenes that are judged on
 APART = 7  # frames between two that are judged
@@ -22,16 +22,16 @@ FAINT = 0.02  # log density of the least noisy pixels where the descent starts f
 
 
 @dataclass(frozen=True)
-class Exam:
+class Evaluation:
     """Frames, their expected errors under uniform sampling, and under the best counts known."""
 
     mode: Mode
-    fields: tuple[Field, ...]
+    fields: tuple[ToyFrame, ...]
     uniform: tuple[Float[Tensor, " n"], ...]  # mean error of each image
     best: tuple[Float[Tensor, " n"], ...]
 
     @classmethod
-    def of(cls, mode: Mode, frames: int = 1, n: int = 8, side: int = 48) -> Exam:
+    def of(cls, mode: Mode, frames: int = 1, n: int = 8, side: int = 48) -> Evaluation:
         """So many frames of n scenes each."""
         stream = scenes(UNSEEN, n, side)
         fields = [field for at, field in zip(range(frames * APART), stream, strict=False)]
@@ -56,13 +56,13 @@ class Exam:
         """
         reached = []
         for field, uniform, best in zip(self.fields, self.uniform, self.best, strict=True):
-            moment = Moment(field, self.mode, sampler, floor=floor)
+            moment = ToyProblem(field, self.mode, sampler, floor=floor)
             error = moment.expected(moment.buy(moment.act()).float()).mean((1, 2, 3))
             reached.append((uniform - error) / (uniform - best))
         return float(torch.cat(reached).mean())
 
 
-def best_counts(moment: Moment) -> Int[Tensor, "n 1 h w"]:
+def best_counts(moment: ToyProblem) -> Int[Tensor, "n 1 h w"]:
     """The best whole counts: exact where pixels are independent, else the best that were found.
 
     The error of coupled pixels has many minima. A density for each pixel descends on the exact
@@ -79,21 +79,21 @@ def best_counts(moment: Moment) -> Int[Tensor, "n 1 h w"]:
     return torch.where(errors[0] <= errors[1], first, second)
 
 
-def _descend(moment: Moment, start: Tensor) -> Tensor:
+def _descend(moment: ToyProblem, start: Tensor) -> Tensor:
     free = start.clone().requires_grad_()
     nothing = torch.zeros(start.shape, dtype=torch.int64)
     optimizer = torch.optim.Adam([free], RATE)
     for _ in range(STEPS):
         density = (free - free.detach().amax((2, 3), keepdim=True)).exp()
-        due = shares(density, moment.spp, nothing, STORED)
+        due = relaxed_counts(density, moment.spp, nothing, STORED)
         optimizer.zero_grad()
         moment.expected(due).mean().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    return spend(density.detach(), moment.cost, nothing, STORED, moment.field.keys)
+    return allocate_counts(density.detach(), moment.cost, nothing, STORED, moment.field.keys)
 
 
-def _moment(field: Field, mode: Mode) -> Moment:
-    return Moment(field, mode, lambda seen: torch.zeros_like(seen[:, :1]))
+def _moment(field: ToyFrame, mode: Mode) -> ToyProblem:
+    return ToyProblem(field, mode, lambda seen: torch.zeros_like(seen[:, :1]))
 
 
 class Scenes:
@@ -111,10 +111,10 @@ class Scenes:
             self._field = next(self._stream)
         return self._field.seen
 
-    def step(self, action: Float[Tensor, "1 1 h w"]) -> Outcome:
+    def step(self, action: Float[Tensor, "1 1 h w"]) -> StepResult:
         """Realised errors of the frame's image, and the next frame."""
-        trial = _moment(self._field, self.mode).attempt(action.unsqueeze(0))
+        trial = _moment(self._field, self.mode).rollout(action.unsqueeze(0))
         last, self._field = self._field, next(self._stream)
         over = self._field.index == 0
         seen = last.seen if over else self._field.seen
-        return Outcome(trial.errors[0], trial.counts[0], seen, over)
+        return StepResult(trial.errors[0], trial.counts[0], seen, over)

@@ -12,11 +12,11 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from methods.ours import method
-from methods.ours.experiments.toy_scenes import PRIOR, STORED, Field
-from methods.ours.policy.interface import Trial
-from rlbench.frames import Frame, Reference, Samples, StoredPool, View
-from rlbench.sampling import spend
-from rlbench.training.surrogate_gradient import Teach, shares
+from methods.ours.experiments.toy_scenes import PRIOR, STORED, ToyFrame
+from methods.ours.policy.interface import Rollout
+from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
+from rlbench.sampling import allocate_counts
+from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
 
 class Mode(Protocol):
@@ -76,15 +76,15 @@ def density(action: Float[Tensor, "*k n 1 h w"]) -> Float[Tensor, "*k n 1 h w"]:
 
 
 @dataclass(frozen=True)
-class Moment:
+class ToyProblem:
     """One frame of the task, as the situation of a sampler that is to learn."""
 
-    field: Field
+    field: ToyFrame
     mode: Mode
     sampler: Callable[[Tensor], Tensor]
     spp: float = 4
     floor: int = 0
-    factors: bool = False  # the density is linear in the action
+    multiplicative: bool = False  # the density is linear in the action
 
     @property
     def seen(self) -> Float[Tensor, "n 39 h w"]:
@@ -103,15 +103,15 @@ class Moment:
     def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Shares of the budget between floor and cap."""
         low = torch.full(action.shape, self.floor)
-        return shares(density(action), self.spp, low, STORED)
+        return relaxed_counts(density(action), self.spp, low, STORED)
 
     def buy(self, action: Float[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 h w"]:
         """Whole counts at the exact budget; k n images may lie in a row."""
         low = torch.full(action.shape, self.floor)
         keys = self.field.keys * (len(action) // len(self.field.keys))
-        return spend(density(action.detach()), self.cost, low, STORED, keys)
+        return allocate_counts(density(action.detach()), self.cost, low, STORED, keys)
 
-    def attempt(self, actions: Float[Tensor, "k n 1 h w"]) -> Trial:
+    def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
         """Realised errors, from the same stored samples for every action."""
         counts = self.buy(actions.flatten(0, 1)).view(actions.shape)
         sums = F.pad(self.field.stored.cumsum(1), (0, 0, 0, 0, 0, 0, 1, 0))  # n 1+s 1 h w
@@ -120,15 +120,15 @@ class Moment:
         errors = [
             (self.show(t, n) - self.field.truth).square() for t, n in zip(total, whole, strict=True)
         ]
-        return Trial(torch.stack(errors), whole)
+        return Rollout(torch.stack(errors), whole)
 
-    def slope(self, teach: Teach) -> Float[Tensor, ""]:
+    def surrogate_loss(self, teach: SampleGradient) -> Float[Tensor, ""]:
         """The image's squared error, of three colours that are taught alike."""
         action, field = self.act(), self.field
         truth, pool = field.truth.expand(-1, 3, -1, -1), self.pool
-        frame = Frame(field.index, View({}), pool, Reference(truth, truth))
+        frame = Frame(field.index, GBuffer({}), pool, Reference(truth, truth))
         counts = self.buy(action)
-        bought = Samples(pool.take(pool.empty(), counts), counts)
+        bought = Samples(pool.read(pool.empty(), counts), counts)
         taught = teach(bought, self.relaxed(action), frame)
         total, whole = taught.radiance.sum(1), counts.float()
         images = [self.show(total[:, c : c + 1], whole) for c in range(3)]

@@ -24,13 +24,13 @@ from rich.progress import track
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from methods.ours.frame_problem import Turn
+from methods.ours.frame_problem import FrameProblem
 from methods.ours.method import Ours, build
-from methods.ours.policy.block_reinforce import PpoPixel
-from methods.ours.state import Memory
+from methods.ours.policy.block_reinforce import BlockReinforce
+from methods.ours.state import RecurrentState
+from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame
-from rlbench.registry import lookup as registry
 from rlbench.system import paths
 
 BLOCK = 8  # pixels: side of what has one value
@@ -51,7 +51,7 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Free(Turn):
+class FreeDensityMap(FrameProblem):
     """A turn whose action is a map of its own in place of the sampler's."""
 
     values: Tensor  # n 1 h/BLOCK w/BLOCK; tanh of them is the action
@@ -80,13 +80,13 @@ def ceiling(method: Ours, folder: Path, spp: float, index: int, steps: int) -> F
 
 
 def improved(
-    turns: Sequence[Turn], action: Float[Tensor, "n 1 h w"], steps: int
+    turns: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"], steps: int
 ) -> Float[Tensor, "n 1 h w"]:
     """An action that is better on these turns of one frame, by so many steps of its own."""
     whole = F.avg_pool2d(action, BLOCK, ceil_mode=True).clamp(-BOUND, BOUND)
     values = nn.Parameter(whole.atanh())
     optimizer = torch.optim.Adam([values], RATE)
-    learns, generator = PpoPixel(), torch.Generator().manual_seed(0)
+    learns, generator = BlockReinforce(), torch.Generator().manual_seed(0)
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = RATE * (1 - step / steps)
         optimizer.zero_grad()
@@ -96,12 +96,12 @@ def improved(
     return _free(turns[0], values.detach()).act()
 
 
-def _free(turn: Turn, values: Tensor) -> Free:
-    return Free(turn.method, turn.frame, turn.view, turn.state, turn.spp, values)
+def _free(turn: FrameProblem, values: Tensor) -> FreeDensityMap:
+    return FreeDensityMap(turn.method, turn.frame, turn.gbuffer, turn.state, turn.spp, values)
 
 
 def _frames(method: Ours, folder: Path, seed: int, last: int) -> Iterator[Frame]:
-    clip = open_clip(folder, method.traits.needs, pool=method.traits.pool, seed=seed)
+    clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool, seed=seed)
     for frame in clip:
         yield frame
         if frame.index == last:
@@ -109,7 +109,7 @@ def _frames(method: Ours, folder: Path, seed: int, last: int) -> Iterator[Frame]
 
 
 @torch.no_grad()
-def _remembered(method: Ours, frames: Sequence[Frame], spp: float) -> Memory:
+def _remembered(method: Ours, frames: Sequence[Frame], spp: float) -> RecurrentState:
     """What is left of all frames but the last, sampled as the sampler wishes."""
     h, w = frames[0].pool.size[1:]
     state = method.start(frames[0].pool.size)
@@ -119,14 +119,16 @@ def _remembered(method: Ours, frames: Sequence[Frame], spp: float) -> Memory:
     return state
 
 
-def _turn(method: Ours, frame: Frame, state: Memory, spp: float) -> Turn:
-    return Turn(method, frame, frame.view.only(method.traits.needs), state, spp)
+def _turn(method: Ours, frame: Frame, state: RecurrentState, spp: float) -> FrameProblem:
+    return FrameProblem(method, frame, frame.gbuffer.select(method.traits.inputs), state, spp)
 
 
-def _psnr(turns: Sequence[Turn], action: Float[Tensor, "n 1 h w"]) -> float:
+def _psnr(turns: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) -> float:
     score = registry.load("metrics", "psnr").score
     shown = [(turn.show(action)[0], turn.frame.reference) for turn in turns]
-    return sum(float(score(image, truth.a, truth.b)) for image, truth in shown) / len(shown)
+    return sum(float(score(image, truth.half_a, truth.half_b)) for image, truth in shown) / len(
+        shown
+    )
 
 
 def main() -> None:

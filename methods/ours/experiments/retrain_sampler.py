@@ -18,18 +18,18 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import FAMILY
-from methods.ours.environment import Episodes
+from methods.ours.environment import SamplingEnv
 from methods.ours.initialization import show_contrast
 from methods.ours.method import CARDS, Ours
 from methods.ours.networks import Networks, Sampler
-from methods.ours.policy import LEARNERS, RLLIB, Policy, appo, appo_config, learner
+from methods.ours.policy import LEARNERS, RLLIB, BlockPolicyGradient, appo, appo_config, learner
 from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
-from rlbench.ops.init import initialise
+from rlbench.ops.init import kaiming_init
 from rlbench.system import paths
 from rlbench.training import validation
 from rlbench.training.batches import Batches
-from rlbench.weights import Card, equip, read_card, save
+from rlbench.weights import ModelCard, load_for_inference, read_card, save
 
 PEAK, FALL = 1e-3, 0.1  # learning rate at the start, and of it at the end: a line between
 NORM = 1.0  # gradients are clipped to this length
@@ -50,15 +50,15 @@ class Task:
     def method(self) -> Ours:
         """`ours` as it trains, with a sampler that knows nothing, and the other networks frozen."""
         networks = Networks(BASE)
-        equip(networks, str(self.weights), self.weights, "cpu")
+        load_for_inference(networks, str(self.weights), self.weights, "cpu")
         networks.sampler = self.sampler().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        traits = replace(FAMILY.variants[""].traits, floor=self.floor)
+        traits = replace(FAMILY.variants[""].traits, min_samples=self.floor)
         return Ours(BASE.training, traits, networks)
 
     def sampler(self) -> Sampler:
         """A sampler with seeded weights and a uniform density, as every training begins with."""
         made = Sampler(Networks(BASE).foreseen, BASE.sampler, paced=BASE.gathers)
-        initialise(made, self.seed)
+        kaiming_init(made, self.seed)
         show_contrast(made, BASE)
         made.start_uniform()
         return made
@@ -67,10 +67,10 @@ class Task:
         """Crops of the clips, one at a time."""
         return Batches(self.folders, 1, self.crop, self.length, self.seed)
 
-    def world(self) -> Episodes:
+    def world(self) -> SamplingEnv:
         """Episodes of crops, at the budgets that `ours` is trained at."""
         budgets = [spp for spp in BUDGETS if spp >= self.floor]
-        return Episodes(self.method(), self.batches(), budgets)
+        return SamplingEnv(self.method(), self.batches(), budgets)
 
 
 def by_torch(
@@ -78,7 +78,7 @@ def by_torch(
 ) -> nn.Module:
     """A step of a learner for every frame; half of the episodes are walked with noisy actions."""
     world = task.world()
-    sampler, explorer = world.method.networks.sampler, Policy()
+    sampler, explorer = world.method.networks.sampler, BlockPolicyGradient()
     assert sampler is not None
     learns = learner(name, world.method.networks.foreseen)
     trained = nn.ModuleList(part for part in (sampler, learns.network) if part is not None)
@@ -106,7 +106,9 @@ def by_torch(
 
 def by_rllib(task: Task, frames: int, tell: Callable[[int, nn.Module], None]) -> nn.Module:
     """Ray's own loop, with ratios and credit for single pixels."""
-    settings = appo_config.Appo(rate=PEAK, reach=REACH, factors=BASE.density == "exponential")
+    settings = appo_config.Appo(
+        rate=PEAK, reach=REACH, multiplicative=BASE.density == "exponential"
+    )
     return appo.train(task.world, task.sampler, frames, settings, task.seed, 100, tell)
 
 
@@ -129,7 +131,7 @@ def retrain(
     assert networks.sampler is not None
     networks.sampler.load_state_dict(trained.state_dict())
     told[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
-    card = Card(
+    card = ModelCard(
         name="ours/A1" if task.floor else "ours",
         data=tuple(dict.fromkeys([*read_card(task.weights).data, *task.batches().contents()])),
         frames_seen=frames,

@@ -23,7 +23,7 @@ HAZE = 0.1  # deviation of the latent channels' own noise
 
 
 @dataclass(frozen=True)
-class Field:
+class ToyFrame:
     """One frame of n scenes: what is seen, what is true, and what sampling would show."""
 
     index: int
@@ -34,12 +34,12 @@ class Field:
     stored: Float[Tensor, "n s 1 h w"]  # independent samples, log-normal, of mean `truth`
     keys: tuple[int, ...]
 
-    def again(self, generator: torch.Generator) -> Field:
+    def again(self, generator: torch.Generator) -> ToyFrame:
         """The same frame, sampled anew."""
         return replace(self, **_noise(self.truth, self.sigma, generator))
 
 
-def scenes(seed: int, n: int = 4, side: int = 48) -> Iterator[Field]:
+def scenes(seed: int, n: int = 4, side: int = 48) -> Iterator[ToyFrame]:
     """Episodes without end: `n` new scenes every FRAMES frames, the same from the same seed.
 
     Deviations are exp of a normal value for each disc plus a wave, so that a frame's noisiest
@@ -53,7 +53,7 @@ def scenes(seed: int, n: int = 4, side: int = 48) -> Iterator[Field]:
         episode += 1
 
 
-def _episode(generator: torch.Generator, n: int, side: int) -> Iterator[Field]:
+def _episode(generator: torch.Generator, n: int, side: int) -> Iterator[ToyFrame]:
     def drawn(*shape: int) -> Tensor:
         return torch.randn((n, *shape), generator=generator)
 
@@ -84,7 +84,7 @@ def _episode(generator: torch.Generator, n: int, side: int) -> Iterator[Field]:
         latent = torch.tanh(torch.einsum("lk,nkhw->nlhw", mixing, hidden))
         latent = latent + HAZE * drawn(LATENT, side, side)
         sigma = NOISY * log_sigma.exp()
-        yield Field(
+        yield ToyFrame(
             index=index,
             seen=torch.cat((shown[:, :7], latent), 1),
             truth=truth,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from torch import nn
 
 from methods.ours.policy.appo_config import Appo
-from methods.ours.policy.environment import World
+from methods.ours.policy.environment import Env
 from rlbench.parallel.ray_executor import QUIET
 
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
@@ -20,7 +20,7 @@ class MissingError(RuntimeError):
 
 
 def train(
-    world: Callable[[], World],
+    world: Callable[[], Env],
     sampler: Callable[[], nn.Module],
     frames: int,
     settings: Appo = Appo(),  # noqa: B008  (frozen)

@@ -14,18 +14,18 @@ TINY = 1e-8  # keeps what nothing differs in from dividing by zero
 FEW = 0.1  # samples: fewer than these weigh no more
 
 
-class Draws(NamedTuple):
+class RolloutBatch(NamedTuple):
     """What was tried `k` times from the state of one frame, on one grid of blocks."""
 
     actions: Float[Tensor, "k n 1 h w"]  # drawn around the mean
     errors: Float[Tensor, "k n 1 h w"]  # of each pixel of the image that came of it
     counts: Float[Tensor, "k n 1 h w"]  # samples bought
     corner: tuple[int, int]  # row and column of the first whole block
-    factors: bool = False  # does the density grow by factors with the action, or by steps?
+    multiplicative: bool = False  # does the density grow by factors with the action, or by steps?
 
 
 @dataclass(frozen=True)
-class Policy:
+class BlockPolicyGradient:
     """REINFORCE, block by block.
 
     A denoiser spreads every sample over its neighbours, so that one pixel's noise tells nothing of
@@ -37,12 +37,12 @@ class Policy:
     learner, whose joint ratio over all pixels leaves the clip range after one step.
     """
 
-    spread: float = 0.3  # deviation of the action, whose range is [-1, 1]
+    action_std: float = 0.3  # deviation of the action, whose range is [-1, 1]
     draws: int = 4  # of the same frame and state, an even number
     block: int = 8  # pixels: side of a block
     margin: int = 4  # pixels around a block whose error is credited to it
-    priced: float = 1.0  # share of the price that is charged; 0 shows what it is for
-    most: float = 3.0  # deviations that an advantage is cut at
+    price_weight: float = 1.0  # share of the price that is charged; 0 shows what it is for
+    advantage_clip: float = 3.0  # deviations that an advantage is cut at
 
     def corner(self, generator: torch.Generator) -> tuple[int, int]:
         """A grid of blocks: row and column of its first whole block."""
@@ -61,9 +61,9 @@ class Policy:
         noise = torch.randn((n, 1, rows, columns), generator=generator).to(mean.device)
         noise = noise.repeat_interleave(self.block, 2).repeat_interleave(self.block, 3)
         top, left = (-at % self.block for at in corner)
-        return mean.detach() + self.spread * noise[..., top : top + h, left : left + w]
+        return mean.detach() + self.action_std * noise[..., top : top + h, left : left + w]
 
-    def tries(
+    def antithetic_actions(
         self,
         mean: Float[Tensor, "n 1 h w"],
         corner: tuple[int, int],
@@ -73,7 +73,7 @@ class Policy:
         halves = [self.explore(mean, corner, generator) for _ in range(self.draws // 2)]
         return torch.stack([*halves, *(2 * mean.detach() - half for half in halves)])
 
-    def loss(self, mean: Float[Tensor, "n 1 h w"], drawn: Draws) -> Float[Tensor, ""]:
+    def loss(self, mean: Float[Tensor, "n 1 h w"], drawn: RolloutBatch) -> Float[Tensor, ""]:
         """Minus the mean over whole blocks of advantage times log-probability of their actions.
 
         As the actions are those that were just drawn, the ratio of the proximal loss is 1, and its
@@ -85,13 +85,13 @@ class Policy:
         more = self._blocks(drawn.counts - drawn.counts.mean(0), drawn.corner)
         usual = self._blocks(drawn.counts.mean(0, keepdim=True), drawn.corner)
         image = (0, 2, 3, 4)  # each has a price of its own
-        weight, shared = coupling(usual, drawn.factors)
-        gain = advantage(worse, more, weight, image, self.priced, self.most)
+        weight, shared = coupling(usual, drawn.multiplicative)
+        gain = advantage(worse, more, weight, image, self.price_weight, self.advantage_clip)
         away = self._blocks(drawn.actions - mean.detach(), drawn.corner)
         moved = self._blocks((mean - mean.detach()).unsqueeze(0), drawn.corner)  # zero
-        if self.priced:
+        if self.price_weight:
             moved = own(moved, shared, image)
-        away = (away - moved) / self.block**2 / self.spread
+        away = (away - moved) / self.block**2 / self.action_std
         drift = mean.mean((1, 2, 3)).square().mean()
         return (gain * away.square()).mean() / 2 + drift
 

@@ -8,13 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.policy.block_reinforce import PpoPixel
-from methods.ours.policy.interface import Situation
-from methods.ours.policy.surrogate_gradient import Surrogate
+from methods.ours.policy.block_reinforce import BlockReinforce
+from methods.ours.policy.interface import AllocationProblem
+from methods.ours.policy.surrogate_gradient import SurrogateLearner
 
 
 @dataclass
-class Both:
+class CombinedLearner:
     """The sum of two estimates of one gradient, whose faults are opposite.
 
     The policy gradient counts all that a sample does, in pixels around it and in those that have
@@ -24,12 +24,12 @@ class Both:
     long, and they are not weighted.
     """
 
-    trial: PpoPixel = field(default_factory=PpoPixel)
-    gradient: Surrogate = field(default_factory=Surrogate)
+    trial: BlockReinforce = field(default_factory=BlockReinforce)
+    gradient: SurrogateLearner = field(default_factory=SurrogateLearner)
     floor: int = 0
     network: None = None
 
-    def loss(self, situation: Situation, generator: torch.Generator) -> Float[Tensor, ""]:
+    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The policy's loss and, from 1 spp on, the image's."""
         loss = self.trial.loss(situation, generator)
         if situation.spp >= self.gradient.floor:

@@ -12,15 +12,15 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn import functional as F
 
-from methods.ours.policy.block_policy_gradient import Policy
-from methods.ours.policy.interface import Situation
-from rlbench.ops.init import initialise
+from methods.ours.policy.block_policy_gradient import BlockPolicyGradient
+from methods.ours.policy.interface import AllocationProblem
+from rlbench.ops.init import kaiming_init
 
 SMALL = 1e-8  # squared error: keeps the scale of errors from dividing by zero
 MOST = 30.0  # times the mean error: what a pixel is cut at, so that no firefly rules the fit
 
 
-class Tried(NamedTuple):
+class Transition(NamedTuple):
     """A trial that is remembered."""
 
     seen: Float[Tensor, "n c h w"]
@@ -28,7 +28,7 @@ class Tried(NamedTuple):
     errors: Float[Tensor, "n 1 h w"]
 
 
-class Replay(nn.Module):
+class ReplayBuffer(nn.Module):
     """Trials of the past and the scale of their errors: state of the network that it is a part of.
 
     So it lies in checkpoints, and a training that was killed goes on as if it had not been.
@@ -40,13 +40,13 @@ class Replay(nn.Module):
         """With room for so many trials."""
         super().__init__()
         self.register_buffer("scale", torch.zeros(()))
-        self.past: deque[Tried] = deque(maxlen=keep)
+        self.past: deque[Transition] = deque(maxlen=keep)
 
     def follow(self, error: Float[Tensor, ""]) -> None:
         """Move the scale towards a mean error."""
         self.scale.copy_(error if self.scale == 0 else 0.98 * self.scale + 0.02 * error)
 
-    def recall(self, number: int, generator: torch.Generator) -> list[Tried]:
+    def recall(self, number: int, generator: torch.Generator) -> list[Transition]:
         """So many of the past, or none while there are fewer."""
         if len(self.past) < number:
             return []
@@ -62,7 +62,7 @@ class Replay(nn.Module):
         """Trials as `get_extra_state` gave them."""
         self.past.clear()
         for row in state.to(self.scale.device):
-            self.past.append(Tried(row[:, :-2], row[:, -2:-1], row[:, -1:]))
+            self.past.append(Transition(row[:, :-2], row[:, -2:-1], row[:, -1:]))
 
 
 class ErrorMap(nn.Module):
@@ -75,7 +75,7 @@ class ErrorMap(nn.Module):
     def __init__(self, channels: int, width: int = 16, keep: int = 32) -> None:
         """Build for `channels` seen, with room for `keep` trials."""
         super().__init__()
-        self.replay = Replay(keep)
+        self.replay = ReplayBuffer(keep)
         self.see = nn.Conv2d(channels, width, 3, padding=1)
         self.buy = nn.Conv2d(width + 2, width, 3, padding=1)
         self.mix = nn.Conv2d(width, width, 3, padding=1)
@@ -102,16 +102,16 @@ class Critic:
     """
 
     network: ErrorMap
-    policy: Policy = Policy(block=1, margin=0, draws=2)  # noqa: RUF009  (frozen)
+    policy: BlockPolicyGradient = BlockPolicyGradient(block=1, margin=0, draws=2)  # noqa: RUF009  (frozen)
     floor: int = 0
     again: int = 2  # old trials regressed on in each step, beside the new ones
 
-    def loss(self, situation: Situation, generator: torch.Generator) -> Float[Tensor, ""]:
+    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """What the critic foretells of the mean action, and how wrong it was about the trials."""
         mean, seen = situation.act(), situation.seen
-        actions = self.policy.tries(mean, self.policy.corner(generator), generator)
-        trial = situation.attempt(actions)
-        fresh = [Tried(seen, n, e) for n, e in zip(trial.counts, trial.errors, strict=True)]
+        actions = self.policy.antithetic_actions(mean, self.policy.corner(generator), generator)
+        trial = situation.rollout(actions)
+        fresh = [Transition(seen, n, e) for n, e in zip(trial.counts, trial.errors, strict=True)]
         replay = self.network.replay
         replay.follow(trial.errors.mean())
         wrong = self.regression([*fresh, *replay.recall(self.again, generator)])
@@ -122,7 +122,7 @@ class Critic:
         total: Tensor = foretold.mean() + wrong + drift
         return total
 
-    def regression(self, trials: list[Tried]) -> Float[Tensor, ""]:
+    def regression(self, trials: list[Transition]) -> Float[Tensor, ""]:
         """How far the critic is from the errors of trials: squared, in units of the mean error."""
         seen, counts, errors = (torch.cat(part) for part in zip(*trials, strict=True))
         wanted = (errors / (self.network.replay.scale + SMALL)).clamp_max(MOST)
@@ -133,5 +133,5 @@ class Critic:
 def learner(channels: int) -> Critic:
     """The learner, for a sampler that sees `channels`."""
     network = ErrorMap(channels)
-    initialise(network)
+    kaiming_init(network)
     return Critic(network)

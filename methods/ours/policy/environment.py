@@ -10,7 +10,7 @@ from torch import Tensor
 OUTCOMES = 2  # channels after what is seen: error and counts of the action before
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """What came of one action, and what is seen next."""
 
     errors: Float[Tensor, "1 1 h w"]  # of each pixel of the image, >= 0
@@ -19,7 +19,7 @@ class Outcome(NamedTuple):
     over: bool  # was that the last frame of the episode?
 
 
-class World(Protocol):
+class Env(Protocol):
     """Episodes of frames, one at a time. `ours` with its networks behind can be one."""
 
     @property
@@ -29,5 +29,5 @@ class World(Protocol):
     def reset(self) -> Float[Tensor, "1 c h w"]:
         """Begin the next episode: what is seen of its first frame."""
 
-    def step(self, action: Float[Tensor, "1 1 h w"]) -> Outcome:
+    def step(self, action: Float[Tensor, "1 1 h w"]) -> StepResult:
         """Buy by an action, denoise, and go on to the next frame."""

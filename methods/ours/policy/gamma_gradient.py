@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.dasr import gamma
-from methods.ours.policy.surrogate_gradient import Surrogate
+from methods.ours.policy.surrogate_gradient import SurrogateLearner
 from rlbench.frames import Frame, Samples
 
 
@@ -24,9 +24,9 @@ def gamma_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) ->
     black = mean <= 0
     scaled = samples.radiance / mean.where(~black, 1.0) * drawn
     scaled = scaled.where(~black, drawn)
-    return replace(samples, radiance=scaled.where(samples.filled, 0.0))
+    return replace(samples, radiance=scaled.where(samples.valid_mask, 0.0))
 
 
-def learner() -> Surrogate:
+def learner() -> SurrogateLearner:
     """The learner: the image's loss on such samples."""
-    return Surrogate(gamma_each)
+    return SurrogateLearner(gamma_each)

@@ -8,17 +8,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from rlbench.training.surrogate_gradient import Teach
+from rlbench.training.surrogate_gradient import SampleGradient
 
 
-class Trial(NamedTuple):
+class Rollout(NamedTuple):
     """What came of k actions that were tried from the same frame and state."""
 
     errors: Float[Tensor, "k n 1 h w"]  # of each pixel of the image, >= 0, one realisation
     counts: Float[Tensor, "k n 1 h w"]  # whole samples that were bought
 
 
-class Situation(Protocol):
+class AllocationProblem(Protocol):
     """One frame in which a sampler must act: a known problem, or `ours` with a denoiser behind."""
 
     @property
@@ -26,7 +26,7 @@ class Situation(Protocol):
         """The budget, samples per pixel."""
 
     @property
-    def factors(self) -> bool:
+    def multiplicative(self) -> bool:
         """Does the density grow by factors with the action, or by steps?"""
 
     @property
@@ -39,14 +39,14 @@ class Situation(Protocol):
     def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples a pixel that an action is due before rounding: differentiable, at full cost."""
 
-    def attempt(self, actions: Float[Tensor, "k n 1 h w"]) -> Trial:
+    def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
         """Buy and denoise for each of k actions, from this frame and state, without gradient."""
 
-    def slope(self, teach: Teach) -> Float[Tensor, ""]:
+    def surrogate_loss(self, teach: SampleGradient) -> Float[Tensor, ""]:
         """The loss of the mean action's image, whose gradient reaches `act` through `teach`."""
 
 
-class Learner(Protocol):
+class SamplerLearner(Protocol):
     """A way to train a sampler; stateful, for prices, critics and replays are remembered."""
 
     @property
@@ -57,5 +57,5 @@ class Learner(Protocol):
     def network(self) -> nn.Module | None:
         """What it trains beside the sampler, by the same optimiser and the same loss."""
 
-    def loss(self, situation: Situation, generator: torch.Generator) -> Float[Tensor, ""]:
+    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A scalar whose gradient is one step of the sampler, and of `network`."""

@@ -26,7 +26,7 @@ from torch.nn import functional as F
 
 from methods.ours.policy.appo_config import Appo
 from methods.ours.policy.block_policy_gradient import advantage, coupling, own
-from methods.ours.policy.environment import OUTCOMES, World
+from methods.ours.policy.environment import OUTCOMES, Env
 
 MODULE = "default_policy"
 FALL = 0.1  # learning rate at the end, of that at the start
@@ -45,7 +45,7 @@ class Sampling(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     def __init__(self, config: dict[str, Any]) -> None:
         """`config` holds `world`, which makes one."""
-        self.world: World = config["world"]()
+        self.world: Env = config["world"]()
         channels, h, w = self.world.shape
         shape = (channels + OUTCOMES, h, w)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
@@ -156,7 +156,7 @@ class PixelLearner(APPOTorchLearner):  # type: ignore[misc]
 
 
 def train(
-    world: Callable[[], World],
+    world: Callable[[], Env],
     sampler: Callable[[], nn.Module],
     frames: int,
     settings: Appo,
@@ -194,13 +194,13 @@ def train(
 
 
 def _config(
-    world: Callable[[], World],
+    world: Callable[[], Env],
     sampler: Callable[[], nn.Module],
     frames: int,
     settings: Appo,
     seed: int,
 ) -> Any:
-    model = {"sampler": sampler, "spread": settings.spread}
+    model = {"sampler": sampler, "spread": settings.action_std}
     learner = APPOTorchLearner if settings.joint else PixelLearner
     return (
         APPOConfig()
@@ -219,8 +219,8 @@ def _config(
             learner_class=learner,
             learner_config_dict={
                 "reach": settings.reach,
-                "priced": settings.priced,
-                "factors": settings.factors,
+                "priced": settings.price_weight,
+                "factors": settings.multiplicative,
             },
         )
         .rl_module(rl_module_spec=RLModuleSpec(module_class=SamplerModule, model_config=model))

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.policy.interface import Situation
+from methods.ours.policy.interface import AllocationProblem
 from rlbench.frames import Frame, Samples
-from rlbench.training.surrogate_gradient import Teach
+from rlbench.training.surrogate_gradient import SampleGradient
 
 
 def pull_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
@@ -24,17 +24,19 @@ def pull_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> 
     nought = (due - due.detach()).unsqueeze(1)  # zero, but with a gradient
     counts = samples.counts.clamp_min(1).unsqueeze(1)
     away = (frame.reference.mean.unsqueeze(1) - samples.radiance).detach() / counts
-    return replace(samples, radiance=samples.radiance + nought * away.where(samples.filled, 0.0))
+    return replace(
+        samples, radiance=samples.radiance + nought * away.where(samples.valid_mask, 0.0)
+    )
 
 
 @dataclass
-class Surrogate:
+class SurrogateLearner:
     """No trial and no error: the image's own loss, differentiated through what was bought."""
 
-    teach: Teach = pull_each
+    teach: SampleGradient = pull_each
     floor: int = 1  # a pixel without samples has no slope
     network: None = None
 
-    def loss(self, situation: Situation, generator: torch.Generator) -> Float[Tensor, ""]:
+    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The image's loss; pixels at a bound get no gradient, the normalisation is in it."""
-        return situation.slope(self.teach)
+        return situation.surrogate_loss(self.teach)

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rlbench.checks.conformance import clips as worlds
-from rlbench.checks.conformance.recording import Watched
+from rlbench import registry
+from rlbench.checks.conformance import clips
+from rlbench.checks.conformance.recording import RecordingMethod
 from rlbench.checks.result import Finding
 from rlbench.clips.header import VIEWS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size
 from rlbench.method import Method
-from rlbench.registry import lookup as registry
-from rlbench.run import Shown, run_clip
+from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 
 if TYPE_CHECKING:
-    from rlbench.clips.in_memory import MemoryClip
+    from rlbench.clips.in_memory import InMemoryClip
 
 USUAL = 0.6  # samples per pixel: leaves pixels without one where the method allows that
 
@@ -31,8 +31,8 @@ USUAL = 0.6  # samples per pixel: leaves pixels without one where the method all
 class Run:
     """A clip that went through the method, and what the method did meanwhile."""
 
-    shown: list[Shown]
-    watched: Watched
+    shown: list[FrameResult]
+    watched: RecordingMethod
 
     @property
     def images(self) -> list[Tensor]:
@@ -41,7 +41,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Subject:
+class MethodUnderTest:
     """The method `name` on a device; a learned one with random weights.
 
     Weights are random because no claim is of quality, and because a method whose weights were not
@@ -50,8 +50,8 @@ class Subject:
 
     name: str
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
-    size: Size = worlds.ODD  # of the frames of most claims
-    lesser: Size = worlds.SMALL  # of those where size is not what is asked about
+    size: Size = clips.ODD  # of the frames of most claims
+    lesser: Size = clips.SMALL  # of those where size is not what is asked about
     told: dict[str, Finding] = field(default_factory=dict, compare=False, repr=False)  # by claim
 
     @cached_property
@@ -65,11 +65,11 @@ class Subject:
         if self.traits.pool not in registry.names("pools"):
             have = ", ".join(registry.names("pools"))
             return f"it buys from a '{self.traits.pool}' pool, of those installed here: {have}"
-        if why := registry.broken("pools", self.traits.pool):
+        if why := registry.import_error("pools", self.traits.pool):
             return f"its pool '{self.traits.pool}' cannot be had here: {why}"
-        if lacking := " ".join(provenance.missing(registry.variant(self.name).packages)):
+        if lacking := " ".join(provenance.missing(registry.variant(self.name).requires)):
             return f"it needs {lacking}, which is not here: pip install {lacking}"
-        if unknown := self.traits.needs - set(VIEWS):
+        if unknown := self.traits.inputs - set(VIEWS):
             return f"it reads {', '.join(sorted(unknown))}, which no clip of format v1 has"
         try:
             self.method  # noqa: B018 - kept where it can be built
@@ -90,30 +90,32 @@ class Subject:
     @property
     def budget(self) -> float:
         """The samples per pixel that most claims are tried at."""
-        low, high = self.traits.spp
+        low, high = self.traits.spp_range
         return min(max(low, USUAL), high)
 
     @cached_property
-    def usual(self) -> Run:
+    def default_run(self) -> Run:
         """The run that most claims look at, or compare another one with."""
         return self.run(self.world())
 
-    def world(self, n: int = 1) -> MemoryClip:
+    def world(self, n: int = 1) -> InMemoryClip:
         """A world of usual size, or several at once."""
-        return worlds.world(self.device, worlds.SEED, self.size._replace(n=n))
+        return clips.world(self.device, clips.SEED, self.size._replace(n=n))
 
     def small(
-        self, seed: int = worlds.SEED, pool: int = worlds.POOL, static: bool = False
-    ) -> MemoryClip:
+        self, seed: int = clips.SEED, pool: int = clips.POOL, static: bool = False
+    ) -> InMemoryClip:
         """A world of small frames."""
-        return worlds.world(self.device, seed, self.lesser, pool, static)
+        return clips.world(self.device, seed, self.lesser, pool, static)
 
     def run(self, clip: Clip, spp: float | None = None) -> Run:
         """A whole clip through the method."""
         shown, watched = self.begun(clip, spp)
         return Run(list(shown), watched)
 
-    def begun(self, clip: Clip, spp: float | None = None) -> tuple[Iterator[Shown], Watched]:
+    def begun(
+        self, clip: Clip, spp: float | None = None
+    ) -> tuple[Iterator[FrameResult], RecordingMethod]:
         """A clip that goes through the method as its frames are asked for."""
-        watched = Watched(self.method)
+        watched = RecordingMethod(self.method)
         return run_clip(watched, clip, self.budget if spp is None else spp), watched

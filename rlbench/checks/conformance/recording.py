@@ -11,12 +11,12 @@ from torch import Tensor
 
 from rlbench.clips.header import VIEWS
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.method import Method, State
 
 
 @dataclass(frozen=True)
-class Watched:
+class RecordingMethod:
     """A method, and what it did.
 
     It goes on where the bench would stop, so that one fault does not hide all others: a buffer that
@@ -34,41 +34,43 @@ class Watched:
     @property
     def traits(self) -> Traits:
         """The method's, but for needing every buffer, so that those not declared are at hand."""
-        return replace(self.method.traits, needs=frozenset(VIEWS))
+        return replace(self.method.traits, inputs=frozenset(VIEWS))
 
     def start(self, size: Size) -> State:
         """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Tensor:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
         """As the method's, or ones where that cannot be bought."""
         if len(self.densities) % len(self.method.traits.passes):
             self.counts.append(samples.counts)
-        density = self._call(self.method.plan, view, samples, state)
+        density = self._call(self.method.plan, gbuffer, samples, state)
         self.densities.append(density)
         self.graphs.update({"density"} if holds_graph(density) else ())
         return density if self._sold(density, samples) else torch.ones_like(samples.mean[:, :1])
 
-    def denoise(self, view: View, samples: Samples, state: State) -> tuple[Tensor, State]:
+    def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
         """As the method's."""
         self.counts.append(samples.counts)
-        image, state = self._call(self.method.denoise, view, samples, state)
+        image, state = self._call(self.method.denoise, gbuffer, samples, state)
         held = {name for name, part in (("image", image), ("state", state)) if holds_graph(part)}
         self.graphs.update(held)
         return image, state
 
-    def _call(self, asked: Callable[..., Any], view: View, samples: Samples, state: State) -> Any:
+    def _call(
+        self, asked: Callable[..., Any], gbuffer: GBuffer, samples: Samples, state: State
+    ) -> Any:
         """What the method answers; inputs that have another value afterwards are written down."""
-        seen = {name: buffer.clone() for name, buffer in view.buffers.items()}
-        declared = {name: seen[name] for name in seen if name in self.method.traits.needs}
+        seen = {name: buffer.clone() for name, buffer in gbuffer.buffers.items()}
+        declared = {name: seen[name] for name in seen if name in self.method.traits.inputs}
         bought = Samples(samples.radiance.clone(), samples.counts.clone())
         before = [tensor.clone() for tensor in tensors(state)]
-        answer = asked(_Watch(_Read(declared, self.read), view.static, seen), bought, state)
+        answer = asked(_Watch(_Read(declared, self.read), gbuffer.static, seen), bought, state)
         after = list(tensors(state))
         kept = len(before) == len(after) and all(map(same, before, after))
         kept_samples = same(samples.radiance, bought.radiance)
         kept_samples = kept_samples and same(samples.counts, bought.counts)
-        self.written.update(name for name in seen if not same(view.buffers[name], seen[name]))
+        self.written.update(name for name in seen if not same(gbuffer.buffers[name], seen[name]))
         self.written.update({"samples"} if not kept_samples else ())
         self.written.update({"state"} if not kept else ())
         return answer
@@ -77,7 +79,7 @@ class Watched:
         """Would the bench buy it?"""
         if flaw(density, samples.counts.shape):
             return False
-        return self.method.traits.adapts or bool(density.max() == density.min())
+        return self.method.traits.adaptive or bool(density.max() == density.min())
 
 
 def flaw(density: Any, shape: tuple[int, ...]) -> str | None:
@@ -125,7 +127,7 @@ def holds_graph(answer: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class _Watch(View):
+class _Watch(GBuffer):
     """A view that also gives what was not declared; `buffers` writes down what is read of it."""
 
     rest: Mapping[str, Tensor] = field(default_factory=dict)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
-from rlbench.checks.conformance.recording import Watched, same
+from rlbench.checks.conformance.recording import RecordingMethod, same
 from rlbench.family import Traits
-from rlbench.frames import Samples, Size, View
+from rlbench.frames import GBuffer, Samples, Size
 from rlbench.method import Method, State
 
 
@@ -18,30 +18,30 @@ from rlbench.method import Method, State
 class Replayed:
     """A method that is given the counts written down for it, whatever it wishes for."""
 
-    method: Watched
+    method: RecordingMethod
     counts: Sequence[Tensor]  # after each pass
 
     @property
     def traits(self) -> Traits:
         """The method's, but for adapting: to the counts."""
-        return replace(self.method.traits, adapts=True)
+        return replace(self.method.traits, adaptive=True)
 
     def start(self, size: Size) -> State:
         """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Tensor:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
         """The counts; what the method wishes for is with what was watched."""
-        self.method.plan(view, samples, state)
+        self.method.plan(gbuffer, samples, state)
         return self.counts[len(self.method.densities) - 1].double()
 
-    def denoise(self, view: View, samples: Samples, state: State) -> tuple[Tensor, State]:
+    def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
         """As the method's."""
-        return self.method.denoise(view, samples, state)
+        return self.method.denoise(gbuffer, samples, state)
 
 
 @dataclass(frozen=True)
-class Rewound:
+class ReplayFromCopy:
     """A method that is asked everything twice, the second time from a copy of the state."""
 
     method: Method
@@ -56,18 +56,18 @@ class Rewound:
         """As the method's."""
         return self.method.start(size)
 
-    def plan(self, view: View, samples: Samples, state: State) -> Tensor:
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
         """The density that comes of the copy."""
         saved = deepcopy(state)
-        first = self.method.plan(view, samples, state)
-        again = self.method.plan(view, samples, saved)
+        first = self.method.plan(gbuffer, samples, state)
+        again = self.method.plan(gbuffer, samples, saved)
         self.changed.update(() if same(first, again) else {"density"})
         return again
 
-    def denoise(self, view: View, samples: Samples, state: State) -> tuple[Tensor, State]:
+    def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
         """The image, and the state after it, that come of the copy."""
         saved = deepcopy(state)
-        first, _ = self.method.denoise(view, samples, state)
-        again, after = self.method.denoise(view, samples, saved)
+        first, _ = self.method.denoise(gbuffer, samples, state)
+        again, after = self.method.denoise(gbuffer, samples, saved)
         self.changed.update(() if same(first, again) else {"image"})
         return again, after

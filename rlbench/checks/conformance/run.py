@@ -9,9 +9,9 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 
-from rlbench.checks.conformance.checks import Claim
-from rlbench.checks.conformance.method_under_test import Subject
-from rlbench.checks.conformance.suite import broken, examine, subjects
+from rlbench.checks.conformance.checks import Check
+from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.suite import broken, run_checks, subjects
 from rlbench.checks.result import Finding, Verdict
 
 MARKS = {
@@ -38,7 +38,7 @@ def check(patterns: Sequence[str], device: torch.device) -> bool:
     return not unsound
 
 
-def _tick_list(subject: Subject, console: Console) -> bool:
+def _tick_list(subject: MethodUnderTest, console: Console) -> bool:
     console.print(f"[bold]{escape(subject.name)}[/bold]")
     if subject.absent:
         console.print(
@@ -46,7 +46,7 @@ def _tick_list(subject: Subject, console: Console) -> bool:
         )
         return True
     counts: Counter[Verdict] = Counter()
-    for claim, finding in examine(subject):
+    for claim, finding in run_checks(subject):
         console.print(_line(claim, finding), highlight=False, soft_wrap=True)
         counts[finding.verdict] += 1
     told = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict)
@@ -54,7 +54,7 @@ def _tick_list(subject: Subject, console: Console) -> bool:
     return not counts[Verdict.FAILS]
 
 
-def _line(claim: Claim, finding: Finding) -> str:
+def _line(claim: Check, finding: Finding) -> str:
     told = f"  {MARKS[finding.verdict]} {escape(claim.sentence)}"
     told += f": {escape(finding.found)}" if finding.found else ""
     fails = finding.verdict is Verdict.FAILS

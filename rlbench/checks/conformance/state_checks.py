@@ -9,9 +9,9 @@ from torch import Tensor
 
 from rlbench.checks.conformance import clips as worlds
 from rlbench.checks.conformance.interface_checks import unsound
-from rlbench.checks.conformance.method_under_test import Subject
-from rlbench.checks.conformance.recording import Watched, same
-from rlbench.checks.conformance.replay import Replayed, Rewound
+from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.recording import RecordingMethod, same
+from rlbench.checks.conformance.replay import Replayed, ReplayFromCopy
 from rlbench.checks.result import Finding, moot, wrong
 from rlbench.run import run_clip
 
@@ -19,15 +19,15 @@ CLOSE = 1e-3  # relative and absolute: convolutions add in another order for ano
 # float32 goes through some 20 of them
 
 
-def repeats(subject: Subject) -> Finding | None:
+def repeats(subject: MethodUnderTest) -> Finding | None:
     """Randomness is seeded by what the method is given."""
     again = subject.run(subject.world())
-    if all(map(same, subject.usual.images, again.images)):
+    if all(map(same, subject.default_run.images, again.images)):
         return None
-    return wrong(f"images differ by up to {_apart(subject.usual.images, again.images):g}")
+    return wrong(f"images differ by up to {_apart(subject.default_run.images, again.images):g}")
 
 
-def alone(subject: Subject) -> Finding | None:
+def alone(subject: MethodUnderTest) -> Finding | None:
     """Another clip that is shown in between is not seen."""
     clips = [subject.small(seed) for seed in (worlds.SEED, worlds.OTHER)]
     wanted = [subject.run(clip).images for clip in clips]
@@ -38,12 +38,12 @@ def alone(subject: Subject) -> Finding | None:
     return wrong("frames of one clip change what is shown of the other")
 
 
-def batch(subject: Subject) -> Finding | None:
+def batch(subject: MethodUnderTest) -> Finding | None:
     """Each clip alone is given the counts of the pair, since a density's last bit decides them."""
     pair = subject.world(n=2)
     both = subject.run(pair)
     for i in range(2):
-        watched = Watched(subject.method)
+        watched = RecordingMethod(subject.method)
         replayed = Replayed(watched, [counts[i : i + 1] for counts in both.watched.counts])
         single = worlds.clip_of([worlds.only(frame, i) for frame in pair])
         apart = [shown.image for shown in run_clip(replayed, single, subject.budget)]
@@ -59,13 +59,13 @@ def batch(subject: Subject) -> Finding | None:
     return None
 
 
-def static(subject: Subject) -> Finding | None:
+def static(subject: MethodUnderTest) -> Finding | None:
     """Its view has no motion, and `view.motion` is None."""
     why = unsound(subject.run(subject.small(static=True)).shown)
     return wrong(why) if why else None
 
 
-def cut(subject: Subject) -> Finding | None:
+def cut(subject: MethodUnderTest) -> Finding | None:
     """All motion leads outside: what is shown is what a first frame would be."""
     *before, last = subject.small()
     first = worlds.cut(last)
@@ -77,19 +77,19 @@ def cut(subject: Subject) -> Finding | None:
     return wrong(f"its first image differs by up to {far:g} with another shot before it")
 
 
-def temporal(subject: Subject) -> Finding | None:
+def temporal(subject: MethodUnderTest) -> Finding | None:
     """Without memory the order of frames is nothing."""
     if subject.traits.temporal:
         return moot("it declares that it remembers")
-    last = worlds.clip_of([subject.usual.shown[-1].frame])
-    if same(subject.run(last).images[0], subject.usual.images[-1]):
+    last = worlds.clip_of([subject.default_run.shown[-1].frame])
+    if same(subject.run(last).images[0], subject.default_run.images[-1]):
         return None
     return wrong("an image depends on the frames before it")
 
 
-def replay(subject: Subject) -> Finding | None:
+def replay(subject: MethodUnderTest) -> Finding | None:
     """Stress tests swap, corrupt and reset the state; latency takes it again."""
-    rewound = Rewound(Watched(subject.method))
+    rewound = ReplayFromCopy(RecordingMethod(subject.method))
     try:
         list(run_clip(rewound, subject.small(), subject.budget))
     except Exception as error:  # of copying, for it ran before

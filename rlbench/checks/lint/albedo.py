@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 
 CHECK = "albedo"
 GAP = 3  # pixels between two that are compared: radiance is filtered over a pixel, albedo is not
@@ -18,11 +18,11 @@ GAMMA = 1.25  # slope that gloss cannot explain; ours have 0.5 to 1.0, and 1.1 t
 DARK = 0.02  # albedo below which logarithms say little
 
 
-def albedo(footage: Footage) -> Finding:
+def albedo(footage: ClipArrays) -> Finding:
     """Is albedo linear, in [0, 1], and not black?"""
-    if "albedo" not in footage.view:
+    if "albedo" not in footage.gbuffer:
         return odd(CHECK, "the clip has no albedo buffer", "write one if a method is to use it")
-    stored = footage.view["albedo"]
+    stored = footage.gbuffer["albedo"]
     low, high = float(stored.min()), float(stored.max())
     outside = float(((stored < -1e-3) | (stored > 1.001)).float().mean())
     if outside > 0:
@@ -41,7 +41,7 @@ def albedo(footage: Footage) -> Finding:
     return fine(CHECK, told)
 
 
-def colour_slopes(footage: Footage) -> Float[Tensor, " pairs"]:
+def colour_slopes(footage: ClipArrays) -> Float[Tensor, " pairs"]:
     """Change of log radiance over that of log albedo, in ratios of two channels.
 
     Over pairs of pixels on one smooth surface, each inside its patch of texture. Radiance of a
@@ -49,9 +49,9 @@ def colour_slopes(footage: Footage) -> Float[Tensor, " pairs"]:
     the same on both sides, and albedo ^ (1 / 2.2) has 2.2. Shadows and shading fall out of the
     ratio; white gloss makes it smaller. So albedo that was decoded twice cannot be told.
     """
-    if not {"albedo", "normal", "depth"} <= set(footage.view):
-        return footage.a.new_zeros(0)
-    stored = footage.view["albedo"]
+    if not {"albedo", "normal", "depth"} <= set(footage.gbuffer):
+        return footage.half_a.new_zeros(0)
+    stored = footage.gbuffer["albedo"]
     log, light = (image.clamp_min(1e-6).log() for image in (stored, footage.reference))
     found = []
     for axis in (-1, -2):
@@ -70,9 +70,9 @@ def colour_slopes(footage: Footage) -> Float[Tensor, " pairs"]:
     return torch.cat(found)
 
 
-def _one_surface(footage: Footage, axis: int) -> Tensor:
+def _one_surface(footage: ClipArrays, axis: int) -> Tensor:
     """[t h w] Have both pixels of a pair the same normal and nearly the same depth?"""
-    normal, depth = footage.view["normal"], footage.view["depth"]
+    normal, depth = footage.gbuffer["normal"], footage.gbuffer["depth"]
     turned: Tensor = (_at(normal, axis, 0) - _at(normal, axis, GAP)).norm(dim=1)
     near, far = _at(depth, axis, 0)[:, 0], _at(depth, axis, GAP)[:, 0]
     close: Tensor = near.isfinite() & ((near - far).abs() < 0.05 * near.abs())

@@ -6,12 +6,12 @@ import torch
 
 from rlbench.checks.finding import Finding
 from rlbench.checks.lint.albedo import albedo
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.lint.depth import depth
 from rlbench.checks.lint.geometry import Fit, fits
 from rlbench.checks.lint.motion import motion
 from rlbench.checks.lint.normals import normals, unit
-from rlbench.checks.lint.orientation import amiss, orientation, righted, ways
+from rlbench.checks.lint.orientation import misoriented, orientation, reoriented, ways
 from rlbench.checks.lint.reference import ceiling, exposure, halves
 from rlbench.checks.lint.samples import brightness, neighbours, samples, seeds
 from rlbench.checks.lint.values import finite, positive
@@ -19,7 +19,7 @@ from rlbench.checks.lint.values import finite, positive
 SHOTS = 3  # frames whose normals are compared with their depth
 
 
-def examine(footage: Footage) -> list[Finding]:
+def examine(footage: ClipArrays) -> list[Finding]:
     """What every check says; nothing is changed.
 
     Values that are not finite are told by one check, and are 0 for all others; pools that lie
@@ -27,8 +27,8 @@ def examine(footage: Footage) -> list[Finding]:
     """
     sound = footage.sound
     found, lying = geometry(sound), ways(sound)
-    upright = not {"albedo", "normal", "depth"} & set(amiss(lying))
-    light = righted(sound, lying)
+    upright = not {"albedo", "normal", "depth"} & set(misoriented(lying))
+    light = reoriented(sound, lying)
     return [
         finite(footage),
         positive(sound),
@@ -47,10 +47,10 @@ def examine(footage: Footage) -> list[Finding]:
     ]
 
 
-def geometry(footage: Footage) -> dict[str, Fit]:
+def geometry(footage: ClipArrays) -> dict[str, Fit]:
     """Which kinds of depth fit the normals, over some frames from first to last; maybe none."""
-    if not {"depth", "normal"} <= set(footage.view):
+    if not {"depth", "normal"} <= set(footage.gbuffer):
         return {}
     some = torch.linspace(0, len(footage) - 1, min(SHOTS, len(footage))).long()
-    stored = footage.view["depth"][some].abs()
-    return fits(stored.where(stored > 0, torch.inf), unit(footage.view["normal"][some]))
+    stored = footage.gbuffer["depth"][some].abs()
+    return fits(stored.where(stored > 0, torch.inf), unit(footage.gbuffer["normal"][some]))

@@ -12,52 +12,52 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench import registry
 from rlbench.clips.exr import read_exr
 from rlbench.clips.frame_files import channels, exr_path, images
 from rlbench.clips.header import Header, read_header
-from rlbench.registry import lookup as registry
 
 
 @dataclass(frozen=True)
-class Footage:
+class ClipArrays:
     """The first t frames of a clip, float32, radiance as traced. Values may be NaN or infinite."""
 
     header: Header
-    view: Mapping[str, Float[Tensor, "t c h w"]]  # by buffer name
+    gbuffer: Mapping[str, Float[Tensor, "t c h w"]]  # by buffer name
     pools: Mapping[str, Float[Tensor, "t s 3 h w"]]  # by kind
-    a: Float[Tensor, "t 3 h w"]
-    b: Float[Tensor, "t 3 h w"]
+    half_a: Float[Tensor, "t 3 h w"]
+    half_b: Float[Tensor, "t 3 h w"]
 
     def __len__(self) -> int:
         """Number of frames that are here; the clip may have more."""
-        return len(self.a)
+        return len(self.half_a)
 
     @cached_property
-    def sound(self) -> Footage:
+    def sound(self) -> ClipArrays:
         """The same with 0 for what is not finite, so that one bad pixel does not spoil all checks.
 
         Depth keeps +inf, which is background.
         """
-        view = {
+        gbuffer = {
             name: _sound(v, torch.inf if name.startswith("depth") else 0.0)
-            for name, v in self.view.items()
+            for name, v in self.gbuffer.items()
         }
         pools = {kind: _sound(p) for kind, p in self.pools.items()}
-        return Footage(self.header, view, pools, _sound(self.a), _sound(self.b))
+        return ClipArrays(self.header, gbuffer, pools, _sound(self.half_a), _sound(self.half_b))
 
     @property
     def reference(self) -> Float[Tensor, "t 3 h w"]:
         """The mean of both halves."""
-        return (self.a + self.b) / 2
+        return (self.half_a + self.half_b) / 2
 
     @property
     def solid(self) -> Float[Tensor, "t 1 h w"]:
         """Where depth says that there is a surface, bool."""
-        depth = self.view["depth"]
+        depth = self.gbuffer["depth"]
         return depth.isfinite() & (depth != 0)
 
 
-def read_footage(folder: Path, frames: int = 8) -> Footage:
+def read_footage(folder: Path, frames: int = 8) -> ClipArrays:
     """The first `frames` frames of a finished clip (0: all), read past the checks of `open_clip`.
 
     Pools whose samples hang together, as those of ReSTIR do, are left out: what is proved here of
@@ -75,12 +75,14 @@ def read_footage(folder: Path, frames: int = 8) -> Footage:
         ]
         return torch.from_numpy(np.stack([p.astype(np.float32) for p in planes]))
 
-    view = {name: read("view", [name]) for name in header.buffers}
+    gbuffer = {name: read("view", [name]) for name in header.buffers}
     pools = {}
     for kind in filter(_independent, header.pools):
         planes = read(f"pool.{kind}", images(header, f"pool.{kind}"))
         pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
-    return Footage(header, view, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"]))
+    return ClipArrays(
+        header, gbuffer, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"])
+    )
 
 
 def _independent(pool: str) -> bool:

@@ -7,7 +7,7 @@ import math
 import torch
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.lint.geometry import VIEW, Fit
 from rlbench.checks.lint.normals import unit
 
@@ -16,14 +16,14 @@ CLEARLY = 0.8  # times the best of other kinds: what is left of one that fits cl
 FAR = 1e9  # what renderers write for background that is not infinite
 
 
-def depth(footage: Footage, fits: dict[str, Fit]) -> Finding:
+def depth(footage: ClipArrays, fits: dict[str, Fit]) -> Finding:
     """Is depth linear, along the view axis, and +inf where there is nothing?
 
     `fits` are those of `rlbench.checks.lint.geometry.fits`, for this footage.
     """
-    if "depth" not in footage.view:
+    if "depth" not in footage.gbuffer:
         return odd(CHECK, "the clip has no depth buffer", "write one if a method is to use it")
-    stored = footage.view["depth"]
+    stored = footage.gbuffer["depth"]
     seen = stored[stored.isfinite()]
     if not len(seen) or float(seen.max()) <= 0:
         return wrong(
@@ -52,19 +52,19 @@ def _kind(fits: dict[str, Fit], span: str) -> Finding:
         return wrong(CHECK, told, f"convert it from {rival.kind} to {VIEW}")
     if stored.left > CLEARLY * rival.left:
         return odd(CHECK, f"{told}; too alike to tell", "nothing, or check by hand")
-    view = 2 * math.degrees(math.atan(0.5 / stored.focal))
-    return fine(CHECK, f"{span}; {told}; field of view about {view:.0f} degrees")
+    field_of_view = 2 * math.degrees(math.atan(0.5 / stored.focal))
+    return fine(CHECK, f"{span}; {told}; field of view about {field_of_view:.0f} degrees")
 
 
-def _background(footage: Footage) -> str:
+def _background(footage: ClipArrays) -> str:
     """What is odd about it, or nothing."""
-    stored = footage.view["depth"]
+    stored = footage.gbuffer["depth"]
     if share := float((stored == 0).float().mean()):
         return f"depth is 0 in {share:.1%} of pixels"
     if share := float((stored.isfinite() & (stored > FAR)).float().mean()):
         return f"depth is {float(stored[stored.isfinite()].max()):.3g} in {share:.1%} of pixels"
-    if "normal" in footage.view:
-        empty = unit(footage.view["normal"]).norm(dim=1, keepdim=True) < 0.5
+    if "normal" in footage.gbuffer:
+        empty = unit(footage.gbuffer["normal"]).norm(dim=1, keepdim=True) < 0.5
         share = float((empty != stored.isposinf()).float().mean())
         if share > 1e-3:
             return f"depth and normal disagree in {share:.1%} of pixels on what is background"

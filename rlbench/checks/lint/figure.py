@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.finding import Finding, Verdict
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.lint.reference import shown
 from rlbench.ops.reprojection import reproject
 from rlbench.system.paths import replacing
@@ -24,7 +24,7 @@ BINS = 80
 WORST = 0.25  # difference of clipped sRGB that is drawn as white
 
 
-def draw(footage: Footage, findings: Sequence[Finding], path: Path) -> Path:
+def draw(footage: ClipArrays, findings: Sequence[Finding], path: Path) -> Path:
     """Write a PNG: last frame, the previous moved onto it, errors, buffers, noise, tick list."""
     from matplotlib.figure import Figure
 
@@ -44,8 +44,8 @@ def draw(footage: Footage, findings: Sequence[Finding], path: Path) -> Path:
     _buffers(grid[1], sound, last)
     _noise(grid[2, 0], sound)
     apart = (
-        shown(sound.a[last : last + 1] * sound.header.exposure)
-        - shown(sound.b[last : last + 1] * sound.header.exposure)
+        shown(sound.half_a[last : last + 1] * sound.header.exposure)
+        - shown(sound.half_b[last : last + 1] * sound.header.exposure)
     ).abs()
     _map(grid[2, 1], apart[0].mean(0), "noise of the reference: |A - B|", WORST / 2)
     for axes in grid[2, 2:]:
@@ -58,9 +58,9 @@ def draw(footage: Footage, findings: Sequence[Finding], path: Path) -> Path:
     return path
 
 
-def _moved(row: Sequence[Axes], footage: Footage, light: Tensor, last: int) -> None:
+def _moved(row: Sequence[Axes], footage: ClipArrays, light: Tensor, last: int) -> None:
     """The previous frame moved by the stored motion, and the error with and without."""
-    motion = footage.view["motion"][last, None] if "motion" in footage.view else None
+    motion = footage.gbuffer["motion"][last, None] if "motion" in footage.gbuffer else None
     now, before = shown(light[last]), shown(light[last - 1])
     moved, valid = reproject(before[None], motion)
     _image(row[1], moved[0] * valid[0], f"frame {last - 1} moved onto it by motion")
@@ -70,22 +70,22 @@ def _moved(row: Sequence[Axes], footage: Footage, light: Tensor, last: int) -> N
         _map(axes, size, f"error {kind} motion, mean {float(size.mean()):.3f}", WORST)
 
 
-def _buffers(row: Sequence[Axes], footage: Footage, last: int) -> None:
+def _buffers(row: Sequence[Axes], footage: ClipArrays, last: int) -> None:
     for axes, (name, scale, shift) in zip(
         row[1:], (("albedo", 1.0, 0.0), ("normal", 0.5, 0.5)), strict=False
     ):
-        if name in footage.view:
-            _image(axes, (footage.view[name][last] * scale + shift).clamp(0, 1), name)
+        if name in footage.gbuffer:
+            _image(axes, (footage.gbuffer[name][last] * scale + shift).clamp(0, 1), name)
         else:
             axes.set_axis_off()
-    if "depth" in footage.view:
-        disparity = 1 / footage.view["depth"][last, 0].abs().clamp_min(1e-6)
+    if "depth" in footage.gbuffer:
+        disparity = 1 / footage.gbuffer["depth"][last, 0].abs().clamp_min(1e-6)
         _map(row[3], disparity, "1 / depth: near is bright", float(disparity.max()))
     else:
         row[3].set_axis_off()
 
 
-def _noise(axes: Axes, footage: Footage) -> None:
+def _noise(axes: Axes, footage: ClipArrays) -> None:
     """Histograms of luminance: samples have long tails, the reference has not."""
     pool = next(iter(footage.pools.values()))
     for name, image in (("samples", pool), ("reference", footage.reference)):

@@ -10,8 +10,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint.clip_arrays import Footage
-from rlbench.checks.lint.motion_conventions import DIRECTIONS, OPPOSITE, STORED, Reading, readings
+from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.motion_conventions import (
+    DIRECTIONS,
+    OPPOSITE,
+    STORED,
+    MotionConvention,
+    readings,
+)
 from rlbench.ops.reprojection import reproject
 
 CHECK = "motion"
@@ -25,7 +31,9 @@ CUT = 0.3  # times the median: a frame that is explained less is as after a cut
 TWIN = 0.12  # the same for the opposite way, which differs by acceleration and what is hidden only
 
 
-def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Float[Tensor, " pairs"]:
+def explained(
+    footage: ClipArrays, reading: MotionConvention, frames: Sequence[int]
+) -> Float[Tensor, " pairs"]:
     """Share of the change between two frames that a reading explains, at each of `frames`.
 
     The change is the sum over pixels of the logarithm of the difference in albedo, normal and
@@ -38,7 +46,7 @@ def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Floa
     shares, step = [], DIRECTIONS[reading.direction]
     pictures = _pictures(footage)
     for index in frames:
-        motion = reading.pixels(footage.view["motion"][index, None])
+        motion = reading.pixels(footage.gbuffer["motion"][index, None])
         now, other = pictures[index, None], pictures[index + step, None]
         still, _ = _doubt(now, other, torch.zeros_like(motion))
         moved, valid = _doubt(now, other, motion)
@@ -49,12 +57,12 @@ def explained(footage: Footage, reading: Reading, frames: Sequence[int]) -> Floa
     return torch.stack(shares)
 
 
-def _pictures(footage: Footage) -> Float[Tensor, "t 7 h w"]:
+def _pictures(footage: ClipArrays) -> Float[Tensor, "t 7 h w"]:
     """Albedo and normal, each with standard deviation 1, and disparity; 0 for what is not there."""
-    like, view = footage.a, footage.view
-    found = [view.get(name, torch.zeros_like(like)) for name in ("albedo", "normal")]
+    like, gbuffer = footage.half_a, footage.gbuffer
+    found = [gbuffer.get(name, torch.zeros_like(like)) for name in ("albedo", "normal")]
     found = [image / image.std().clamp_min(1e-6) for image in found]
-    depth = view.get("depth", torch.full_like(like[:, :1], torch.inf))
+    depth = gbuffer.get("depth", torch.full_like(like[:, :1], torch.inf))
     return torch.cat([*found, 1 / depth.abs().clamp_min(1e-6)], 1)
 
 
@@ -115,7 +123,7 @@ def _approach(now: Tensor, moved: Tensor, inside: Tensor) -> Tensor:
     return inverse
 
 
-def best(footage: Footage) -> list[tuple[Reading, float]]:
+def best(footage: ClipArrays) -> list[tuple[MotionConvention, float]]:
     """Likely readings with the mean share that they explain, the best first; v1's wins ties.
 
     All are tried on one pair of frames of a shot, and those that do well there on up to PAIRS.
@@ -123,7 +131,9 @@ def best(footage: Footage) -> list[tuple[Reading, float]]:
     follow = _follow(footage)
     middle = [t for t in follow if t + 1 in follow] or follow
 
-    def tried(some: Sequence[Reading], frames: Sequence[int]) -> list[tuple[Reading, float]]:
+    def tried(
+        some: Sequence[MotionConvention], frames: Sequence[int]
+    ) -> list[tuple[MotionConvention, float]]:
         found = []
         for reading in some:
             fitting = [t for t in frames if t + max(DIRECTIONS[reading.direction], 0) in follow]
@@ -136,7 +146,7 @@ def best(footage: Footage) -> list[tuple[Reading, float]]:
     return tried(kept, middle[:: -(-len(middle) // PAIRS)])
 
 
-def motion(footage: Footage) -> Finding:
+def motion(footage: ClipArrays) -> Finding:
     """Does motion lead to where a pixel was in the previous frame, and does nothing else fit?"""
     if early := _early(footage):
         return early
@@ -160,23 +170,23 @@ def motion(footage: Footage) -> Finding:
     return fine(CHECK, told)
 
 
-def moves(footage: Footage) -> float:
+def moves(footage: ClipArrays) -> float:
     """Mean difference between neighbouring frames of the view, in standard deviations, cut at 1.
 
     Neighbours are those of one shot.
     """
     follow = torch.tensor(_follow(footage), dtype=torch.long)
-    views = [v for name, v in footage.view.items() if name in ("albedo", "normal")]
-    views += [1 / footage.view["depth"]] if "depth" in footage.view else []
+    views = [v for name, v in footage.gbuffer.items() if name in ("albedo", "normal")]
+    views += [1 / footage.gbuffer["depth"]] if "depth" in footage.gbuffer else []
     spread = [(v[follow] - v[follow - 1]).abs() / v.std().clamp_min(1e-6) for v in views]
     return max((float(s.clamp_max(1).mean()) for s in spread), default=0.0)
 
 
-def _early(footage: Footage) -> Finding | None:
+def _early(footage: ClipArrays) -> Finding | None:
     """What is told without trying any reading, if there is something."""
     if footage.header.static:
         return _static(footage)
-    if "motion" not in footage.view:
+    if "motion" not in footage.gbuffer:
         return odd(CHECK, "the clip has no motion buffer", "write one, or say static = true")
     if told := _cuts(footage):
         return wrong(CHECK, told, "let motion lead outside there, as history is of another shot")
@@ -187,22 +197,22 @@ def _early(footage: Footage) -> Finding | None:
     return None
 
 
-def _follow(footage: Footage) -> list[int]:
+def _follow(footage: ClipArrays) -> list[int]:
     """Frames that are of the same shot as the frame before."""
     return [t for t in range(1, len(footage)) if t not in footage.header.cuts]
 
 
-def _cuts(footage: Footage) -> str:
+def _cuts(footage: ClipArrays) -> str:
     """Which cut has motion that leads into the previous shot, or nothing."""
     for index in (cut for cut in footage.header.cuts if cut < len(footage)):
-        motion = footage.view["motion"][index, None]
+        motion = footage.gbuffer["motion"][index, None]
         inside = float(reproject(torch.zeros_like(motion), motion)[1].float().mean())
         if inside > 0:
             return f"frame {index} is a cut, but motion of {inside:.1%} of it leads inside"
     return ""
 
 
-def _static(footage: Footage) -> Finding:
+def _static(footage: ClipArrays) -> Finding:
     if len(footage) > 1 and (change := moves(footage)) > STILL:
         told = f"clip.toml says static, but the view changes by {change:.3f} standard deviations"
         return wrong(CHECK, told, "say static = false, and write motion")

@@ -13,7 +13,7 @@ DIRECTIONS = {"to the previous frame": -1, "to the next frame": 1}  # frames to 
 
 
 @dataclass(frozen=True)
-class Reading:
+class MotionConvention:
     """One way to understand the two motion channels; without arguments it is format v1's."""
 
     swapped: bool = False  # y comes first
@@ -35,8 +35,8 @@ class Reading:
         return f"{axes} in {self.scale}, {self.direction}"
 
 
-STORED = Reading()
-OPPOSITE = Reading(False, (-1, -1), "pixels", "to the next frame")
+STORED = MotionConvention()
+OPPOSITE = MotionConvention(False, (-1, -1), "pixels", "to the next frame")
 
 
 def _scales(h: int, w: int) -> dict[str, tuple[float, float]]:
@@ -49,7 +49,7 @@ def _scales(h: int, w: int) -> dict[str, tuple[float, float]]:
     }
 
 
-def readings() -> list[Reading]:
+def readings() -> list[MotionConvention]:
     """Every combination."""
     parts = product((False, True), product((1, -1), (1, -1)), _scales(1, 1), DIRECTIONS)
-    return [Reading(*part) for part in parts]
+    return [MotionConvention(*part) for part in parts]

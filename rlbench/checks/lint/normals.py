@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.lint.geometry import KINDS, Fit, positions
 from rlbench.ops.reprojection import reproject
 
@@ -33,15 +33,15 @@ def encoded(normal: Float[Tensor, "t 3 h w"]) -> bool:
     return float(normal.min()) >= 0 and _share_of_unit(2 * normal - 1) > 0.9
 
 
-def normals(footage: Footage, fits: dict[str, Fit], upright: bool = True) -> Finding:
+def normals(footage: ClipArrays, fits: dict[str, Fit], upright: bool = True) -> Finding:
     """Are normals in world space, of unit length, 0 for background?
 
     `fits` are those of `rlbench.checks.lint.geometry.fits`, for this footage; `upright` says that
     the view is not itself mirrored, for then world-space normals must seem to be.
     """
-    if "normal" not in footage.view:
+    if "normal" not in footage.gbuffer:
         return odd(CHECK, "the clip has no normal buffer", "write one if a method is to use it")
-    stored = footage.view["normal"]
+    stored = footage.gbuffer["normal"]
     if encoded(stored):
         return wrong(CHECK, "encoded in 0..1: 2 n - 1 has unit length", "store 2 n - 1")
     if (share := _share_of_unit(stored)) < MANY:
@@ -59,7 +59,7 @@ def normals(footage: Footage, fits: dict[str, Fit], upright: bool = True) -> Fin
     return _space(footage, fit)
 
 
-def _space(footage: Footage, fit: Fit) -> Finding:
+def _space(footage: ClipArrays, fit: Fit) -> Finding:
     aligned = [_to_axes(turn) < ALIGNED for turn in fit.turns]
     if not all(aligned):
         return fine(CHECK, "unit length, in world space: turned against the camera")
@@ -82,15 +82,15 @@ def _to_axes(turn: Tensor) -> float:
     return math.acos(max(-1.0, min(1.0, float(cosine))))
 
 
-def _camera_turns(footage: Footage, fit: Fit) -> float | None:
+def _camera_turns(footage: ClipArrays, fit: Fit) -> float | None:
     """Radians by which the camera turns between frames, from the points that depth gives."""
-    if "motion" not in footage.view or len(footage) < 2:
+    if "motion" not in footage.gbuffer or len(footage) < 2:
         return None
-    depth = footage.view["depth"]
+    depth = footage.gbuffer["depth"]
     points = positions(depth.where(depth.isfinite(), 0.0), KINDS[fit.kind], fit.focal)
     found = []
     for index in range(1, len(footage)):
-        before, inside = reproject(points[index - 1, None], footage.view["motion"][index, None])
+        before, inside = reproject(points[index - 1, None], footage.gbuffer["motion"][index, None])
         some = (inside & footage.solid[index, None])[0, 0]
         here, there = points[index][:, some].T, before[0][:, some].T
         if len(here) < 64:

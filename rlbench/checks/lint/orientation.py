@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 
 CHECK = "orientation"
 AROUND = 9  # pixels: ranks of edges are compared with their surroundings
@@ -24,13 +24,13 @@ WAYS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
-def ways(footage: Footage) -> dict[str, dict[str, float]]:
+def ways(footage: ClipArrays) -> dict[str, dict[str, float]]:
     """For each buffer, the correlation of its edges in each way to lie, by the name of the way.
 
     Edges of albedo, normal, depth and samples are laid over those of the reference, edges of motion
     over those of depth and normal.
     """
-    edges = {name: _edges(_plain(name, image)) for name, image in footage.view.items()}
+    edges = {name: _edges(_plain(name, image)) for name, image in footage.gbuffer.items()}
     lines, light = _edges(_log(footage.reference)), _detail(_log(footage.reference))
     compared = {name: (edge, lines) for name, edge in edges.items() if name != "motion"}
     if {"motion", "normal", "depth"} <= set(edges):
@@ -42,15 +42,15 @@ def ways(footage: Footage) -> dict[str, dict[str, float]]:
     }
 
 
-def amiss(found: dict[str, dict[str, float]]) -> dict[str, str]:
+def misoriented(found: dict[str, dict[str, float]]) -> dict[str, str]:
     """The way in which a buffer lies, by name, of those that do not lie as the others do."""
     best = {name: max(fit, key=lambda way: fit[way]) for name, fit in found.items()}
     return {k: w for k, w in best.items() if found[k][w] - found[k]["as it is"] > BETTER}
 
 
-def righted(footage: Footage, found: dict[str, dict[str, float]]) -> Footage:
+def reoriented(footage: ClipArrays, found: dict[str, dict[str, float]]) -> ClipArrays:
     """The footage with its pools as the reference lies, for checks that compare the two."""
-    lying = amiss(found)
+    lying = misoriented(found)
     pools = {k: WAYS[lying.get(_pool(k), "as it is")](p) for k, p in footage.pools.items()}
     return replace(footage, pools=pools)
 
@@ -61,7 +61,7 @@ def orientation(found: dict[str, dict[str, float]]) -> Finding:
     `found` is that of `ways`. A clip of which all is upside down has no such fault.
     """
     told = ", ".join(f"{name} {fit['as it is']:.2f}" for name, fit in found.items())
-    if lying := amiss(found):
+    if lying := misoriented(found):
         parts = (
             f"{name} is {way} ({found[name][way]:.2f} against {found[name]['as it is']:.2f})"
             for name, way in lying.items()

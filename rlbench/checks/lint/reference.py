@@ -9,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint import noise_statistics as noise
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint import noise_statistics
+from rlbench.checks.lint.clip_arrays import ClipArrays
 
 LESS, MORE = (
     0.6,
@@ -24,25 +24,25 @@ BLACK, DIM = 5e-4, 5e-3  # mean of what is shown, linear
 CAP_DB = 100.0
 
 
-def halves(footage: Footage) -> Finding:
+def halves(footage: ClipArrays) -> Finding:
     """Are the halves independent, with as much noise as their samples per pixel give?
 
     That they share samples cannot be told where these are stratified, as clip.toml then says.
     """
     check = "halves"
-    if bool((footage.a == footage.b).all()):
+    if bool((footage.half_a == footage.half_b).all()):
         remedy = "trace two halves with seeds of their own; equal ones hide the reference's noise"
         return wrong(check, "both halves are the same image", remedy)
-    apart = (footage.a - footage.b) / noise.level(footage.reference)
+    apart = (footage.half_a - footage.half_b) / noise_statistics.level(footage.reference)
     for one, other in ((apart[..., 1:], apart[..., :-1]), (apart[..., 1:, :], apart[..., :-1, :])):
-        alike, error = noise.correlation(one.clamp(-1, 1), other.clamp(-1, 1))
+        alike, error = noise_statistics.correlation(one.clamp(-1, 1), other.clamp(-1, 1))
         if alike > max(FILTERED, SIGMAS * error):
             told = f"their noise correlates by {alike:.2f} with that of the next pixel"
             return wrong(check, told, "no denoiser and no filter wider than a pixel on references")
     return _predicted(footage, check)
 
 
-def _predicted(footage: Footage, check: str) -> Finding:
+def _predicted(footage: ClipArrays, check: str) -> Finding:
     """Are they as noisy as the samples and their numbers say?"""
     if 0 in footage.header.reference_spp[: len(footage)]:
         return odd(check, "reference_spp is not known, so nothing is predicted", "say it, if known")
@@ -60,21 +60,23 @@ def _predicted(footage: Footage, check: str) -> Finding:
     return fine(check, told)
 
 
-def half_noise(footage: Footage) -> tuple[float, float]:
+def half_noise(footage: ClipArrays) -> tuple[float, float]:
     """Variance of the halves over what the samples' variance and spp predict; its error.
 
     Independent halves have 1, correlated ones 1 minus their correlation.
     """
     count = torch.tensor(footage.header.reference_spp[: len(footage)]) / 2
-    pool = noise.alike(next(iter(footage.pools.values())), footage.reference)
+    pool = noise_statistics.alike(next(iter(footage.pools.values())), footage.reference)
     if pool.shape[1] < 2 or float(pool.var(1).sum()) == 0:
         return math.nan, 0.0
-    weight = noise.level((footage.reference + pool.mean(1)) / 2).square().reciprocal()
+    weight = noise_statistics.level((footage.reference + pool.mean(1)) / 2).square().reciprocal()
     expected = pool.var(1) / count.view(-1, 1, 1, 1)
-    return noise.ratio((footage.a - footage.b).square() / 2 * weight, expected * weight)
+    return noise_statistics.ratio(
+        (footage.half_a - footage.half_b).square() / 2 * weight, expected * weight
+    )
 
 
-def ceiling(footage: Footage) -> Finding:
+def ceiling(footage: ClipArrays) -> Finding:
     """How large a PSNR does the reference's own noise allow?"""
     check, value = "noise ceiling", ceiling_db(footage)
     spp = sorted(set(footage.header.reference_spp))
@@ -87,24 +89,24 @@ def ceiling(footage: Footage) -> Finding:
     return fine(check, told)
 
 
-def ceiling_db(footage: Footage) -> float:
+def ceiling_db(footage: ClipArrays) -> float:
     """PSNR (peak 1, clipped sRGB) of the truth against the mean of both halves; at most 100.
 
     The mean of independent halves has half the variance of one, a quarter of their difference's.
     """
-    a, b = (shown(half * footage.header.exposure) for half in (footage.a, footage.b))
+    a, b = (shown(half * footage.header.exposure) for half in (footage.half_a, footage.half_b))
     mse = float((a - b).double().square().mean()) / 4
     return min(CAP_DB, -10 * math.log10(max(mse, 1e-30)))
 
 
-def exposure(footage: Footage) -> Finding:
+def exposure(footage: ClipArrays) -> Finding:
     """Is radiance linear and unclipped, and does the exposure make a picture of it?"""
     check = "exposure"
     light = footage.reference
-    top = float(footage.a.max())
-    if top > 0 and bool(((footage.a * 255).round() == footage.a * 255).all()):
+    top = float(footage.half_a.max())
+    if top > 0 and bool(((footage.half_a * 255).round() == footage.half_a * 255).all()):
         return wrong(check, "the reference has 8-bit values", "write linear radiance as float")
-    at_top = float((footage.a >= top * (1 - 1e-5)).float().mean())
+    at_top = float((footage.half_a >= top * (1 - 1e-5)).float().mean())
     if min(abs(top - 1), abs(top - 255)) < 1e-3 and at_top > 5e-3:
         told = f"{at_top:.1%} of the reference's values are exactly {top:g}"
         return wrong(check, told, "write linear radiance before any display transform")

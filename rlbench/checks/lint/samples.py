@@ -7,8 +7,8 @@ from itertools import combinations
 import torch
 
 from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint import noise_statistics as noise
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint import noise_statistics
+from rlbench.checks.lint.clip_arrays import ClipArrays
 
 ALIKE = 0.05  # correlation from which on two are not independent; a tenth of it is ours' scatter
 MUCH = 0.15
@@ -18,7 +18,7 @@ SHARED = 0.01  # correlation of samples with the difference of the halves; 64 sp
 OFF = 0.03  # of the reference's mean, that the samples' mean may be off
 
 
-def samples(footage: Footage) -> Finding:
+def samples(footage: ClipArrays) -> Finding:
     """Are the samples of a pixel independent of each other?"""
     check, told = "samples", []
     for kind, pool in footage.pools.items():
@@ -29,9 +29,10 @@ def samples(footage: Footage) -> Finding:
         twins = [f"{i} and {j}" for i, j in combinations(slots, 2) if _same(pool[:, i], pool[:, j])]
         if twins:
             return wrong(check, f"pool {kind}: equal samples: {', '.join(twins[:4])}", RESEED)
-        share, expected = noise.bounded(pool), -1 / (len(slots) - 1)
+        share, expected = noise_statistics.bounded(pool), -1 / (len(slots) - 1)
         pairs = {
-            (i, j): noise.correlation(share[:, i], share[:, j]) for i, j in combinations(slots, 2)
+            (i, j): noise_statistics.correlation(share[:, i], share[:, j])
+            for i, j in combinations(slots, 2)
         }
         worst = max(pairs, key=lambda pair: pairs[pair][0])
         excess, error = pairs[worst][0] - expected, pairs[worst][1]
@@ -53,11 +54,11 @@ def samples(footage: Footage) -> Finding:
 RESEED = "trace each sample with a seed of its own, unfiltered"
 
 
-def neighbours(footage: Footage) -> Finding:
+def neighbours(footage: ClipArrays) -> Finding:
     """Is the noise of a pixel independent of that of the next pixel, and of the next frame?"""
     check, told = "noise pattern", []
     for kind, pool in footage.pools.items():
-        share = noise.bounded(pool)
+        share = noise_statistics.bounded(pool)
         looks = {
             "the pixel to the right": (share[..., 1:], share[..., :-1]),
             "the pixel below": (share[..., 1:, :], share[..., :-1, :]),
@@ -66,7 +67,7 @@ def neighbours(footage: Footage) -> Finding:
         for where, (one, other) in looks.items():
             if not one.numel():
                 continue
-            found, error = noise.correlation(one.flatten(0, 1), other.flatten(0, 1))
+            found, error = noise_statistics.correlation(one.flatten(0, 1), other.flatten(0, 1))
             told.append(f"{found:.3f} with {where}")
             if found > max(ALIKE, SIGMAS * error):
                 what = f"pool {kind}: noise correlates by {found:.2f} with {where}"
@@ -82,7 +83,7 @@ PATTERN = {
 }
 
 
-def seeds(footage: Footage) -> Finding:
+def seeds(footage: ClipArrays) -> Finding:
     """Are the samples independent of the reference?
 
     The difference of the halves is all noise, of mean zero: nothing that is independent of both
@@ -90,14 +91,16 @@ def seeds(footage: Footage) -> Finding:
     that are in both are told by `rlbench.checks.lint.reference.halves`.
     """
     check, told = "seeds", []
-    apart = footage.a - footage.b
-    apart = (apart / noise.level(apart.abs())).clamp(-2, 2)  # fireflies would hide all others
+    apart = footage.half_a - footage.half_b
+    apart = (apart / noise_statistics.level(apart.abs())).clamp(
+        -2, 2
+    )  # fireflies would hide all others
     for kind, pool in footage.pools.items():
-        share = pool / (pool + noise.level(pool.mean(1))[:, None])
-        share = share - noise.level(share.mean(1))[:, None]
+        share = pool / (pool + noise_statistics.level(pool.mean(1))[:, None])
+        share = share - noise_statistics.level(share.mean(1))[:, None]
         looks = {f"sample {slot}": share[:, slot] for slot in range(pool.shape[1])}
-        found = {k: noise.correlation(v, apart) for k, v in looks.items()}
-        found["their mean"] = noise.correlation(share.mean(1), apart)
+        found = {k: noise_statistics.correlation(v, apart) for k, v in looks.items()}
+        found["their mean"] = noise_statistics.correlation(share.mean(1), apart)
         worst = max(found, key=lambda name: abs(found[name][0]) / max(found[name][1], 1e-9))
         value, error = found[worst]
         if abs(value) > max(SHARED, 4 * error):
@@ -113,11 +116,11 @@ def seeds(footage: Footage) -> Finding:
     return fine(check, "; ".join(told))
 
 
-def brightness(footage: Footage) -> Finding:
+def brightness(footage: ClipArrays) -> Finding:
     """Is the mean of the samples that of the reference?"""
     check, told = "brightness", []
     for kind, pool in footage.pools.items():
-        value, error = noise.ratio(pool.mean(1), footage.reference)
+        value, error = noise_statistics.ratio(pool.mean(1), footage.reference)
         told.append(f"pool {kind}: {value:.3f} +- {error:.3f} of the reference's mean")
         if abs(value - 1) > max(OFF, SIGMAS * error):
             remedy = "the same exposure, clamping, encoding and light paths for both"
@@ -125,16 +128,16 @@ def brightness(footage: Footage) -> Finding:
     return fine(check, "; ".join(told))
 
 
-def _common(footage: Footage, kind: str) -> tuple[float, float]:
+def _common(footage: ClipArrays, kind: str) -> tuple[float, float]:
     """Excess of the mean's squared error over the variance that the samples' scatter predicts.
 
     (m - A)(m - B) is an unbiased estimate of the error of the mean m, for the halves are
     independent. m is brought to the reference's brightness first, which is another check's.
     """
-    pool = noise.alike(footage.pools[kind], footage.reference)
-    weight = noise.level(footage.reference).square().reciprocal()
-    error = (pool.mean(1) - footage.a) * (pool.mean(1) - footage.b)
-    value, scatter = noise.ratio(error * weight, pool.var(1) / pool.shape[1] * weight)
+    pool = noise_statistics.alike(footage.pools[kind], footage.reference)
+    weight = noise_statistics.level(footage.reference).square().reciprocal()
+    error = (pool.mean(1) - footage.half_a) * (pool.mean(1) - footage.half_b)
+    value, scatter = noise_statistics.ratio(error * weight, pool.var(1) / pool.shape[1] * weight)
     return value - 1, scatter
 
 

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.finding import Finding, fine, wrong
-from rlbench.checks.lint.clip_arrays import Footage
+from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.clips.frame_files import not_finite
 
 SHOWN = 3  # places that are told
 
 
-def finite(footage: Footage) -> Finding:
+def finite(footage: ClipArrays) -> Finding:
     """Is every value finite, but for depth's background?"""
     bad = {
         name: torch.from_numpy(not_finite(name, image.numpy()))
@@ -22,7 +22,7 @@ def finite(footage: Footage) -> Finding:
     return _told("finite", bad, "NaN or infinite", remedy)
 
 
-def positive(footage: Footage) -> Finding:
+def positive(footage: ClipArrays) -> Finding:
     """Is radiance nowhere negative?"""
     bad = {name: image < 0 for name, image in _radiance(footage).items()}
     remedy = "clip at 0, and look for a filter with negative lobes or a wrong colour matrix"
@@ -44,10 +44,10 @@ def _place(name: str, mask: Tensor) -> str:
     return f"{name} frame {at[0]}{slot} at x {at[-1]}, y {at[-2]}"
 
 
-def _radiance(footage: Footage) -> dict[str, Tensor]:
+def _radiance(footage: ClipArrays) -> dict[str, Tensor]:
     pools = {f"pool {kind}": pool for kind, pool in footage.pools.items()}
-    return {**pools, "reference A": footage.a, "reference B": footage.b}
+    return {**pools, "reference A": footage.half_a, "reference B": footage.half_b}
 
 
-def _all(footage: Footage) -> dict[str, torch.Tensor]:
-    return {**footage.view, **_radiance(footage)}
+def _all(footage: ClipArrays) -> dict[str, torch.Tensor]:
+    return {**footage.gbuffer, **_radiance(footage)}

@@ -6,7 +6,7 @@ import importlib
 from collections import Counter
 from pathlib import Path
 
-from rlbench.clips.importers.sequence import Sequence, SourceError
+from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 
 FORMATS = {
     "oidn": "rlbench.clips.importers.oidn",
@@ -15,7 +15,9 @@ FORMATS = {
 }
 
 
-def sequences(source: Path, format_: str, wanted: tuple[int, int] | None = None) -> list[Sequence]:
+def sequences(
+    source: Path, format_: str, wanted: tuple[int, int] | None = None
+) -> list[ImportedSequence]:
     """What a folder holds in a format: one sequence a clip, by name; `wanted` frames of each.
 
     A format's module has `sequences(source, wanted)` and `LAYOUT`, the names of its files. Raises
@@ -24,7 +26,7 @@ def sequences(source: Path, format_: str, wanted: tuple[int, int] | None = None)
     if format_ not in FORMATS:
         raise SourceError(f"no format '{format_}'; there are: {', '.join(FORMATS)}")
     module = importlib.import_module(FORMATS[format_])
-    found: list[Sequence] = module.sequences(source, wanted)
+    found: list[ImportedSequence] = module.sequences(source, wanted)
     if not found:
         have = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
         raise SourceError(

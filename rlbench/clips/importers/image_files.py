@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rlbench.clips.exr import TYPES
-from rlbench.clips.importers.limits import sized
+from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
 
 COLOURS = ("R", "G", "B")
@@ -51,7 +51,7 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     Pillow has no three 16-bit colours: this is what a reader with Pillow or torchvision sees.
     """
     with _understood(path), Image.open(path, formats=("PNG",)) as image:
-        sized(path, image.height, image.width)
+        check_size(path, image.height, image.width)
         if image.mode != "RGB":
             raise SourceError(f"{path} is a PNG of mode {image.mode}, expected RGB")
         return np.array(image)
@@ -60,14 +60,14 @@ def read_png(path: Path) -> NDArray[np.uint8]:
 def png_size(path: Path) -> tuple[int, int]:
     """Height and width of a PNG, pixels. Raises SourceError."""
     with _understood(path), Image.open(path, formats=("PNG",)) as image:
-        return sized(path, image.height, image.width)
+        return check_size(path, image.height, image.width)
 
 
 def _size(path: Path, header: Any) -> tuple[int, int]:
     window, shown = header["dataWindow"], header["displayWindow"]
     if str(window) != str(shown):
         raise SourceError(f"{path} holds the window {window} of {shown}, expected all of it")
-    return sized(path, window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)
+    return check_size(path, window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)
 
 
 def _three(path: Path, channels: Any) -> list[str]:

@@ -23,14 +23,14 @@ def files(root: Path) -> list[Path]:
     found: list[Path] = []
     for place, folders, names in os.walk(root):
         for folder in folders:
-            inside(root, Path(place, folder))
-        found += [inside(root, Path(place, name)) for name in names]
+            check_inside(root, Path(place, folder))
+        found += [check_inside(root, Path(place, name)) for name in names]
         if len(found) > MOST_FILES:
             raise SourceError(f"{root} holds more than {MOST_FILES} files; name a folder inside it")
     return sorted(path for path in found if path.is_file())
 
 
-def inside(root: Path, path: Path) -> Path:
+def check_inside(root: Path, path: Path) -> Path:
     """`path`, if it lies below `root` after its links are followed. Raises SourceError."""
     if path.is_symlink() and not path.resolve().is_relative_to(root.resolve()):
         raise SourceError(
@@ -40,7 +40,7 @@ def inside(root: Path, path: Path) -> Path:
     return path
 
 
-def sized(path: Path, height: int, width: int) -> tuple[int, int]:
+def check_size(path: Path, height: int, width: int) -> tuple[int, int]:
     """The size of an image that claims to be so large, if it may be. Raises SourceError."""
     if min(height, width) < 1 or height * width > MOST_PIXELS:
         raise SourceError(

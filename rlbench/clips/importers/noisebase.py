@@ -23,12 +23,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers import limits
 from rlbench.clips.importers.sequence import (
+    ImportedFrame,
+    ImportedSequence,
     Pixels,
-    Sequence,
     SourceError,
-    Still,
     clip_name,
     consecutive,
 )
@@ -58,24 +58,26 @@ class Camera(NamedTuple):
     matrix: Pixels  # 4 4, world to clip space, for row vectors: [p, 1] @ matrix
 
 
-def sequences(source: Path, wanted: tuple[int, int] | None) -> list[Sequence]:
+def sequences(source: Path, wanted: tuple[int, int] | None) -> list[ImportedSequence]:
     """The sequences of a folder, or of the folders in it. Raises SourceError."""
     found: dict[Path, dict[int, Path]] = defaultdict(dict)
-    for path in doors.files(source):
+    for path in limits.files(source):
         if match := FILE.fullmatch(path.name):
             found[path.parent][int(match[1])] = path
     return [_sequence(folder.resolve().name, paths, wanted) for folder, paths in found.items()]
 
 
-def _sequence(name: str, paths: Mapping[int, Path], wanted: tuple[int, int] | None) -> Sequence:
+def _sequence(
+    name: str, paths: Mapping[int, Path], wanted: tuple[int, int] | None
+) -> ImportedSequence:
     name = clip_name(name)
     numbers = consecutive(f"clip '{name}'", paths, wanted)
     sizes = {number: _size(paths[number]) for number in numbers}
     first = sizes[numbers[0]]
     for number, size in sizes.items():
-        doors.same_size(paths[number], size[:2], first[:2])
+        limits.same_size(paths[number], size[:2], first[:2])
     known = numbers[0] - 1 in paths  # the camera before the first frame
-    return Sequence(
+    return ImportedSequence(
         name=name,
         sampler="unknown, imported from Noisebase",
         height=first[0],
@@ -100,7 +102,7 @@ def _size(path: Path) -> tuple[int, int, int]:
     if len(found["color"]) != 4:
         raise SourceError(f"{path}: color is of shape {found['color']}, expected 4, h, w, samples")
     _, h, w, s = found["color"]
-    doors.sized(path, h, w)
+    limits.check_size(path, h, w)
     for key, leading in IMAGES.items():
         expected = (leading, h, w) if key in SINGLE else (leading, h, w, s)
         if found[key] != expected:
@@ -108,7 +110,9 @@ def _size(path: Path) -> tuple[int, int, int]:
     return h, w, s
 
 
-def _read(paths: Mapping[int, Path], size: tuple[int, int], number: int, samples: int) -> Still:
+def _read(
+    paths: Mapping[int, Path], size: tuple[int, int], number: int, samples: int
+) -> ImportedFrame:
     with opened(paths[number]) as archive:
         camera = _camera(archive)
         position, moved, normal, albedo = (
@@ -128,13 +132,13 @@ def _read(paths: Mapping[int, Path], size: tuple[int, int], number: int, samples
             hit, _project(before, position + moved, size) - here, _far(camera, before, size)
         ).clip(-FARTHEST, FARTHEST)
     depth = (position - camera.position) @ camera.forward
-    view = {
+    gbuffer = {
         "albedo": albedo.clip(0, 1),
         "normal": normal,
         "depth": np.where(hit, depth[..., None], np.inf),
         "motion": motion,
     }
-    return Still(view, pool, reference, reference)
+    return ImportedFrame(gbuffer, pool, reference, reference)
 
 
 def _radiance(rgbe: Pixels, exposure: Pixels) -> Pixels:

@@ -25,13 +25,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers import limits
 from rlbench.clips.importers.image_files import exr_size, read_exr
 from rlbench.clips.importers.sequence import (
+    ImportedFrame,
+    ImportedSequence,
     Pixels,
-    Sequence,
     SourceError,
-    Still,
     clip_name,
     consecutive,
 )
@@ -65,10 +65,10 @@ class _Frame:
         return named or sorted(k for k in self.images["hdr"] if k[1] == most and most > 1)
 
 
-def sequences(source: Path, wanted: tuple[int, int] | None) -> list[Sequence]:
+def sequences(source: Path, wanted: tuple[int, int] | None) -> list[ImportedSequence]:
     """The clips at and below a folder. Raises SourceError."""
     found: dict[tuple[str, ...], dict[int, _Frame]] = defaultdict(lambda: defaultdict(_Frame))
-    for path in doors.files(source):
+    for path in limits.files(source):
         if match := IMAGE.fullmatch(path.name):
             stem, digits = re.fullmatch(r"(.*?)(\d*)", match["name"]).groups()  # type: ignore[union-attr]
             clip = (*path.relative_to(source).parent.parts, stem.rstrip("_-. "))
@@ -85,7 +85,7 @@ def _sequence(
     parts: tuple[str, ...],
     frames: Mapping[int, _Frame],
     wanted: tuple[int, int] | None,
-) -> Sequence:
+) -> ImportedSequence:
     name = clip_name(*parts) if any(parts) else clip_name(source.resolve().name)
     numbers = consecutive(f"clip '{name}'", frames, wanted)
     chosen = {number: frames[number] for number in numbers}
@@ -101,7 +101,7 @@ def _sequence(
     first = chosen[numbers[0]]
     size = exr_size(first.images["hdr"][first.samples[0]])
     lacks = ["normal"] if "normal" in buffers else []
-    return Sequence(
+    return ImportedSequence(
         name=name,
         sampler="unknown, imported from OIDN's training images",
         height=size[0],
@@ -150,22 +150,22 @@ def _read(
     halved: bool,
     number: int,
     samples: int,
-) -> Still:
+) -> ImportedFrame:
     frame = frames[number]
 
     def image(feature: str, key: tuple[int, int | None]) -> Pixels:
         path = frame.images[feature][key]
-        doors.same_size(path, exr_size(path), size)
+        limits.same_size(path, exr_size(path), size)
         return read_exr(path)
 
-    view = {buffer: image(FEATURES[buffer], frame.samples[0]) for buffer in buffers}
-    if "albedo" in view:
-        view["albedo"] = np.clip(view["albedo"], 0, 1)
-    if "normal" in view:
-        view["normal"] = _unit(view["normal"])
+    gbuffer = {buffer: image(FEATURES[buffer], frame.samples[0]) for buffer in buffers}
+    if "albedo" in gbuffer:
+        gbuffer["albedo"] = np.clip(gbuffer["albedo"], 0, 1)
+    if "normal" in gbuffer:
+        gbuffer["normal"] = _unit(gbuffer["normal"])
     pool = np.stack([image("hdr", key) for key in frame.samples[:samples]])
     references = [image("hdr", key) for key in frame.references[: 1 + halved]]
-    return Still(view, pool, references[0], references[-1])
+    return ImportedFrame(gbuffer, pool, references[0], references[-1])
 
 
 def _unit(normal: Pixels) -> Pixels:

@@ -29,13 +29,13 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.clips.importers import limits as doors
+from rlbench.clips.importers import limits
 from rlbench.clips.importers.image_files import png_size, read_png
 from rlbench.clips.importers.sequence import (
+    ImportedFrame,
+    ImportedSequence,
     Pixels,
-    Sequence,
     SourceError,
-    Still,
     clip_name,
     consecutive,
 )
@@ -52,10 +52,10 @@ PASSES = {f"Denoising {name.capitalize()}": name for name in ("albedo", "normal"
 Frames = Mapping[int, Mapping[str, Path]]  # by number and by what it is: s0 to s7, reference, ...
 
 
-def sequences(source: Path, wanted: tuple[int, int] | None) -> list[Sequence]:
+def sequences(source: Path, wanted: tuple[int, int] | None) -> list[ImportedSequence]:
     """The clips of a scene's folder, or of one that holds such. Raises SourceError."""
     found: dict[Path, dict[int, dict[str, Path]]] = defaultdict(lambda: defaultdict(dict))
-    for path in doors.files(source):
+    for path in limits.files(source):
         if match := FILE.fullmatch(path.name):
             told = {key: value for key, value in match.groupdict().items() if value}
             folder = path.parent
@@ -71,7 +71,7 @@ def sequences(source: Path, wanted: tuple[int, int] | None) -> list[Sequence]:
     return [_sequence(folder.resolve().name, frames, wanted) for folder, frames in found.items()]
 
 
-def _sequence(name: str, found: Frames, wanted: tuple[int, int] | None) -> Sequence:
+def _sequence(name: str, found: Frames, wanted: tuple[int, int] | None) -> ImportedSequence:
     name = clip_name(name)
     traced = [number for number, images in found.items() if set(images) - {"motion"}]
     if not traced:
@@ -93,7 +93,7 @@ def _sequence(name: str, found: Frames, wanted: tuple[int, int] | None) -> Seque
     lacks = ["halves", "independence", "linear", *(b for b in PASSES.values() if b in buffers)]
     if "motion" in buffers and "motion" not in frames[numbers[0]]:
         lacks.append("first motion")
-    return Sequence(
+    return ImportedSequence(
         name=name,
         sampler="Cycles, imported from 8-bit PNG",
         height=min(whole[0], SIDE),
@@ -126,20 +126,20 @@ def _slots(images: Mapping[str, Path]) -> int:
 
 def _read(
     frames: Frames, buffers: tuple[str, ...], whole: tuple[int, int], number: int, samples: int
-) -> Still:
+) -> ImportedFrame:
     images = frames[number]
     h, w = min(whole[0], SIDE), min(whole[1], SIDE)
-    view: dict[str, Pixels] = {}
+    gbuffer: dict[str, Pixels] = {}
     for buffer in buffers:
         if buffer == "motion":
             there = "motion" in images
-            view[buffer] = _motion(images[buffer], h, w) if there else np.zeros((h, w, 2))
+            gbuffer[buffer] = _motion(images[buffer], h, w) if there else np.zeros((h, w, 2))
         else:
             value = _png(images[buffer], whole) / 255
-            view[buffer] = value[..., :1] if buffer == "depth" else value
+            gbuffer[buffer] = value[..., :1] if buffer == "depth" else value
     pool = np.stack([_light(images[f"s{slot}"], whole) for slot in range(samples)])
     reference = _light(images["reference"], whole)
-    return Still(view, pool, reference, reference)
+    return ImportedFrame(gbuffer, pool, reference, reference)
 
 
 def _light(path: Path, whole: tuple[int, int]) -> Pixels:
@@ -154,7 +154,7 @@ def _png(path: Path, whole: tuple[int, int]) -> NDArray[np.uint8]:
     if pixels.shape[:2] == (720, 1280) and whole == (1080, 1920):  # as the authors' loader
         shown = Image.fromarray(pixels).resize((1920, 1080), Image.Resampling.BILINEAR)
         pixels = np.asarray(shown)
-    doors.same_size(path, pixels.shape[:2], whole)
+    limits.same_size(path, pixels.shape[:2], whole)
     return pixels[:SIDE, :SIDE]
 
 

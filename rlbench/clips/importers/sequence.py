@@ -18,17 +18,17 @@ class SourceError(ValueError):
     """Files that cannot be imported as asked, or that are not safe to read."""
 
 
-class Still(NamedTuple):
+class ImportedFrame(NamedTuple):
     """One frame in the conventions of a clip. Radiance is linear."""
 
-    view: dict[str, Pixels]  # h w c, by buffer name
+    gbuffer: dict[str, Pixels]  # h w c, by buffer name
     pool: Pixels  # s h w 3, independent 1-spp images
-    a: Pixels  # h w 3, the reference, or one half of it
-    b: Pixels  # h w 3, the same again, or the other half
+    half_a: Pixels  # h w 3, the reference, or one half of it
+    half_b: Pixels  # h w 3, the same again, or the other half
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sequence:
+class ImportedSequence:
     """Consecutive frames of one source. `lacks` names what it has not, in the header's words."""
 
     name: str  # of the clip, and of the folder it goes to
@@ -41,7 +41,7 @@ class Sequence:
     buffers: tuple[str, ...]  # of the view
     lacks: tuple[str, ...]
     files: tuple[Path, ...]  # all that is read
-    read: Callable[[int, int], Still]  # a frame's number, and how many samples of it
+    read: Callable[[int, int], ImportedFrame]  # a frame's number, and how many samples of it
     fps: float = 24.0
 
 

@@ -6,18 +6,18 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
-from rlbench.clips.compatibility import possible
-from rlbench.clips.frame_files import kinds
+from rlbench.clips.compatibility import compatibility_summary
+from rlbench.clips.frame_files import file_kinds
 from rlbench.clips.header import FILE
-from rlbench.clips.importers import limits as doors
-from rlbench.clips.importers.sequence import Sequence, SourceError
+from rlbench.clips.importers import limits
+from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 from rlbench.clips.stored import Header, has_frame, write_frame, write_header
 from rlbench.system import paths
 
 MARK = "source.txt"  # beside the frames: what they were imported from
 
 
-def plan(sequence: Sequence, samples: int | None, exposure: float = 1.0) -> Header:
+def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float = 1.0) -> Header:
     """The header of the clip that a sequence becomes, with `samples` of each pixel, or all.
 
     Raises SourceError where a frame has fewer, or all are wanted and frames differ.
@@ -29,7 +29,7 @@ def plan(sequence: Sequence, samples: int | None, exposure: float = 1.0) -> Head
             f"clip '{sequence.name}': frame {poor} has {_images(least)} of 1 spp, others up to "
             f"{max(sequence.counts)}; take as many of each with --samples {least}"
         )
-    wanted = samples or min(least, doors.MOST_SAMPLES)
+    wanted = samples or min(least, limits.MOST_SAMPLES)
     header = Header(
         name=sequence.name,
         scene=f"imported-{sequence.name}",  # no scene of ours, whose costs it would be charged
@@ -47,13 +47,16 @@ def plan(sequence: Sequence, samples: int | None, exposure: float = 1.0) -> Head
     if wanted > least:
         raise SourceError(
             f"clip '{sequence.name}': {wanted} samples of each pixel are wanted, frame {poor} has "
-            f"{_images(least)} of 1 spp. With --samples {least} {possible(header)}"
+            f"{_images(least)} of 1 spp. With --samples {least} {compatibility_summary(header)}"
         )
     return header
 
 
 def store(
-    sequence: Sequence, header: Header, folder: Path, tell: Callable[[], None] = lambda: None
+    sequence: ImportedSequence,
+    header: Header,
+    folder: Path,
+    tell: Callable[[], None] = lambda: None,
 ) -> None:
     """Write what `folder` lacks of the clip, the header last; `tell` hears of each frame.
 
@@ -64,18 +67,20 @@ def store(
     for index, number in enumerate(sequence.numbers):
         if not has_frame(folder, index, header.pools):
             still = sequence.read(number, header.pool_spp)
-            write_frame(folder, index, still.view, {"path": still.pool}, still.a, still.b)
+            write_frame(
+                folder, index, still.gbuffer, {"path": still.pool}, still.half_a, still.half_b
+            )
         tell()
     write_header(folder, header)
 
 
-def finished(sequence: Sequence, header: Header, folder: Path) -> bool:
+def finished(sequence: ImportedSequence, header: Header, folder: Path) -> bool:
     """Is there a clip.toml, and every frame, of this very source?"""
     whole = all(has_frame(folder, index, header.pools) for index in range(header.frames))
     return whole and (folder / FILE).is_file() and _marked(folder) == _mark(sequence, header)
 
 
-def _claim(sequence: Sequence, header: Header, folder: Path) -> None:
+def _claim(sequence: ImportedSequence, header: Header, folder: Path) -> None:
     mark = _mark(sequence, header)
     if _marked(folder) == mark:
         return
@@ -88,10 +93,10 @@ def _claim(sequence: Sequence, header: Header, folder: Path) -> None:
         path.write_text(mark)
 
 
-def _mark(sequence: Sequence, header: Header) -> str:
+def _mark(sequence: ImportedSequence, header: Header) -> str:
     """What frames are made of: names, sizes and times of all files, and what is taken of them."""
     stamps = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in sequence.files]
-    content = (stamps, sequence.numbers, header.pool_spp, header.buffers, kinds(header.pools))
+    content = (stamps, sequence.numbers, header.pool_spp, header.buffers, file_kinds(header.pools))
     return f"{sequence.sampler}\n{sha256(repr(content).encode()).hexdigest()}\n"
 
 

@@ -30,7 +30,7 @@ SPARE = 2**16  # bytes by which a chunk that cannot be packed may grow
 
 
 @dataclass(frozen=True)
-class Told:
+class ZarrMetadata:
     """What a .zarray says of its array."""
 
     shape: tuple[int, ...]
@@ -47,7 +47,7 @@ class Told:
         return math.prod(self.chunks) * self.dtype.itemsize
 
 
-def told(archive: zipfile.ZipFile, key: str) -> Told:
+def read_metadata(archive: zipfile.ZipFile, key: str) -> ZarrMetadata:
     """What is said of an array, if it can be so. Raises SourceError."""
     where = f"{archive.filename}, array '{key}'"
     try:
@@ -67,7 +67,9 @@ def told(archive: zipfile.ZipFile, key: str) -> Told:
         raise SourceError(f"{where} is of type {dtype}; only numbers are read")
     if len(shape) != len(chunks) or not 1 <= len(shape) <= 8 or min(*shape, *chunks) < 1:
         raise SourceError(f"{where} has shape {shape} in chunks of {chunks}")
-    described = Told(shape, chunks, dtype, order, separator, fill, _codec(where, compressor))
+    described = ZarrMetadata(
+        shape, chunks, dtype, order, separator, fill, _codec(where, compressor)
+    )
     if described.chunk_bytes > MOST_BYTES or len(list(_range(described))) > MOST_CHUNKS:
         raise SourceError(
             f"{where} claims chunks of {described.chunk_bytes} bytes for a shape of {shape}; at "
@@ -78,7 +80,7 @@ def told(archive: zipfile.ZipFile, key: str) -> Told:
 
 def array(archive: zipfile.ZipFile, key: str, last: int | None = None) -> NDArray[Any]:
     """An array, or of its last axis only the first `last`. Raises SourceError."""
-    about = told(archive, key)
+    about = read_metadata(archive, key)
     shape = about.shape if last is None else (*about.shape[:-1], min(last, about.shape[-1]))
     if (size := math.prod(shape) * about.dtype.itemsize) > MOST_BYTES:
         raise SourceError(
@@ -105,13 +107,13 @@ def opened(path: Path) -> Iterator[zipfile.ZipFile]:
         raise SourceError(f"{path} cannot be read, truncated or corrupt ({error})") from error
 
 
-def _range(about: Told) -> Iterator[int]:
+def _range(about: ZarrMetadata) -> Iterator[int]:
     """As many numbers as there are chunks, but no more than is of interest."""
     count = math.prod(-(-n // c) for n, c in zip(about.shape, about.chunks, strict=True))
     return iter(range(min(count, MOST_CHUNKS + 1)))
 
 
-def _chunk(archive: zipfile.ZipFile, name: str, about: Told) -> NDArray[Any]:
+def _chunk(archive: zipfile.ZipFile, name: str, about: ZarrMetadata) -> NDArray[Any]:
     packed = _bytes(archive, name, about.chunk_bytes + about.chunk_bytes // 64 + SPARE)
     room = bytearray(about.chunk_bytes)
     if about.codec is not None:
@@ -155,4 +157,4 @@ def _codec(where: str, compressor: Any) -> Any:
 
 def shapes(archive: zipfile.ZipFile, keys: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """The shapes of arrays, of which nothing is unpacked. Raises SourceError."""
-    return {key: told(archive, key).shape for key in keys}
+    return {key: read_metadata(archive, key).shape for key in keys}

@@ -13,14 +13,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.clips.in_memory import MemoryClip
-from rlbench.clips.procedural import raycast as cast
-from rlbench.clips.procedural import world
-from rlbench.frames import Frame, Reference, Size, StoredPool, View
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.procedural import raycast, world
+from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 
 FIREFLY = 0.003  # chance that a sample is one
-FLASH = 60.0  # times the truth that a firefly is
-DIM = (1 - FIREFLY * FLASH) / (1 - FIREFLY)  # of the other samples, so that the mean stays 1
+FIREFLY_SCALE = 60.0  # times the truth that a firefly is
+NORMAL_SCALE = (1 - FIREFLY * FIREFLY_SCALE) / (
+    1 - FIREFLY
+)  # of the other samples, so that the mean stays 1
 CALM, ROUGH = 0.3, 0.9  # sigma of the logarithm in full light, and what shade adds
 
 
@@ -33,7 +34,7 @@ def procedural(
     cut: int | None = None,
     static: bool = False,
     device: torch.device | str = "cpu",
-) -> MemoryClip:
+) -> InMemoryClip:
     """A clip of `size.n` worlds, of the seeds `seed`, `seed + 1`, ...
 
     Both halves of the reference are the truth itself. A sample is the truth times noise whose mean
@@ -47,9 +48,9 @@ def procedural(
     Frames are computed anew whenever they are read, and equal whenever they are read.
     """
     told = f"{seed} {tuple(size)} {frames} {pool_spp} {speed} {cut} {static}".encode()
-    for module in (cast.__file__, world.__file__, __file__):
+    for module in (raycast.__file__, world.__file__, __file__):
         told += Path(module).read_bytes()
-    return MemoryClip(
+    return InMemoryClip(
         name=f"procedural-{seed}",
         scene="procedural",
         digest=hashlib.sha256(told).hexdigest()[:32],
@@ -88,7 +89,7 @@ class _Frames(Sequence[Frame]):
     def worlds(self) -> tuple[world.World, world.World]:
         """Before the cut, and from the cut on."""
         first, second = (
-            world.draw([f"{s}/{shot}" for s in self._seeds], self.device) for shot in (0, 1)
+            world.random_world([f"{s}/{shot}" for s in self._seeds], self.device) for shot in (0, 1)
         )
         return first, second
 
@@ -99,19 +100,19 @@ class _Frames(Sequence[Frame]):
     def _frame(self, index: int) -> Frame:
         shot = self.cut is not None and index >= self.cut
         time = index * self.speed
-        seen = cast.look(self.worlds[shot], time, time - self.speed, self.size.h, self.size.w)
+        seen = raycast.raycast(self.worlds[shot], time, time - self.speed, self.size.h, self.size.w)
         buffers = {"albedo": seen.albedo, "normal": seen.normal, "depth": seen.depth}
         if self.speed:
             buffers["motion"] = seen.motion
         truth = seen.radiance.float()
         return Frame(
             index,
-            View({k: v.float() for k, v in buffers.items()}, static=not self.speed),
+            GBuffer({k: v.float() for k, v in buffers.items()}, static=not self.speed),
             StoredPool(truth[:, None] * self._noise(index, seen), self._keys(index)),
             Reference(truth, truth),
         )
 
-    def _noise(self, index: int, seen: cast.Seen) -> Float[Tensor, "n s 1 h w"]:
+    def _noise(self, index: int, seen: raycast.CameraBuffers) -> Float[Tensor, "n s 1 h w"]:
         """Factors of mean 1: exp(sigma z - sigma^2 / 2), times a flash or its lack."""
         shape = (self.pool_spp, 1, self.size.h, self.size.w)
         drawn = []
@@ -121,7 +122,7 @@ class _Frames(Sequence[Frame]):
             drawn.append(pair)
         z, chance = (torch.stack(part).to(self.device) for part in zip(*drawn, strict=True))
         sigma = (CALM + ROUGH * seen.shade.float())[:, None]
-        flash = torch.where(chance < FIREFLY, FLASH, DIM)
+        flash = torch.where(chance < FIREFLY, FIREFLY_SCALE, NORMAL_SCALE)
         noise = torch.exp(sigma * z - sigma.square() / 2) * flash
         return noise.where(seen.depth[:, None].isfinite(), 1.0)
 

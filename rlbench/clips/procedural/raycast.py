@@ -19,7 +19,7 @@ LIGHT = (-0.48, -0.6, 0.64)  # unit vector towards the light
 AWAY = 4.0  # image sizes to which motion points where the previous camera had the point behind it
 
 
-class Seen(NamedTuple):
+class CameraBuffers(NamedTuple):
     """What the camera sees at one moment, float64; zero and +inf depth where it sees the sky."""
 
     albedo: Float[Tensor, "n 3 h w"]
@@ -30,7 +30,7 @@ class Seen(NamedTuple):
     shade: Float[Tensor, "n 1 h w"]  # 0 in full light and in the sky, 1 turned away from the light
 
 
-def look(world: World, time: float, before: float, h: int, w: int) -> Seen:
+def raycast(world: World, time: float, before: float, h: int, w: int) -> CameraBuffers:
     """The world at `time`, with motion from there back to the moment `before`."""
     origin, axes = pose(world, time)
     focal = w / 2 / math.tan(FOV / 2)  # pixels
@@ -61,7 +61,7 @@ def look(world: World, time: float, before: float, h: int, w: int) -> Seen:
     past = back + _of(centres(world, before), hit) * ~sky
     motion = _project(world, past, sky, before, focal, here) - here
     radiance = torch.where(sky, _sky(ray), albedo * light)
-    return Seen(albedo, normal, depth, motion, radiance, (1 - lambert.square()) * ~sky)
+    return CameraBuffers(albedo, normal, depth, motion, radiance, (1 - lambert.square()) * ~sky)
 
 
 def _distances(world: World, there: Tensor, origin: Tensor, ray: Tensor) -> Tensor:

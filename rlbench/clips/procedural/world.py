@@ -32,7 +32,7 @@ class World:
     camera: Float[Tensor, " n"]  # phase of its path, radians
 
 
-def draw(seeds: list[str], device: torch.device) -> World:
+def random_world(seeds: list[str], device: torch.device) -> World:
     """One world for each seed."""
     rolls = [random.Random(seed) for seed in seeds]
 

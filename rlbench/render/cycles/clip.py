@@ -22,13 +22,13 @@ from rlbench.clips.stored import write_frame, write_header
 from rlbench.render.cycles import passes
 from rlbench.render.cycles.process import run
 from rlbench.render.cycles.scene_file import Found, opened
-from rlbench.render.cycles.worker_job import Parameters, Picture, order, seed
-from rlbench.render.jobs import references as rounds
+from rlbench.render.cycles.worker_job import Parameters, Picture, render_job, seed
+from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
-from rlbench.render.user import auto_exposure as sight
-from rlbench.render.user.clip import Wish, job_of, told
+from rlbench.render.user import auto_exposure
+from rlbench.render.user.clip import UserSceneOptions, job_of, told
 from rlbench.system import paths
 
 SPAN = 32  # samples of a reference's picture: so much is lost at most when it is killed
@@ -40,7 +40,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Shoot:
+class CyclesJob:
     """One clip that Cycles renders."""
 
     job: Job
@@ -62,7 +62,7 @@ class Shoot:
             return
         plan, scene = self.job.preset, self.job.scene
         size = LOOK if look else plan.size
-        what = order(
+        what = render_job(
             self.file,
             scene,
             self.found.start,
@@ -77,7 +77,7 @@ class Shoot:
                 yield Path(event["file"]), event["seconds"]
 
 
-def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -> Path:
+def ensure_cycles(wish: UserSceneOptions, preset: Preset, tell: Tell = lambda words: None) -> Path:
     """The clip folder of a scene file that Cycles renders, after rendering what is missing of it.
 
     As `rlbench.render.user.clip.ensure_own`, with the file's own camera if it has one. Raises
@@ -101,7 +101,7 @@ def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -
             )
         scene = replace(job.scene, camera=route.around(found.distance, job.preset.frames))
         job = replace(job, scene=scene)
-    shoot = Shoot(job, wish.file, found, asked)
+    shoot = CyclesJob(job, wish.file, found, asked)
     usual = _exposure(shoot)
     job = replace(job, scene=replace(job.scene, exposure=wish.exposure or usual))
     tell(told(job))
@@ -109,7 +109,7 @@ def ensure_cycles(wish: Wish, preset: Preset, tell: Tell = lambda words: None) -
     return job.folder
 
 
-def _exposure(shoot: Shoot) -> float:
+def _exposure(shoot: CyclesJob) -> float:
     """What shows the frames at a usual brightness. Raises SceneError for one that is all black."""
     log = paths.cache() / "cycles" / f"{shoot.job.name}.log"
     with TemporaryDirectory(prefix="rlbench-") as place:
@@ -128,16 +128,18 @@ def _exposure(shoot: Shoot) -> float:
             "camera sees, or the camera is inside something. --define world=1 adds a white sky; "
             "glTF and FBX do not carry every kind of lamp"
         )
-    return sight.exposure(areas)
+    return auto_exposure.exposure(areas)
 
 
 def _areas(image: Float[Array, "h w 3"]) -> Float[Array, " areas"]:
     luminance = image @ np.array(LUMINANCE)
-    side = LOOK[0] // sight.AREAS
-    return np.asarray(luminance.reshape(sight.AREAS, side, sight.AREAS, side).mean((1, 3)).ravel())
+    side = LOOK[0] // auto_exposure.AREAS
+    return np.asarray(
+        luminance.reshape(auto_exposure.AREAS, side, auto_exposure.AREAS, side).mean((1, 3)).ravel()
+    )
 
 
-def _render(shoot: Shoot) -> None:
+def _render(shoot: CyclesJob) -> None:
     """Render the missing frames, then write the header."""
     job = shoot.job
     job.claim()
@@ -161,22 +163,22 @@ def _render(shoot: Shoot) -> None:
     shutil.rmtree(shoot.work)
 
 
-def _claim(shoot: Shoot) -> None:
+def _claim(shoot: CyclesJob) -> None:
     """An empty work folder, or the one of this very clip."""
     mark = shoot.work / "mark.txt"
-    if not (mark.is_file() and mark.read_text() == shoot.job.mark):
+    if not (mark.is_file() and mark.read_text() == shoot.job.content_key):
         shutil.rmtree(shoot.work, ignore_errors=True)
         with paths.replacing(mark) as path:
-            path.write_text(shoot.job.mark)
+            path.write_text(shoot.job.content_key)
 
 
-def _frames(shoot: Shoot) -> Iterator[int]:
+def _frames(shoot: CyclesJob) -> Iterator[int]:
     """Render and write all missing frames, in rounds; yields samples per pixel as they are done."""
     job, work = shoot.job, shoot.work
     views = [Picture(_geometry(work, i), i, seed(i, "path", 0)) for i in job.missing]
     for _ in shoot.run(views, work / "geometry.log", geometry=True):
         pass
-    for done in range(1, job.preset.rounds + 1):
+    for done in range(1, job.preset.max_reference_rounds + 1):
         pictures = {index: _pictures(shoot, index, done) for index in job.missing}
         for index in pictures:
             _settle(shoot, index, done)
@@ -191,14 +193,14 @@ def _frames(shoot: Shoot) -> Iterator[int]:
             yield samples
 
 
-def _pictures(shoot: Shoot, index: int, done: int) -> list[Picture]:
+def _pictures(shoot: CyclesJob, index: int, done: int) -> list[Picture]:
     """All radiance pictures of a frame in rounds up to `done`: samples, then both halves."""
     plan, work = shoot.job.preset, shoot.work.absolute()
     found = [
         Picture(work / f"path.{index:04d}.{slot}.exr", index, seed(index, "path", slot))
         for slot in range(plan.pool_spp)
     ]
-    for half in rounds.HALVES:
+    for half in references.HALVES:
         for turn in range(done):
             found += spans(work, f"reference{half}", index, turn, plan.reference_spp)
     return found
@@ -215,29 +217,32 @@ def spans(work: Path, stream: str, index: int, turn: int, total: int) -> list[Pi
     ]
 
 
-def _settle(shoot: Shoot, index: int, done: int) -> None:
+def _settle(shoot: CyclesJob, index: int, done: int) -> None:
     """Write a frame if all its pictures are there, and its reference is good enough or the last."""
     job, plan = shoot.job, shoot.job.preset
     pictures = _pictures(shoot, index, done)
     if not all(picture.file.is_file() for picture in pictures):
         return
     halves = {}
-    for half in rounds.HALVES:
+    for half in references.HALVES:
         own = [p for p in pictures if p.file.name.startswith(f"reference{half}.")]
         weighted = [passes.radiance(p.file, plan.size) * np.float64(p.spp) for p in own]
         total = np.sum(weighted, axis=0) / sum(p.spp for p in own)
         halves[half] = total.astype(np.float32)
     a, b = halves["A"], halves["B"]
-    if done < plan.rounds and rounds.ceiling_db(a, b, job.scene.exposure) < plan.ceiling_db:
+    if (
+        done < plan.max_reference_rounds
+        and references.ceiling_db(a, b, job.scene.exposure) < plan.ceiling_db
+    ):
         return
     file = _geometry(shoot.work, index)
-    view = passes.read_view(file, job.scene, index, plan.size)
+    gbuffer = passes.read_view(file, job.scene, index, plan.size)
     samples = [p for p in pictures if p.file.name.startswith("path.")]
     pool = np.stack([passes.radiance(p.file, plan.size) for p in samples])
-    if plan.rounds > 1:
-        rounds.note(job.folder, index, 2 * plan.reference_spp * done)
-    view = {name: view[name] for name in job.buffers}
-    write_frame(job.folder, index, view, {"path": pool}, a, b)
+    if plan.max_reference_rounds > 1:
+        references.note(job.folder, index, 2 * plan.reference_spp * done)
+    gbuffer = {name: gbuffer[name] for name in job.buffers}
+    write_frame(job.folder, index, gbuffer, {"path": pool}, a, b)
     for picture in pictures:
         picture.file.unlink()
     file.unlink()

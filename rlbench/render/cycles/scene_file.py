@@ -15,11 +15,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.render.cycles.process import VERSION, CyclesError, run
-from rlbench.render.cycles.worker_job import RECIPE, Parameters, inquiry, turned
+from rlbench.render.cycles.worker_job import RECIPE, Parameters, inspect_job, turned
 from rlbench.render.scene import Camera, Scene, SceneError
-from rlbench.render.user import camera_path as flight
-from rlbench.render.user.clip import Wish
-from rlbench.render.user.scene_file import Opened
+from rlbench.render.user import camera_path
+from rlbench.render.user.clip import UserSceneOptions
+from rlbench.render.user.scene_file import UserScene
 from rlbench.system import paths
 
 FORMATS = (".blend", ".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".fbx", ".obj")
@@ -30,13 +30,13 @@ CENTRED = 1e-4  # share of the picture's width that the lens may be shifted by
 class Found:
     """What the worker says of a file."""
 
-    opened: Opened
+    opened: UserScene
     start: int  # the scene's frame that is frame 0
     distance: float | None  # to what the middle of the first picture shows, in scene units
     blender: str  # version
 
 
-def opened(wish: Wish, frames: int, asked: Parameters) -> Found:
+def opened(wish: UserSceneOptions, frames: int, asked: Parameters) -> Found:
     """Ask the worker what a scene file holds; what it said is remembered while files are the same.
 
     Raises SceneError for a file that is not there, of another format, or that lacks files itself,
@@ -58,7 +58,7 @@ def opened(wish: Wish, frames: int, asked: Parameters) -> Found:
     return Found(_as_opened(file, facts, asked), facts["start"], facts["distance"], facts["hello"])
 
 
-def _remembered(wish: Wish, frames: int, asked: Parameters) -> dict[str, Any]:
+def _remembered(wish: UserSceneOptions, frames: int, asked: Parameters) -> dict[str, Any]:
     """The worker's description, from the cache if nothing it depends on has changed."""
     words = f"{RECIPE} {wish.file.absolute()} {frames} {wish.size} {asked.start}"
     place = paths.cache() / "cycles" / hashlib.sha256(words.encode()).hexdigest()[:16]
@@ -68,7 +68,7 @@ def _remembered(wish: Wish, frames: int, asked: Parameters) -> dict[str, Any]:
         if facts["digest"] == digest(wish.file, facts["files"]):
             return facts
     facts = {}
-    for event in run(inquiry(wish.file, frames, wish.size, asked), place / "open.log"):
+    for event in run(inspect_job(wish.file, frames, wish.size, asked), place / "open.log"):
         if event.get("event") == "hello":
             facts["hello"] = event["blender"]
         if event.get("event") == "opened":
@@ -103,7 +103,7 @@ def parts(file: Path) -> list[str]:
     return [str((file.parent / unquote(uri)).absolute()) for uri in found if uri[:5] != "data:"]
 
 
-def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> Opened:
+def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> UserScene:
     name = file.stem
     path = facts["camera"]
     matrices = [turned(np.array(rows)) for rows in path["matrices"]]
@@ -127,7 +127,7 @@ def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> Opene
     fov = path["fov"][1] if matrices else 60.0
     first = matrices[1] if matrices else None
     notes = [f"{file.name}: {note}" for note in _notes(facts)]
-    return Opened(
+    return UserScene(
         scene, name, made_of, first, fov, bool(matrices), facts["moves"], wide / high, notes
     )
 
@@ -137,7 +137,7 @@ def flown(matrices: list[Float[Array, "4 4"]], fov: list[float]) -> Any:
 
     def at(time: float) -> Camera:
         index = int(np.clip(round(time) + 1, 0, len(matrices) - 1))
-        return flight.camera(matrices[index], fov[index])
+        return camera_path.camera(matrices[index], fov[index])
 
     return at
 

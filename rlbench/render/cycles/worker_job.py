@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.render.scene import Scene, SceneError
-from rlbench.render.user import camera_path as flight
+from rlbench.render.user import camera_path
 
 RECIPE = 1  # raised whenever the worker makes other pixels of the same file
 STREAMS = {"path": 0, "referenceA": 1, "referenceB": 2, "pilot": 3}
@@ -87,7 +87,7 @@ def seed(frame: int, stream: str, number: int) -> int:
     return (frame * len(STREAMS) + STREAMS[stream]) * NUMBERS + number
 
 
-def inquiry(file: Path, frames: int, size: tuple[int, int] | None, asked: Parameters) -> Any:
+def inspect_job(file: Path, frames: int, size: tuple[int, int] | None, asked: Parameters) -> Any:
     """The job that renders nothing and says what a file holds."""
     return {
         "scene": str(file.absolute()),
@@ -98,7 +98,7 @@ def inquiry(file: Path, frames: int, size: tuple[int, int] | None, asked: Parame
     }
 
 
-def order(
+def render_job(
     file: Path,
     scene: Scene,
     start: int,
@@ -113,7 +113,7 @@ def order(
     `geometry`: the passes of a view, of pixel centres, instead of radiance.
     """
     cameras = [scene.camera(float(index)) for index in range(-1, frames + 1)]
-    matrices = [turned(flight.matrix(camera)).tolist() for camera in cameras]
+    matrices = [turned(camera_path.matrix(camera)).tolist() for camera in cameras]
     return {
         "scene": str(file.absolute()),
         "frames": frames,

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.jobs.render_clips import named
+from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import FOUR
 from rlbench.render.scene import Scene
@@ -48,7 +48,7 @@ def sheet(
     """
     from PIL import Image
 
-    scenes = [named(name) for name in names]
+    scenes = [scene_of_clip(name) for name in names]
     pictures = [shown(_traced(scene, size, spp, traced), scene.exposure) for scene in scenes]
     with paths.replacing(out) as temporary:
         Image.fromarray(tiled(pictures)).save(temporary, format="png", optimize=True)

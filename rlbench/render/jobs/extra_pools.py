@@ -21,17 +21,17 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from rich.progress import Progress
 
+from rlbench import registry
 from rlbench.clips.frame_files import exr_path, write_pool
 from rlbench.clips.header import FILE
 from rlbench.clips.stored import Header, read_header, write_header
-from rlbench.pools import Chains, PoolKind
-from rlbench.registry import lookup as registry
+from rlbench.pools import PoolKind, SampleStreams
 from rlbench.render.jobs.frame_worker import SEED
 from rlbench.render.jobs.job import POOLS, Job
 from rlbench.render.mitsuba import llvm
-from rlbench.render.mitsuba.pool_stage import Staged
+from rlbench.render.mitsuba.pool_stage import PoolStage
 from rlbench.render.mitsuba.tracer import LANES
-from rlbench.render.mitsuba.wavefront import Wavefront
+from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
@@ -40,7 +40,7 @@ TOGETHER = 4  # samples of each pixel in a frame whose time is taken
 
 
 @dataclass(frozen=True, eq=False)
-class Lack:
+class MissingPool:
     """A pool that a clip of a preset is to have, and has not, or has of another recipe."""
 
     job: Job
@@ -54,7 +54,7 @@ class Lack:
     @property
     def mark(self) -> str:
         """What the pool's files are traced from; files of another mark do not belong here."""
-        return f"{self.job.mark.strip()}, {self.kind.name} recipe {self.kind.recipe}\n"
+        return f"{self.job.content_key.strip()}, {self.kind.name} recipe {self.kind.recipe}\n"
 
     @property
     def missing(self) -> list[int]:
@@ -90,20 +90,20 @@ class Lack:
         return self.folder / f"pool.{self.kind.name}.txt"
 
 
-def lacking(jobs: Iterable[Job]) -> list[Lack]:
+def lacking(jobs: Iterable[Job]) -> list[MissingPool]:
     """The pools that finished clips lack and this machine can trace: none without wavefronts."""
     installed = registry.names("pools")
     found = [
-        Lack(job, registry.load("pools", name))
+        MissingPool(job, registry.load("pools", name))
         for job in jobs
         for name in job.preset.pools
         if name not in POOLS and name in installed and (job.folder / FILE).is_file()
     ]
     found = [lack for lack in found if not lack.there]
-    return found if found and not llvm.activate().startswith("scalar") else []
+    return found if found and not llvm.select_variant().startswith("scalar") else []
 
 
-def add_all(lacks: Sequence[Lack], bar: Progress) -> None:
+def add_all(lacks: Sequence[MissingPool], bar: Progress) -> None:
     """Add pools to clips, one after another."""
     frames = [len(lack.missing) for lack in lacks]
     names = ", ".join(sorted({lack.kind.name for lack in lacks}))
@@ -115,12 +115,12 @@ def add_all(lacks: Sequence[Lack], bar: Progress) -> None:
         gc.collect()
 
 
-def add(lack: Lack, traced: Callable[[], None] = lambda: None) -> None:
+def add(lack: MissingPool, traced: Callable[[], None] = lambda: None) -> None:
     """Trace the missing frames of a pool, then name it in clip.toml; `traced` hears of each."""
     lack.claim()
     plan, scene = lack.job.preset, lack.job.scene
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    tracer = Wavefront(scene, *plan.size, SEED, plan.cap / scene.exposure)
+    tracer = WavefrontTracer(scene, *plan.size, SEED, plan.cap / scene.exposure)
     if missing := lack.missing:
         pool = chains(tracer, lack.kind, plan.pool_spp)
         start = max(cut for cut in (0, *scene.cuts) if cut <= missing[0])
@@ -136,25 +136,27 @@ def add(lack: Lack, traced: Callable[[], None] = lambda: None) -> None:
     write_header(lack.folder, _with(header, lack.kind.name, taken))
 
 
-def chains(tracer: Wavefront, kind: PoolKind, count: int) -> Callable[[], Float[Array, "s h w 3"]]:
+def chains(
+    tracer: WavefrontTracer, kind: PoolKind, count: int
+) -> Callable[[], Float[Array, "s h w 3"]]:
     """`count` chains of a pool, so many at a time as memory is for; called once a frame.
 
     Samples are capped as the tracer's are.
     """
-    make = registry.resolve(kind.make)
-    stage = Staged(tracer, kind.name)
+    make = registry.resolve(kind.factory)
+    stage = PoolStage(tracer, kind.name)
     most = max(1, LANES // (tracer.height * tracer.width))
     groups = [range(first, min(first + most, count)) for first in range(0, count, most)]
-    parts: list[Chains] = [make(stage, group) for group in groups]
+    parts: list[SampleStreams] = [make(stage, group) for group in groups]
     return lambda: tracer.capped(np.concatenate([part() for part in parts]))
 
 
-def dearer(tracer: Wavefront, kind: PoolKind) -> float:
+def dearer(tracer: WavefrontTracer, kind: PoolKind) -> float:
     """Time of a sample, shadow rays and all, over that of a path, each of several in one frame.
 
     Of several, as starting a kernel takes the interpreter's time, which is not the sampler's.
     """
-    return tracer.dearer(chains(tracer, kind, TOGETHER), TOGETHER)
+    return tracer.relative_cost(chains(tracer, kind, TOGETHER), TOGETHER)
 
 
 def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
@@ -163,9 +165,9 @@ def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
     Raises LookupError where this machine cannot trace it.
     """
     kind: Any = registry.load("pools", pool)
-    if llvm.activate().startswith("scalar"):
+    if llvm.select_variant().startswith("scalar"):
         raise LookupError(f"pool '{pool}' is traced with LLVM or CUDA alone: see `rlbench doctor`")
-    tracer = Wavefront(scene, height, width)
+    tracer = WavefrontTracer(scene, height, width)
     return tracer.sample_ms() * dearer(tracer, kind)
 
 

@@ -38,25 +38,27 @@ class Job:
     @property
     def missing(self) -> list[int]:
         """Frames that are not wholly there, or are of another scene or preset."""
-        ours = marked(self.folder) == self.mark
+        ours = marked(self.folder) == self.content_key
         return [i for i in range(self.preset.frames) if not (ours and self._there(i))]
 
     def _there(self, index: int) -> bool:
-        return has_frame(self.folder, index, POOLS) and self.spent(index) > 0
+        return has_frame(self.folder, index, POOLS) and self.reference_spp(index) > 0
 
-    def spent(self, index: int) -> int:
+    def reference_spp(self, index: int) -> int:
         """Samples per pixel of a frame's reference, both halves; 0 where that is not known."""
-        if self.preset.rounds == 1:
+        if self.preset.max_reference_rounds == 1:
             return 2 * self.preset.reference_spp
         return noted(self.folder, index) or 0
 
     @property
-    def mark(self) -> str:
+    def content_key(self) -> str:
         """What the frames are rendered from; frames of another mark do not belong here."""
         plan = self.preset
         samples = f"{plan.pool_spp} + 2 x {plan.reference_spp} spp"
         size = "x".join(map(str, plan.size))
-        samples += f", up to {plan.rounds} rounds to {plan.ceiling_db:g} dB" * (plan.rounds > 1)
+        samples += f", up to {plan.max_reference_rounds} rounds to {plan.ceiling_db:g} dB" * (
+            plan.max_reference_rounds > 1
+        )
         samples += f", cap {plan.cap:g}" * (plan.cap < math.inf)
         samples += f", with {' '.join(plan.extras)}" * bool(plan.extras)
         return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
@@ -93,7 +95,7 @@ class Job:
             exposure=scene.exposure,
             pool_spp=plan.pool_spp,
             radiance_cap=plan.cap,
-            reference_spp=tuple(map(self.spent, range(plan.frames))),
+            reference_spp=tuple(map(self.reference_spp, range(plan.frames))),
             stratified=stratified,
             noise_ceiling_db=tuple(
                 stored_ceiling_db(self.folder, index, *plan.size, scene.exposure)
@@ -115,7 +117,7 @@ class Job:
         """
         files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(NOTES)]
         kept = [file for file in files if file.is_file()]
-        if marked(self.folder) == self.mark:
+        if marked(self.folder) == self.content_key:
             return
         if kept and not marked(self.folder):
             raise ClipError(
@@ -125,7 +127,7 @@ class Job:
         for file in kept:
             file.unlink()
         with paths.replacing(self.folder / MARK) as path:
-            path.write_text(self.mark)
+            path.write_text(self.content_key)
 
 
 def marked(folder: Path) -> str:

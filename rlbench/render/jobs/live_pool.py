@@ -16,11 +16,11 @@ from torch import Tensor
 
 from rlbench.clips.exr import precision
 from rlbench.clips.frame_files import exr_path
-from rlbench.clips.stored import ClipError, StoredClip, read_header, sale
+from rlbench.clips.stored import ClipError, StoredClip, read_header, sample_order
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import POOLS, marked
-from rlbench.render.jobs.render_clips import named
+from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import LANES, Tracer
 from rlbench.render.scene import Scene
@@ -48,12 +48,12 @@ class LivePool:
         return Size(1, self.tracer.height, self.tracer.width)
 
     @property
-    def cap(self) -> int:
+    def max_samples(self) -> int:
         """Number of samples that have a place in the order of sale."""
         return len(self.order)
 
     @property
-    def keys(self) -> tuple[int, ...]:
+    def rounding_seeds(self) -> tuple[int, ...]:
         """The frame's key."""
         return (self.key,)
 
@@ -61,9 +61,9 @@ class LivePool:
         """No samples at all."""
         _, h, w = self.size
         counts = _blank((1, 1, h, w), np.int64).to(self.device)
-        return Samples(_blank((1, self.cap, 3, h, w), np.float32).to(self.device), counts)
+        return Samples(_blank((1, self.max_samples, 3, h, w), np.float32).to(self.device), counts)
 
-    def take(self, before: Samples, counts: Int[Tensor, "1 1 h w"]) -> Float[Tensor, "1 s 3 h w"]:
+    def read(self, before: Samples, counts: Int[Tensor, "1 1 h w"]) -> Float[Tensor, "1 s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel; what `before` lacks is traced."""
         pixels, slots = _lacking(*(c.flatten().cpu().numpy() for c in (before.counts, counts)))
         values = torch.from_numpy(self._traced(pixels, slots)).to(self.device) * self.exposure
@@ -125,19 +125,19 @@ class LiveClip:
     def frame(self, index: int) -> Frame:
         """Frame `index`, float32 on the clip's device."""
         clip, header = self.stored, self.stored.header
-        order, key = sale(clip.seed, clip.name, index, header.pool_spp)
+        order, key = sample_order(clip.seed, clip.name, index, header.pool_spp)
         file = exr_path(clip.arrays.folder, f"pool.{clip.pool}", index)
         self.tracer.set_time(float(index))  # also what a renderer does before it traces
         pool = LivePool(
             self.tracer,
             float(index),
-            tuple(order[: clip.slots]),
+            tuple(order[: clip.max_samples]),
             key,
             header.exposure,
             precision(file, "s0.R"),
             clip.device,
         )
-        return clip.around(index, pool)
+        return clip.frame_with_pool(index, pool)
 
 
 def scene_of(folder: Path) -> Scene:
@@ -150,7 +150,7 @@ def scene_of(folder: Path) -> Scene:
     told = f"clip {folder} cannot be sampled live"
     if not (mark := marked(folder)):
         raise ClipError(f"{told}: `rlbench render` did not write it; use --pool stored")
-    scene = named(header.name)
+    scene = scene_of_clip(header.name)
     found, wanted = fingerprint(scene, header.frames), mark.split()[0]
     if found != wanted:
         raise ClipError(

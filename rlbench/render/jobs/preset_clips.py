@@ -6,10 +6,10 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rlbench.errors import AskedError
+from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
-    from rlbench.parallel.executor import Engine
+    from rlbench.parallel.executor import Executor
 
 
 def rendered(
@@ -18,7 +18,7 @@ def rendered(
     cap: float | None = None,
     chosen: tuple[int, ...] | None = None,
     views: list[str] | None = None,
-    engine: Engine | None = None,
+    engine: Executor | None = None,
     kinds: Collection[str] | None = None,
     takes: str | None = None,
 ) -> list[Path]:
@@ -28,19 +28,19 @@ def rendered(
     Scenes, `takes` of each (main or all), and seeds of generated scenes replace those of the
     preset.
     """
+    from rlbench import registry
     from rlbench.parallel.executor import LOCAL
-    from rlbench.registry import lookup as registry
     from rlbench.render.jobs.render_clips import ensure
     from rlbench.render.presets import PRESETS
 
     if preset not in PRESETS:
-        raise AskedError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
+        raise OptionError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
     known, wanted = registry.names("scenes"), scenes or []
     if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
-        raise AskedError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
+        raise OptionError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
     plan = PRESETS[preset]
     plan = plan if cap is None else plan.capped(cap)
-    plan = plan.showing(views) if views else plan
-    plan = plan if kinds is None else plan.selling(kinds)
-    plan = plan if takes is None else plan.filming(takes)
+    plan = plan.with_buffers(views) if views else plan
+    plan = plan if kinds is None else plan.with_pools(kinds)
+    plan = plan if takes is None else plan.with_takes(takes)
     return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)

@@ -24,7 +24,7 @@ KNEE = 0.0031308  # IEC 61966-2-1: the sRGB curve is straight below this linear 
 Image = Float[Array, "h w 3"]
 
 
-def trace(
+def trace_reference(
     tracer: Tracer, plan: Preset, exposure: float, traced: Callable[[int], None] = lambda spp: None
 ) -> tuple[Image, Image, int]:
     """Both halves of the reference, and the samples per pixel that they cost together.
@@ -36,14 +36,14 @@ def trace(
     each launch, at the end those that were not needed.
     """
     totals = {half: np.zeros((tracer.height, tracer.width, 3)) for half in HALVES}
-    for done in range(1, plan.rounds + 1):
+    for done in range(1, plan.max_reference_rounds + 1):
         first, spp = (done - 1) * plan.reference_spp, done * plan.reference_spp
         for half, total in totals.items():
             total += tracer.total(plan.reference_spp, f"reference{half}", first, traced=traced)
         a, b = ((total / spp).astype(np.float32) for total in totals.values())
-        if done == plan.rounds or ceiling_db(a, b, exposure) >= plan.ceiling_db:
+        if done == plan.max_reference_rounds or ceiling_db(a, b, exposure) >= plan.ceiling_db:
             break
-    traced(2 * plan.reference_spp * (plan.rounds - done))
+    traced(2 * plan.reference_spp * (plan.max_reference_rounds - done))
     return a, b, 2 * spp
 
 

@@ -17,11 +17,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from rlbench import registry
 from rlbench.clips.stored import Header, write_header
-from rlbench.parallel.executor import LOCAL, Engine, Tell
-from rlbench.registry import lookup as registry
-from rlbench.render.jobs import extra_pools as chains
-from rlbench.render.jobs.frame_worker import SEED, Shot, Studio, keep, share
+from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
+from rlbench.render.jobs import extra_pools
+from rlbench.render.jobs.frame_worker import SEED, FrameRenderer, FrameTask, keep, share
 from rlbench.render.jobs.job import Job
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
@@ -39,7 +39,7 @@ def ensure(
     seeds: Iterable[int] | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
-    engine: Engine = LOCAL,
+    engine: Executor = LOCAL,
 ) -> list[Path]:
     """The clip folders of a preset, after rendering what is missing of them.
 
@@ -59,10 +59,12 @@ def ensure(
     for name in names:
         made |= _takes(name, chosen)
     jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
-    return finish(jobs, progress, engine)
+    return render_missing(jobs, progress, engine)
 
 
-def finish(jobs: list[Job], progress: Progress | None = None, engine: Engine = LOCAL) -> list[Path]:
+def render_missing(
+    jobs: list[Job], progress: Progress | None = None, engine: Executor = LOCAL
+) -> list[Path]:
     """The folders of clips of one preset, after rendering what is missing of them.
 
     Pools beside the path tracer's come last, here, whatever the engine: their frames hang together.
@@ -70,13 +72,13 @@ def finish(jobs: list[Job], progress: Progress | None = None, engine: Engine = L
     if unfinished := [job for job in jobs if not job.finished]:
         with _shown(progress, engine) as bar:
             _render_all(unfinished, bar, engine)
-    if lacking := chains.lacking(jobs):
+    if lacking := extra_pools.lacking(jobs):
         with _shown(progress, LOCAL) as bar:
-            chains.add_all(lacking, bar)
+            extra_pools.add_all(lacking, bar)
     return [job.folder for job in jobs]
 
 
-def named(clip: str) -> Scene:
+def scene_of_clip(clip: str) -> Scene:
     """The scene of a clip by the clip's name.
 
     That is `generated-<seed>`, an installed scene, or `<scene>-<take>`. Raises LookupError for an
@@ -95,7 +97,9 @@ def named(clip: str) -> Scene:
     return scene if whole else scene.take(last)
 
 
-def render(job: Job, traced: Tell = lambda samples: None, engine: Engine = LOCAL) -> None:
+def render(
+    job: Job, traced: ProgressCallback = lambda samples: None, engine: Executor = LOCAL
+) -> None:
     """Render the missing frames of one clip, then write its header.
 
     Stored radiance is as traced; `exposure` is in the header. `traced` is told of light paths as
@@ -103,23 +107,23 @@ def render(job: Job, traced: Tell = lambda samples: None, engine: Engine = LOCAL
     cannot be traced does not stop the others; its error is raised when they are done.
     """
     _raise_first(_together([job], traced, engine))
-    for lack in chains.lacking([job]):
-        chains.add(lack)
+    for lack in extra_pools.lacking([job]):
+        extra_pools.add(lack)
 
 
 def _takes(name: str, chosen: Preset) -> dict[str, Scene]:
     """The clips, by name, that a scene or a single take stands for in a preset."""
-    scene = named(name)
+    scene = scene_of_clip(name)
     takes = scene.takes if chosen.takes == "all" else ()
     return {name: scene, **{f"{name}-{take.name}": scene.take(take.name) for take in takes}}
 
 
-def _together(jobs: list[Job], traced: Tell, engine: Engine) -> list[Exception]:
+def _together(jobs: list[Job], traced: ProgressCallback, engine: Executor) -> list[Exception]:
     """Render clips, a frame at a time, then write headers; the errors of frames that have none."""
     for job in jobs:
         job.claim()
-    studio = Studio(jobs)
-    shots = [Shot(clip, index) for clip, job in enumerate(jobs) for index in job.missing]
+    studio = FrameRenderer(jobs)
+    shots = [FrameTask(clip, index) for clip, job in enumerate(jobs) for index in job.missing]
     errors = []
     for outcome in engine.map(studio, shots, share(), traced):
         if outcome.error:
@@ -132,22 +136,23 @@ def _together(jobs: list[Job], traced: Tell, engine: Engine) -> list[Exception]:
     return errors
 
 
-def _render_all(jobs: list[Job], bar: Progress, engine: Engine) -> None:
+def _render_all(jobs: list[Job], bar: Progress, engine: Executor) -> None:
     area = jobs[0].preset.size[0] * jobs[0].preset.size[1]
     total = sum(len(job.missing) * job.preset.frame_samples for job in jobs)
     trial = open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(repeats=1, spp=TRIAL)
     seconds = total / area * trial / 1e3
-    most = "at most " if jobs[0].preset.rounds > 1 else ""
+    most = "at most " if jobs[0].preset.max_reference_rounds > 1 else ""
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     alone = f" by this machine alone; {engine.where}" if engine.where else ""
     bar.console.print(
-        f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} with {llvm.activate()}: "
+        f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} "
+        f"with {llvm.select_variant()}: "
         f"{most}{total / 1e6:.0f} million light paths, about {_duration(seconds)}{alone}; "
         f"into {jobs[0].folder.parent}"
     )
     task = bar.add_task("", total=total)
     errors: list[Exception] = []
-    for together in [[job] for job in jobs] if engine.alone else [jobs]:
+    for together in [[job] for job in jobs] if engine.exclusive else [jobs]:
         named = together[0].name if len(together) == 1 else f"{len(together)} clips"
         bar.update(task, description=named)
         errors += _together(together, partial(bar.advance, task), engine)
@@ -163,7 +168,7 @@ def _raise_first(errors: list[Exception]) -> None:
 
 
 def _header(job: Job, tracer: Tracer) -> Header:
-    version = f"{importlib.metadata.version('mitsuba')} {llvm.activate()}"
+    version = f"{importlib.metadata.version('mitsuba')} {llvm.select_variant()}"
     return job.header("mitsuba path", version, tracer.sample_ms(), seed=SEED)
 
 
@@ -175,13 +180,13 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def _shown(progress: Progress | None, engine: Engine) -> Iterator[Progress]:
+def _shown(progress: Progress | None, engine: Executor) -> Iterator[Progress]:
     """The caller's bar, or one of its own on standard error."""
     if progress:
         yield progress
         return
     columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
-    period = 120 if engine.alone else PATIENCE
+    period = 120 if engine.exclusive else PATIENCE
     with Progress(
         *columns, TimeRemainingColumn(), console=Console(stderr=True), speed_estimate_period=period
     ) as bar:

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from rlbench.clips.stored import ClipError, Header, read_header, write_header
-from rlbench.render.jobs.render_clips import named
+from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import sample_ms
 from rlbench.system.provenance import machine
 
 
-def retime(folder: Path) -> Header:
+def remeasure_sample_ms(folder: Path) -> Header:
     """The header of a clip of an installed scene, whose samples are timed now, and written.
 
     Those of pools beside the path tracer's cost as many times a path's as before: that was measured
@@ -26,7 +26,7 @@ def retime(folder: Path) -> Header:
             f"clip {folder} was rendered on '{header.device}', and --retime runs on '{here}'; "
             "`rlbench run --cost measured` times its samples here by itself"
         )
-    taken = sample_ms(named(header.name), header.height, header.width)
+    taken = sample_ms(scene_of_clip(header.name), header.height, header.width)
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     slower = taken / header.sample_ms if header.sample_ms > 0 else math.nan
     others = (each * slower for each in header.pools_ms[1:])  # the path tracer's comes first

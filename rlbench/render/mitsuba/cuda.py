@@ -45,4 +45,4 @@ def refused() -> str | None:
     note = paths.cache() / "cuda.json"
     key = f"{probe.stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
     known = probe.noted(note, key)
-    return probe.keep(note, key, probe.tried(PROBE, {})) if known is None else known
+    return probe.keep(note, key, probe.probe_subprocess(PROBE, {})) if known is None else known

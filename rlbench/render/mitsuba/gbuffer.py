@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 
 from rlbench.clips.header import VIEWS
 from rlbench.frames import BUFFERS
-from rlbench.render.mitsuba.specular import albedo, reflectance, through
+from rlbench.render.mitsuba.specular import albedo, follow_specular_chain, reflectance
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.pose import Pose
 
@@ -26,7 +26,7 @@ HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels 
 BEHIND = {"hit_behind": 1, "mesh_behind": 1, "normal_behind": 3, "length_behind": 1}
 
 
-def views(
+def render_gbuffer(
     tracer: Tracer, needs: Collection[str] = BUFFERS
 ) -> dict[str, Float[Array, "h w channels"]]:
     """The buffers `needs` of the tracer's present time, float32, in the conventions of `View`.
@@ -99,7 +99,7 @@ def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, .
         share = dr.clip(reflectance(surface, ray, valid), 0, 1)
         found["albedo_first"] = dr.select(valid, share, mi.Color3f(0))
     if "albedo" in channels or "hit_behind" in channels:
-        last, tint, length, bounces = through(tracer, ray)
+        last, tint, length, bounces = follow_specular_chain(tracer, ray)
         if "albedo" in channels:
             found["albedo"] = albedo(tracer, last, tint, bounces)
         if "hit_behind" in channels:

@@ -25,7 +25,7 @@ STRENGTHS = (
 OUT = 1e-20  # factor on a bitmap that is out: tables of zeros give NaN
 
 
-class Dimmer:
+class EmitterScaler:
     """The lights of a loaded scene, each by the name of its mesh, or `sky0`, `sky1`, ..."""
 
     def __init__(self, parameters: Any) -> None:

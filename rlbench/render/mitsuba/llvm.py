@@ -68,7 +68,7 @@ def candidates() -> list[tuple[int, Path]]:
 
 def probed(path: Path) -> str:
     """Why `path` cannot be used, or an empty string if it can; an unsuitable LLVM aborts."""
-    return probe.tried(PROBE, {"DRJIT_LIBLLVM_PATH": str(path)})
+    return probe.probe_subprocess(PROBE, {"DRJIT_LIBLLVM_PATH": str(path)})
 
 
 def libraries() -> list[Library]:
@@ -88,7 +88,7 @@ def libraries() -> list[Library]:
     return found
 
 
-def activate(variant: str | None = None) -> str:
+def select_variant(variant: str | None = None) -> str:
     """Start Mitsuba and return its variant.
 
     `variant`, or else the variable RLBENCH_VARIANT, asks for one by name, such as `llvm_ad_rgb`.

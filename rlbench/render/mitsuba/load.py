@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from rlbench.render.mitsuba import xml_scene as document
+from rlbench.render.mitsuba import xml_scene
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 
@@ -32,7 +32,7 @@ def load(scene: Scene) -> Any:
     import mitsuba as mi
 
     if scene.document:
-        return document.build(scene.document, merge=not scene.meshes)
+        return xml_scene.build(scene.document, merge=not scene.meshes)
     parts = {m.name: _mesh(m) for m in scene.meshes}
     skies = {f"sky{i}": plugin(sky) for i, sky in enumerate(scene.sky)}
     return mi.load_dict({"type": "scene", **parts, **skies}, optimize=False)

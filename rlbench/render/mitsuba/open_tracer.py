@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 
 from rlbench.render.mitsuba import llvm
-from rlbench.render.mitsuba.scalar import Whole
+from rlbench.render.mitsuba.scalar import ScalarTracer
 from rlbench.render.mitsuba.tracer import Tracer
-from rlbench.render.mitsuba.wavefront import Wavefront
+from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 
-__all__ = ["Tracer", "Wavefront", "Whole", "open_tracer", "sample_ms"]
+__all__ = ["Tracer", "WavefrontTracer", "ScalarTracer", "open_tracer", "sample_ms"]
 
 
 def open_tracer(
     scene: Scene, height: int, width: int, seed: int = 0, cap: float = math.inf
 ) -> Tracer:
     """A tracer of `scene` for this machine: wavefronts with LLVM or CUDA, else whole images."""
-    kind = Whole if llvm.activate().startswith("scalar") else Wavefront
+    kind = ScalarTracer if llvm.select_variant().startswith("scalar") else WavefrontTracer
     return kind(scene, height, width, seed, cap)
 
 

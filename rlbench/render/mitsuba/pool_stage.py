@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from rlbench.render.mitsuba import load
-from rlbench.render.mitsuba.gbuffer import views
-from rlbench.render.mitsuba.wavefront import Wavefront
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.render.mitsuba.wavefront import WavefrontTracer
 
 
 @dataclass
-class Staged:
+class PoolStage:
     """A scene at the tracer's present time; see `rlbench.pools.Stage`."""
 
-    tracer: Wavefront
+    tracer: WavefrontTracer
     stream: str  # of random numbers
     _moved: tuple[float, Any, Any] | None = field(default=None, repr=False)
 
@@ -55,7 +55,7 @@ class Staged:
         if self._moved is None or self._moved[0] != self.tracer.time:
             found = np.zeros((self.height, self.width, 2), np.float32)
             if not self.tracer.scene.static:
-                found = views(self.tracer, ("motion",))["motion"]
+                found = render_gbuffer(self.tracer, ("motion",))["motion"]
             x, y = (load.upload(mi.Float, found[..., axis]) for axis in range(2))
             self._moved = self.tracer.time, x, y
         return self._moved[1:]

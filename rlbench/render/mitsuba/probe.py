@@ -12,7 +12,7 @@ from pathlib import Path
 from rlbench.system import paths
 
 
-def tried(code: str, setting: dict[str, str]) -> str:
+def probe_subprocess(code: str, setting: dict[str, str]) -> str:
     """Why `code`, which prints `usable` at the end, fails with these variables; empty if it works.
 
     It has an empty kernel cache, since kernels that another library has compiled would hide faults.

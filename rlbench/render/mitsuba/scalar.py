@@ -11,12 +11,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from rlbench.render.mitsuba import load
-from rlbench.render.mitsuba import rng as sampler
+from rlbench.render.mitsuba import load, rng
 from rlbench.render.mitsuba.tracer import Tracer
 
 
-class Whole(Tracer):
+class ScalarTracer(Tracer):
     """Traces without LLVM: Mitsuba renders whole images, each with a seed of its own.
 
     Slower, and arbitrary pairs cost whole images. Streams and samples are independent as well; the
@@ -71,7 +70,7 @@ class Whole(Tracer):
     def _image(self, first: int, spp: int, stream: str) -> Float[Array, "h w 3"]:
         import mitsuba as mi
 
-        low, high = sampler.key(stream, self.time, self.seed)
+        low, high = rng.key(stream, self.time, self.seed)
         seed = mi.sample_tea_32(low ^ first, high ^ spp)[0]
         image = mi.render(
             self.mitsuba, sensor=self._sensor, integrator=self.integrator, seed=seed, spp=spp

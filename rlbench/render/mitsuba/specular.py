@@ -15,7 +15,7 @@ LATTICE = (
 )  # Korobov 1959: point i is i * LATTICE / POINTS; 5 had the least error of 3 .. 13
 
 
-def through(tracer: Tracer, ray: Any) -> tuple[Any, Any, Any, Any]:
+def follow_specular_chain(tracer: Tracer, ray: Any) -> tuple[Any, Any, Any, Any]:
     """The last part of the way of `ray`, the tint of what came before, its length, its bounces.
 
     Surfaces that are only mirror or glass are followed up to 4 times, through the pane rather than

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.render.mitsuba import load
-from rlbench.render.mitsuba.lights import Dimmer
+from rlbench.render.mitsuba.lights import EmitterScaler
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 
@@ -44,14 +44,14 @@ class Tracer(ABC):
         self.mitsuba = load.load(scene)
         self.integrator = load.plugin({"type": "path", "max_depth": scene.depth})
         self._parameters = mi.traverse(self.mitsuba)
-        self._lights = Dimmer(self._parameters)
+        self._lights = EmitterScaler(self._parameters)
         self.set_time(0.0)
 
     def set_time(self, time: float) -> None:
         """Camera, vertices and lights as at `time`, in frames. Nothing is loaded again."""
         self.time, self.pose = float(time), Pose.of(self.scene, time)
         self._lights.set(self.scene.lights(time))
-        load.move(self._parameters, self.scene.moving(time), self.scene.meshes)
+        load.move(self._parameters, self.scene.vertex_animation(time), self.scene.meshes)
         self._look()
 
     @abstractmethod
@@ -154,7 +154,7 @@ class Tracer(ABC):
             times.append(1e3 * (clock.perf_counter() - start) / spp)
         return statistics.median(times)
 
-    def dearer(self, work: Callable[[], object], spp: int, warm_up: int = 2) -> float:
+    def relative_cost(self, work: Callable[[], object], spp: int, warm_up: int = 2) -> float:
         """Time of `work` over that of `spp` samples per pixel.
 
         The median over three pairs that are taken one right after the other, so that it says the

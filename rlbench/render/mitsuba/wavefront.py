@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from rlbench.render.mitsuba import load
-from rlbench.render.mitsuba import rng as sampler
+from rlbench.render.mitsuba import load, rng
 from rlbench.render.mitsuba.tracer import Tracer
 
 
-class Wavefront(Tracer):
+class WavefrontTracer(Tracer):
     """Traces on LLVM or CUDA: a sample depends on (pixel, sample, time, stream, seed) only.
 
     Bit for bit so on one machine, whatever else is in the wavefront and in whatever order, but for
@@ -72,8 +71,8 @@ class Wavefront(Tracer):
         import drjit as dr
         import mitsuba as mi
 
-        salt = [dr.opaque(mi.UInt32, k) for k in sampler.key(stream, self.time, self.seed)]
-        return sampler.keyed(pixels, samples, salt)
+        salt = [dr.opaque(mi.UInt32, k) for k in rng.key(stream, self.time, self.seed)]
+        return rng.keyed(pixels, samples, salt)
 
     def rays(self, x: Any, y: Any) -> Any:
         """The camera's rays through film positions (mi.Float), as in `each`."""

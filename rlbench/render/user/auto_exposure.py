@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.scene import SceneError
 
@@ -35,7 +35,7 @@ def distance(tracer: Tracer) -> float:
     return float(f"{np.median(seen):.3g}")
 
 
-def survey(tracer: Tracer, frames: int) -> float:
+def estimate_exposure(tracer: Tracer, frames: int) -> float:
     """Look at every frame, and say what exposure shows them at a usual brightness, to two digits.
 
     The log-average luminance over 8 x 8 areas of all frames becomes 0.18 (Reinhard et al. 2002,
@@ -55,7 +55,7 @@ def survey(tracer: Tracer, frames: int) -> float:
             bright.append(_lit(tracer))
         if not seen:
             raise SceneError(_nothing(tracer))
-        views(tracer)
+        render_gbuffer(tracer)
     return exposure(np.stack(bright))
 
 

@@ -85,14 +85,14 @@ def camera(matrix: Float[Array, "4 4"], fov: float) -> Camera:
     return Camera(origin, target, above, fov)
 
 
-def matrix(view: Camera) -> Float[Array, "4 4"]:
+def matrix(camera: Camera) -> Float[Array, "4 4"]:
     """The camera-to-world matrix of a pinhole."""
-    forward = np.subtract(view.target, view.origin, dtype=np.float64)
+    forward = np.subtract(camera.target, camera.origin, dtype=np.float64)
     forward /= np.linalg.norm(forward)
-    right = np.cross(forward, view.up)
+    right = np.cross(forward, camera.up)
     right /= np.linalg.norm(right)
     made = np.eye(4)
-    made[:3] = np.stack([-right, np.cross(right, forward), forward, view.origin], 1)
+    made[:3] = np.stack([-right, np.cross(right, forward), forward, camera.origin], 1)
     return made
 
 

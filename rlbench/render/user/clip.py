@@ -13,16 +13,15 @@ from pathlib import Path
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.parallel.executor import LOCAL, Engine
+from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.render.jobs.job import POOLS, Job
-from rlbench.render.jobs.render_clips import finish
+from rlbench.render.jobs.render_clips import render_missing
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
-from rlbench.render.user import auto_exposure as sight
-from rlbench.render.user import camera_path as flight
-from rlbench.render.user.scene_file import Opened, opened
+from rlbench.render.user import auto_exposure, camera_path
+from rlbench.render.user.scene_file import UserScene, opened
 from rlbench.system import paths
 
 FOLDER = "own-"  # of these clips in the cache, with the preset's name
@@ -30,7 +29,7 @@ STEP = 16  # pixels: widths and heights that are chosen here are multiples of it
 
 
 @dataclass(frozen=True)
-class Wish:
+class UserSceneOptions:
     """What is asked of a user's scene file."""
 
     file: Path
@@ -43,7 +42,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Route:
+class CameraPath:
     """How the camera goes: by itself ("own"), through matrices, or from the first of them."""
 
     kind: str  # own, still, orbit, dolly, or the name of a JSON file
@@ -58,25 +57,25 @@ class Route:
             (m == first[0]).all() for m in self.matrices
         )
 
-    def camera(self, path: flight.Route | None = None) -> Callable[[float], Camera]:
+    def camera(self, path: camera_path.Route | None = None) -> Callable[[float], Camera]:
         """The pinhole on `path`, or else through the matrices."""
-        route = path or flight.listed(self.matrices)
-        return lambda time: flight.camera(route(time), self.fov)
+        route = path or camera_path.listed(self.matrices)
+        return lambda time: camera_path.camera(route(time), self.fov)
 
     def around(self, away: float, frames: int) -> Callable[[float], Camera]:
         """The pinhole on an orbit of the point `away` ahead, or on a dolly towards it."""
         start = self.matrices[0]
         orbits = self.kind == "orbit"
         return self.camera(
-            flight.orbit(start, away, frames) if orbits else flight.dolly(start, away)
+            camera_path.orbit(start, away, frames) if orbits else camera_path.dolly(start, away)
         )
 
 
 def ensure_own(
-    wish: Wish,
+    wish: UserSceneOptions,
     preset: Preset,
     tell: Callable[[str], None] = lambda words: None,
-    engine: Engine = LOCAL,
+    engine: Executor = LOCAL,
 ) -> Path:
     """The clip folder of a user's scene, after rendering what is missing of it.
 
@@ -84,7 +83,7 @@ def ensure_own(
     and what is rendered otherwise than the file says. Raises SceneError where the scene cannot be
     rendered as asked, and ClipError where `out` holds frames of another origin.
     """
-    llvm.activate()
+    llvm.select_variant()
     found = opened(wish.file, wish.parameters)
     job, route = job_of(wish, found, preset)
     if job.finished:
@@ -92,13 +91,13 @@ def ensure_own(
     for note in found.notes:
         tell(note)
     seen, usual = _looked(job.scene, route, job.preset)
-    own = seen.exposure if found.flies else usual
+    own = seen.exposure if found.animates_camera else usual
     job = replace(job, scene=replace(seen, exposure=wish.exposure or own))
     tell(told(job))
-    return finish([job], engine=engine)[0]
+    return render_missing([job], engine=engine)[0]
 
 
-def job_of(wish: Wish, found: Opened, preset: Preset) -> tuple[Job, Route]:
+def job_of(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[Job, CameraPath]:
     """What is to be rendered of an opened scene, before it was looked at. Raises SceneError."""
     route = _route(wish, found)
     size = _size(wish, found, preset)
@@ -117,31 +116,31 @@ def told(job: Job) -> str:
     return f"{job.name}: {plan.frames} frames of {size}, exposure {job.scene.exposure:g}"
 
 
-def _looked(scene: Scene, route: Route, plan: Preset) -> tuple[Scene, float]:
+def _looked(scene: Scene, route: CameraPath, plan: Preset) -> tuple[Scene, float]:
     """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
-    with sight.told():
+    with auto_exposure.told():
         tracer = open_tracer(scene, *plan.size)
     if route.kind in ("orbit", "dolly"):
-        camera = route.around(sight.distance(tracer), plan.frames)
+        camera = route.around(auto_exposure.distance(tracer), plan.frames)
         tracer.scene = replace(scene, camera=camera)
-    exposure, seen = sight.survey(tracer, plan.frames), tracer.scene
+    exposure, seen = auto_exposure.estimate_exposure(tracer, plan.frames), tracer.scene
     del tracer
     gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
     return seen, exposure
 
 
-def _route(wish: Wish, found: Opened) -> Route:
-    kind = wish.camera or ("own" if found.flies else "orbit")
+def _route(wish: UserSceneOptions, found: UserScene) -> CameraPath:
+    kind = wish.camera or ("own" if found.animates_camera else "orbit")
     fov = found.fov
     if kind == "own":
-        return Route(kind)
+        return CameraPath(kind)
     if kind in ("still", "orbit", "dolly"):
-        return Route(kind, (found.start(),), fov)
-    matrices, given = flight.read(Path(kind))
-    return Route(Path(kind).stem, tuple(matrices), given or fov)
+        return CameraPath(kind, (found.start(),), fov)
+    matrices, given = camera_path.read(Path(kind))
+    return CameraPath(Path(kind).stem, tuple(matrices), given or fov)
 
 
-def _frames(wish: Wish, route: Route, preset: Preset) -> int:
+def _frames(wish: UserSceneOptions, route: CameraPath, preset: Preset) -> int:
     there = len(route.matrices)
     if route.kind in ("own", "still", "orbit", "dolly"):
         return wish.frames or preset.frames
@@ -153,7 +152,7 @@ def _frames(wish: Wish, route: Route, preset: Preset) -> int:
     return wish.frames or there
 
 
-def _size(wish: Wish, found: Opened, preset: Preset) -> tuple[int, int]:
+def _size(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[int, int]:
     """Height and width: as asked, or about as many pixels as the preset's in the film's shape."""
     if wish.size or not found.aspect:
         return wish.size or preset.size
@@ -162,7 +161,7 @@ def _size(wish: Wish, found: Opened, preset: Preset) -> tuple[int, int]:
     return high, wide
 
 
-def _scene(wish: Wish, found: Opened, route: Route, plan: Preset) -> Scene:
+def _scene(wish: UserSceneOptions, found: UserScene, route: CameraPath, plan: Preset) -> Scene:
     """The scene as far as it is known before it is looked at, with the hash of its origin."""
     matrices = [matrix.tolist() for matrix in route.matrices]
     path = f"{route.kind} {matrices} {route.fov}"

@@ -26,16 +26,16 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.mitsuba import xml_scene as document
+from rlbench.render.mitsuba import xml_scene
 from rlbench.render.scene import Camera, Document, Scene, SceneError
-from rlbench.render.user import camera_path as flight
+from rlbench.render.user import camera_path
 
 Vertices = Mapping[str, Float[Array, "v 3"]]
 UNSAID = re.compile(r"scene(_v\d+)?", re.IGNORECASE)  # file names that say nothing
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class UserScene:
     """A scene, and what its file says beyond it."""
 
     scene: Scene
@@ -43,7 +43,7 @@ class Opened:
     made_of: str  # hash of the files
     matrix: Float[Array, "4 4"] | None  # camera-to-world, as the file has it
     fov: float  # horizontal, degrees
-    flies: bool = False  # does the scene move its camera itself?
+    animates_camera: bool = False  # does the scene move its camera itself?
     moves: bool = False  # may shapes move?
     aspect: float = 0.0  # width over height of its film; 0 where it has none
     notes: list[str] = field(default_factory=list)  # what is rendered otherwise than it says
@@ -54,14 +54,14 @@ class Opened:
             raise SceneError(
                 f"{self.name} has no sensor; add one, or give --camera a JSON file of matrices"
             )
-        return flight.rigid(self.matrix, f"{self.name}: to_world of its sensor")
+        return camera_path.rigid(self.matrix, f"{self.name}: to_world of its sensor")
 
     def digest(self, frames: int) -> str:
         """Hash of all that the scene is made of."""
         return f"{self.made_of} {fingerprint(self.scene, frames)}"
 
 
-def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> Opened:
+def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> UserScene:
     """Open an XML or Python file. Mitsuba must be running. Raises SceneError."""
     if not file.is_file():
         raise SceneError(f"no scene file {file}; --scene takes a Mitsuba XML or a Python file")
@@ -92,13 +92,13 @@ def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> Opened:
     return _moved(found, file, hook)
 
 
-def _from_xml(asked: Document) -> Opened:
-    facts = document.read(asked)
+def _from_xml(asked: Document) -> UserScene:
+    facts = xml_scene.read(asked)
     stem = asked.file.stem
     name = asked.file.resolve().parent.name if UNSAID.fullmatch(stem) else stem
     scene = Scene(name, name, (), lambda time: Camera((0, 0, 0), (0, 1, 0)), document=asked)
     scene = replace(scene, depth=facts.depth)
-    return Opened(
+    return UserScene(
         scene,
         name,
         facts.digest,
@@ -109,17 +109,17 @@ def _from_xml(asked: Document) -> Opened:
     )
 
 
-def _from_scene(scene: Scene, made_of: str) -> Opened:
+def _from_scene(scene: Scene, made_of: str) -> UserScene:
     first, moves = scene.camera(0.0), not scene.static
     if scene.document:
-        made_of = f"{made_of} {document.read(scene.document).digest}"
-    return Opened(scene, scene.name, made_of, flight.matrix(first), first.fov, True, moves)
+        made_of = f"{made_of} {xml_scene.read(scene.document).digest}"
+    return UserScene(scene, scene.name, made_of, camera_path.matrix(first), first.fov, True, moves)
 
 
-def _moved(found: Opened, file: Path, hook: Callable[..., Any]) -> Opened:
+def _moved(found: UserScene, file: Path, hook: Callable[..., Any]) -> UserScene:
     """`found` with the meshes that `hook` moves; at and before time 0 they are as at time 0."""
     plan = found.scene.document
-    meshes = document.meshes(plan) if plan else {mesh.name: mesh for mesh in found.scene.meshes}
+    meshes = xml_scene.meshes(plan) if plan else {mesh.name: mesh for mesh in found.scene.meshes}
     rest = {name: mesh.vertices for name, mesh in meshes.items()}
 
     def moving(time: float) -> Vertices:
@@ -139,7 +139,7 @@ def _moved(found: Opened, file: Path, hook: Callable[..., Any]) -> Opened:
         return moved
 
     static = found.scene.static and not first
-    scene = replace(found.scene, moving=steady, static=static)
+    scene = replace(found.scene, vertex_animation=steady, static=static)
     if scene.document:
         scene = replace(scene, meshes=tuple(meshes[name] for name in first))
     return replace(found, scene=scene, moves=True)

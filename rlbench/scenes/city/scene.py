@@ -45,7 +45,7 @@ def scene() -> Scene:
                 "sky_scale": 1.0,
             },
         ),
-        moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
+        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=5.0,
         takes=(static(_camera, 40.0), cut(_camera, _balcony, "sky0", 1.0, 0.3)),  # a cloud
     )

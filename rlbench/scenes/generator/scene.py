@@ -14,7 +14,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
-from rlbench.scenes.generator import materials as looks
+from rlbench.scenes.generator import materials
 from rlbench.scenes.generator.places import PLACES, SOLIDS, Floats, Place, thing
 from rlbench.scenes.parts.shapes import Shape, boxes, grid, merge, placed, rotation, yaw
 
@@ -59,7 +59,7 @@ def scene(seed: int) -> Scene:
     if family == "water":  # hardly a light path finds a small source through a water surface
         kind = {"bulbs": "lamps", "sunsky": "sky"}.get(kind, kind)
     place = PLACES[family](rng, kind)
-    light = looks.light(rng, place, kind)
+    light = materials.light(rng, place, kind)
     track = _track(rng, place, move)
     movers = {} if move == "frozen" else _movers(rng, place, track, int(move == "still"))
     parts = place.shell | _clutter(rng, place, track, movers, light.sharp)
@@ -79,7 +79,7 @@ def scene(seed: int) -> Scene:
         meshes=(*meshes, *light.lamps),
         camera=track.camera,
         sky=light.sky,
-        moving=lambda time: {name: pose(time) for name, pose in poses.items()},
+        vertex_animation=lambda time: {name: pose(time) for name, pose in poses.items()},
         exposure=MIDDLE / light.level * 2 ** rng.uniform(-0.7, 0.7),
         depth=10 if any(m.material["type"] == "dielectric" for m in meshes) else 8,
         static=not poses and move in ("still", "frozen"),
@@ -278,14 +278,14 @@ def _lift(waves: Floats, plane: NDArray[np.float32], time: float) -> NDArray[np.
 
 def _materials(rng: Generator, sharp: bool) -> dict[str, Plugin]:
     """A material for every name that a part can have."""
-    plain = (looks.diffuse, looks.textured, looks.plastic)
-    finishes = [*plain, looks.metal, looks.plastic if sharp else looks.mirror]
+    plain = (materials.diffuse, materials.textured, materials.plastic)
+    finishes = [*plain, materials.metal, materials.plastic if sharp else materials.mirror]
     order = rng.permutation(len(finishes))
     solids = {f"solid{k}": finishes[order[k]](rng) for k in range(3)}
     movers = {f"mover{k}": finishes[order[k + 3]](rng) for k in range(2)}
     shell = {name: plain[rng.integers(3)](rng, PALE[name], 0.4) for name in PALE}
-    thin = {"leaf": looks.leaf(rng), "cloth": looks.twosided(looks.textured(rng))}
-    clear = {"glass": looks.glass(rng), "water": looks.glass(rng)}
+    thin = {"leaf": materials.leaf(rng), "cloth": materials.twosided(materials.textured(rng))}
+    clear = {"glass": materials.glass(rng), "water": materials.glass(rng)}
     return solids | movers | shell | thin | clear
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes.hall import structure as frame
+from rlbench.scenes.hall import structure
 from rlbench.scenes.hall.lamps import RADIANCE, Lamps, fixed, joined, tubes
 from rlbench.scenes.hall.machines import lamps as carried
 from rlbench.scenes.hall.machines import machines
@@ -42,7 +42,7 @@ def scene() -> Scene:
             *_movers(0.0),
         ),
         camera=_camera,
-        moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
+        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=6.0,
         depth=4,
         takes=(
@@ -85,11 +85,11 @@ def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
     dark = mix((0.22, 0.25, 0.29), (0.44, 0.45, 0.48), noise(random, 256, 0.2))
     copper = mix((0.48, 0.26, 0.15), (0.72, 0.45, 0.29), noise(random, 128, 0.2))
     return (
-        frame.floor().mesh("floor", polished(bitmap(slabs))),
-        frame.shell().mesh("shell", diffuse(bitmap(linings))),
-        frame.frames().mesh("ribs", metal(bitmap(worn), 0.32)),
-        frame.panels(random).mesh("panels", diffuse(bitmap(dark))),
-        frame.pipes().mesh("pipes", metal(bitmap(copper), 0.24), smooth=True),
+        structure.floor().mesh("floor", polished(bitmap(slabs))),
+        structure.shell().mesh("shell", diffuse(bitmap(linings))),
+        structure.frames().mesh("ribs", metal(bitmap(worn), 0.32)),
+        structure.panels(random).mesh("panels", diffuse(bitmap(dark))),
+        structure.pipes().mesh("pipes", metal(bitmap(copper), 0.24), smooth=True),
     )
 
 

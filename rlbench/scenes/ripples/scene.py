@@ -28,7 +28,7 @@ def scene() -> Scene:
         meshes=(*room(random), clutter(random), *fittings(), _glassware(), *_movers(0.0)),
         camera=_camera,
         sky=({"type": "constant", "radiance": rgb(0.15, 0.24, 0.39)},),
-        moving=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
+        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
         exposure=1.8,
         depth=8,
         takes=(static(_camera, 25.0), cut(_camera, _low, "lamp", 0.2, 1.0)),

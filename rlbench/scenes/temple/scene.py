@@ -10,8 +10,7 @@ from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.parts.shapes import Floats, Shape, boxes, merge, quads
 from rlbench.scenes.parts.takes import cut, static, still
 from rlbench.scenes.parts.textures import bitmap, diffuse, metal, mix, noise, polished, rgb, tiles
-from rlbench.scenes.temple import furnishings as things
-from rlbench.scenes.temple import stone
+from rlbench.scenes.temple import furnishings, stone
 from rlbench.scenes.temple.paint import marble, pavement, wood, woven
 from rlbench.scenes.temple.stone import HEIGHT, LENGTH, THICK, WIDTH
 
@@ -38,7 +37,7 @@ def scene() -> Scene:
                 "irradiance": rgb(20.0, 16.0, 10.5),
             },
         ),
-        moving=_moving,
+        vertex_animation=_moving,
         exposure=0.95,
         depth=4,
         takes=(
@@ -121,9 +120,9 @@ def _furniture(random: np.random.Generator) -> tuple[Mesh, ...]:
     green = mix((0.02, 0.07, 0.08), (0.06, 0.24, 0.22), noise(random, 128, 0.2))
     leaf = mix((0.05, 0.15, 0.03), (0.13, 0.28, 0.06), noise(random, 64, 0.2))
     return (
-        things.pedestal().mesh("pedestal", polished(bitmap(marble(random))), smooth=True),
-        things.pots().mesh("pots", polished(bitmap(green)), smooth=True),
-        things.plants(random).mesh("plants", diffuse(bitmap(leaf)), smooth=True),
+        furnishings.pedestal().mesh("pedestal", polished(bitmap(marble(random))), smooth=True),
+        furnishings.pots().mesh("pots", polished(bitmap(green)), smooth=True),
+        furnishings.plants(random).mesh("plants", diffuse(bitmap(leaf)), smooth=True),
     )
 
 
@@ -131,7 +130,7 @@ def _movers(time: float = 0.0) -> tuple[Mesh, ...]:
     """Banners, the lamp with the rings, and the crystal, as they are at a time."""
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     return (
-        things.cloth(time).mesh("banners", diffuse(woven()), smooth=True),
-        things.brass(time).mesh("brass", metal(rgb(0.90, 0.66, 0.32), 0.25), smooth=True),
-        things.crystal(time).mesh("crystal", glass, smooth=True),
+        furnishings.cloth(time).mesh("banners", diffuse(woven()), smooth=True),
+        furnishings.brass(time).mesh("brass", metal(rgb(0.90, 0.66, 0.32), 0.25), smooth=True),
+        furnishings.crystal(time).mesh("crystal", glass, smooth=True),
     )

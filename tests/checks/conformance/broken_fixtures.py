@@ -14,10 +14,10 @@ from torch.nn import functional as F
 
 from rlbench.family import Family, Traits, Variant
 from rlbench.frames import Size
-from rlbench.ops.reprojection import recall
+from rlbench.ops.reprojection import reproject_or_fill
 
 SIZE, LESSER = Size(1, 19, 31), Size(1, 17, 23)  # pixels: faults are as plain in small frames
-SOUND = Traits(needs=frozenset({"albedo", "motion"}), adapts=True, temporal=True)
+SOUND = Traits(inputs=frozenset({"albedo", "motion"}), adaptive=True, temporal=True)
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,16 @@ class Sound:
     def start(self, size):
         return None
 
-    def plan(self, view, samples, state):
-        light = view.albedo.mean(1, keepdim=True) + 0.1
-        return light if state is None else light + recall(state, view.motion, 0.0).mean(1, True)
+    def plan(self, gbuffer, samples, state):
+        light = gbuffer.albedo.mean(1, keepdim=True) + 0.1
+        return (
+            light
+            if state is None
+            else light + reproject_or_fill(state, gbuffer.motion, 0.0).mean(1, True)
+        )
 
-    def denoise(self, view, samples, state):
-        history = 0.0 if state is None else recall(state, view.motion, 0.0)
+    def denoise(self, gbuffer, samples, state):
+        history = 0.0 if state is None else reproject_or_fill(state, gbuffer.motion, 0.0)
         image = samples.mean + 0.5 * history
         return image, image
 
@@ -56,15 +60,15 @@ class Handle:
 class Still(Sound):
     """The same without memory and without a wish."""
 
-    def plan(self, view, samples, state):
-        return torch.ones_like(view.albedo[:, :1])
+    def plan(self, gbuffer, samples, state):
+        return torch.ones_like(gbuffer.albedo[:, :1])
 
-    def denoise(self, view, samples, state):
-        return samples.mean + 0 * view.albedo, None
+    def denoise(self, gbuffer, samples, state):
+        return samples.mean + 0 * gbuffer.albedo, None
 
 
 class WithoutPadding(Sound):
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         coarse = F.avg_pool2d(samples.mean, 2)
         return samples.mean - F.interpolate(coarse, scale_factor=2), None
 
@@ -72,124 +76,124 @@ class WithoutPadding(Sound):
 class UnpaddedLater(WithoutPadding):
     """Shows what is left of a frame, instead of stopping."""
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         return samples.mean[..., :-1, :-1], None
 
 
 class LargePadding(Sound):
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         padded = F.pad(samples.mean, (16, 16, 16, 16), mode="reflect")
         image = padded[..., 16:-16, 16:-16]
-        return super().denoise(view, replace_mean(samples, image), state)
+        return super().denoise(gbuffer, replace_mean(samples, image), state)
 
 
 class InDouble(Sound):
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         return image.double(), state
 
 
 class NotFinite(Sound):
     """Of one size alone, for else it would not run without samples or motion either."""
 
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         bad = samples.counts.shape[-1] == SIZE.w
         return image / (0.0 if bad else 1.0), state
 
 
 class Negative(Sound):
-    def plan(self, view, samples, state):
-        return super().plan(view, samples, state) - 0.3
+    def plan(self, gbuffer, samples, state):
+        return super().plan(gbuffer, samples, state) - 0.3
 
 
 class Unplanned(Sound):
-    def plan(self, view, samples, state):
-        super().plan(view, samples, state)
+    def plan(self, gbuffer, samples, state):
+        super().plan(gbuffer, samples, state)
 
 
 class MixesPrecisions(Sound):
     """Under autocast a product of matrices is of half precision, and what it is mixed with not."""
 
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         return torch.lerp(image, image @ torch.eye(image.shape[-1]), 0.5), state
 
 
 class ReadsMore(Sound):
-    def denoise(self, view, samples, state):
-        view.depth  # noqa: B018
-        return super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        gbuffer.depth  # noqa: B018
+        return super().denoise(gbuffer, samples, state)
 
 
 class WritesSamples(Sound):
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         samples.radiance.clamp_(max=10)
-        return super().denoise(view, samples, state)
+        return super().denoise(gbuffer, samples, state)
 
 
 class WritesView(Sound):
-    def denoise(self, view, samples, state):
-        view.albedo.clamp_(0.1, 0.9)
-        return super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        gbuffer.albedo.clamp_(0.1, 0.9)
+        return super().denoise(gbuffer, samples, state)
 
 
 class WritesState(Sound):
-    def denoise(self, view, samples, state):
-        shown = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        shown = super().denoise(gbuffer, samples, state)
         if state is not None:
             state.mul_(0.5)
         return shown
 
 
 class Trainable(Sound):
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         return image * torch.ones(1, requires_grad=True), state
 
 
 class RemembersGraph(Sound):
-    def plan(self, view, samples, state):
-        return super().plan(view, samples, None if state is None else state["held"][0].detach())
+    def plan(self, gbuffer, samples, state):
+        return super().plan(gbuffer, samples, None if state is None else state["held"][0].detach())
 
-    def denoise(self, view, samples, state):
-        image, _ = super().denoise(view, samples, None if state is None else state["held"][0])
+    def denoise(self, gbuffer, samples, state):
+        image, _ = super().denoise(gbuffer, samples, None if state is None else state["held"][0])
         return image.detach(), {"held": [image * torch.ones(1, requires_grad=True)]}
 
 
 class NeedsOne(Sound):
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         share = samples.counts / samples.counts.sum()
-        image, state = super().denoise(view, samples, state)
+        image, state = super().denoise(gbuffer, samples, state)
         return image + 0 * share, state
 
 
 class EightSlots(Sound):
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         samples.radiance[:, 7]
-        return super().denoise(view, samples, state)
+        return super().denoise(gbuffer, samples, state)
 
 
 class Dice(Sound):
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         return image + 1e-3 * torch.rand_like(image), state
 
 
 class Remembers(Sound):
     """History that is never forgotten, in the method itself."""
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         self.box["calls"] = self.box.get("calls", 0) + 1
-        image, state = super().denoise(view, samples, state)
+        image, state = super().denoise(gbuffer, samples, state)
         return image + 1e-3 * self.box["calls"], state
 
 
 class Peeks(Sound):
     """Finds the frame, and so the reference, in its callers' variables."""
 
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         return image + self.found(sys._getframe()), state
 
     def found(self, caller):
@@ -209,14 +213,14 @@ class PeeksPool(Peeks):
 class ExposesAll(Sound):
     """Normalised by the brightest pixel of all images at once."""
 
-    def denoise(self, view, samples, state):
-        image, state = super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
         return image / image.amax().clamp_min(0.1), state
 
 
 class PlansForAll(Sound):
-    def plan(self, view, samples, state):
-        wish = super().plan(view, samples, state)
+    def plan(self, gbuffer, samples, state):
+        wish = super().plan(gbuffer, samples, state)
         return wish / wish.amax()
 
 
@@ -226,27 +230,29 @@ class OneMemory(Sound):
     def start(self, size):
         self.box.clear()
 
-    def plan(self, view, samples, state):
+    def plan(self, gbuffer, samples, state):
         self.box["history"] = self.box.get("shown")
-        return super().plan(view, samples, self.box["history"])
+        return super().plan(gbuffer, samples, self.box["history"])
 
-    def denoise(self, view, samples, state):
-        image, self.box["shown"] = super().denoise(view, samples, self.box["history"])
+    def denoise(self, gbuffer, samples, state):
+        image, self.box["shown"] = super().denoise(gbuffer, samples, self.box["history"])
         return image, None
 
 
 class NeedsMotion(Sound):
-    def denoise(self, view, samples, state):
-        view.motion.abs()
-        return super().denoise(view, samples, state)
+    def denoise(self, gbuffer, samples, state):
+        gbuffer.motion.abs()
+        return super().denoise(gbuffer, samples, state)
 
 
 class Lingers(Sound):
     """Blends without moving."""
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         history = 0.0 if state is None else state
-        image = samples.mean + 0.5 * history + 0 * recall(samples.mean, view.motion, 0.0)
+        image = (
+            samples.mean + 0.5 * history + 0 * reproject_or_fill(samples.mean, gbuffer.motion, 0.0)
+        )
         return image, image
 
 
@@ -256,23 +262,23 @@ class Elsewhere(Sound):
     def start(self, size):
         return Handle()
 
-    def plan(self, view, samples, state):
-        return super().plan(view, samples, self.box.get(state))
+    def plan(self, gbuffer, samples, state):
+        return super().plan(gbuffer, samples, self.box.get(state))
 
-    def denoise(self, view, samples, state):
-        image, memory = super().denoise(view, samples, self.box.get(state))
+    def denoise(self, gbuffer, samples, state):
+        image, memory = super().denoise(gbuffer, samples, self.box.get(state))
         after = Handle()
         self.box[after] = memory
         return image, after
 
 
 class Uncopied(Sound):
-    def denoise(self, view, samples, state):
-        image, _ = super().denoise(view, samples, None if state is None else next(state))
+    def denoise(self, gbuffer, samples, state):
+        image, _ = super().denoise(gbuffer, samples, None if state is None else next(state))
         return image, (image for _ in count())
 
-    def plan(self, view, samples, state):
-        return super().plan(view, samples, None if state is None else next(state))
+    def plan(self, gbuffer, samples, state):
+        return super().plan(gbuffer, samples, None if state is None else next(state))
 
 
 def replace_mean(samples, image):
@@ -289,7 +295,7 @@ class Fault(NamedTuple):
 
 
 FAULTS = {
-    "other traits": Fault("built", lambda traits: Sound(replace(traits, floor=1))),
+    "other traits": Fault("built", lambda traits: Sound(replace(traits, min_samples=1))),
     "no method at all": Fault("built", lambda traits: SimpleNamespace(traits=traits)),
     "can be written to": Fault(
         "frozen",
@@ -305,21 +311,21 @@ FAULTS = {
     "mixes precisions": Fault("half", MixesPrecisions),
     "a negative density": Fault("density", Negative),
     "no density": Fault("density", Unplanned),
-    "adapts in secret": Fault("uniform", Sound, replace(SOUND, adapts=False)),
+    "adapts in secret": Fault("uniform", Sound, replace(SOUND, adaptive=False)),
     "reads what it did not declare": Fault("reads", ReadsMore),
     "declares what it does not read": Fault(
-        "reads", Sound, replace(SOUND, needs=SOUND.needs | {"normal"})
+        "reads", Sound, replace(SOUND, inputs=SOUND.inputs | {"normal"})
     ),
     "writes to samples": Fault("inputs", WritesSamples),
     "writes to the view": Fault("inputs", WritesView),
     "writes to its state": Fault("inputs", WritesState),
     "an image with a graph": Fault("graph", Trainable),
     "a state with a graph": Fault(
-        "graph", RemembersGraph, replace(SOUND, needs=frozenset({"albedo", "motion"}))
+        "graph", RemembersGraph, replace(SOUND, inputs=frozenset({"albedo", "motion"}))
     ),
-    "buys half": Fault("budget", Sound, Careless(SOUND.needs, "path", True, True, passes=(0.5,))),
-    "a cap below its range": Fault("spread", Sound, replace(SOUND, cap=4)),
-    "a floor above its range": Fault("runs", Sound, replace(SOUND, floor=1)),
+    "buys half": Fault("budget", Sound, Careless(SOUND.inputs, "path", True, True, passes=(0.5,))),
+    "a cap below its range": Fault("spread", Sound, replace(SOUND, max_samples=4)),
+    "a floor above its range": Fault("runs", Sound, replace(SOUND, min_samples=1)),
     "divides by what it bought": Fault("nothing", NeedsOne),
     "wants eight slots": Fault("fewer", EightSlots),
     "draws without a seed": Fault("repeats", Dice),
@@ -338,7 +344,7 @@ FAULTS = {
 
 TRAITS = {
     "sound": SOUND,
-    "still": replace(SOUND, adapts=False, temporal=False, needs=frozenset({"albedo"})),
+    "still": replace(SOUND, adaptive=False, temporal=False, inputs=frozenset({"albedo"})),
 }
 TRAITS |= {name: fault.traits for name, fault in FAULTS.items()}
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from rlbench.checks.conformance.checks import CLAIMS
-from rlbench.checks.conformance.method_under_test import Subject
-from rlbench.checks.conformance.suite import examine
+from rlbench import registry
+from rlbench.checks.conformance.checks import CHECKS
+from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.suite import run_checks
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
-from rlbench.registry import lookup as registry
 from tests.checks.conformance.broken_fixtures import FAULTS, LESSER, SIZE
 from tests.conftest import write_plugin
 
@@ -21,8 +21,8 @@ def _planted(monkeypatch: pytest.MonkeyPatch):
 
 
 def told(name: str) -> dict[str, Verdict]:
-    subject = Subject(f"plants/{name}", size=SIZE, lesser=LESSER)
-    return {claim.name: finding.verdict for claim, finding in examine(subject)}
+    subject = MethodUnderTest(f"plants/{name}", size=SIZE, lesser=LESSER)
+    return {claim.name: finding.verdict for claim, finding in run_checks(subject)}
 
 
 def red(name: str) -> list[str]:
@@ -41,7 +41,7 @@ def test_a_fault_turns_its_own_claim_red_and_no_other(fault):
     assert red(fault) == [FAULTS[fault].claim]
 
 
-@pytest.mark.parametrize("claim", CLAIMS)
+@pytest.mark.parametrize("claim", CHECKS)
 def test_every_claim_has_a_fault_that_it_finds(claim):
     assert claim in {fault.claim for fault in FAULTS.values()}
 
@@ -56,7 +56,7 @@ def test_a_strangers_method_is_ticked_claim_by_claim(tmp_path):
     plugin = write_plugin(tmp_path / "mine.py", "mine")
     lines = rlbench("check", "mine/B1", "--plugin", plugin, code=0)
     assert lines[0] == "mine/B1"
-    assert lines[1 : len(CLAIMS) + 1] == [f"  ✓ {claim.sentence}" for claim in CLAIMS.values()]
+    assert lines[1 : len(CHECKS) + 1] == [f"  ✓ {claim.sentence}" for claim in CHECKS.values()]
     assert lines[-1] == "1 methods were checked, none unsound"
 
 
@@ -65,7 +65,7 @@ def test_what_fails_is_told_with_what_was_found_and_what_would_do(tmp_path):
     (line,) = [line for line in rlbench("check", "mine", "--plugin", plugin, code=1) if "✗" in line]
     assert line == (
         "  ✗ it reads exactly the view buffers that it declares: it reads none, and declares depth "
-        "-> declare in Traits(needs=...) what it reads"
+        "-> declare in Traits(inputs=...) what it reads"
     )
 
 
@@ -108,11 +108,11 @@ def test_samples_of_the_world_stand_for_any_pool_that_is_installed(tmp_path, mon
     assert "1 methods were checked, none unsound" in rlbench(
         "check", "mine", "--plugin", plugin, code=0
     )
-    assert not Subject("mine").absent
+    assert not MethodUnderTest("mine").absent
 
 
 def test_a_pilot_pass_is_no_fault(tmp_path):
-    traits = "adapts=True, passes=(0.25, 1.0), fresh=True, floor=1, spp=(4.0, 8.0)"
+    traits = "adaptive=True, passes=(0.25, 1.0), fresh=True, floor=1, spp=(4.0, 8.0)"
     plugin = write_plugin(tmp_path / "mine.py", "mine", traits=traits)
     rlbench("check", "mine", "--plugin", plugin, code=0)
 

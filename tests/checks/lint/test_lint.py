@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from rlbench.checks.finding import Verdict
 from rlbench.checks.lint.checks import examine, geometry
-from rlbench.checks.lint.clip_arrays import Footage, read_footage
+from rlbench.checks.lint.clip_arrays import ClipArrays, read_footage
 from rlbench.checks.lint.geometry import VIEW, rotation
 from rlbench.checks.lint.motion import motion as check_motion
-from rlbench.checks.lint.motion_conventions import STORED, Reading, readings
+from rlbench.checks.lint.motion_conventions import STORED, MotionConvention, readings
 from rlbench.checks.lint.noise_statistics import bounded, correlation, ratio
 from rlbench.checks.lint.reference import ceiling, ceiling_db, half_noise, halves
 from rlbench.checks.lint.values import finite
@@ -36,7 +36,7 @@ QUICK = (  # one of each module runs always, all of them when slow tests do
 
 
 @pytest.fixture(scope="module")
-def footage() -> Footage:
+def footage() -> ClipArrays:
     return clean()
 
 
@@ -69,20 +69,22 @@ def test_a_fault_turns_its_own_check_red_and_no_other(footage, tmp_path, fault):
     assert red(store(plant(footage), tmp_path / "faulty")) == [check]
 
 
-def cut_at(footage: Footage, index: int, outside: bool) -> Footage:
+def cut_at(footage: ClipArrays, index: int, outside: bool) -> ClipArrays:
     """The footage, in which another clip is shown from frame `index` on, as its header says."""
     other, kept = clean(7), slice(None, index)
-    view = {k: torch.cat((v[kept], other.view[k][index:])) for k, v in footage.view.items()}
+    gbuffer = {
+        k: torch.cat((v[kept], other.gbuffer[k][index:])) for k, v in footage.gbuffer.items()
+    }
     if outside:
         away = torch.tensor([-2.0 * footage.header.width, -2.0 * footage.header.height])
-        view["motion"][index] = away.view(2, 1, 1)
+        gbuffer["motion"][index] = away.view(2, 1, 1)
     a, b = (torch.cat((one[kept], two[index:])) for one, two in _halves(footage, other))
     pool = torch.cat((footage.pools["path"][kept], other.pools["path"][index:]))
-    return Footage(replace(footage.header, cuts=(index,)), view, {"path": pool}, a, b)
+    return ClipArrays(replace(footage.header, cuts=(index,)), gbuffer, {"path": pool}, a, b)
 
 
-def _halves(one: Footage, two: Footage):
-    return (one.a, two.a), (one.b, two.b)
+def _halves(one: ClipArrays, two: ClipArrays):
+    return (one.half_a, two.half_a), (one.half_b, two.half_b)
 
 
 @pytest.mark.parametrize("index", [1, 2])
@@ -120,11 +122,11 @@ def test_what_fails_says_what_would_do(footage, tmp_path):
 
 
 def test_nothing_behind_a_pane_is_background_too(footage):
-    behind = footage.view["depth"].clone()
+    behind = footage.gbuffer["depth"].clone()
     behind[0, 0, 3, 4] = torch.inf
-    more = replace(footage, view={**footage.view, "depth_behind": behind})
+    more = replace(footage, gbuffer={**footage.gbuffer, "depth_behind": behind})
     assert finite(more).verdict is Verdict.PASS
-    assert more.sound.view["depth_behind"][0, 0, 3, 4] == torch.inf
+    assert more.sound.gbuffer["depth_behind"][0, 0, 3, 4] == torch.inf
 
 
 def test_a_number_of_samples_that_is_not_known_predicts_nothing(footage):
@@ -135,13 +137,15 @@ def test_a_number_of_samples_that_is_not_known_predicts_nothing(footage):
 
 def test_a_static_clip_needs_no_motion(tmp_path):
     still = clean(frames=1)
-    frozen = {name: image.repeat(3, 1, 1, 1) for name, image in still.view.items()}
+    frozen = {name: image.repeat(3, 1, 1, 1) for name, image in still.gbuffer.items()}
     header = replace(
         still.header, frames=3, static=True, reference_spp=still.header.reference_spp * 3,
         buffers=("albedo", "normal", "depth"),
     )  # fmt: skip
     many = clean(frames=3)
-    footage = Footage(header, {k: frozen[k] for k in header.buffers}, many.pools, many.a, many.b)
+    footage = ClipArrays(
+        header, {k: frozen[k] for k in header.buffers}, many.pools, many.half_a, many.half_b
+    )
     (motion,) = (f for f in examine(footage) if f.check == "motion")
     assert (motion.verdict, motion.found) == (Verdict.PASS, "static, and the view does not change")
 
@@ -149,7 +153,7 @@ def test_a_static_clip_needs_no_motion(tmp_path):
 def test_footage_holds_what_the_clip_reader_reads(footage, folder):
     frame = open_clip(folder, seed=3).frame(2)
     read = read_footage(folder)
-    assert torch.equal(read.view["motion"][2, None], frame.view.motion)
+    assert torch.equal(read.gbuffer["motion"][2, None], frame.gbuffer.motion)
     assert torch.equal(read.reference[2, None] * 0.5, frame.reference.mean)
 
 
@@ -168,7 +172,7 @@ def test_readings_are_every_combination_once():
 
 def test_a_reading_turns_stored_motion_into_pixels():
     stored = torch.tensor([0.5, -0.25]).view(1, 2, 1, 1).expand(1, 2, 10, 20)
-    found = Reading(True, (-1, 1), "NDC (-1..1)").pixels(stored)
+    found = MotionConvention(True, (-1, 1), "NDC (-1..1)").pixels(stored)
     # y first: x is -0.25, of the other sign 0.25, times half of 20; y is 0.5 times half of 10
     torch.testing.assert_close(found[0, :, 0, 0], torch.tensor([2.5, 2.5]))
     torch.testing.assert_close(STORED.pixels(stored), stored)
@@ -176,8 +180,8 @@ def test_a_reading_turns_stored_motion_into_pixels():
 
 def test_depth_and_normals_give_the_field_of_view_of_the_camera(footage):
     fit = geometry(footage)[VIEW]
-    view = math.degrees(2 * math.atan(0.5 / fit.focal))
-    assert view == pytest.approx(60, abs=3)  # the search's last step is 5 % of the focal length
+    gbuffer = math.degrees(2 * math.atan(0.5 / fit.focal))
+    assert gbuffer == pytest.approx(60, abs=3)  # the search's last step is 5 % of the focal length
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
@@ -213,7 +217,7 @@ def test_the_ceiling_is_the_psnr_of_noise_of_that_size():
     still = clean(frames=1, half=1)
     shade = torch.full((1, 3, 72, 96), 0.25)
     noisy = [shade + 0.01 * torch.randn(shade.shape, generator=draw) for _ in "AB"]
-    footage = Footage(replace(still.header, exposure=1.0), {}, {}, *noisy)
+    footage = ClipArrays(replace(still.header, exposure=1.0), {}, {}, *noisy)
     slope = 1.055 / 2.4 * 0.25 ** (1 / 2.4 - 1)  # of the sRGB curve, by hand
     expected = -20 * math.log10(slope * 0.01 / math.sqrt(2))
     assert ceiling_db(footage) == pytest.approx(expected, abs=0.2)
@@ -252,7 +256,7 @@ def test_an_object_before_nothing_is_judged_by_itself():
     texture = torch.cat(waves, 1)
     motion = torch.zeros(frames, 2, h, w)
     motion[:, :1] = torch.where(disc, -turn, pan)
-    view = {
+    gbuffer = {
         "albedo": (texture * 0.4 + 0.5).where(disc, 0.0),
         "normal": torch.nn.functional.normalize(texture + 2, dim=1).where(disc, 0.0),
         "depth": torch.where(disc, 4.0, torch.inf),
@@ -260,5 +264,5 @@ def test_an_object_before_nothing_is_judged_by_itself():
     }
     light = torch.zeros(frames, 3, h, w)
     header = replace(clean(frames=1).header, frames=frames, reference_spp=(1,) * frames)
-    found = check_motion(Footage(header, view, {}, light, light))
+    found = check_motion(ClipArrays(header, gbuffer, {}, light, light))
     assert found.verdict is Verdict.PASS, found.found

@@ -13,8 +13,7 @@ import OpenEXR
 import torch
 from PIL import Image
 
-from rlbench.clips.importers import formats
-from rlbench.clips.importers import writer as store
+from rlbench.clips.importers import formats, writer
 from rlbench.clips.stored import StoredClip, open_clip
 
 H, W = 12, 16  # at least the window of SSIM
@@ -24,14 +23,14 @@ ROWS, COLUMNS = np.mgrid[:H, :W]
 def imported(source: Path, format_: str, out: Path, **wanted: object) -> StoredClip:
     """The one clip that a source becomes."""
     (sequence,) = formats.sequences(source, format_, wanted.get("frames"))
-    header = store.plan(sequence, wanted.get("samples"))
-    store.store(sequence, header, out / sequence.name)
-    return open_clip(out / sequence.name, frozenset(sequence.buffers), slots=64)
+    header = writer.clip_header(sequence, wanted.get("samples"))
+    writer.store(sequence, header, out / sequence.name)
+    return open_clip(out / sequence.name, frozenset(sequence.buffers), max_samples=64)
 
 
 def stored(clip: StoredClip, index: int, buffer: str) -> np.ndarray:
     """A view buffer, [h w c]."""
-    return clip.frame(index).view.buffers[buffer][0].permute(1, 2, 0).numpy()
+    return clip.frame(index).gbuffer.buffers[buffer][0].permute(1, 2, 0).numpy()
 
 
 def pool(clip: StoredClip, index: int) -> np.ndarray:
@@ -104,8 +103,8 @@ def noisebase_arrays(
     moved[H // 2 :, :, 1] = 0.05
     normal = np.broadcast_to(-forward, (H, W, 3)).copy()
     normal[0], wall[0] = 0, 0
-    view = np.eye(4)
-    view[:3, :3] = right, up, forward
+    gbuffer = np.eye(4)
+    gbuffer[:3, :3] = right, up, forward
     shift = np.eye(4)
     shift[:3, 3] = -position
     projection = np.zeros((4, 4))
@@ -130,7 +129,7 @@ def noisebase_arrays(
         "camera_position": position.astype(np.float32),
         "camera_target": (position + 3 * forward).astype(np.float32),
         "camera_up": up.astype(np.float32),
-        "view_proj_mat": (projection @ view @ shift).T.astype(np.float32),
+        "view_proj_mat": (projection @ gbuffer @ shift).T.astype(np.float32),
         "proj_mat": projection.astype(np.float32),
         "crop_offset": np.zeros(2, np.int32),
     }

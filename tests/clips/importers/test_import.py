@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from rlbench.benchmark import results as table
+from rlbench.benchmark import results
 from rlbench.cli.app import app
-from rlbench.clips.importers import formats
-from rlbench.clips.importers import writer as store
+from rlbench.clips.importers import formats, writer
 from rlbench.clips.importers.sequence import SourceError, clip_name, span
 from rlbench.clips.stored import ClipError, Header, open_clip, read_header, verify
 from tests.clips.importers.sources import oidn, paper, radiance
@@ -34,7 +33,7 @@ def test_a_method_runs_on_an_imported_clip(source, tmp_path):
     told = rlbench("import", source, "--format", "oidn", "--out", out)
     assert "imported, 3 frames of 16 x 12, of each pixel 2 samples" in told
     rlbench("run", "-m", "mean", "--clips", out, "--spp", "2", "--out", tmp_path / "results")
-    rows = table.read(tmp_path / "results")
+    rows = results.read(tmp_path / "results")
     found = rows[rows["metric"] == "relmse"].sort_values("frame")["value"].to_numpy()
     for frame, score in enumerate(found):
         image = (radiance(frame, 0) + radiance(frame, 1)) / 2
@@ -47,7 +46,7 @@ def test_a_method_runs_on_an_imported_clip(source, tmp_path):
 def test_what_needs_two_halves_is_not_scored_on_one_reference(source, tmp_path):
     rlbench("import", source, "--format", "oidn", "--out", tmp_path / "clips")
     rlbench("run", "-m", "mean", "--clips", tmp_path / "clips", "--out", tmp_path / "r")
-    rows = table.read(tmp_path / "r")
+    rows = results.read(tmp_path / "r")
     debiased = rows[rows["metric"] == "mse_debiased"]
     assert debiased["value"].isna().all()
     assert set(debiased["note"].str.partition(",")[0]) == {
@@ -59,7 +58,7 @@ def test_what_needs_two_halves_is_scored_on_two(tmp_path):
     source = oidn(tmp_path / "source", halves=True)
     rlbench("import", source, "--format", "oidn", "--out", tmp_path / "clips")
     rlbench("run", "-m", "mean", "--clips", tmp_path / "clips", "--out", tmp_path / "r")
-    rows = table.read(tmp_path / "r")
+    rows = results.read(tmp_path / "r")
     assert rows[rows["metric"] == "mse_debiased"]["value"].notna().all()
 
 
@@ -110,7 +109,7 @@ def _killed_after(source, folder, frames: int) -> None:
         if next(left, None) is None:
             raise KeyboardInterrupt
 
-    store.store(sequence, store.plan(sequence, None), folder, tell)
+    writer.store(sequence, writer.clip_header(sequence, None), folder, tell)
 
 
 def test_a_killed_import_is_unfinished(source, tmp_path):
@@ -224,7 +223,7 @@ def test_what_is_not_finite_is_not_imported(tmp_path):
     exr(source / "walk_0001_seed0_0001spp.hdr.exr", image)
     (sequence,) = formats.sequences(source, "oidn")
     with pytest.raises(ClipError, match=r"frame 1: 1 values of pool\.path are not finite"):
-        store.store(sequence, store.plan(sequence, None), tmp_path / "out")
+        writer.store(sequence, writer.clip_header(sequence, None), tmp_path / "out")
 
 
 # The header

@@ -50,7 +50,7 @@ def test_the_header_says_what_there_is_and_what_is_lacking(clip):
 
 def test_two_references_of_one_spp_are_two_halves(tmp_path):
     clip = imported(oidn(tmp_path / "source", halves=True), "oidn", tmp_path / "out")
-    b = clip.frame(2).reference.b[0].permute(1, 2, 0).numpy()
+    b = clip.frame(2).reference.half_b[0].permute(1, 2, 0).numpy()
     np.testing.assert_array_equal(b, radiance(2, 9) + np.float32(1 / 3))
     assert (clip.header.lacks, clip.header.reference_spp) == (("normal",), (2048,) * 3)
 
@@ -59,7 +59,7 @@ def test_a_reference_may_be_named_so_and_then_its_spp_is_unknown(tmp_path):
     source = oidn(tmp_path / "source", frames=1)
     exr(source / "walk_0000_ref.hdr.exr", radiance(0, 5))
     clip = imported(source, "oidn", tmp_path / "out")
-    found = clip.frame(0).reference.a[0].permute(1, 2, 0).numpy()
+    found = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
     np.testing.assert_array_equal(found, radiance(0, 5))
     assert clip.header.reference_spp == (0,)
 

@@ -20,8 +20,8 @@ SEEDS = (0, 1, 2)
 
 
 def tensors(frame: Frame) -> dict[str, torch.Tensor]:
-    reference = {"a": frame.reference.a, "b": frame.reference.b}
-    return {**frame.view.buffers, **reference, "pool": frame.pool.radiance}
+    reference = {"a": frame.reference.half_a, "b": frame.reference.half_b}
+    return {**frame.gbuffer.buffers, **reference, "pool": frame.pool.radiance}
 
 
 # A slow, obvious ray caster: one pixel at a time, one object at a time, in plain numbers
@@ -76,7 +76,7 @@ def cast(numbers: dict[str, np.ndarray], time: float, x: int, y: int, h: int, w:
 
 
 def numbers_of(seed: int) -> dict[str, np.ndarray]:
-    drawn = world.draw([f"{seed}/0"], torch.device("cpu"))
+    drawn = world.random_world([f"{seed}/0"], torch.device("cpu"))
     return {f.name: getattr(drawn, f.name)[0].numpy() for f in fields(drawn)}
 
 
@@ -90,14 +90,14 @@ def every_pixel(seed: int, time: float):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_depth_is_that_of_a_slow_ray_caster(seed):
     slow = torch.tensor([[float(p[0]) for p in row] for row in every_pixel(seed, 3.0)])
-    fast = procedural(seed, SMALL).frames[3].view.depth[0, 0]
+    fast = procedural(seed, SMALL).frames[3].gbuffer.depth[0, 0]
     assert_close(fast, slow, atol=0, rtol=1e-5)  # float32 keeps 7 digits
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_normals_are_those_of_a_slow_ray_caster(seed):
     slow = torch.tensor(np.array([[p[3] for p in row] for row in every_pixel(seed, 3.0)]))
-    fast = procedural(seed, SMALL).frames[3].view.normal[0].permute(1, 2, 0)
+    fast = procedural(seed, SMALL).frames[3].gbuffer.normal[0].permute(1, 2, 0)
     assert_close(fast, slow.float(), atol=1e-5, rtol=0)
 
 
@@ -127,7 +127,7 @@ def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: in
 @pytest.mark.parametrize("seed", SEEDS)
 def test_motion_leads_to_where_the_point_was(seed):
     _, h, w = SMALL
-    numbers, motion = numbers_of(seed), procedural(seed, SMALL).frames[3].view.motion[0].numpy()
+    numbers, motion = numbers_of(seed), procedural(seed, SMALL).frames[3].gbuffer.motion[0].numpy()
     hits = every_pixel(seed, 3.0)
     seen = [(x, y) for y in range(h) for x in range(w) if hits[y][x][1] >= 0]
     tracked = np.array([track(numbers, hits[y][x], 3.0, 2.0, h, w) - (x, y) for x, y in seen])
@@ -140,13 +140,13 @@ def test_the_sky_moves_as_the_camera_turns():
     """A direction at infinity, seen again by the previous camera, by a rotation matrix."""
     _, h, w = size = Size(1, 24, 32)
     frame = procedural(0, size).frames[3]
-    y, x = np.argwhere(frame.view.depth[0, 0].isinf().numpy())[0]
+    y, x = np.argwhere(frame.gbuffer.depth[0, 0].isinf().numpy())[0]
     focal = (w / 2) / math.tan(math.radians(30))
     now, then = (np.stack(camera(numbers_of(0), t)[1:]) for t in (3.0, 2.0))
     ray = np.array([(x + 0.5 - w / 2) / focal, (y + 0.5 - h / 2) / focal, 1.0])
     right, down, forward = then @ now.T @ ray
     place = np.array([right, down]) / forward * focal + [w / 2 - 0.5, h / 2 - 0.5]
-    motion = frame.view.motion[0, :, y, x].numpy()
+    motion = frame.gbuffer.motion[0, :, y, x].numpy()
     np.testing.assert_allclose(motion, place - (x, y), atol=1e-5)
 
 
@@ -154,9 +154,9 @@ def test_the_sky_moves_as_the_camera_turns():
 def test_albedo_moved_by_motion_is_the_albedo(seed):
     """Textures stay on their surfaces; only edges and what was hidden differ."""
     before, now = procedural(seed, Size(1, 192, 256)).frames[3:5]
-    moved, valid = reproject(before.view.albedo, now.view.motion)
-    error = (moved - now.view.albedo).abs().amax(1, keepdim=True)[valid]
-    unmoved = (before.view.albedo - now.view.albedo).abs().amax(1, keepdim=True)[valid]
+    moved, valid = reproject(before.gbuffer.albedo, now.gbuffer.motion)
+    error = (moved - now.gbuffer.albedo).abs().amax(1, keepdim=True)[valid]
+    unmoved = (before.gbuffer.albedo - now.gbuffer.albedo).abs().amax(1, keepdim=True)[valid]
     assert error.median() < 2e-3  # bilinear taps on a smooth texture
     assert (error > 0.02).float().mean() < 0.04  # silhouettes and what was hidden
     assert (error > 0.02).float().mean() < 0.25 * (unmoved > 0.02).float().mean()
@@ -167,29 +167,29 @@ def test_albedo_moved_by_motion_is_the_albedo(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_background_has_infinite_depth_and_no_normal(seed):
-    view = procedural(seed, SMALL).frames[0].view
-    sky = view.depth.isinf()
+    gbuffer = procedural(seed, SMALL).frames[0].gbuffer
+    sky = gbuffer.depth.isinf()
     assert sky.any()
-    assert torch.equal(view.normal.norm(dim=1, keepdim=True) == 0, sky)
+    assert torch.equal(gbuffer.normal.norm(dim=1, keepdim=True) == 0, sky)
 
 
 def test_radiance_on_a_surface_is_albedo_times_one_light():
     """Where all is white, the radiance is grey: the light has no colour of its own."""
     frame = procedural(1, SMALL).frames[0]
-    light = frame.reference.a / frame.view.albedo
+    light = frame.reference.half_a / frame.gbuffer.albedo
     spread = light.amax(1) - light.amin(1)
-    assert spread[frame.view.depth[:, 0].isfinite()].max() < 1e-5
+    assert spread[frame.gbuffer.depth[:, 0].isfinite()].max() < 1e-5
 
 
 def test_both_halves_are_the_truth():
     frame = procedural(size=SMALL).frames[1]
-    assert torch.equal(frame.reference.a, frame.reference.b)
+    assert torch.equal(frame.reference.half_a, frame.reference.half_b)
 
 
 def factors(frame: Frame) -> torch.Tensor:
     """[s pixels] Samples over truth, of every pixel that is not sky; the noise is colourless."""
-    ratio = frame.pool.radiance[0, :, 0] / frame.reference.a[0, 0]
-    return ratio[:, frame.view.depth[0, 0].isfinite()].double()
+    ratio = frame.pool.radiance[0, :, 0] / frame.reference.half_a[0, 0]
+    return ratio[:, frame.gbuffer.depth[0, 0].isfinite()].double()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -209,7 +209,7 @@ def test_calm_and_rough_pixels_are_both_unbiased(part):
 
 def test_colours_share_their_noise():
     frame = procedural(size=SMALL).frames[0]
-    ratio = frame.pool.radiance / frame.reference.a[:, None]
+    ratio = frame.pool.radiance / frame.reference.half_a[:, None]
     assert_close(ratio[:, :, 0], ratio[:, :, 2], atol=0, rtol=1e-5)  # float32
 
 
@@ -221,8 +221,8 @@ def test_the_noise_varies_in_space():
 
 def test_the_sky_has_no_noise():
     frame = procedural(size=Size(1, 24, 32)).frames[0]
-    noise = frame.pool.radiance - frame.reference.a[:, None]
-    assert (noise.where(frame.view.depth[:, None].isinf(), 0.0) == 0).all()
+    noise = frame.pool.radiance - frame.reference.half_a[:, None]
+    assert (noise.where(frame.gbuffer.depth[:, None].isinf(), 0.0) == 0).all()
 
 
 def test_fireflies_are_as_rare_as_they_should_be():
@@ -250,23 +250,23 @@ def test_a_batch_of_two_is_two_clips():
     alone = [procedural(seed, SMALL).frames[1] for seed in (7, 8)]
     joined = {k: torch.cat([tensors(f)[k] for f in alone]) for k in tensors(both)}
     assert all(torch.equal(tensors(both)[k], joined[k]) for k in joined)
-    assert both.pool.keys == alone[0].pool.keys + alone[1].pool.keys
+    assert both.pool.rounding_seeds == alone[0].pool.rounding_seeds + alone[1].pool.rounding_seeds
 
 
 def test_noise_and_ties_differ_from_frame_to_frame():
     first, second = procedural(size=SMALL, static=True).frames[:2]
-    assert torch.equal(first.reference.a, second.reference.a)
+    assert torch.equal(first.reference.half_a, second.reference.half_a)
     assert not torch.equal(first.pool.radiance, second.pool.radiance)
-    assert first.pool.keys != second.pool.keys
+    assert first.pool.rounding_seeds != second.pool.rounding_seeds
 
 
 def test_a_static_clip_has_no_motion():
-    assert procedural(size=SMALL, static=True).frames[3].view.motion is None
+    assert procedural(size=SMALL, static=True).frames[3].gbuffer.motion is None
 
 
 def test_a_cut_shows_another_world_from_its_frame_on():
     cut, whole = (procedural(size=SMALL, cut=at, frames=4) for at in (2, None))
-    same = [torch.equal(a.view.depth, b.view.depth) for a, b in zip(cut, whole, strict=True)]
+    same = [torch.equal(a.gbuffer.depth, b.gbuffer.depth) for a, b in zip(cut, whole, strict=True)]
     assert same == [True, True, False, False]
 
 
@@ -294,5 +294,5 @@ def test_all_but_depth_is_finite_at_any_time(time):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_world_moves_by_pixels_not_by_images(seed):
-    motion = procedural(seed).frames[4].view.motion
+    motion = procedural(seed).frames[4].gbuffer.motion
     assert 0.3 < motion.norm(dim=1).median() < 6  # at a width of 128

@@ -11,7 +11,7 @@ import json
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.render.user import camera_path as flight
+from rlbench.render.user import camera_path
 
 FRAMES, FPS, FOV, BOUNCES, LIGHT = 4, 24, 50.0, 6, (4.0, 3.5, 2.5)
 PACE = np.array([0.12, -0.07, 0.0])  # metres a frame, of the box
@@ -82,7 +82,7 @@ def for_mitsuba():
         title="A scene for two tracers",
         meshes=tuple(meshes),
         camera=camera,
-        moving=lambda time: {
+        vertex_animation=lambda time: {
             name: (points + max(time, 0.0) * PACE).astype(np.float32)
             for name, points in moving.items()
         },
@@ -150,7 +150,7 @@ def for_blender(folder):
     }
     file, flight_path = folder / "both.gltf", folder / "path.json"
     file.write_text(json.dumps(gltf))
-    matrices = [flight.matrix(camera(time)).tolist() for time in range(FRAMES)]
+    matrices = [camera_path.matrix(camera(time)).tolist() for time in range(FRAMES)]
     flight_path.write_text(json.dumps({"camera_to_world": matrices, "fov": FOV}))
     return file, flight_path
 

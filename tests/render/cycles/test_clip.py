@@ -19,13 +19,13 @@ from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
 from rlbench.render.cycles.process import CyclesError
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import finish
-from rlbench.render.mitsuba.gbuffer import views
+from rlbench.render.jobs.render_clips import render_missing
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
-from rlbench.render.user import camera_path as flight
-from rlbench.render.user.clip import Wish
+from rlbench.render.user import camera_path
+from rlbench.render.user.clip import UserSceneOptions
 from tests.render.cycles import both
 
 pytestmark = pytest.mark.slow
@@ -50,7 +50,7 @@ def files(blender, tmp_path_factory):
 
 def wish(folder, out, **more):
     asked = {"exposure": 1.0, "size": (H, W), "parameters": ASKED, **more}
-    return Wish(folder / "both.gltf", str(folder / "path.json"), out=out, **asked)
+    return UserSceneOptions(folder / "both.gltf", str(folder / "path.json"), out=out, **asked)
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +60,11 @@ def cycles(files, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mitsuba(tmp_path_factory):
-    scene, matrices = both.for_mitsuba(), [flight.matrix(both.camera(t)) for t in range(4)]
-    path = flight.listed(matrices)  # before frame 0, nothing moves, as in the file
-    scene = replace(scene, camera=lambda time: flight.camera(path(time), both.FOV))
+    scene, matrices = both.for_mitsuba(), [camera_path.matrix(both.camera(t)) for t in range(4)]
+    path = camera_path.listed(matrices)  # before frame 0, nothing moves, as in the file
+    scene = replace(scene, camera=lambda time: camera_path.camera(path(time), both.FOV))
     job = Job("both", scene, PLAN, tmp_path_factory.mktemp("mitsuba") / "clip")
-    return finish([job])[0]
+    return render_missing([job])[0]
 
 
 @pytest.mark.parametrize("tracer", ["cycles", "mitsuba"])
@@ -76,10 +76,10 @@ def test_the_linter_finds_no_fault(tracer, llvm, request):
 @pytest.mark.parametrize("index", range(both.FRAMES))
 def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index):
     ours, theirs = (open_clip(clip).frame(index) for clip in (cycles, mitsuba))
-    seen = (theirs.view.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.view.albedo)
+    seen = (theirs.gbuffer.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.gbuffer.albedo)
     means, errors = [], []
     for frame in (ours, theirs):
-        noise = (frame.reference.a - frame.reference.b)[seen] / 2
+        noise = (frame.reference.half_a - frame.reference.half_b)[seen] / 2
         means.append(float(frame.reference.mean[seen].mean()))
         errors.append(float(noise.double().square().mean().sqrt()) / int(seen.sum()) ** 0.5)
     # 4 standard errors of the difference of two means, noise of pixels being independent
@@ -91,7 +91,7 @@ def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index
 )
 def test_geometry_is_that_of_mitsuba(cycles, mitsuba, llvm, name, tolerance):
     # half precision of normals, float32 matrices; pixels at edges may see another surface
-    ours, theirs = (open_clip(clip).frame(2).view.buffers[name] for clip in (cycles, mitsuba))
+    ours, theirs = (open_clip(clip).frame(2).gbuffer.buffers[name] for clip in (cycles, mitsuba))
     apart = (ours - theirs).abs().amax(1)
     assert float((apart > tolerance).float().mean()) < 5e-3
 
@@ -113,8 +113,8 @@ def test_samples_are_antialiased(cycles, mitsuba, llvm):
     # sample 0 alone would not converge: its mean would be off at edges by far more than noise
     clip = open_clip(cycles)
     frame = clip.frame(1)
-    pool = frame.pool.take(frame.pool.empty(), frame.pool.empty().counts + 8)[0]
-    error = (pool.mean(0) - frame.reference.a[0]) * (pool.mean(0) - frame.reference.b[0])
+    pool = frame.pool.read(frame.pool.empty(), frame.pool.empty().counts + 8)[0]
+    error = (pool.mean(0) - frame.reference.half_a[0]) * (pool.mean(0) - frame.reference.half_b[0])
     expected = pool.var(0) / len(pool)
     weight = 1 / (frame.reference.mean[0] + 0.05) ** 2
     ratio = float((error * weight).mean() / (expected * weight).mean())
@@ -144,11 +144,13 @@ def test_a_killed_rendering_goes_on_and_makes_the_same_pixels(cycles, files, tmp
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_every_format_has_the_camera_the_shapes_and_their_motion(kind, files, tmp_path, llvm):
-    asked = Wish(files / f"both.{kind}", "", size=SMALL.size, exposure=1.0, out=tmp_path / "clip")
-    found = open_clip(ensure_cycles(asked, SMALL)).frame(1).view
+    asked = UserSceneOptions(
+        files / f"both.{kind}", "", size=SMALL.size, exposure=1.0, out=tmp_path / "clip"
+    )
+    found = open_clip(ensure_cycles(asked, SMALL)).frame(1).gbuffer
     tracer = open_tracer(both.for_mitsuba(), *SMALL.size)
     tracer.set_time(1.0)
-    for name, wanted in views(tracer, ("depth", "motion")).items():
+    for name, wanted in render_gbuffer(tracer, ("depth", "motion")).items():
         apart = np.abs(found.buffers[name][0].permute(1, 2, 0).numpy() - wanted).max(-1)
         assert (apart > 1e-2).mean() < 0.01, name  # pixels at edges may see another surface
 
@@ -158,7 +160,7 @@ def test_a_still_camera_and_nothing_that_moves_make_a_static_clip(files, tmp_pat
     text = (files / "both.gltf").read_text()
     still.write_text(text.replace('"animations"', '"extras"'))
     asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
-    first = flight.matrix(both.camera(0)).tolist()
+    first = camera_path.matrix(both.camera(0)).tolist()
     Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": both.FOV}))
     header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
     assert header.static
@@ -178,7 +180,7 @@ def test_a_broken_file_is_told_with_blenders_words(blender, tmp_path):
     file = tmp_path / "broken.blend"
     file.write_bytes(b"BLENDER-v405 and nothing more")
     with pytest.raises(CyclesError, match=r"Blender: .*broken\.blend"):
-        ensure_cycles(Wish(file, out=tmp_path / "clip"), SMALL)
+        ensure_cycles(UserSceneOptions(file, out=tmp_path / "clip"), SMALL)
 
 
 def test_a_worker_that_is_killed_is_a_crash(files, tmp_path):

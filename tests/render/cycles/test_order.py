@@ -8,22 +8,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rlbench.cli.user_scene import tracer_of
-from rlbench.errors import AskedError
-from rlbench.render.cycles import clip
-from rlbench.render.cycles import scene_file as opened
+from rlbench.errors import OptionError
+from rlbench.render.cycles import clip, scene_file
 from rlbench.render.cycles.worker_job import (
     NUMBERS,
     STREAMS,
     Parameters,
     Picture,
-    order,
+    render_job,
     seed,
     turned,
 )
 from rlbench.render.presets import preset
 from rlbench.render.scene import Camera, Scene, SceneError
-from rlbench.render.user import camera_path as flight
-from rlbench.render.user.clip import Wish
+from rlbench.render.user import camera_path
+from rlbench.render.user.clip import UserSceneOptions
 from tests.render.cycles import both
 
 LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
@@ -39,7 +38,7 @@ def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
 
 
 def test_a_camera_that_looks_north_does_so_in_blenders_axes():
-    found = turned(flight.matrix(LEVEL.camera(0.0)))
+    found = turned(camera_path.matrix(LEVEL.camera(0.0)))
     right, up, back, place = found[:3].T
     assert_allclose([right, up, back], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)  # float64
     assert_allclose(place, [0, -4, 1])
@@ -47,7 +46,7 @@ def test_a_camera_that_looks_north_does_so_in_blenders_axes():
 
 def ordered(**more):
     pictures = [Picture(clip.Path("a.exr"), 0, 1)]
-    return order(
+    return render_job(
         clip.Path("a.blend"), LEVEL, 1, 3, (8, 9), Parameters(max_bounces=4), pictures, **more
     )
 
@@ -93,7 +92,7 @@ def test_a_parameter_that_is_none_is_refused(pair, match):
 
 def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
     with pytest.raises(SceneError, match="not capped"):
-        clip.ensure_cycles(Wish(tmp_path / "a.blend"), preset("tiny").capped(4.0))
+        clip.ensure_cycles(UserSceneOptions(tmp_path / "a.blend"), preset("tiny").capped(4.0))
 
 
 @pytest.mark.parametrize(
@@ -101,16 +100,16 @@ def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
 )
 def test_a_file_that_cannot_be_opened_is_told_without_blender(name, match, tmp_path):
     with pytest.raises(SceneError, match=match):
-        clip.ensure_cycles(Wish(tmp_path / name), preset("tiny"))
+        clip.ensure_cycles(UserSceneOptions(tmp_path / name), preset("tiny"))
 
 
 def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
     file, _ = both.for_blender(tmp_path)
-    parts = opened.parts(file)
-    before = opened.digest(file, parts)
+    parts = scene_file.parts(file)
+    before = scene_file.digest(file, parts)
     (tmp_path / "both.bin").write_bytes(b"other")
     assert [clip.Path(part).name for part in parts] == ["both.bin"]
-    assert opened.digest(file, parts) != before
+    assert scene_file.digest(file, parts) != before
 
 
 @pytest.mark.parametrize(
@@ -123,7 +122,7 @@ def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
     ],
 )
 def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
-    with pytest.raises(AskedError, match=match):
+    with pytest.raises(OptionError, match=match):
         tracer_of(clip.Path(name), tracer)
 
 

@@ -57,8 +57,8 @@ def test_normals_become_unit_length():
 
 def test_a_surface_without_a_normal_is_background():
     # the linter refuses clips whose depth and normal disagree on what is background
-    view = passes.view(planes(normal=(0, 0, 0)), SCENE, 0.0)
-    assert np.isposinf(view["depth"]).all()
+    gbuffer = passes.view(planes(normal=(0, 0, 0)), SCENE, 0.0)
+    assert np.isposinf(gbuffer["depth"]).all()
 
 
 def test_sky_moves_by_the_turn_of_the_camera():
