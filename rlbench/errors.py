@@ -1,18 +1,15 @@
-"""Errors that several layers raise and the command line tells without a traceback."""
+"""The base of every error that rlbench raises for what a user can cause, and shared subclasses."""
 
 from __future__ import annotations
 
-OURS = ("rlbench", "baselines", "methods", "metrics", "reports")
+
+class RlbenchError(Exception):
+    """Something a user can mend. The command line prints its message without a traceback."""
 
 
-class PluginError(LookupError):
-    """A name that no plugin has, two plugins of one name, or a plugin that breaks its promise."""
+class PluginError(RlbenchError, LookupError):
+    """An unknown plugin name, two plugins of one name, or a plugin that breaks the contract."""
 
 
-class OptionError(ValueError):
-    """An option's value that cannot be used."""
-
-
-def _expected(error: Exception) -> bool:
-    """Is it of our own types, so that its message says all there is to say?"""
-    return type(error).__module__.partition(".")[0] in OURS
+class OptionError(RlbenchError, ValueError):
+    """A command-line option whose value cannot be used."""

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rlbench.errors import RlbenchError
 from rlbench.frames import Pool, Samples
 from rlbench.ops.dither import systematic_sample
 
@@ -14,7 +15,7 @@ STEPS = 64  # most refinements of the multiplier; 5 to 10 are usual
 FRACTION = 2**32  # parts of a sample that remainders are counted in
 
 
-class BudgetError(ValueError):
+class BudgetError(RlbenchError, ValueError):
     """A density or a budget that cannot be turned into counts."""
 
 

@@ -15,12 +15,13 @@ from safetensors import SafetensorError
 from safetensors import torch as safetensors
 from torch import Tensor, nn
 
+from rlbench.errors import RlbenchError
 from rlbench.system import paths
 
 DTYPE = torch.float16  # of floating weights in the file
 
 
-class WeightsError(ValueError):
+class WeightsError(RlbenchError, ValueError):
     """Weights that are missing, changed, or not those of the network."""
 
 

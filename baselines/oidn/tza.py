@@ -23,6 +23,7 @@ from jaxtyping import Float16
 
 from baselines.oidn import FAMILY
 from baselines.oidn.method import INPUTS, VARIANTS
+from rlbench.errors import RlbenchError
 from rlbench.ops.unet import UNet
 from rlbench.weights import WeightsError, load_into, read_card
 
@@ -35,7 +36,7 @@ HALF, TYPE = np.dtype("<f2"), b"h"
 Array = Float16[np.ndarray, "..."]
 
 
-class TzaError(ValueError):
+class TzaError(RlbenchError, ValueError):
     """A file that is no TZA, or tensors that one cannot hold."""
 
 

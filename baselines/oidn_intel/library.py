@@ -13,10 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.errors import RlbenchError
+
 IMAGES = ("color", "albedo", "normal", "output")
 
 
-class LibraryError(RuntimeError):
+class LibraryError(RlbenchError, RuntimeError):
     """What the library itself reports."""
 
 

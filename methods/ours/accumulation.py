@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rlbench.frames import Samples
+from rlbench.ops.color import luminance
 from rlbench.ops.demodulation import demodulation_albedo
-from rlbench.ops.exposure import luminance
 from rlbench.ops.pad import crop, pad
 from rlbench.ops.transfer import log_forward
 

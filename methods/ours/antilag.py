@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from methods.ours.accumulation import AccumulatedRadiance
-from rlbench.ops.exposure import luminance
+from rlbench.ops.color import luminance
 from rlbench.ops.pad import crop
 from rlbench.ops.transfer import log_inverse
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from rlbench.benchmark.results import FOLD
+from rlbench.benchmark.results import FOLD, TableError
 
 CELL = ["method", "scene", "spp"]
 SHOT = ["scene", "clip", "frame"]  # by which methods are paired
@@ -12,7 +12,7 @@ TIMES = ["plan_ms", "plan_p95_ms", "denoise_ms", "denoise_p95_ms"]
 VERSION = ["dtype", "code", "weights"]  # of one method, these have one value in one report
 
 
-class ReportError(ValueError):
+class ReportError(TableError):
     """A table of which no honest report can be made."""
 
 

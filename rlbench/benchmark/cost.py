@@ -17,12 +17,13 @@ from pathlib import Path
 
 from rlbench import registry
 from rlbench.clips.stored import Header
+from rlbench.errors import RlbenchError
 from rlbench.system import code_hash, paths
 
 MEASURED = "measured"
 
 
-class CostError(ValueError):
+class CostError(RlbenchError, ValueError):
     """A cost profile that is not there or cannot be used."""
 
 

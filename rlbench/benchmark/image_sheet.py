@@ -18,6 +18,7 @@ from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.run_plan import Cell, RunPlan
 from rlbench.clips.exr import write_exr
+from rlbench.errors import RlbenchError
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import paths
 
@@ -31,7 +32,7 @@ SIDE, TITLE = 2.6, 0.25  # inches of a picture on the sheet, and of the line abo
 DPI = 150
 
 
-class ImagesError(ValueError):
+class ImagesError(RlbenchError, ValueError):
     """What cannot be pictured."""
 
 

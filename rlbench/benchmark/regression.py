@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rlbench.benchmark.results import WHOLE_CLIP
+from rlbench.errors import RlbenchError
 from rlbench.system import paths
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ FAILING = ("worse", "missing")
 Key = tuple[str, str, float]  # method, scene, samples per pixel asked for
 
 
-class BaselineError(ValueError):
+class BaselineError(RlbenchError, ValueError):
     """A baseline that cannot be read, or a table that cannot be compared with it."""
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
+from rlbench.errors import RlbenchError
 from rlbench.system import paths
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ HALF, CROSSVAL = "half", "crossval"  # such names that are not those of weights
 FOLD = "without "  # before the scene that weights of a cross-validation have not seen
 
 
-class TableError(ValueError):
+class TableError(RlbenchError, ValueError):
     """Rows that cannot be stored, or a folder that holds no results."""
 
 

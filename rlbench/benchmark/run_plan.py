@@ -12,13 +12,14 @@ import torch
 from rlbench import registry
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.clip_sources import Source
+from rlbench.errors import RlbenchError
 
 SPP = (0.5, 1.0, 2.0, 4.0)  # budgets if none are asked for
 FAILED = "failed"  # instead of a hash
 FIRST = "first"  # before the hash of a cell that is of the first frames alone
 
 
-class CellsError(ValueError):
+class CellsError(RlbenchError, ValueError):
     """Cells that results could not tell apart."""
 
 

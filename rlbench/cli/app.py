@@ -14,7 +14,7 @@ from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.methods import Plugins, check, load_plugins
 from rlbench.cli.training import crossval, train
-from rlbench.errors import _expected
+from rlbench.errors import RlbenchError
 
 
 class _Told(TyperGroup):
@@ -25,7 +25,7 @@ class _Told(TyperGroup):
         try:
             return super().invoke(ctx)
         except Exception as error:
-            if not _expected(error):
+            if not isinstance(error, RlbenchError):
                 raise
             typer.secho(f"error: {error}", fg="red", err=True)
             raise SystemExit(2) from error

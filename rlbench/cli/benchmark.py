@@ -13,7 +13,7 @@ from rlbench import errors
 from rlbench.cli import arguments, benchmark
 from rlbench.cli.clips import Clips, Engine, Preset, RayAddress, Scenes, Takes
 from rlbench.cli.methods import Device, Methods, Plugins, load_plugins
-from rlbench.errors import OptionError, _expected
+from rlbench.errors import OptionError, RlbenchError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -180,7 +180,7 @@ def report(
             for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
                 typer.echo(file)
         except Exception as error:
-            if not _expected(error):
+            if not isinstance(error, RlbenchError):
                 raise
             if name == "all" and isinstance(error, table.MissingRowsError):
                 typer.echo(f"{each} was not written: {error}", err=True)

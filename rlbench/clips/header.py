@@ -10,6 +10,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from rlbench.errors import RlbenchError
 from rlbench.system.paths import replacing
 
 VERSION = 1
@@ -32,7 +33,7 @@ LACKS = {  # what a clip that others rendered may not have, though the format as
 }
 
 
-class ClipError(ValueError):
+class ClipError(RlbenchError, ValueError):
     """A clip folder that cannot be read or written as asked."""
 
 

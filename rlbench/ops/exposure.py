@@ -6,15 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.ops.color import luminance
+
 KEY = 0.18  # mean grey after exposure: Reinhard et al. 2002
 TILE = 16  # largest side of a tile, pixels
 DARK = 1e-8  # tiles of less luminance say nothing: OIDN
-LUMINANCE = (0.212671, 0.715160, 0.072169)  # of linear sRGB
-
-
-def luminance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 1 h w"]:
-    """Of linear radiance, by LUMINANCE."""
-    return (radiance * radiance.new_tensor(LUMINANCE).view(3, 1, 1)).sum(-3, keepdim=True)
 
 
 def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+from rlbench.errors import RlbenchError
+
 J = TypeVar("J")
 R = TypeVar("R")
 J_in = TypeVar("J_in", contravariant=True)
@@ -16,7 +18,7 @@ ProgressCallback = Callable[
 ]  # hears how much of the work has been done since it last heard
 
 
-class EngineError(RuntimeError):
+class EngineError(RlbenchError, RuntimeError):
     """An engine that cannot run jobs, or a job that no worker came back from."""
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
 from rlbench.clips.header import EXTRAS
+from rlbench.errors import RlbenchError
 
 FOUR = ("city", "temple", "hall", "ripples")
 BOTH = ("path", "restir")  # pools, by entry point of the group rlbench.pools
@@ -15,7 +16,7 @@ GENERATED = "generated"  # clips of rlbench.scenes.generator.scene are named gen
 Takes = Literal["main", "all"]
 
 
-class PresetError(ValueError):
+class PresetError(RlbenchError, ValueError):
     """A preset that cannot be rendered."""
 
 

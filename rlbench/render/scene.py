@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rlbench.errors import RlbenchError
+
 Vertices = Mapping[str, NDArray[np.float32]]  # v 3, by mesh name
 Plugin = Mapping[str, Any]  # a Mitsuba plugin as a dictionary; "bitmap" textures may hold arrays
 
@@ -45,7 +47,7 @@ class Document:
     parameters: tuple[tuple[str, str], ...] = ()  # values for names that it has a <default> of
 
 
-class SceneError(ValueError):
+class SceneError(RlbenchError, ValueError):
     """A user's scene that cannot be rendered as asked."""
 
 

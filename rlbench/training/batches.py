@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from rlbench.clips.stored import ALL, InMemoryClip, open_clip
+from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
 from rlbench.training.config import TrainingConfig
 
 
-class BatchError(ValueError):
+class BatchError(RlbenchError, ValueError):
     """Clips of which no batch can be cut."""
 
 

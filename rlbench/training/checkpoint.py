@@ -12,10 +12,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from rlbench.errors import RlbenchError
 from rlbench.system import paths
 
 
-class CheckpointError(ValueError):
+class CheckpointError(RlbenchError, ValueError):
     """A file that is not there, or of another kind."""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from torch import Tensor, nn
 
+from rlbench.errors import RlbenchError
 from rlbench.frames import Clip
 from rlbench.method import Method
 
@@ -21,7 +22,7 @@ BUDGETS_FROM_1_SPP = (
 )  # budgets of what needs a sample in every pixel
 
 
-class TrainingError(RuntimeError):
+class TrainingError(RlbenchError, RuntimeError):
     """A training that cannot start or go on."""
 
 

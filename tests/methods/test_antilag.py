@@ -25,7 +25,7 @@ from methods.ours.variants import VARIANTS
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, Reference, Size, StoredPool
-from rlbench.ops.exposure import luminance
+from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip
 

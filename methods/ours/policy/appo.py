@@ -10,12 +10,13 @@ from torch import nn
 
 from methods.ours.policy.appo_config import Appo
 from methods.ours.policy.environment import Env
+from rlbench.errors import RlbenchError
 from rlbench.parallel.ray_executor import QUIET
 
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
 
 
-class MissingError(RuntimeError):
+class MissingError(RlbenchError, RuntimeError):
     """An extra is not installed."""
 
 

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rlbench.errors import RlbenchError
+
 Pixels = NDArray[np.floating]
 
 
-class SourceError(ValueError):
+class SourceError(RlbenchError, ValueError):
     """Files that cannot be imported as asked, or that are not safe to read."""
 
 

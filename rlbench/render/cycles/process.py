@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from rlbench.errors import RlbenchError
+
 VARIABLE = "RLBENCH_CYCLES_PYTHON"  # the Python that has bpy; default this one
 WORKER = Path(__file__).parent / "worker" / "worker.py"
 VERSION = "4.5.15"  # of bpy, on which the settings and passes were measured
@@ -21,7 +23,7 @@ INSTALL = (
 )
 
 
-class CyclesError(RuntimeError):
+class CyclesError(RlbenchError, RuntimeError):
     """Blender is missing, refused the scene, or its process broke down."""
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from rlbench.errors import RlbenchError
 from rlbench.render.mitsuba import xml_scene
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
@@ -16,7 +17,7 @@ from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 ALIGNED = 64  # bytes; Dr.Jit compiles another kernel for input that is not aligned
 
 
-class LightError(ValueError):
+class LightError(RlbenchError, ValueError):
     """A light that Mitsuba would leave dark without a word."""
 
 
