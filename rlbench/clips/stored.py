@@ -151,7 +151,7 @@ def open_clip(
     )
 
 
-def sample_order(seed: int, name: str, index: int, stored: int) -> tuple[list[int], int]:
+def sample_order(seed: int, name: str, index: int, pool_spp: int) -> tuple[list[int], int]:
     """The order in which the stored samples of a frame are drawn, and its rounding seed.
 
     Both are hashes, so they are equal on all machines and with all versions of numpy.
@@ -161,7 +161,7 @@ def sample_order(seed: int, name: str, index: int, stored: int) -> tuple[list[in
         key = f"{seed}/{name}/{index}/{purpose}".encode()
         return int.from_bytes(hashlib.blake2b(key, digest_size=8).digest())
 
-    return sorted(range(stored), key=lambda slot: hash_of(f"slot {slot}")), hash_of("ties") >> 33
+    return sorted(range(pool_spp), key=lambda slot: hash_of(f"slot {slot}")), hash_of("ties") >> 33
 
 
 def verify(folder: Path | str) -> list[str]:
