@@ -11,7 +11,7 @@ import torch
 from torch.testing import assert_close
 
 from rlbench.clips.procedural import world
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size
 from rlbench.ops.reprojection import reproject
 
@@ -90,14 +90,14 @@ def every_pixel(seed: int, time: float):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_depth_is_that_of_a_slow_ray_caster(seed):
     slow = torch.tensor([[float(p[0]) for p in row] for row in every_pixel(seed, 3.0)])
-    fast = procedural(seed, SMALL).frames[3].gbuffer.depth[0, 0]
+    fast = procedural_clip(seed, SMALL).frames[3].gbuffer.depth[0, 0]
     assert_close(fast, slow, atol=0, rtol=1e-5)  # float32 keeps 7 digits
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_normals_are_those_of_a_slow_ray_caster(seed):
     slow = torch.tensor(np.array([[p[3] for p in row] for row in every_pixel(seed, 3.0)]))
-    fast = procedural(seed, SMALL).frames[3].gbuffer.normal[0].permute(1, 2, 0)
+    fast = procedural_clip(seed, SMALL).frames[3].gbuffer.normal[0].permute(1, 2, 0)
     assert_close(fast, slow.float(), atol=1e-5, rtol=0)
 
 
@@ -127,7 +127,7 @@ def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: in
 @pytest.mark.parametrize("seed", SEEDS)
 def test_motion_leads_to_where_the_point_was(seed):
     _, h, w = SMALL
-    numbers, motion = numbers_of(seed), procedural(seed, SMALL).frames[3].gbuffer.motion[0].numpy()
+    numbers, motion = numbers_of(seed), procedural_clip(seed, SMALL).frames[3].gbuffer.motion[0].numpy()
     hits = every_pixel(seed, 3.0)
     seen = [(x, y) for y in range(h) for x in range(w) if hits[y][x][1] >= 0]
     tracked = np.array([track(numbers, hits[y][x], 3.0, 2.0, h, w) - (x, y) for x, y in seen])
@@ -139,7 +139,7 @@ def test_motion_leads_to_where_the_point_was(seed):
 def test_the_sky_moves_as_the_camera_turns():
     """A direction at infinity, seen again by the previous camera, by a rotation matrix."""
     _, h, w = size = Size(1, 24, 32)
-    frame = procedural(0, size).frames[3]
+    frame = procedural_clip(0, size).frames[3]
     y, x = np.argwhere(frame.gbuffer.depth[0, 0].isinf().numpy())[0]
     focal = (w / 2) / math.tan(math.radians(30))
     now, then = (np.stack(camera(numbers_of(0), t)[1:]) for t in (3.0, 2.0))
@@ -153,7 +153,7 @@ def test_the_sky_moves_as_the_camera_turns():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_albedo_moved_by_motion_is_the_albedo(seed):
     """Textures stay on their surfaces; only edges and what was hidden differ."""
-    before, now = procedural(seed, Size(1, 192, 256)).frames[3:5]
+    before, now = procedural_clip(seed, Size(1, 192, 256)).frames[3:5]
     moved, valid = reproject(before.gbuffer.albedo, now.gbuffer.motion)
     error = (moved - now.gbuffer.albedo).abs().amax(1, keepdim=True)[valid]
     unmoved = (before.gbuffer.albedo - now.gbuffer.albedo).abs().amax(1, keepdim=True)[valid]
@@ -167,7 +167,7 @@ def test_albedo_moved_by_motion_is_the_albedo(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_background_has_infinite_depth_and_no_normal(seed):
-    gbuffer = procedural(seed, SMALL).frames[0].gbuffer
+    gbuffer = procedural_clip(seed, SMALL).frames[0].gbuffer
     sky = gbuffer.depth.isinf()
     assert sky.any()
     assert torch.equal(gbuffer.normal.norm(dim=1, keepdim=True) == 0, sky)
@@ -175,14 +175,14 @@ def test_background_has_infinite_depth_and_no_normal(seed):
 
 def test_radiance_on_a_surface_is_albedo_times_one_light():
     """Where all is white, the radiance is grey: the light has no colour of its own."""
-    frame = procedural(1, SMALL).frames[0]
+    frame = procedural_clip(1, SMALL).frames[0]
     light = frame.reference.half_a / frame.gbuffer.albedo
     spread = light.amax(1) - light.amin(1)
     assert spread[frame.gbuffer.depth[:, 0].isfinite()].max() < 1e-5
 
 
 def test_both_halves_are_the_truth():
-    frame = procedural(size=SMALL).frames[1]
+    frame = procedural_clip(size=SMALL).frames[1]
     assert torch.equal(frame.reference.half_a, frame.reference.half_b)
 
 
@@ -194,13 +194,13 @@ def factors(frame: Frame) -> torch.Tensor:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_mean_of_samples_converges_to_the_truth(seed):
-    noise = factors(procedural(seed, Size(1, 24, 32), pool_spp=2000).frames[0])
+    noise = factors(procedural_clip(seed, Size(1, 24, 32), pool_spp=2000).frames[0])
     assert abs(noise.mean() - 1) < 4 * noise.std() / math.sqrt(noise.numel())
 
 
 @pytest.mark.parametrize("part", ["calm", "rough"])
 def test_calm_and_rough_pixels_are_both_unbiased(part):
-    noise = factors(procedural(1, Size(1, 24, 32), pool_spp=2000).frames[0])
+    noise = factors(procedural_clip(1, Size(1, 24, 32), pool_spp=2000).frames[0])
     first, second = noise.split(1000)  # one half chooses the pixels, the other is judged
     spread = first.std(0)
     chosen = second[:, (spread > spread.median()) == (part == "rough")]
@@ -208,25 +208,25 @@ def test_calm_and_rough_pixels_are_both_unbiased(part):
 
 
 def test_colours_share_their_noise():
-    frame = procedural(size=SMALL).frames[0]
+    frame = procedural_clip(size=SMALL).frames[0]
     ratio = frame.pool.radiance / frame.reference.half_a[:, None]
     assert_close(ratio[:, :, 0], ratio[:, :, 2], atol=0, rtol=1e-5)  # float32
 
 
 def test_the_noise_varies_in_space():
-    spread = factors(procedural(size=Size(1, 24, 32), pool_spp=500).frames[0]).std(0)
+    spread = factors(procedural_clip(size=Size(1, 24, 32), pool_spp=500).frames[0]).std(0)
     low, high = torch.quantile(spread, torch.tensor([0.05, 0.95], dtype=torch.float64))
     assert high > 1.5 * low
 
 
 def test_the_sky_has_no_noise():
-    frame = procedural(size=Size(1, 24, 32)).frames[0]
+    frame = procedural_clip(size=Size(1, 24, 32)).frames[0]
     noise = frame.pool.radiance - frame.reference.half_a[:, None]
     assert (noise.where(frame.gbuffer.depth[:, None].isinf(), 0.0) == 0).all()
 
 
 def test_fireflies_are_as_rare_as_they_should_be():
-    noise = factors(procedural(size=Size(1, 48, 64), pool_spp=64).frames[0])
+    noise = factors(procedural_clip(size=Size(1, 48, 64), pool_spp=64).frames[0])
     # a firefly is 60 times a log-normal; what is above 25 can hardly be anything else
     assert (noise > 25).double().mean().item() == pytest.approx(0.003, rel=0.3)
 
@@ -235,50 +235,50 @@ def test_fireflies_are_as_rare_as_they_should_be():
 
 
 def test_the_same_seed_gives_the_same_clip():
-    first, second = (tensors(procedural(4, SMALL).frames[2]) for _ in range(2))
+    first, second = (tensors(procedural_clip(4, SMALL).frames[2]) for _ in range(2))
     assert all(torch.equal(first[k], second[k]) for k in first)
 
 
 @pytest.mark.parametrize("name", ["albedo", "depth", "a", "pool"])
 def test_another_seed_gives_another_clip(name):
-    first, second = (tensors(procedural(seed, SMALL).frames[2])[name] for seed in (4, 5))
+    first, second = (tensors(procedural_clip(seed, SMALL).frames[2])[name] for seed in (4, 5))
     assert not torch.equal(first, second)
 
 
 def test_a_batch_of_two_is_two_clips():
-    both = procedural(7, Size(2, 12, 16)).frames[1]
-    alone = [procedural(seed, SMALL).frames[1] for seed in (7, 8)]
+    both = procedural_clip(7, Size(2, 12, 16)).frames[1]
+    alone = [procedural_clip(seed, SMALL).frames[1] for seed in (7, 8)]
     joined = {k: torch.cat([tensors(f)[k] for f in alone]) for k in tensors(both)}
     assert all(torch.equal(tensors(both)[k], joined[k]) for k in joined)
     assert both.pool.rounding_seeds == alone[0].pool.rounding_seeds + alone[1].pool.rounding_seeds
 
 
 def test_noise_and_ties_differ_from_frame_to_frame():
-    first, second = procedural(size=SMALL, static=True).frames[:2]
+    first, second = procedural_clip(size=SMALL, static=True).frames[:2]
     assert torch.equal(first.reference.half_a, second.reference.half_a)
     assert not torch.equal(first.pool.radiance, second.pool.radiance)
     assert first.pool.rounding_seeds != second.pool.rounding_seeds
 
 
 def test_a_static_clip_has_no_motion():
-    assert procedural(size=SMALL, static=True).frames[3].gbuffer.motion is None
+    assert procedural_clip(size=SMALL, static=True).frames[3].gbuffer.motion is None
 
 
 def test_a_cut_shows_another_world_from_its_frame_on():
-    cut, whole = (procedural(size=SMALL, cut=at, frames=4) for at in (2, None))
+    cut, whole = (procedural_clip(size=SMALL, cut=at, frames=4) for at in (2, None))
     same = [torch.equal(a.gbuffer.depth, b.gbuffer.depth) for a, b in zip(cut, whole, strict=True)]
     assert same == [True, True, False, False]
 
 
 @pytest.mark.parametrize("change", [{"seed": 1}, {"cut": 2}, {"speed": 2.0}, {"pool_spp": 4}])
 def test_the_digest_tells_clips_apart(change):
-    assert procedural(size=SMALL, **change).digest != procedural(size=SMALL).digest
+    assert procedural_clip(size=SMALL, **change).digest != procedural_clip(size=SMALL).digest
 
 
 @pytest.mark.parametrize("size", [Size(1, 1, 1), Size(1, 7, 13), Size(3, 33, 2)])
 def test_any_size_has_the_shapes_of_the_contract(size):
     n, h, w = size
-    frame = procedural(size=size, pool_spp=2).frames[0]
+    frame = procedural_clip(size=size, pool_spp=2).frames[0]
     channels = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2, "a": 3, "b": 3}
     shapes = {k: (n, c, h, w) for k, c in channels.items()} | {"pool": (n, 2, 3, h, w)}
     assert {k: tuple(v.shape) for k, v in tensors(frame).items()} == shapes
@@ -287,12 +287,12 @@ def test_any_size_has_the_shapes_of_the_contract(size):
 
 @pytest.mark.parametrize("time", [0, 50, 400, 5000])
 def test_all_but_depth_is_finite_at_any_time(time):
-    clip = procedural(size=SMALL, frames=time + 1, speed=3.0)
+    clip = procedural_clip(size=SMALL, frames=time + 1, speed=3.0)
     found = tensors(clip.frames[time])
     assert all(v.isfinite().all() for k, v in found.items() if k != "depth")
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_world_moves_by_pixels_not_by_images(seed):
-    motion = procedural(seed).frames[4].gbuffer.motion
+    motion = procedural_clip(seed).frames[4].gbuffer.motion
     assert 0.3 < motion.norm(dim=1).median() < 6  # at a width of 128
