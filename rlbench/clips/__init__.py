@@ -23,8 +23,6 @@ A clip folder holds four or more EXR files per frame and a clip.toml. Any render
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
-
 __all__ = [
     "ClipError",
     "Header",
@@ -45,6 +43,8 @@ if TYPE_CHECKING:
     from rlbench.clips.procedural.clip import procedural_clip
     from rlbench.clips.stored import StoredClip, open_clip, verify
 else:
+    import lazy_loader
+
     __getattr__, __dir__, _ = lazy_loader.attach(
         __name__,
         submod_attrs={

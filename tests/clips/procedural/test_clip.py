@@ -127,7 +127,10 @@ def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: in
 @pytest.mark.parametrize("seed", SEEDS)
 def test_motion_leads_to_where_the_point_was(seed):
     _, h, w = SMALL
-    numbers, motion = numbers_of(seed), procedural_clip(seed, SMALL).frames[3].gbuffer.motion[0].numpy()
+    numbers, motion = (
+        numbers_of(seed),
+        procedural_clip(seed, SMALL).frames[3].gbuffer.motion[0].numpy(),
+    )
     hits = every_pixel(seed, 3.0)
     seen = [(x, y) for y in range(h) for x in range(w) if hits[y][x][1] >= 0]
     tracked = np.array([track(numbers, hits[y][x], 3.0, 2.0, h, w) - (x, y) for x, y in seen])

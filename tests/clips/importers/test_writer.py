@@ -12,7 +12,7 @@ from rlbench.benchmark import results
 from rlbench.cli.app import app
 from rlbench.clips.importers import formats, writer
 from rlbench.clips.importers.sequence import SourceError, clip_name, span
-from rlbench.clips.stored import ClipError, Header, open_clip, read_header, verify
+from rlbench.clips.stored import ClipError, open_clip, read_header, verify
 from tests.clips.importers.sources import oidn, paper, radiance
 
 
@@ -226,25 +226,7 @@ def test_what_is_not_finite_is_not_imported(tmp_path):
         writer.store(sequence, writer.clip_header(sequence, None), tmp_path / "out")
 
 
-# The header
-
-
-def _header(**change: object) -> Header:
-    told = {"name": "c", "scene": "s", "sampler": "x", "height": 2, "width": 2, "frames": 1}
-    return Header(**{**told, "reference_spp": (1,), **change})
-
-
-def test_a_header_lacks_only_what_the_format_knows():
-    with pytest.raises(ClipError, match=r"lacks colour; known are halves, independence"):
-        _header(lacks=("colour",))
-
-
-def test_what_a_clip_lacks_is_part_of_its_content():
-    assert _header(lacks=("halves",)).pixels("path") != _header().pixels("path")
-
-
-def test_a_clip_that_lacks_nothing_keeps_its_digest():
-    assert "lacks" not in _header().pixels("path")
+# Precision
 
 
 def test_fireflies_are_imported_whole(tmp_path):
