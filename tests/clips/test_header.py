@@ -180,7 +180,7 @@ def test_a_clip_written_today_names_its_channels_by_todays_names(tmp_path):
     images = version_1_images(0)
     gbuffer = {name: images[name] for name in VIEWS}
     write_frame(tmp_path, 0, gbuffer, {"path": images["path"]}, images["a"], images["b"])
-    header = replace(read_header(VERSION_1), frames=1, reference_spp=(1,), noise_ceiling_db=())
-    write_header(tmp_path, replace(header, pools=("path",), pools_ms=(), cuts=()))
+    header = replace(HEADER, height=8, width=8, frames=1, pool_spp=2, reference_spp=(1,))
+    write_header(tmp_path, replace(header, buffers=tuple(VIEWS)))
     assert verify(tmp_path) == []
     assert b"depth_psr.Z" in (tmp_path / "view.0000.exr").read_bytes()

@@ -33,16 +33,16 @@ def sequences(
     if format_ not in FORMATS:
         raise SourceError(f"no format '{format_}'; there are: {', '.join(FORMATS)}")
     module = importlib.import_module(FORMATS[format_])
-    found: list[ImportedSequence] = module.sequences(source, frames)
-    if not found:
+    clips: list[ImportedSequence] = module.sequences(source, frames)
+    if not clips:
         content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
         raise SourceError(
             f"{source} holds nothing of format '{format_}': expected files such as "
             f"{module.LAYOUT}; it holds: {content}"
         )
-    counts = Counter(sequence.name for sequence in found)
+    counts = Counter(sequence.name for sequence in clips)
     if duplicates := [name for name, count in counts.items() if count > 1]:
         raise SourceError(
             f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
         )
-    return sorted(found, key=lambda sequence: sequence.name)
+    return sorted(clips, key=lambda sequence: sequence.name)

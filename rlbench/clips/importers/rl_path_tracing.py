@@ -70,16 +70,18 @@ def sequences(source: Path, selection: tuple[int, int] | None) -> list[ImportedS
             images = scenes[folder][int(next(iter(parts.values())))]
             if image not in images or path.name.endswith("corr.pt"):  # as in the authors' loader
                 images[image] = path
-    return [_sequence(folder.resolve().name, found, selection) for folder, found in scenes.items()]
+    return [
+        _sequence(folder.resolve().name, frames, selection) for folder, frames in scenes.items()
+    ]
 
 
-def _sequence(name: str, found: Frames, selection: tuple[int, int] | None) -> ImportedSequence:
+def _sequence(name: str, source: Frames, selection: tuple[int, int] | None) -> ImportedSequence:
     name = clip_name(name)
-    rendered = [number for number, images in found.items() if set(images) - {"motion"}]
+    rendered = [number for number, images in source.items() if set(images) - {"motion"}]
     if not rendered:
         raise SourceError(f"'{name}' has motion but no images; expected {LAYOUT}")
     numbers = select_frames(f"clip '{name}'", rendered, selection)
-    frames = {number: found[number] for number in numbers}
+    frames = {number: source[number] for number in numbers}
     _check(name, frames)
     buffers = _buffers(name, frames)
     full_size = png_size(frames[numbers[0]]["s0"])

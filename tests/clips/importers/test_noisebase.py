@@ -35,10 +35,10 @@ def clip(tmp_path):
 
 @pytest.mark.parametrize("index", range(3))
 def test_radiance_is_decoded_from_rgbe(clip, index):
-    whole = noisebase_arrays(index)["color"][:3].transpose(3, 1, 2, 0) / 255
-    whole[:, :, 1::2] *= 2  # exponent 255: the upper end, 2
-    whole[:, :, ::2] *= 0.5  # exponent 127: half of the way from log 1/8 to log 2
-    np.testing.assert_allclose(pool(clip, index), whole, rtol=5e-4)  # half precision
+    expected = noisebase_arrays(index)["color"][:3].transpose(3, 1, 2, 0) / 255
+    expected[:, :, 1::2] *= 2  # exponent 255: the upper end, 2
+    expected[:, :, ::2] *= 0.5  # exponent 127: half of the way from log 1/8 to log 2
+    np.testing.assert_allclose(pool(clip, index), expected, rtol=5e-4)  # half precision
 
 
 def test_the_reference_is_unchanged(clip):
@@ -62,11 +62,11 @@ def test_motion_is_that_of_camera_and_object(clip, index):
 
 def test_the_sky_moves_as_the_camera_turns(tmp_path):
     source = write_noisebase(tmp_path / "source", frames=2, step=0.3, yaw=0.05)
-    found = stored(imported(source, "noisebase", tmp_path / "out"), 1, "motion")[0]
+    motion = stored(imported(source, "noisebase", tmp_path / "out"), 1, "motion")[0]
     x, y = (side[0] for side in plane())
     turned = np.tan(np.arctan(x) - 0.05) - x, y / (np.cos(0.05) + x * np.sin(0.05)) - y
     expected = np.stack((turned[0] * W / 2 * ZOOM, -turned[1] * H / 2 * ZOOM * W / H), -1)
-    np.testing.assert_allclose(found, expected, atol=1e-4, rtol=0)  # matrices are float
+    np.testing.assert_allclose(motion, expected, atol=1e-4, rtol=0)  # matrices are float
 
 
 def test_normals_are_unchanged_and_albedo_is_clipped(clip):
