@@ -40,7 +40,7 @@ def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
     if spp > header.pool_spp:
         return (
             f"{spp:g} spp requested, the clip has {header.pool_spp} samples per pixel; "
-            f"request at most {header.pool_spp} spp, or render the clip with more"
+            f"request at most {header.pool_spp} spp"
         )
     return None
 

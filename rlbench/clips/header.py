@@ -83,7 +83,7 @@ class Header:
             independent samples would give.
         noise_ceiling_db: PSNR of the noise-free image against the reference in dB, one number per
             frame; may be empty.
-        buffers: buffers of the G-buffer, keys of `VIEWS`.
+        buffers: buffers of the G-buffer, keys of `BUFFER_CHANNELS`.
         pools: kinds of sample pool, for example "path".
         limitations: requirements of the format that the clip does not meet, keys of `LIMITATIONS`.
         static: neither camera nor objects move; such a clip has no motion buffer.

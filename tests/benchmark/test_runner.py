@@ -165,7 +165,12 @@ def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monk
             1.0,
             "needs buffers depth, the clip has: albedo",
         ),
-        ({}, {"pool_spp": 4}, 8.0, "8 spp requested, the clip has 4 samples per pixel"),
+        (
+            {},
+            {"pool_spp": 4},
+            8.0,
+            "8 spp requested, the clip has 4 samples per pixel; request at most 4 spp",
+        ),
         ({"body": "raise RuntimeError('no luck')"}, {}, 1.0, "RuntimeError: no luck"),
         (
             {"body": "return samples.mean[:, :1], None"},

@@ -24,7 +24,7 @@ def sequences(
     """The sequences in a folder, sorted by name; each becomes one clip.
 
     `frames` selects the frames from its first number to its second, exclusive. A format's module
-    has `sequences(source, frames)` and `LAYOUT`, examples of its file names.
+    has `find_sequences(source, frames)` and `LAYOUT`, examples of its file names.
 
     Raises SourceError for an unknown format, for a folder without a sequence, for two sequences of
     one name, and for files that cannot be imported.
@@ -33,7 +33,7 @@ def sequences(
     if format_ not in FORMATS:
         raise SourceError(f"no format '{format_}'; there are: {', '.join(FORMATS)}")
     module = importlib.import_module(FORMATS[format_])
-    clips: list[ImportedSequence] = module.sequences(source, frames)
+    clips: list[ImportedSequence] = module.find_sequences(source, frames)
     if not clips:
         content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
         raise SourceError(

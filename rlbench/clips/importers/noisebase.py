@@ -59,7 +59,7 @@ class Camera(NamedTuple):
     matrix: Pixels  # 4 4, world to clip space, for row vectors: [p, 1] @ matrix
 
 
-def sequences(source: Path, frames: tuple[int, int] | None) -> list[ImportedSequence]:
+def find_sequences(source: Path, frames: tuple[int, int] | None) -> list[ImportedSequence]:
     """The sequences in a folder and its subfolders. Raises SourceError."""
     folders: dict[Path, dict[int, Path]] = defaultdict(dict)
     for path in limits.list_files(source):

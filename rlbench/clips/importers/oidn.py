@@ -65,7 +65,7 @@ class _Frame:
         return named or sorted(k for k in self.images["hdr"] if k[1] == most and most > 1)
 
 
-def sequences(source: Path, selection: tuple[int, int] | None) -> list[ImportedSequence]:
+def find_sequences(source: Path, selection: tuple[int, int] | None) -> list[ImportedSequence]:
     """The sequences in a folder and its subfolders. Raises SourceError."""
     clips: dict[tuple[str, ...], dict[int, _Frame]] = defaultdict(lambda: defaultdict(_Frame))
     for path in limits.list_files(source):

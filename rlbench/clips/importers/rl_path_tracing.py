@@ -54,7 +54,7 @@ PASSES = {f"Denoising {name.capitalize()}": name for name in ("albedo", "normal"
 Frames = Mapping[int, Mapping[str, Path]]  # by number and by image: s0 to s7, reference, ...
 
 
-def sequences(source: Path, selection: tuple[int, int] | None) -> list[ImportedSequence]:
+def find_sequences(source: Path, selection: tuple[int, int] | None) -> list[ImportedSequence]:
     """The sequences in a folder and its subfolders. Raises SourceError."""
     scenes: dict[Path, dict[int, dict[str, Path]]] = defaultdict(lambda: defaultdict(dict))
     for path in limits.list_files(source):
