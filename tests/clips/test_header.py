@@ -19,7 +19,10 @@ from hypothesis import strategies as st
 
 from rlbench.clips import ClipError, open_clip, read_header, verify, write_frame, write_header
 from rlbench.clips.header import LIMITATIONS, VIEWS
+from rlbench.render.jobs.job import Job
+from rlbench.render.presets import Preset
 from tests.clips.clip_folders import FRAMES, HEADER
+from tests.render.worlds import room
 
 VERSION_1 = Path(__file__).parent / "data" / "version_1"
 DIGESTS = {  # as commit a26c6ed computed them
@@ -184,3 +187,10 @@ def test_a_clip_written_today_names_its_channels_by_todays_names(tmp_path):
     write_header(tmp_path, replace(header, buffers=tuple(VIEWS)))
     assert verify(tmp_path) == []
     assert b"depth_psr.Z" in (tmp_path / "view.0000.exr").read_bytes()
+
+
+def test_a_clip_rendered_with_the_buffers_of_version_1_is_not_rendered_again(tmp_path):
+    plan = Preset("test", "tests", (8, 8), frames=2, reference_spp=2)
+    plan = plan.with_buffers(("object", "depth_psr"))
+    key = Job("room", room(), plan, tmp_path).content_key
+    assert key.endswith("with object depth_behind\n")  # as commit a26c6ed wrote it
