@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 
 
 @pytest.mark.parametrize("size", [(16, 16), (1, 1), (17, 31), (33, 16), (5, 48)])
