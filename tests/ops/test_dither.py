@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.ops.dither import hilbert, shift, systematic_sample
+from rlbench.ops.dither import hilbert_order, hash_to_unit_interval, systematic_sample
 
 CPU = torch.device("cpu")
 
@@ -34,14 +34,14 @@ def curve(order: int) -> list[tuple[int, int]]:
 @pytest.mark.parametrize("order", range(7))
 def test_the_curve_is_that_of_its_recursive_definition(order):
     side = 2**order
-    found = [(int(i) // side, int(i) % side) for i in hilbert(side, side, CPU)]
+    found = [(int(i) // side, int(i) % side) for i in hilbert_order(side, side, CPU)]
     turned = [(x, y) for y, x in curve(order)]
     assert found in (curve(order), turned)
 
 
 @pytest.mark.parametrize(("h", "w"), [(1, 1), (1, 7), (77, 123), (64, 48)])
 def test_the_curve_meets_each_pixel_of_an_odd_image_once(h, w):
-    assert sorted(hilbert(h, w, CPU).tolist()) == list(range(h * w))
+    assert sorted(hilbert_order(h, w, CPU).tolist()) == list(range(h * w))
 
 
 def marked(weight: list[int], number: int, shift: Fraction) -> list[bool]:
@@ -62,10 +62,10 @@ def test_it_agrees_with_marks_laid_one_by_one(values, data, key):
     values[0] += 1
     number = data.draw(st.integers(1, len(values)))
     weight = torch.tensor(values).view(1, -1)
-    order = hilbert(1, len(values), CPU)
+    order = hilbert_order(1, len(values), CPU)
     along = weight.flatten()[order].tolist()
     found = systematic_sample(weight, number, key).flatten()[order].tolist()
-    assert found == marked(along, number, Fraction(shift(key)))
+    assert found == marked(along, number, Fraction(hash_to_unit_interval(key)))
 
 
 def counted(density: Tensor, number: int, key: int) -> Tensor:

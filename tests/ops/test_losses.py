@@ -11,7 +11,7 @@ import torch
 
 from rlbench.ops.losses import (
     EVEN,
-    WANG,
+    MS_SSIM_WEIGHTS,
     l1,
     l1_ms_ssim_loss,
     log_loss,
@@ -56,7 +56,7 @@ def slow_ms_ssim(x: torch.Tensor, y: torch.Tensor, weights: tuple[float, ...]) -
 
 
 @pytest.mark.parametrize("size", [(176, 176), (163, 201)])
-@pytest.mark.parametrize("weights", [WANG, EVEN])
+@pytest.mark.parametrize("weights", [MS_SSIM_WEIGHTS, EVEN])
 def test_ms_ssim_equals_pytorch_msssim(size, weights):
     x, y = pair(*size)
     theirs = pytorch_msssim.ms_ssim(
@@ -75,7 +75,10 @@ def test_ms_ssim_of_one_scale_equals_kornias_ssim():
 
 def test_ms_ssim_equals_the_papers_formula_where_two_scales_fit():
     x, y = pair(24, 32, n=1)
-    weights = (WANG[0] / sum(WANG[:2]), WANG[1] / sum(WANG[:2]))
+    weights = (
+        MS_SSIM_WEIGHTS[0] / sum(MS_SSIM_WEIGHTS[:2]),
+        MS_SSIM_WEIGHTS[1] / sum(MS_SSIM_WEIGHTS[:2]),
+    )
     slow = sum(slow_ms_ssim(x[0, c], y[0, c], weights) for c in range(3)) / 3
     assert float(ms_ssim(x, y)) == pytest.approx(slow, abs=1e-5)  # float32 against float64
 
@@ -85,7 +88,7 @@ def test_ms_ssim_equals_the_papers_formula_where_two_scales_fit():
 )
 def test_the_scales_used_are_those_that_fit(side, scales):
     x, y = pair(side, side + 3, n=1)
-    fitting = tuple(w / sum(WANG[:scales]) for w in WANG[:scales])
+    fitting = tuple(w / sum(MS_SSIM_WEIGHTS[:scales]) for w in MS_SSIM_WEIGHTS[:scales])
     torch.testing.assert_close(ms_ssim(x, y), ms_ssim(x, y, fitting))
 
 

@@ -122,7 +122,7 @@ def test_valid_means_that_every_tap_with_weight_is_inside():
 
 
 def test_what_was_outside_has_the_value_for_missing():
-    remembered = reproject_or_fill(history(), constant(4, 0), missing=-1.0)
+    remembered = reproject_or_fill(history(), constant(4, 0), fill_value=-1.0)
     assert (remembered[..., W - 4 :] == -1).all()
     assert (remembered[..., : W - 4] >= 0).all()
 
