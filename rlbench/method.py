@@ -22,10 +22,9 @@ State = Any  # opaque to the benchmark: returned by the method and passed to its
 class Method(Protocol):
     """An adaptive sampler and a denoiser.
 
-    Methods are frozen: everything that persists between frames is in `state`. Arguments are shared
-    with other methods, so a method never changes them in place. All tensors of a call lie on one
-    device, and a method computes there. It works for any image size and any batch size n, where
-    item i of the batch does not affect item j.
+    A method is immutable (a frozen dataclass): everything that persists between frames is in
+    `state`. It never changes its arguments in place. It computes on the device of its inputs, for
+    any image size and any batch size n; clips of one batch do not affect each other.
 
     A method that averages its samples and samples uniformly, without a state:
 
