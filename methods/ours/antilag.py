@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from methods.ours.accumulation import AccumulatedRadiance
 from rlbench.ops.color import luminance
-from rlbench.ops.pad import crop
+from rlbench.ops.padding import crop
 from rlbench.ops.transfer import log_inverse
 
 CELL = 4  # pixels a side, of which sums are taken before windows are

@@ -32,7 +32,7 @@ from rlbench.ops.demodulation import sanitize_radiance
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import (
     LOG_SCALE,
     log_forward,

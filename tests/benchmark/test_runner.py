@@ -157,20 +157,15 @@ def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monk
 @pytest.mark.parametrize(
     ("plugin", "header", "spp", "reason"),
     [
-        ({"traits": "spp=(1.0, 4.0)"}, {}, 8.0, "supports 1 to 4 spp, asked for 8"),
-        ({"traits": "pool='odd'"}, {}, 1.0, "needs a 'odd' pool, the clip has: path"),
+        ({"traits": "spp=(1.0, 4.0)"}, {}, 8.0, "supports 1 to 4 spp, requested 8"),
+        ({"traits": "pool='odd'"}, {}, 1.0, "buys from a 'odd' pool, the clip has: path"),
         (
             {"traits": "needs=frozenset({'depth'})"},
             {"buffers": ("albedo",)},
             1.0,
-            "needs buffers depth, the clip has: albedo",
+            "reads depth, the clip has: albedo",
         ),
-        (
-            {},
-            {"pool_spp": 4},
-            8.0,
-            "8 spp requested, the clip has 4 samples per pixel; request at most 4 spp",
-        ),
+        ({}, {"pool_spp": 4}, 8.0, "8 spp asked for, the clip holds 4 samples of each pixel"),
         ({"body": "raise RuntimeError('no luck')"}, {}, 1.0, "RuntimeError: no luck"),
         (
             {"body": "return samples.mean[:, :1], None"},

@@ -1,4 +1,4 @@
-"""Light without texture: what divides, what passes through, and what cannot be squared."""
+"""Demodulation: bounds of the divisor, filtered albedo, surface mask, sanitized radiance."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ def pixel(*values: float) -> torch.Tensor:
     return torch.tensor(values).view(1, -1, 1, 1)
 
 
-def test_what_is_divided_by_is_never_zero():
-    found = reflectance(pixel(0.0, 0.5, 2.0))
-    assert torch.equal(found, pixel(1e-3, 0.5, 1.0))
+def test_reflectance_is_clamped_away_from_zero():
+    assert torch.equal(reflectance(pixel(0.0, 0.5, 2.0)), pixel(1e-3, 0.5, 1.0))
 
 
-def test_what_is_divided_by_is_the_mean_of_a_pixel_s_area():
+def test_reflectance_is_the_mean_albedo_of_the_pixel_area():
     albedo = torch.rand(2, 3, 9, 11, generator=torch.Generator().manual_seed(0))
-    albedo[:, :, 3:6, 2:4] = 0  # a lamp
-    slow = [area_albedo(each.permute(1, 2, 0).double().numpy()) for each in albedo]
+    albedo[:, :, 3:6, 2:4] = 0  # an emitter
+    slow = [area_albedo(one.permute(1, 2, 0).double().numpy()) for one in albedo]
     expected = torch.from_numpy(np.stack(slow)).permute(0, 3, 1, 2).float()
     torch.testing.assert_close(reflectance(albedo), expected)  # float32 sums
     black = (albedo == 0).all(1, keepdim=True).expand_as(albedo)
@@ -50,9 +49,9 @@ def test_what_is_divided_by_is_the_mean_of_a_pixel_s_area():
         ((0.0, 0.0, 0.0), 3.0, False),
         ((0.5, 0.5, 0.5), math.inf, False),
     ],
-    ids=["grey", "green", "lamp", "background"],
+    ids=["grey", "green", "emitter", "background"],
 )
-def test_a_surface_has_a_depth_and_reflects_something(albedo, depth, expected):
+def test_a_surface_has_finite_depth_and_non_zero_albedo(albedo, depth, expected):
     assert bool(surface_mask(pixel(*albedo), pixel(depth))) is expected
 
 
@@ -66,5 +65,5 @@ def test_a_surface_has_a_depth_and_reflects_something(albedo, depth, expected):
     ],
     ids=["usual", "out of range", "nan", "infinite"],
 )
-def test_radiance_becomes_finite_and_a_broken_pixel_black(radiance, expected):
+def test_radiance_becomes_finite_and_nonfinite_pixels_black(radiance, expected):
     assert torch.equal(sanitize_radiance(pixel(*radiance)), pixel(*expected))

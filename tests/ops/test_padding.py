@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 
 
 @pytest.mark.parametrize("size", [(16, 16), (1, 1), (17, 31), (33, 16), (5, 48)])
@@ -21,7 +21,7 @@ def test_padded_sides_are_the_next_multiples(size, padded):
     assert pad(torch.rand(1, 2, *size), 16).shape[-2:] == padded
 
 
-def test_what_is_added_repeats_the_border():
+def test_padding_replicates_the_border():
     padded = pad(torch.arange(6.0).view(1, 1, 2, 3), 4)
     expected = torch.tensor([[0.0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5], [3, 4, 5, 5]])
     assert torch.equal(padded[0, 0], expected)
