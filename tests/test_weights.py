@@ -32,8 +32,8 @@ CARD = ModelCard(
     seed=3,
     command="rlbench train --methods oidn",
     commit="abc",
-    plan='{"peak": 0.0005}',
-    curve=((100, 21.5), (1200, 27.0)),
+    training_config='{"peak": 0.0005}',
+    validation_history=((100, 21.5), (1200, 27.0)),
     note="stopped early",
 )
 
@@ -60,7 +60,7 @@ def test_the_card_comes_back_whole(path):
     written = save(net(), path, CARD)
     assert load_into(net(), path) == written
     assert written.data == CARD.data
-    assert written.curve == CARD.curve
+    assert written.validation_history == CARD.validation_history
 
 
 def test_the_card_says_what_the_file_is(path):
