@@ -85,13 +85,13 @@ def is_trainable(name: str) -> bool:
 
 
 def expand(
-    patterns: Iterable[str], trained: bool = True, tell: Callable[[str], None] | None = None
+    patterns: Iterable[str], trained: bool = True, on_skip: Callable[[str], None] | None = None
 ) -> list[str]:
     """Method names for patterns, without repeats.
 
     `all` stands for every family, `family/*` for all variants of one, `all/*` for all variants of
-    every family. A pattern with `*` leaves out variants without pretrained weights if `trained`.
-    With `tell`, `all` skips families that cannot be imported and passes a message for each.
+    every family. By default a pattern with `*` leaves out variants without pretrained weights.
+    With `on_skip`, `all` skips families that cannot be imported and passes a message for each.
 
     >>> expand(["mean", "svgf", "mean"])
     ['mean', 'svgf']
@@ -101,7 +101,7 @@ def expand(
     selected: dict[str, None] = {}
     for pattern in patterns:
         key, _, rest = pattern.partition("/")
-        for parent in _families(tell) if key == "all" else [key]:
+        for parent in _families(on_skip) if key == "all" else [key]:
             exact = f"{parent}/{rest}" if rest else parent
             for name in family(parent).names() if rest == "*" else [exact]:
                 if variant(name).pretrained or not trained or rest != "*":
@@ -109,12 +109,12 @@ def expand(
     return list(selected)
 
 
-def _families(tell: Callable[[str], None] | None) -> list[str]:
-    """All families; with `tell`, only those that can be imported."""
+def _families(on_skip: Callable[[str], None] | None) -> list[str]:
+    """All families; with `on_skip`, only those that can be imported."""
     importable = []
     for name in names("methods"):
-        if tell and (error := import_error("methods", name)):
-            tell(f"'all' skips {name}, which cannot be imported: {error}")
+        if on_skip and (error := import_error("methods", name)):
+            on_skip(f"'all' skips {name}, which cannot be imported: {error}")
         else:
             importable.append(name)
     return importable

@@ -56,7 +56,7 @@ def test_all_skips_a_family_that_cannot_be_imported_and_says_so(tmp_path):
     (tmp_path / "torn.py").write_text("1 / 0")
     registry.use_plugin(tmp_path / "torn.py")
     messages = []
-    names = registry.expand(["all"], tell=messages.append)
+    names = registry.expand(["all"], on_skip=messages.append)
     assert names == [name for name in registry.names("methods") if name != "torn"]
     assert messages == [
         "'all' skips torn, which cannot be imported: ZeroDivisionError: division by zero"
