@@ -72,7 +72,7 @@ def machines() -> dict[str, dict[str, float]]:
     """Resources of the machines that have processors, by Ray's ids. Raises ExecutorError."""
     nodes = [node for node in import_ray().nodes() if node["Alive"]]
     resources = {node["NodeID"]: node["Resources"] for node in nodes}
-    usable = {name: each for name, each in resources.items() if each.get("CPU", 0) >= 1}
+    usable = {name: machine for name, machine in resources.items() if machine.get("CPU", 0) >= 1}
     if not usable:
         raise ExecutorError(f"none of the {len(nodes)} machines of the Ray cluster has processors")
     return usable

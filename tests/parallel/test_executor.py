@@ -138,11 +138,11 @@ def test_a_worker_has_the_settings_of_the_submitter(workers, tmp_path, monkeypat
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("RLBENCH_VARIANT", "scalar_rgb")
     (reply,) = workers.map(describe_worker, ["only_here"])
-    variables, folder, threads, found = reply.result()
+    variables, folder, threads, importable = reply.result()
     assert variables["RLBENCH_VARIANT"] == "scalar_rgb"
     assert variables["RLBENCH_CACHE"] == os.environ["RLBENCH_CACHE"]
     assert variables["RLBENCH_THREADS"] == "1"
-    assert (folder, threads, found) == (str(tmp_path), torch.get_num_threads(), True)
+    assert (folder, threads, importable) == (str(tmp_path), torch.get_num_threads(), True)
 
 
 def test_a_worker_drops_variables_and_plugins_that_the_submitter_does_not_have(
