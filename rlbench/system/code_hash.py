@@ -104,14 +104,15 @@ def _defining_modules(item: _Import, followed: Collection[str]) -> Iterator[str]
         yield item.module
         return
     package = f"{item.module}{INIT}"
-    for reexport in _imports(package) if item.name else ():
+    has_init = spec.origin is not None  # a folder without __init__.py is a package, too
+    for reexport in _imports(package) if item.name and has_init else ():
         if reexport.alias == item.name and reexport.module != item.module:
             yield from _defining_modules(reexport, followed)
             return
     submodule = f"{item.module}.{item.name}"
     if item.name and _spec(submodule):
         yield from _defining_modules(_Import(submodule), followed)
-    elif spec.origin:  # a folder without __init__.py defines nothing
+    elif has_init:
         yield package
 
 

@@ -177,6 +177,17 @@ def test_a_package_imported_whole_counts_with_all_that_it_imports(plugin, line):
     assert closure == {"stranger.method", "stranger.__init__", "stranger.net"}
 
 
+@pytest.mark.parametrize("line", ["from helpers import net", "import helpers, helpers.net"])
+def test_a_folder_without_an_init_file_is_followed(plugin, line):
+    (plugin.parent / "helpers").mkdir()
+    (plugin.parent / "helpers" / "net.py").write_text("")
+    (plugin / "method.py").write_text(f"{line}\n")
+    importlib.invalidate_caches()
+    closure = import_closure("stranger.method", {"helpers"})
+    assert closure == {"stranger.method", "helpers.net"}
+    assert len(code_hash(closure)) == 16
+
+
 def test_a_plugin_file_is_followed_into_rlbench_and_its_folder(plugin):
     file = plugin.parent / "my_method.py"
     file.write_text("import torch\nfrom stranger.net import WIDTH\nimport rlbench.ops.pad\n")
