@@ -1,28 +1,31 @@
 """Plugins by name: methods, metrics, reports, pools and scenes, imported when they are used."""
 
-from rlbench.registry.lookup import (
+from rlbench.errors import PluginError
+from rlbench.registry.discovery import (
     GROUPS,
     VARIABLE,
-    PluginEntry,
-    PluginError,
-    clear_plugins,
     entries,
-    expand,
+    module_file,
+    resolve,
+)
+from rlbench.registry.entry import PluginEntry
+from rlbench.registry.lookup import (
     family,
     import_error,
-    is_trainable,
     load,
     load_or_explain,
-    method,
     metrics,
-    module_file,
     names,
-    plugin_file,
-    resolve,
-    training_task,
-    use_plugin,
     variant,
 )
+from rlbench.registry.methods import (
+    expand,
+    is_trainable,
+    method,
+    shipped_weights,
+    training_task,
+)
+from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
 
 __all__ = [
     "GROUPS",
@@ -43,6 +46,7 @@ __all__ = [
     "names",
     "plugin_file",
     "resolve",
+    "shipped_weights",
     "training_task",
     "use_plugin",
     "variant",

@@ -203,10 +203,10 @@ def _ship(
         seed=plan.seed,
         command=command,
         commit=provenance.commit(),
-        plan=json.dumps({**plan.told(), **budgets}),
-        config=config_json(trainer.method),
+        training_config=json.dumps({**plan.told(), **budgets}),
+        method_config=config_json(trainer.method),
         origin=trainer.origin,
-        curve=tuple(progress.curve),
+        validation_history=tuple(progress.curve),
         note=progress.note(plan.frames),
     )
     weights.save(learner.average, shipped(name, out), card)

@@ -242,7 +242,8 @@ def test_a_package_that_is_not_installed_is_a_reason_with_what_to_do(clip_folder
     done = measure(request(clip_folder, "odd", "mean"), tmp_path / "r")
     assert done == RunSummary(measured=1, skipped=1)
     reason = (
-        "PluginError: 'odd' needs nowhere-at-all, which is not here: pip install nowhere-at-all"
+        "PluginError: 'odd' needs nowhere-at-all, which is not installed: "
+        "pip install nowhere-at-all"
     )
     assert reason in reasons(tmp_path / "r")
 

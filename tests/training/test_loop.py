@@ -126,7 +126,7 @@ def test_a_training_that_was_killed_ends_as_an_undisturbed_one(tmp_path):
     card, weights = trained(tmp_path / "undisturbed", clip)
     assert same == weights
     assert (resumed.frames_seen, resumed.steps) == (card.frames_seen, card.steps) == (24, 12)
-    assert resumed.curve == card.curve
+    assert resumed.validation_history == card.validation_history
 
 
 CHILD = """
@@ -156,7 +156,7 @@ def test_kill_9_changes_nothing_of_the_weights(tmp_path):
     resumed, same = trained(tmp_path / "killed", clip)
     card, weights = trained(tmp_path / "undisturbed", clip)
     assert same == weights
-    assert resumed.curve == card.curve
+    assert resumed.validation_history == card.validation_history
 
 
 CRITIC = "torch.nn.Conv2d(3, 1, 1)"
@@ -210,7 +210,7 @@ def test_budgets_are_those_asked_for_or_the_methods_own_and_the_card_says_which(
     clip = write_noise(tmp_path / "noise", h=24, w=24)
     train("blur", [clip], [clip], tmp_path / "run", TrainingConfig(24, crop=16, length=3, spp=spp))
     assert found == drawn
-    assert set(json.loads(read_card(tmp_path / "run" / "blur.safetensors").plan)["spp"]) == drawn
+    assert set(json.loads(read_card(tmp_path / "run" / "blur.safetensors").training_config)["spp"]) == drawn
 
 
 @pytest.mark.parametrize("spp", [0.5, 8.0])

@@ -138,7 +138,7 @@ def retrain(
         seed=task.seed,
         command=command,
         origin=f"encoder and denoiser of {task.weights.name}",
-        curve=((0, told["uniform"]), (frames, told[name])),
+        validation_history=((0, told["uniform"]), (frames, told[name])),
         note=f"sampler alone, by {name}",
     )
     save(networks, out / f"{name}.safetensors", card)
