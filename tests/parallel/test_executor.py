@@ -21,8 +21,8 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
 from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
-from tests.render.test_record import PLAN, contents
-from tests.render.worlds import room
+from tests.render.jobs.test_render_clips import PLAN, contents
+from tests.render.small_scenes import room
 
 RETRIES = 1
 

@@ -26,13 +26,13 @@ from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from rlbench.render.user import camera_path
 from rlbench.render.user.clip import UserSceneOptions
-from tests.render.cycles import both
+from tests.render.cycles import shared_scene
 
 pytestmark = pytest.mark.slow
 H, W = 64, 64
-PLAN = Preset("test", "tests", (H, W), both.FRAMES, reference_spp=40)  # in two spans
+PLAN = Preset("test", "tests", (H, W), shared_scene.FRAMES, reference_spp=40)  # in two spans
 SMALL = replace(PLAN, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
-ASKED = (("max_bounces", str(both.BOUNCES)),)
+ASKED = (("max_bounces", str(shared_scene.BOUNCES)),)
 FORMATS = ("blend", "usd", "glb", "fbx")
 HERE = Path(__file__).parent
 
@@ -41,9 +41,9 @@ HERE = Path(__file__).parent
 def files(blender, tmp_path_factory):
     """Folder with the scene in every format."""
     folder = tmp_path_factory.mktemp("scene")
-    both.for_blender(folder)
+    shared_scene.for_blender(folder)
     subprocess.run(
-        [blender, "-I", str(HERE / "export.py"), str(folder)], check=True, capture_output=True
+        [blender, "-I", str(HERE / "export_scene.py"), str(folder)], check=True, capture_output=True
     )
     return folder
 
@@ -60,9 +60,9 @@ def cycles(files, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mitsuba(tmp_path_factory):
-    scene, matrices = both.for_mitsuba(), [camera_path.matrix(both.camera(t)) for t in range(4)]
+    scene, matrices = shared_scene.for_mitsuba(), [camera_path.matrix(shared_scene.camera(t)) for t in range(4)]
     path = camera_path.listed(matrices)  # before frame 0, nothing moves, as in the file
-    scene = replace(scene, camera=lambda time: camera_path.camera(path(time), both.FOV))
+    scene = replace(scene, camera=lambda time: camera_path.camera(path(time), shared_scene.FOV))
     job = Job("both", scene, PLAN, tmp_path_factory.mktemp("mitsuba") / "clip")
     return render_missing([job])[0]
 
@@ -73,7 +73,7 @@ def test_the_linter_finds_no_fault(tracer, llvm, request):
     assert not [finding for finding in findings if finding.verdict == Verdict.FAIL]
 
 
-@pytest.mark.parametrize("index", range(both.FRAMES))
+@pytest.mark.parametrize("index", range(shared_scene.FRAMES))
 def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index):
     ours, theirs = (open_clip(clip).frame(index) for clip in (cycles, mitsuba))
     seen = (theirs.gbuffer.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.gbuffer.albedo)
@@ -148,7 +148,7 @@ def test_every_format_has_the_camera_the_shapes_and_their_motion(kind, files, tm
         files / f"both.{kind}", "", size=SMALL.size, exposure=1.0, out=tmp_path / "clip"
     )
     found = open_clip(ensure_cycles(asked, SMALL)).frame(1).gbuffer
-    tracer = open_tracer(both.for_mitsuba(), *SMALL.size)
+    tracer = open_tracer(shared_scene.for_mitsuba(), *SMALL.size)
     tracer.set_time(1.0)
     for name, wanted in render_gbuffer(tracer, ("depth", "motion")).items():
         apart = np.abs(found.buffers[name][0].permute(1, 2, 0).numpy() - wanted).max(-1)
@@ -160,8 +160,8 @@ def test_a_still_camera_and_nothing_that_moves_make_a_static_clip(files, tmp_pat
     text = (files / "both.gltf").read_text()
     still.write_text(text.replace('"animations"', '"extras"'))
     asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
-    first = camera_path.matrix(both.camera(0)).tolist()
-    Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": both.FOV}))
+    first = camera_path.matrix(shared_scene.camera(0)).tolist()
+    Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV}))
     header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
     assert header.static
     assert "motion" not in header.buffers

@@ -23,7 +23,7 @@ from rlbench.render.presets import preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import camera_path
 from rlbench.render.user.clip import UserSceneOptions
-from tests.render.cycles import both
+from tests.render.cycles import shared_scene
 
 LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
 
@@ -104,7 +104,7 @@ def test_a_file_that_cannot_be_opened_is_told_without_blender(name, match, tmp_p
 
 
 def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
-    file, _ = both.for_blender(tmp_path)
+    file, _ = shared_scene.for_blender(tmp_path)
     parts = scene_file.parts(file)
     before = scene_file.digest(file, parts)
     (tmp_path / "both.bin").write_bytes(b"other")

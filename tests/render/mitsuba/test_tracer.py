@@ -7,7 +7,7 @@ import pytest
 
 from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from tests.render.worlds import atlas, diffuse, looking_down, room, under_a_lamp
+from tests.render.small_scenes import atlas, diffuse, looking_down, room, under_a_lamp
 
 H, W = 24, 32
 

@@ -21,7 +21,7 @@ from rlbench.render.presets import Preset
 from rlbench.run import run_clip
 from rlbench.sampling import draw_samples, nothing
 from tests.conftest import write_noise
-from tests.render.worlds import grey, room
+from tests.render.small_scenes import grey, room
 
 H, W = 16, 24
 PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)

@@ -17,7 +17,7 @@ from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset
 from rlbench.render.scene import Camera, SceneError, Take
-from tests.render.worlds import room
+from tests.render.small_scenes import room
 
 PLAN = Preset("test", "tests", (16, 24), 4, 2, ("room",), pool_spp=2, takes="all")
 AWAY = Camera((4.0, -4.0, 1.5), (0, 0, 0.5), fov=50.0)

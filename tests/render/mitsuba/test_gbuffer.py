@@ -8,7 +8,7 @@ from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Scene
-from tests.render.worlds import (
+from tests.render.small_scenes import (
     STEP,
     around_the_corner,
     diffuse,

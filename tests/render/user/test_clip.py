@@ -17,7 +17,7 @@ from rlbench.render.scene import SceneError
 from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.clip import UserSceneOptions, ensure_own
 from rlbench.render.user.scene_file import opened
-from tests.render.worlds import looking_down
+from tests.render.small_scenes import looking_down
 
 H, W, FOV = 32, 48, 60.0
 PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=2)
@@ -57,7 +57,7 @@ def moving(time, rest):
     return {"Flag": rest["Flag"] + [0, 0.1 * time, 0]}
 """
 PYTHON = """from dataclasses import replace
-from tests.render.worlds import room
+from tests.render.small_scenes import room
 
 def scene():
     return room()

@@ -9,7 +9,7 @@ from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
 from rlbench.render.mitsuba.pool_stage import PoolStage
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Camera, Mesh, Scene
-from tests.render.worlds import diffuse, grey, room, square
+from tests.render.small_scenes import diffuse, grey, room, square
 
 H, W = 16, 24
 SIGMAS = 4.0  # standard errors that a mean may be away from what it estimates

@@ -7,7 +7,7 @@ import pytest
 
 from rlbench.render.mitsuba.load import LightError
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from tests.render.worlds import grey, room
+from tests.render.small_scenes import grey, room
 
 H, W, SPP = 12, 16, 16
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

@@ -7,7 +7,7 @@ import pytest
 
 from rlbench.render.mitsuba import load
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from tests.render.worlds import ball, diffuse, room
+from tests.render.small_scenes import ball, diffuse, room
 
 
 def test_a_light_that_mitsuba_would_leave_dark_is_told(variant):

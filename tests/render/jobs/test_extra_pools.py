@@ -13,7 +13,7 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render, render_missing
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.presets import Preset
-from tests.render.worlds import room
+from tests.render.small_scenes import room
 
 PLAN = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
 BOTH = replace(PLAN, pools=("path", "restir"))

@@ -12,7 +12,7 @@ from rlbench.render.jobs.render_clips import ensure, render
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset, preset
-from tests.render.worlds import diffuse, room, square
+from tests.render.small_scenes import diffuse, room, square
 
 PLAN = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
 

@@ -14,7 +14,7 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
-from tests.render.worlds import looking_down, room
+from tests.render.small_scenes import looking_down, room
 
 H, W = 16, 24
 PLAN = Preset("test", "tests", (H, W), frames=2, reference_spp=4, pool_spp=1)
