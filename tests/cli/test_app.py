@@ -180,7 +180,7 @@ def test_seeds_are_ranges_without_their_end_and_lists(text, seeds):
 def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
     wanted = []
 
-    def ensure(plan, scenes, seeds, engine):
+    def ensure(plan, scenes, seeds, executor):
         wanted.append((plan.name, scenes, seeds))
         return []
 
@@ -207,7 +207,7 @@ def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
 
 
 def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
-    def ensure(plan, scenes, seeds, engine):
+    def ensure(plan, scenes, seeds, executor):
         return [Path(plan.name, str(name)) for name in scenes or seeds]
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.render.mitsuba.llvm import libraries, select_variant
+from rlbench.render.mitsuba.llvm import find_libraries, select_variant
 from rlbench.system import paths
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
@@ -19,7 +19,7 @@ def noted(tmp_path_factory) -> Path:
     """What probing libLLVM has found, once for all tests: each has an empty cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("probed")))
-        libraries()
+        find_libraries()
         return paths.cache() / "llvm.json"
 
 
@@ -32,7 +32,7 @@ def _probed(noted, _own_cache):
 
 @pytest.fixture
 def llvm():
-    if all(library.refused for library in libraries()):
+    if all(library.unusable_reason for library in find_libraries()):
         pytest.skip(NO_LLVM)
     return select_variant("llvm_ad_rgb")
 
@@ -49,5 +49,5 @@ def _fast_again():
     """What a test leaves running is what the next ones get: not the slow variant."""
     yield
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
-    if running == "scalar_rgb" and not all(library.refused for library in libraries()):
+    if running == "scalar_rgb" and not all(library.unusable_reason for library in find_libraries()):
         select_variant("llvm_ad_rgb")

@@ -17,8 +17,8 @@ from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 
 LAYER = "view"  # as the worker names the view layer
-NOTHING = 1e9  # depth from which on nothing is seen: Cycles writes 1e10
-NORMAL = 0.1  # length below which there is no normal
+BACKGROUND_DEPTH = 1e9  # depth from which on nothing is seen: Cycles writes 1e10
+MIN_NORMAL_LENGTH = 0.1  # length below which there is no normal
 GEOMETRY = [
     *(f"{LAYER}.Denoising Albedo.{c}" for c in "RGB"),
     *(f"{LAYER}.Normal.{c}" for c in "XYZ"),
@@ -28,14 +28,14 @@ GEOMETRY = [
 COMBINED = [f"{LAYER}.Combined.{c}" for c in "RGB"]
 
 
-def read_view(
+def read_gbuffer(
     file: Path, scene: Scene, index: int, size: tuple[int, int]
 ) -> dict[str, Float[Array, "h w channels"]]:
     """The view of frame `index` from its geometry file. Raises ClipError where it is broken."""
-    return view(read_exr(file, GEOMETRY, *size).astype(np.float32), scene, float(index))
+    return convert_passes(read_exr(file, GEOMETRY, *size).astype(np.float32), scene, float(index))
 
 
-def view(
+def convert_passes(
     planes: Float[Array, "9 h w"], scene: Scene, time: float
 ) -> dict[str, Float[Array, "h w channels"]]:
     """The buffers of a view from the channels GEOMETRY, float32, in the conventions of `View`.
@@ -47,11 +47,13 @@ def view(
     """
     albedo, normal, depth, vector = np.split(np.moveaxis(planes, 0, -1), [3, 6, 7], axis=-1)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    empty = (depth > NOTHING) | (length < NORMAL)
+    empty = (depth > BACKGROUND_DEPTH) | (length < MIN_NORMAL_LENGTH)
     motion = vector * np.array([1, -1], np.float32)
     return {
         "albedo": np.where(empty, 0, np.clip(np.nan_to_num(albedo), 0, 1)).astype(np.float32),
-        "normal": np.where(empty, 0, normal / np.maximum(length, NORMAL)).astype(np.float32),
+        "normal": np.where(empty, 0, normal / np.maximum(length, MIN_NORMAL_LENGTH)).astype(
+            np.float32
+        ),
         "depth": np.where(empty, np.inf, depth).astype(np.float32),
         "motion": np.where(empty, sky_motion(scene, time, *empty.shape[:2]), motion).astype(
             np.float32
@@ -63,12 +65,12 @@ def sky_motion(scene: Scene, time: float, height: int, width: int) -> Float[Arra
     """Pixels to the previous position of what is infinitely far away, from the camera alone."""
     rows, columns = np.indices((height, width)).reshape(2, -1)
     film = np.stack([columns, rows], 1) + 0.5
-    towards = Pose.of(scene, time).directions(film, height, width)
-    before = Pose.of(scene, time - 1)
+    towards = Pose.at_time(scene, time).ray_directions(film, height, width)
+    before = Pose.at_time(scene, time - 1)
     there, _ = before.project(np.column_stack([towards, np.zeros(len(film))]), height, width)
     return np.asarray(there - film).reshape(height, width, 2)
 
 
-def radiance(file: Path, size: tuple[int, int]) -> Float[Array, "h w 3"]:
+def read_radiance(file: Path, size: tuple[int, int]) -> Float[Array, "h w 3"]:
     """Linear radiance of a file, float32. Raises ClipError where it is broken."""
     return np.moveaxis(read_exr(file, COMBINED, *size).astype(np.float32), 0, -1)

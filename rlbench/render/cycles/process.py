@@ -13,13 +13,13 @@ from typing import Any
 
 from rlbench.errors import RlbenchError
 
-VARIABLE = "RLBENCH_CYCLES_PYTHON"  # the Python that has bpy; default this one
+PYTHON_VARIABLE = "RLBENCH_CYCLES_PYTHON"  # the Python that has bpy; default this one
 WORKER = Path(__file__).parent / "worker" / "worker.py"
 VERSION = "4.5.15"  # of bpy, on which the settings and passes were measured
-TAIL = 12  # lines of Blender's log that an error tells
+LOG_TAIL_LINES = 12  # lines of Blender's log that an error tells
 INSTALL = (
     f"pip install 'rlbench[cycles]' into a Python 3.11, or `python3.11 -m venv cycles && "
-    f"cycles/bin/pip install bpy=={VERSION}` and {VARIABLE}=cycles/bin/python"
+    f"cycles/bin/pip install bpy=={VERSION}` and {PYTHON_VARIABLE}=cycles/bin/python"
 )
 
 
@@ -29,7 +29,7 @@ class CyclesError(RlbenchError, RuntimeError):
 
 def interpreter() -> str:
     """The Python that runs the worker."""
-    return os.environ.get(VARIABLE) or sys.executable
+    return os.environ.get(PYTHON_VARIABLE) or sys.executable
 
 
 def installed() -> str | None:
@@ -44,7 +44,7 @@ def installed() -> str | None:
     return found.stdout.strip() or None if found.returncode == 0 else None
 
 
-def run(job: Mapping[str, Any], log: Path) -> Iterator[dict[str, Any]]:
+def run_worker(job: Mapping[str, Any], log: Path) -> Iterator[dict[str, Any]]:
     """Events of a job (see worker/README.md) as they come, until it is done.
 
     Blender's own words go to `log`, the job into a file beside it. If the caller stops listening,
@@ -61,7 +61,7 @@ def run(job: Mapping[str, Any], log: Path) -> Iterator[dict[str, Any]]:
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words
             )
     except OSError as error:
-        raise CyclesError(f"{VARIABLE}: {command[0]} cannot be run: {error}") from error
+        raise CyclesError(f"{PYTHON_VARIABLE}: {command[0]} cannot be run: {error}") from error
     done = False
     with process:
         try:
@@ -113,6 +113,6 @@ def _died(code: int, log: Path) -> str:
 
 
 def _tail(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines()[-TAIL:] if log.is_file() else []
+    lines = log.read_text(errors="replace").splitlines()[-LOG_TAIL_LINES:] if log.is_file() else []
     told = "".join(f"\n  {line}" for line in lines)
     return f". The end of {log}:{told}" if lines else f". It wrote nothing to {log}"

@@ -14,8 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.cycles.process import VERSION, CyclesError, run
-from rlbench.render.cycles.worker_job import RECIPE, Parameters, inspect_job, turned
+from rlbench.render.cycles.process import VERSION, CyclesError, run_worker
+from rlbench.render.cycles.worker_job import (
+    WORKER_VERSION,
+    CyclesParameters,
+    convert_axes,
+    inspect_job,
+)
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import camera_path
 from rlbench.render.user.clip import UserSceneOptions
@@ -27,16 +32,16 @@ CENTRED = 1e-4  # share of the picture's width that the lens may be shifted by
 
 
 @dataclass(frozen=True)
-class Found:
+class BlenderScene:
     """What the worker says of a file."""
 
-    opened: UserScene
+    user_scene: UserScene
     start: int  # the scene's frame that is frame 0
     distance: float | None  # to what the middle of the first picture shows, in scene units
     blender: str  # version
 
 
-def opened(wish: UserSceneOptions, frames: int, asked: Parameters) -> Found:
+def open_blender_file(wish: UserSceneOptions, frames: int, asked: CyclesParameters) -> BlenderScene:
     """Ask the worker what a scene file holds; what it said is remembered while files are the same.
 
     Raises SceneError for a file that is not there, of another format, or that lacks files itself,
@@ -55,12 +60,14 @@ def opened(wish: UserSceneOptions, frames: int, asked: Parameters) -> Found:
         )
     if not facts["meshes"]:
         raise SceneError(f"{file} holds no mesh, so there is nothing to see")
-    return Found(_as_opened(file, facts, asked), facts["start"], facts["distance"], facts["hello"])
+    return BlenderScene(
+        _as_opened(file, facts, asked), facts["start"], facts["distance"], facts["hello"]
+    )
 
 
-def _remembered(wish: UserSceneOptions, frames: int, asked: Parameters) -> dict[str, Any]:
+def _remembered(wish: UserSceneOptions, frames: int, asked: CyclesParameters) -> dict[str, Any]:
     """The worker's description, from the cache if nothing it depends on has changed."""
-    words = f"{RECIPE} {wish.file.absolute()} {frames} {wish.size} {asked.start}"
+    words = f"{WORKER_VERSION} {wish.file.absolute()} {frames} {wish.size} {asked.start}"
     place = paths.cache() / "cycles" / hashlib.sha256(words.encode()).hexdigest()[:16]
     note = place.with_suffix(".json")
     if note.is_file():
@@ -68,14 +75,14 @@ def _remembered(wish: UserSceneOptions, frames: int, asked: Parameters) -> dict[
         if facts["digest"] == digest(wish.file, facts["files"]):
             return facts
     facts = {}
-    for event in run(inspect_job(wish.file, frames, wish.size, asked), place / "open.log"):
+    for event in run_worker(inspect_job(wish.file, frames, wish.size, asked), place / "open.log"):
         if event.get("event") == "hello":
             facts["hello"] = event["blender"]
         if event.get("event") == "opened":
             facts |= event
     if "start" not in facts:
         raise CyclesError(f"Blender opened {wish.file} and said nothing of it")
-    facts["files"] = sorted({*facts["files"], *parts(wish.file)})
+    facts["files"] = sorted({*facts["files"], *gltf_parts(wish.file)})
     facts["digest"] = digest(wish.file, facts["files"])
     if not facts["missing"]:
         with paths.replacing(note) as path:
@@ -92,7 +99,7 @@ def digest(file: Path, others: list[str]) -> str:
     return told.hexdigest()
 
 
-def parts(file: Path) -> list[str]:
+def gltf_parts(file: Path) -> list[str]:
     """The files beside a .gltf that it consists of, which Blender forgets once they are read."""
     if file.suffix.lower() != ".gltf":
         return []
@@ -103,10 +110,10 @@ def parts(file: Path) -> list[str]:
     return [str((file.parent / unquote(uri)).absolute()) for uri in found if uri[:5] != "data:"]
 
 
-def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> UserScene:
+def _as_opened(file: Path, facts: Mapping[str, Any], asked: CyclesParameters) -> UserScene:
     name = file.stem
     path = facts["camera"]
-    matrices = [turned(np.array(rows)) for rows in path["matrices"]]
+    matrices = [convert_axes(np.array(rows)) for rows in path["matrices"]]
     fixed = all(np.allclose(rows, matrices[0], atol=1e-6) for rows in matrices)
     fixed = fixed and len({round(fov, 6) for fov in path["fov"]}) < 2
     high, wide = facts["film"]
@@ -123,7 +130,7 @@ def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> UserS
         raise SceneError(f"{file}: its camera is {path['lens']}; rlbench takes PERSP, a pinhole")
     if path["shift"] > CENTRED:
         raise SceneError(f"{file}: its camera's lens is shifted; rlbench takes a centred pinhole")
-    made_of = f"cycles {RECIPE} {facts['digest']} {facts['start']} {asked.mark}"
+    made_of = f"cycles {WORKER_VERSION} {facts['digest']} {facts['start']} {asked.content_key}"
     fov = path["fov"][1] if matrices else 60.0
     first = matrices[1] if matrices else None
     notes = [f"{file.name}: {note}" for note in _notes(facts)]
@@ -137,7 +144,7 @@ def flown(matrices: list[Float[Array, "4 4"]], fov: list[float]) -> Any:
 
     def at(time: float) -> Camera:
         index = int(np.clip(round(time) + 1, 0, len(matrices) - 1))
-        return camera_path.camera(matrices[index], fov[index])
+        return camera_path.camera_from_matrix(matrices[index], fov[index])
 
     return at
 

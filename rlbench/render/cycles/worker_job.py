@@ -13,14 +13,14 @@ from numpy import ndarray as Array
 from rlbench.render.scene import Scene, SceneError
 from rlbench.render.user import camera_path
 
-RECIPE = 1  # raised whenever the worker makes other pixels of the same file
+WORKER_VERSION = 1  # raised whenever the worker makes other pixels of the same file
 STREAMS = {"path": 0, "referenceA": 1, "referenceB": 2, "pilot": 3}
-NUMBERS = 1024  # seeds of one stream in one frame
+SEEDS_PER_STREAM = 1024  # seeds of one stream in one frame
 PARAMETERS = {"max_bounces": int, "world": float, "start": int, "threads": int}  # of --define
 
 
 @dataclass(frozen=True)
-class Parameters:
+class CyclesParameters:
     """What --define says of a scene that Cycles renders; None is as the file has it."""
 
     max_bounces: int | None = None  # of every kind of ray; 0 is direct light only
@@ -29,7 +29,7 @@ class Parameters:
     threads: int = 0  # of the processor; 0: all. No pixel depends on it
 
     @classmethod
-    def of(cls, pairs: tuple[tuple[str, str], ...]) -> Parameters:
+    def parse(cls, pairs: tuple[tuple[str, str], ...]) -> CyclesParameters:
         """From `name=value`. Raises SceneError for unknown names and values."""
         found: dict[str, Any] = {}
         for name, value in pairs:
@@ -47,13 +47,13 @@ class Parameters:
         return cls(**found)
 
     @property
-    def mark(self) -> str:
+    def content_key(self) -> str:
         """All that pixels depend on."""
         return f"{self.max_bounces} {self.world} {self.start}"
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageTask:
     """One EXR file that the worker is to write: samples first ... first + spp - 1 of a seed.
 
     Sample 0 is never among them, for Cycles sends it through pixel centres. `total` samples of one
@@ -80,19 +80,23 @@ class Picture:
         }
 
 
-def seed(frame: int, stream: str, number: int) -> int:
+def image_seed(frame: int, stream: str, number: int) -> int:
     """Cycles' seed of picture `number` of a stream; no two are the same. Below 2^31."""
-    if not 0 <= number < NUMBERS:
-        raise SceneError(f"{stream}: {number} pictures of one frame; Cycles has {NUMBERS} seeds")
-    return (frame * len(STREAMS) + STREAMS[stream]) * NUMBERS + number
+    if not 0 <= number < SEEDS_PER_STREAM:
+        raise SceneError(
+            f"{stream}: {number} pictures of one frame; Cycles has {SEEDS_PER_STREAM} seeds"
+        )
+    return (frame * len(STREAMS) + STREAMS[stream]) * SEEDS_PER_STREAM + number
 
 
-def inspect_job(file: Path, frames: int, size: tuple[int, int] | None, asked: Parameters) -> Any:
+def inspect_job(
+    file: Path, frames: int, size: tuple[int, int] | None, parameters: CyclesParameters
+) -> Any:
     """The job that renders nothing and says what a file holds."""
     return {
         "scene": str(file.absolute()),
         "frames": frames,
-        "start": asked.start,
+        "start": parameters.start,
         "size": size,
         "renders": [],
     }
@@ -104,8 +108,8 @@ def render_job(
     start: int,
     frames: int,
     size: tuple[int, int],
-    asked: Parameters,
-    pictures: list[Picture],
+    parameters: CyclesParameters,
+    images: list[ImageTask],
     geometry: bool = False,
 ) -> dict[str, Any]:
     """The job that renders `pictures` of a scene file, seen by the camera of `scene`.
@@ -113,21 +117,21 @@ def render_job(
     `geometry`: the passes of a view, of pixel centres, instead of radiance.
     """
     cameras = [scene.camera(float(index)) for index in range(-1, frames + 1)]
-    matrices = [turned(camera_path.matrix(camera)).tolist() for camera in cameras]
+    matrices = [convert_axes(camera_path.matrix_from_camera(camera)).tolist() for camera in cameras]
     return {
         "scene": str(file.absolute()),
         "frames": frames,
         "start": start,
         "size": size,
         "camera": {"matrices": matrices, "fov": [camera.fov for camera in cameras]},
-        "max_bounces": asked.max_bounces,
-        "world": asked.world,
-        "threads": asked.threads,
+        "max_bounces": parameters.max_bounces,
+        "world": parameters.world,
+        "threads": parameters.threads,
         "geometry": geometry,
-        "renders": [picture.json for picture in pictures],
+        "renders": [picture.json for picture in images],
     }
 
 
-def turned(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+def convert_axes(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
     """A camera-to-world matrix of Mitsuba's convention in Blender's, or the other way around."""
     return np.asarray(matrix * np.array([-1.0, 1.0, -1.0, 1.0]))

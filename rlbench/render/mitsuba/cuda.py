@@ -27,22 +27,24 @@ print("usable")
 """
 
 
-def driver() -> Path | None:
+def find_driver() -> Path | None:
     """The library of the NVIDIA driver, or None on a machine without one."""
     found = sorted(file for pattern in DRIVERS for file in glob.glob(pattern))
     return Path(found[0]).resolve() if found else None
 
 
-def refused() -> str | None:
+def unusable_reason() -> str | None:
     """Why there is no tracing with CUDA; empty where there is; None without an NVIDIA driver.
 
     Mitsuba needs the driver's OptiX, which containers often lack. A process of its own traces
     three rays, once for each driver and version of Mitsuba.
     """
-    library = driver()
+    library = find_driver()
     if library is None:
         return None
     note = paths.cache() / "cuda.json"
-    key = f"{probe.stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
-    known = probe.noted(note, key)
-    return probe.keep(note, key, probe.probe_subprocess(PROBE, {})) if known is None else known
+    key = f"{probe.file_stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
+    known = probe.read_result(note, key)
+    return (
+        probe.store_result(note, key, probe.probe_subprocess(PROBE, {})) if known is None else known
+    )

@@ -17,17 +17,17 @@ from numpy import ndarray as Array
 
 from rlbench.clips.header import VIEWS
 from rlbench.frames import BUFFERS
-from rlbench.render.mitsuba.specular import albedo, follow_specular_chain, reflectance
+from rlbench.render.mitsuba.specular import chain_albedo, follow_specular_chain, reflectance
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.pose import Pose
 
-OUTSIDE = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
+CUT_MOTION = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
 HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of a first look
 BEHIND = {"hit_behind": 1, "mesh_behind": 1, "normal_behind": 3, "length_behind": 1}
 
 
 def render_gbuffer(
-    tracer: Tracer, needs: Collection[str] = BUFFERS
+    tracer: Tracer, buffers: Collection[str] = BUFFERS
 ) -> dict[str, Float[Array, "h w channels"]]:
     """The buffers `needs` of the tracer's present time, float32, in the conventions of `View`.
 
@@ -47,28 +47,28 @@ def render_gbuffer(
     height, width = tracer.height, tracer.width
     rows, columns = np.indices((height, width)).reshape(2, -1)
     film = np.stack([columns, rows], 1) + 0.5
-    channels = _channels(tracer, needs)
+    channels = _channels(tracer, buffers)
     parts = np.cumsum(list(channels.values()))[:-1]
-    seen = tracer.each(lambda ray: _look(tracer, ray, channels), film)
+    seen = tracer.evaluate_rays(lambda ray: _look(tracer, ray, channels), film)
     found = dict(zip(channels, np.split(np.stack(seen, 1), parts, 1), strict=True))
     hit, mesh, face = (found[name][:, 0] for name in ("hit", "mesh", "face"))
     u, v = (found[name][:, 0].astype(np.float32) for name in "uv")
     now, before = _points(tracer, hit > 0, mesh, face, u, v, film, found.get("point"))
     here, depth = tracer.pose.project(now, height, width)
     found["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
-    there, _ = Pose.of(tracer.scene, tracer.time - 1).project(before, height, width)
+    there, _ = Pose.at_time(tracer.scene, tracer.time - 1).project(before, height, width)
     cut = any(tracer.time - 1 < first <= tracer.time for first in tracer.scene.cuts)
-    found["motion"] = np.full_like(here, OUTSIDE) * (width, height) if cut else there - here
+    found["motion"] = np.full_like(here, CUT_MOTION) * (width, height) if cut else there - here
     found["object"] = np.where(hit > 0, mesh + 1, 0)[:, None]
     if "hit_behind" in found:
         ends = found["hit_behind"] > 0
-        ahead = tracer.pose.directions(film, height, width) @ tracer.pose.axes()[2]
+        ahead = tracer.pose.ray_directions(film, height, width) @ tracer.pose.camera_axes()[2]
         found["depth_behind"] = np.where(ends, found["length_behind"] * ahead[:, None], np.inf)
         found["object_behind"] = np.where(ends, found["mesh_behind"] + 1, 0)
     return {
         name: found[name].reshape(height, width, -1).astype(np.float32)
         for name in VIEWS
-        if name in needs
+        if name in buffers
     }
 
 
@@ -76,7 +76,7 @@ def _channels(tracer: Tracer, needs: Collection[str]) -> dict[str, int]:
     """What has to be looked at along each ray, and how many numbers it is."""
     more = {name: 3 for name in ("albedo", "albedo_first") if name in needs}
     behind = BEHIND if any(name.endswith("_behind") for name in needs) else {}
-    return HIT | more | behind | ({"point": 3} if tracer.scene.document else {})
+    return HIT | more | behind | ({"point": 3} if tracer.scene.xml_file else {})
 
 
 def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, ...]:
@@ -84,7 +84,7 @@ def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, .
     import drjit as dr
     import mitsuba as mi
 
-    hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+    hit = tracer.mi_scene.ray_intersect_preliminary(ray)
     valid = hit.is_valid()
     if valid is False:  # a single ray that has left the scene
         return (0.0,) * sum(channels.values())
@@ -101,7 +101,7 @@ def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, .
     if "albedo" in channels or "hit_behind" in channels:
         last, tint, length, bounces = follow_specular_chain(tracer, ray)
         if "albedo" in channels:
-            found["albedo"] = albedo(tracer, last, tint, bounces)
+            found["albedo"] = chain_albedo(tracer, last, tint, bounces)
         if "hit_behind" in channels:
             found |= _behind(tracer, last, length)
     return tuple(number for name in channels for number in found[name])
@@ -115,14 +115,14 @@ def _met(tracer: Tracer, hit: Any, surface: Any, ray: Any, valid: Any) -> dict[s
     normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1, 1)
     return {
         "hit": (dr.select(valid, mi.Float(1), mi.Float(0)),),
-        "mesh": (tracer.mesh(hit),),
+        "mesh": (tracer.mesh_index(hit),),
         "normal": dr.select(valid, normal, mi.Normal3f(0)),
     }
 
 
 def _behind(tracer: Tracer, last: Any, length: Any) -> dict[str, Any]:
     """The same of the last part of a way, and how long all of it is."""
-    hit = tracer.mitsuba.ray_intersect_preliminary(last)
+    hit = tracer.mi_scene.ray_intersect_preliminary(last)
     valid = hit.is_valid()
     if valid is False:
         return {name: (0.0,) * count for name, count in BEHIND.items()}
@@ -146,9 +146,9 @@ def _points(
 
     `fixed` are the points hit, which stay where they are unless they are of `scene.meshes`.
     """
-    meshes, earlier = tracer.scene.meshes, Pose.of(tracer.scene, tracer.time - 1)
+    meshes, earlier = tracer.scene.meshes, Pose.at_time(tracer.scene, tracer.time - 1)
     sky = np.column_stack(
-        [tracer.pose.directions(film, tracer.height, tracer.width), np.zeros(len(film))]
+        [tracer.pose.ray_directions(film, tracer.height, tracer.width), np.zeros(len(film))]
     )
     rest = sky
     if fixed is not None:

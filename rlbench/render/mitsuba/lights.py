@@ -13,7 +13,7 @@ import numpy as np
 
 from rlbench.render.mitsuba.load import LightError, upload
 
-STRENGTHS = (
+STRENGTH_PARAMETERS = (
     "radiance.value",
     "radiance.data",
     "irradiance.value",
@@ -22,7 +22,7 @@ STRENGTHS = (
     "sky_scale",
     "sun_scale",
 )  # parameters to which Mitsuba's emitters are proportional
-OUT = 1e-20  # factor on a bitmap that is out: tables of zeros give NaN
+MIN_BITMAP_FACTOR = 1e-20  # factor on a bitmap that is out: tables of zeros give NaN
 
 
 class EmitterScaler:
@@ -34,7 +34,7 @@ class EmitterScaler:
         self._full: dict[str, Any] = {}  # what a parameter was before it was first changed
         self._factors: Mapping[str, float] = {}
 
-    def set(self, factors: Mapping[str, float]) -> None:
+    def set_factors(self, factors: Mapping[str, float]) -> None:
         """Let each light give `factors` times what it was made with; those not named give all.
 
         New values are new input to old kernels, but for the scales of sun and sky, which Mitsuba
@@ -54,10 +54,10 @@ class EmitterScaler:
 
     def _keys(self, name: str) -> list[str]:
         """The parameters that say how strong a light is."""
-        wanted = [f"{name}.{middle}{s}" for middle in ("emitter.", "") for s in STRENGTHS]
+        wanted = [f"{name}.{middle}{s}" for middle in ("emitter.", "") for s in STRENGTH_PARAMETERS]
         if found := [key for key in wanted if key in self._parameters]:
             return found
-        lit = [(key, s) for key in list(self._parameters.keys()) for s in STRENGTHS]
+        lit = [(key, s) for key in list(self._parameters.keys()) for s in STRENGTH_PARAMETERS]
         names = {
             key.removesuffix(f".{s}").removesuffix(".emitter") for key, s in lit if key.endswith(s)
         }
@@ -78,6 +78,8 @@ def _like(now: Any, full: Any, factor: float) -> Any:
     if isinstance(now, float):
         return full * factor
     if isinstance(now, mi.TensorXf):
-        return mi.TensorXf(upload(type(now.array), full * max(factor, OUT)), full.shape)
+        return mi.TensorXf(
+            upload(type(now.array), full * max(factor, MIN_BITMAP_FACTOR)), full.shape
+        )
     values = [dr.opaque(mi.Float, float(v)) for v in np.reshape(full * factor, -1)]
     return values[0] if type(now) is mi.Float else type(now)(values)

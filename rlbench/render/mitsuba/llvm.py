@@ -16,7 +16,7 @@ from pathlib import Path
 from rlbench.render.mitsuba import cuda, probe
 from rlbench.system import paths
 
-OLDEST = 16  # 14 is refused by Dr.Jit, 15 aborts the process
+MIN_VERSION = 16  # 14 is refused by Dr.Jit, 15 aborts the process
 PATTERNS = (
     "/usr/lib/*/libLLVM*.so*",
     "/usr/lib/libLLVM*.so*",
@@ -28,7 +28,7 @@ PATTERNS = (
     f"{sys.prefix}/lib/libLLVM*",
     "{CONDA_PREFIX}/lib/libLLVM*",
 )
-ADVICE = (
+INSTALL_HINT = (
     "to trace several times faster, install LLVM 16 or newer: "
     "`apt-get install libllvm19`, `brew install llvm` or `conda install -c conda-forge libllvm19`"
 )
@@ -47,42 +47,42 @@ print("usable", ".".join(map(str, dr.detail.llvm_version())))
 
 
 @dataclass(frozen=True)
-class Library:
+class LlvmLibrary:
     """One libLLVM on this machine, and why it cannot be used, or an empty reason if it can."""
 
     path: Path
     version: int
-    refused: str = ""
+    unusable_reason: str = ""
 
 
-def candidates() -> list[tuple[int, Path]]:
+def find_candidates() -> list[tuple[int, Path]]:
     """Every libLLVM found here as (major version, file), newest first."""
     asked = os.environ.get("DRJIT_LIBLLVM_PATH")
     if asked:  # the user has chosen; it is probed all the same
-        return [(_version(Path(asked)) or OLDEST, Path(asked))]
+        return [(_version(Path(asked)) or MIN_VERSION, Path(asked))]
     prefix = os.environ.get("CONDA_PREFIX", sys.prefix)
     files = [f for p in PATTERNS for f in glob.glob(p.replace("{CONDA_PREFIX}", prefix))]
     unique = {Path(f).resolve() for f in files}
     return sorted(((v, f) for f in unique if (v := _version(f))), reverse=True)
 
 
-def probed(path: Path) -> str:
+def probe_library(path: Path) -> str:
     """Why `path` cannot be used, or an empty string if it can; an unsuitable LLVM aborts."""
     return probe.probe_subprocess(PROBE, {"DRJIT_LIBLLVM_PATH": str(path)})
 
 
-def libraries() -> list[Library]:
+def find_libraries() -> list[LlvmLibrary]:
     """What was found, newest first, up to the first that can be used; each is probed only once."""
     note = paths.cache() / "llvm.json"
     found = []
-    for version, path in candidates():
-        if version < OLDEST:
-            found.append(Library(path, version, f"too old, {OLDEST} or newer is needed"))
+    for version, path in find_candidates():
+        if version < MIN_VERSION:
+            found.append(LlvmLibrary(path, version, f"too old, {MIN_VERSION} or newer is needed"))
             continue
-        key = f"{probe.stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
-        known = probe.noted(note, key)
-        reason = probe.keep(note, key, probed(path)) if known is None else known
-        found.append(Library(path, version, reason))
+        key = f"{probe.file_stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
+        known = probe.read_result(note, key)
+        reason = probe.store_result(note, key, probe_library(path)) if known is None else known
+        found.append(LlvmLibrary(path, version, reason))
         if not reason:
             break
     return found
@@ -98,24 +98,24 @@ def select_variant(variant: str | None = None) -> str:
     threads, or one for each processor.
     """
     if not variant and "mitsuba" in sys.modules and (runs := sys.modules["mitsuba"].variant()):
-        _limit()
+        _limit_threads()
         return str(runs)
     asked = variant or os.environ.get("RLBENCH_VARIANT", "")
-    good = next((lib for lib in libraries() if not lib.refused), None)
-    chosen = asked or fastest(good, cuda.refused())
-    _prepare(good)
+    good = next((lib for lib in find_libraries() if not lib.unusable_reason), None)
+    chosen = asked or fastest_variant(good, cuda.unusable_reason())
+    _configure_drjit(good)
     import mitsuba as mi
 
     if chosen not in mi.variants():
         raise ValueError(f"Mitsuba has no variant '{chosen}'; it has: {', '.join(mi.variants())}")
     if not asked and chosen == "scalar_rgb":
-        warnings.warn(f"no usable libLLVM: tracing is slow; {ADVICE}", stacklevel=2)
+        warnings.warn(f"no usable libLLVM: tracing is slow; {INSTALL_HINT}", stacklevel=2)
     mi.set_variant(chosen)
-    _limit()
+    _limit_threads()
     return str(mi.variant())
 
 
-def fastest(library: Library | None, cuda_refused: str | None) -> str:
+def fastest_variant(library: LlvmLibrary | None, cuda_refused: str | None) -> str:
     """The variant for a machine with this LLVM, where CUDA was refused so (see `cuda.refused`)."""
     if cuda_refused == "":
         return "cuda_ad_rgb"
@@ -124,24 +124,24 @@ def fastest(library: Library | None, cuda_refused: str | None) -> str:
 
 def report() -> str:
     """Which variant is used and with what, what was refused and why, how to get a fast one."""
-    found, device = libraries(), cuda.refused()
-    good = next((lib for lib in found if not lib.refused), None)
-    chosen = fastest(good, device)
+    found, device = find_libraries(), cuda.unusable_reason()
+    good = next((lib for lib in found if not lib.unusable_reason), None)
+    chosen = fastest_variant(good, device)
     if chosen == "cuda_ad_rgb":
-        using = f"with {cuda.driver()}"
+        using = f"with {cuda.find_driver()}"
     else:
         using = f"with {good.path}" if good else "no usable libLLVM"
     lines = [f"path tracer: {chosen}, {using}"]
     if device:
-        lines.append(f"refused cuda_ad_rgb with {cuda.driver()}: {device}")
-    lines += [f"refused {lib.path}: {lib.refused}" for lib in found if lib.refused]
-    return "\n".join(lines if good or device == "" else [*lines, ADVICE])
+        lines.append(f"refused cuda_ad_rgb with {cuda.find_driver()}: {device}")
+    lines += [f"refused {lib.path}: {lib.unusable_reason}" for lib in found if lib.unusable_reason]
+    return "\n".join(lines if good or device == "" else [*lines, INSTALL_HINT])
 
 
-def kernels(library: Library | None) -> Path:
+def kernel_cache(library: LlvmLibrary | None) -> Path:
     """The folder of compiled kernels: Dr.Jit's own cache is not keyed by LLVM's version."""
     kind = f"llvm{library.version}" if library else "nollvm"
-    return paths.cache() / f"drjit-{kind}-{_processor()}"
+    return paths.cache() / f"drjit-{kind}-{_processor_id()}"
 
 
 def _version(path: Path) -> int | None:
@@ -151,17 +151,17 @@ def _version(path: Path) -> int | None:
     return int(match[1]) if match else None
 
 
-def _prepare(library: Library | None) -> None:
+def _configure_drjit(library: LlvmLibrary | None) -> None:
     """Tell Dr.Jit which LLVM to load, and where to keep kernels, unless the user has."""
     if library:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library.path)
     if "DRJIT_CACHE_DIR" not in os.environ:
-        folder = kernels(library)
+        folder = kernel_cache(library)
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["DRJIT_CACHE_DIR"] = str(folder)
 
 
-def _limit() -> None:
+def _limit_threads() -> None:
     import drjit as dr
 
     asked = os.environ.get("RLBENCH_THREADS", "")
@@ -169,7 +169,7 @@ def _limit() -> None:
         dr.set_thread_count(int(asked))
 
 
-def _processor() -> str:
+def _processor_id() -> str:
     """A short name for this kind of processor: kernels of one may not run on another."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else [platform.processor()]

@@ -14,32 +14,32 @@ from rlbench.render.mitsuba import xml_scene
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 
-ALIGNED = 64  # bytes; Dr.Jit compiles another kernel for input that is not aligned
+ALIGNMENT = 64  # bytes; Dr.Jit compiles another kernel for input that is not aligned
 
 
 class LightError(RlbenchError, ValueError):
     """A light that Mitsuba would leave dark without a word."""
 
 
-def plugin(plan: Plugin) -> Any:
+def instantiate(plan: Plugin) -> Any:
     """The Mitsuba object that `plan` describes; arrays may stand for bitmaps and 4x4 transforms."""
     import mitsuba as mi
 
     return mi.load_dict(_native(plan), optimize=False)
 
 
-def load(scene: Scene) -> Any:
+def load_scene(scene: Scene) -> Any:
     """A Mitsuba scene with one mesh for each of `scene.meshes`, named as they are."""
     import mitsuba as mi
 
-    if scene.document:
-        return xml_scene.build(scene.document, merge=not scene.meshes)
+    if scene.xml_file:
+        return xml_scene.build_scene(scene.xml_file, merge=not scene.meshes)
     parts = {m.name: _mesh(m) for m in scene.meshes}
-    skies = {f"sky{i}": plugin(sky) for i, sky in enumerate(scene.sky)}
+    skies = {f"sky{i}": instantiate(sky) for i, sky in enumerate(scene.sky)}
     return mi.load_dict({"type": "scene", **parts, **skies}, optimize=False)
 
 
-def move(parameters: Any, moved: Mapping[str, Array], meshes: Iterable[Mesh]) -> None:
+def move_vertices(parameters: Any, moved: Mapping[str, Array], meshes: Iterable[Mesh]) -> None:
     """Give the meshes named in `moved` new vertices. Nothing is loaded or compiled again.
 
     Smooth normals come from here, since Mitsuba adds them up in whatever order its threads run:
@@ -78,14 +78,14 @@ def upload(kind: Any, values: Array) -> Any:
     """A Dr.Jit array of `kind` with a copy of `values`, in memory that is always aligned alike."""
     dtype = np.dtype(np.uint32 if "UInt" in kind.__name__ or "Xu" in kind.__name__ else np.float32)
     flat = np.asarray(values, dtype).reshape(-1)
-    room = np.empty(flat.nbytes + ALIGNED, np.uint8)
-    start = -room.ctypes.data % ALIGNED
+    room = np.empty(flat.nbytes + ALIGNMENT, np.uint8)
+    start = -room.ctypes.data % ALIGNMENT
     aligned = room[start : start + flat.nbytes].view(dtype)
     aligned[:] = flat
     return kind(aligned)
 
 
-def lens(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any, Any]:
+def pinhole_vectors(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any, Any]:
     """The pinhole as opaque vectors: origin, ray through the corner, and its steps x and y.
 
     Opaque, so that a new camera is new input to an old kernel rather than another kernel.
@@ -93,8 +93,8 @@ def lens(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any, Any]:
     import drjit as dr
     import mitsuba as mi
 
-    right, down, forward = pose.axes()
-    across, along = right * pose.slope(width), down * pose.slope(width)
+    right, down, forward = pose.camera_axes()
+    across, along = right * pose.tangent_per_pixel(width), down * pose.tangent_per_pixel(width)
     corner = forward - across * width / 2 - along * height / 2
 
     def opaque(vector: Array) -> Any:
@@ -104,7 +104,7 @@ def lens(pose: Pose, height: int, width: int) -> tuple[Any, Any, Any, Any]:
     return opaque(origin), opaque(corner), opaque(across), opaque(along)
 
 
-def sensor(camera: Camera, height: int, width: int) -> Any:
+def make_sensor(camera: Camera, height: int, width: int) -> Any:
     """The same pinhole as a Mitsuba sensor, for variants that have no wavefronts."""
     import mitsuba as mi
 
@@ -129,10 +129,10 @@ def _mesh(mesh: Mesh) -> Any:
     import mitsuba as mi
 
     properties = mi.Properties()
-    properties["mesh_bsdf"] = plugin(mesh.material)
+    properties["mesh_bsdf"] = instantiate(mesh.material)
     if mesh.emission is not None:
         _check_light(mesh.name, mesh.emission)
-        properties["mesh_emitter"] = plugin(mesh.emission)
+        properties["mesh_emitter"] = instantiate(mesh.emission)
     made = mi.Mesh(
         mesh.name,
         len(mesh.vertices),

@@ -14,13 +14,13 @@ __all__ = ["Tracer", "WavefrontTracer", "ScalarTracer", "open_tracer", "sample_m
 
 
 def open_tracer(
-    scene: Scene, height: int, width: int, seed: int = 0, cap: float = math.inf
+    scene: Scene, height: int, width: int, seed: int = 0, radiance_cap: float = math.inf
 ) -> Tracer:
     """A tracer of `scene` for this machine: wavefronts with LLVM or CUDA, else whole images."""
     kind = ScalarTracer if llvm.select_variant().startswith("scalar") else WavefrontTracer
-    return kind(scene, height, width, seed, cap)
+    return kind(scene, height, width, seed, radiance_cap)
 
 
 def sample_ms(scene: Scene, height: int, width: int, repeats: int = 5) -> float:
     """Median milliseconds of one full frame at one sample per pixel on this machine, warmed up."""
-    return open_tracer(scene, height, width).sample_ms(repeats)
+    return open_tracer(scene, height, width).measure_sample_ms(repeats)

@@ -18,7 +18,7 @@ class PoolStage:
 
     tracer: WavefrontTracer
     stream: str  # of random numbers
-    _moved: tuple[float, Any, Any] | None = field(default=None, repr=False)
+    _motion: tuple[float, Any, Any] | None = field(default=None, repr=False)
 
     @property
     def height(self) -> int:
@@ -33,7 +33,7 @@ class PoolStage:
     @property
     def scene(self) -> Any:
         """The Mitsuba scene, as it is now."""
-        return self.tracer.mitsuba
+        return self.tracer.mi_scene
 
     @property
     def depth(self) -> int:
@@ -46,16 +46,16 @@ class PoolStage:
 
     def numbers(self, pixels: Any, samples: Any) -> Any:
         """A sampler for lanes of pixels and samples (mi.UInt32)."""
-        return self.tracer.numbers(pixels, samples, self.stream)
+        return self.tracer.make_sampler(pixels, samples, self.stream)
 
     def motion(self) -> tuple[Any, Any]:
         """Of every pixel: pixels to where the same was one frame earlier, x and y."""
         import mitsuba as mi
 
-        if self._moved is None or self._moved[0] != self.tracer.time:
+        if self._motion is None or self._motion[0] != self.tracer.time:
             found = np.zeros((self.height, self.width, 2), np.float32)
             if not self.tracer.scene.static:
                 found = render_gbuffer(self.tracer, ("motion",))["motion"]
             x, y = (load.upload(mi.Float, found[..., axis]) for axis in range(2))
-            self._moved = self.tracer.time, x, y
-        return self._moved[1:]
+            self._motion = self.tracer.time, x, y
+        return self._motion[1:]

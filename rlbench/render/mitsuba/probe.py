@@ -32,18 +32,18 @@ def probe_subprocess(code: str, setting: dict[str, str]) -> str:
     return words[-1].strip()[:200] if words else f"exit code {done.returncode}"
 
 
-def stamp(path: Path) -> str:
+def file_stamp(path: Path) -> str:
     """A library as it is now: another one in its place has another stamp."""
     return f"{path} {path.stat().st_mtime_ns if path.exists() else 0}"
 
 
-def noted(note: Path, key: str) -> str | None:
+def read_result(note: Path, key: str) -> str | None:
     """The reason that is noted in a file, or None where there is none for this key."""
     known: dict[str, str] = json.loads(note.read_text()) if note.exists() else {}
     return known.get(key)
 
 
-def keep(note: Path, key: str, reason: str) -> str:
+def store_result(note: Path, key: str, reason: str) -> str:
     """Note a reason in a file, and return it."""
     known: dict[str, str] = json.loads(note.read_text()) if note.exists() else {}
     with paths.replacing(note) as file:

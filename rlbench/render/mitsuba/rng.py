@@ -10,7 +10,7 @@ from typing import Any
 STREAMS = ("input", "pilot", "referenceA", "referenceB", "restir")
 
 
-def key(stream: str, time: float, seed: int) -> tuple[int, int]:
+def stream_key(stream: str, time: float, seed: int) -> tuple[int, int]:
     """Two 32-bit numbers for a stream of a frame; those of different streams never agree.
 
     `time` is the frame, or a moment between frames. Raises LookupError for an unknown stream.
@@ -21,17 +21,17 @@ def key(stream: str, time: float, seed: int) -> tuple[int, int]:
     return struct.unpack("<II", hashlib.blake2b(words, digest_size=8).digest())
 
 
-def keyed(pixels: Any, samples: Any, salt: Any) -> Any:
+def make_sampler(pixels: Any, samples: Any, salt: Any) -> Any:
     """A Mitsuba sampler for one wavefront, lane by lane of `pixels` and `samples` (mi.UInt32).
 
     `salt` holds the two numbers of `key`, opaque to the compiler. Mitsuba's own `independent`
     sampler is keyed by the lane, so there a sample's value changes with the wavefront around it.
     """
-    return _kind()(pixels, samples, salt)
+    return _sampler_class()(pixels, samples, salt)
 
 
 @cache
-def _kind() -> type:
+def _sampler_class() -> type:
     import mitsuba as mi  # a variant must be running before the class can be made
 
     class Keyed(mi.Sampler):

@@ -29,22 +29,22 @@ class ScalarTracer(Tracer):
         wanted, which = np.unique(samples, return_inverse=True)
         radiance = np.zeros((len(pixels), 3), np.float32)
         for i, number in enumerate(wanted):
-            image = self._launch(int(number), 1, stream).reshape(-1, 3)
+            image = self._trace_images(int(number), 1, stream).reshape(-1, 3)
             radiance[which == i] = image[pixels[which == i]]
         return radiance
 
-    def each(
+    def evaluate_rays(
         self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
     ) -> list[Float[Array, " p"]]:
         """The numbers that `look` finds along the ray of each film position, one by one."""
         import mitsuba as mi
 
         origin = mi.Point3f([float(v) for v in self.pose.camera.origin])
-        towards = self.pose.directions(film, self.height, self.width)
+        towards = self.pose.ray_directions(film, self.height, self.width)
         rays = (mi.RayDifferential3f(origin, mi.Vector3f(d.tolist())) for d in towards)
         return list(np.array([look(ray) for ray in rays]).T)
 
-    def mesh(self, hit: Any) -> Any:
+    def mesh_index(self, hit: Any) -> Any:
         """The place in `scene.meshes` of what a preliminary intersection has hit, or the next."""
         if not hit.is_valid():
             return 0
@@ -55,24 +55,24 @@ class ScalarTracer(Tracer):
     def _places(self) -> dict[str, int]:
         return {m.name: i for i, m in enumerate(self.scene.meshes)}
 
-    def _look(self) -> None:
-        self._sensor = load.sensor(self.pose.camera, self.height, self.width)
+    def _update_camera(self) -> None:
+        self._sensor = load.make_sensor(self.pose.camera, self.height, self.width)
 
-    def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
+    def _trace_images(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
         images = [self._image(first + s, 1, stream) for s in range(count)]
-        return self.capped(np.stack(images))
+        return self.apply_cap(np.stack(images))
 
-    def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
-        if self.cap < math.inf:  # each sample has to be seen
-            return super()._sum(first, count, stream)
+    def _trace_sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
+        if self.radiance_cap < math.inf:  # each sample has to be seen
+            return super()._trace_sum(first, count, stream)
         return self._image(first, count, stream).astype(np.float64) * count
 
     def _image(self, first: int, spp: int, stream: str) -> Float[Array, "h w 3"]:
         import mitsuba as mi
 
-        low, high = rng.key(stream, self.time, self.seed)
+        low, high = rng.stream_key(stream, self.time, self.seed)
         seed = mi.sample_tea_32(low ^ first, high ^ spp)[0]
         image = mi.render(
-            self.mitsuba, sensor=self._sensor, integrator=self.integrator, seed=seed, spp=spp
+            self.mi_scene, sensor=self._sensor, integrator=self.integrator, seed=seed, spp=spp
         )
         return np.array(image, np.float32).reshape(self.height, self.width, 3)

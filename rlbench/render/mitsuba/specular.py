@@ -6,8 +6,8 @@ from typing import Any
 
 from rlbench.render.mitsuba.tracer import Tracer
 
-POINTS = 16  # directions of the albedo's quadrature
-BOUNCES = 4  # mirrors and panes that are looked through
+QUADRATURE_POINTS = 16  # directions of the albedo's quadrature
+MAX_SPECULAR_BOUNCES = 4  # mirrors and panes that are looked through
 LATTICE = (
     1,
     5,
@@ -27,13 +27,13 @@ def follow_specular_chain(tracer: Tracer, ray: Any) -> tuple[Any, Any, Any, Any]
     context = _context()
 
     def follow(ray: Any, tint: Any, length: Any, bounce: Any, active: Any) -> tuple[Any, ...]:
-        surface = tracer.mitsuba.ray_intersect(ray, active)
+        surface = tracer.mi_scene.ray_intersect(ray, active)
         valid = active & surface.is_valid()
         if valid is False:  # a single ray that has left the scene: there is no BSDF to ask
             return ray, tint, length, bounce, False
         bsdf = surface.bsdf(ray)
         smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        onward = valid ^ (valid & (smooth | (bounce >= BOUNCES)))
+        onward = valid ^ (valid & (smooth | (bounce >= MAX_SPECULAR_BOUNCES)))
         chosen, weight = bsdf.sample(context, surface, 0.999, mi.Point2f(0.5, 0.5), onward)
         tint = dr.select(onward, tint * weight, tint)
         length = dr.select(onward, length + surface.t, length)
@@ -45,7 +45,7 @@ def follow_specular_chain(tracer: Tracer, ray: Any) -> tuple[Any, Any, Any, Any]
     return dr.while_loop(start, lambda *state: state[-1], follow)[:4]
 
 
-def albedo(tracer: Tracer, last: Any, tint: Any, bounces: Any) -> Any:
+def chain_albedo(tracer: Tracer, last: Any, tint: Any, bounces: Any) -> Any:
     """Share of light that the surface at the end of a way passes back along it, in [0, 1].
 
     The mean of the BSDF's own sample weights over fixed points: its directional-hemispherical
@@ -56,7 +56,7 @@ def albedo(tracer: Tracer, last: Any, tint: Any, bounces: Any) -> Any:
     import drjit as dr
     import mitsuba as mi
 
-    surface = tracer.mitsuba.ray_intersect(last)
+    surface = tracer.mi_scene.ray_intersect(last)
     valid = surface.is_valid()
     beyond = dr.select(bounces > 0, tint, mi.Color3f(0))
     if valid is False:
@@ -73,12 +73,16 @@ def reflectance(surface: Any, ray: Any, active: Any) -> Any:
     context, bsdf = _context(), surface.bsdf(ray)
 
     def add(point: Any, total: Any) -> tuple[Any, Any]:
-        choice, x, y = (_fraction((mi.Float(point) * step + 0.5) / POINTS) for step in LATTICE)
+        choice, x, y = (
+            _fraction((mi.Float(point) * step + 0.5) / QUADRATURE_POINTS) for step in LATTICE
+        )
         _, weight = bsdf.sample(context, surface, choice, mi.Point2f(x, y), active)
         return point + 1, total + weight
 
     start = (mi.UInt32(0), mi.Color3f(0))
-    return dr.while_loop(start, lambda point, _: point < POINTS, add)[1] / POINTS
+    return (
+        dr.while_loop(start, lambda point, _: point < QUADRATURE_POINTS, add)[1] / QUADRATURE_POINTS
+    )
 
 
 def _context() -> Any:

@@ -36,15 +36,15 @@ class WavefrontTracer(Tracer):
         if len(pixels) == 1:  # one lane would be a scalar to Dr.Jit, and so another kernel
             return self.trace(np.repeat(pixels, 2), np.repeat(samples, 2), stream)[:1]
         pixel, sample = load.upload(mi.UInt32, pixels), load.upload(mi.UInt32, samples)
-        numbers = self.numbers(pixel, sample, stream)
+        numbers = self.make_sampler(pixel, sample, stream)
         jitter = numbers.next_2d()
         row = pixel // self._columns
         x, y = mi.Float(pixel - row * self._columns) + jitter.x, mi.Float(row) + jitter.y
-        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self.rays(x, y))
+        radiance, _, _ = self.integrator.sample(self.mi_scene, numbers, self.rays(x, y))
         dr.eval(radiance)  # at once, or reading the channels traces every path three times
-        return self.capped(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
+        return self.apply_cap(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
 
-    def each(
+    def evaluate_rays(
         self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
     ) -> list[Float[Array, " p"]]:
         """The numbers that `look` finds along the ray of each film position, in one kernel."""
@@ -55,7 +55,7 @@ class WavefrontTracer(Tracer):
         dr.eval(*found)
         return [np.broadcast_to(quantity.numpy(), len(film)) for quantity in found]
 
-    def mesh(self, hit: Any) -> Any:
+    def mesh_index(self, hit: Any) -> Any:
         """The place in `scene.meshes` of what each preliminary intersection has hit.
 
         What is none of them, as most of a document is not, has the place after the last.
@@ -66,13 +66,13 @@ class WavefrontTracer(Tracer):
         number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
         return dr.gather(mi.UInt32, self._places, number, hit.is_valid())
 
-    def numbers(self, pixels: Any, samples: Any, stream: str) -> Any:
+    def make_sampler(self, pixels: Any, samples: Any, stream: str) -> Any:
         """The sampler of a wavefront with these pixels and samples (mi.UInt32) at this time."""
         import drjit as dr
         import mitsuba as mi
 
-        salt = [dr.opaque(mi.UInt32, k) for k in rng.key(stream, self.time, self.seed)]
-        return rng.keyed(pixels, samples, salt)
+        salt = [dr.opaque(mi.UInt32, k) for k in rng.stream_key(stream, self.time, self.seed)]
+        return rng.make_sampler(pixels, samples, salt)
 
     def rays(self, x: Any, y: Any) -> Any:
         """The camera's rays through film positions (mi.Float), as in `each`."""
@@ -89,7 +89,7 @@ class WavefrontTracer(Tracer):
         import mitsuba as mi
 
         names = [m.name for m in self.scene.meshes]
-        shapes = self.mitsuba.shapes()
+        shapes = self.mi_scene.shapes()
         pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in shapes]
         numbers = [int(pointer[0]) for pointer in pointers]
         known = {name: place for place, name in enumerate(names)}
@@ -97,14 +97,14 @@ class WavefrontTracer(Tracer):
         places[numbers] = [known.get(s.id(), len(names)) for s in shapes]
         return load.upload(mi.UInt32, places)
 
-    def _look(self) -> None:
+    def _update_camera(self) -> None:
         import drjit as dr
         import mitsuba as mi
 
-        self._lens = load.lens(self.pose, self.height, self.width)
+        self._lens = load.pinhole_vectors(self.pose, self.height, self.width)
         self._columns = dr.opaque(mi.UInt32, self.width)
 
-    def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
+    def _trace_images(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
         area = self.height * self.width
         # samples of a pixel side by side: their paths are alike, which Dr.Jit's vectors gain from
         pixels = np.repeat(np.arange(area, dtype=np.uint32), count)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rlbench.render.scene import Document, Mesh, SceneError
+from rlbench.render.scene import Mesh, SceneError, XmlFile
 
 DEPTH = 8  # longest light path where the file names no integrator, in edges
 PATHS = ("path", "direct")  # integrators whose light paths are those of rlbench's
@@ -20,7 +20,7 @@ FILM = {"width": 768, "height": 576}  # pixels, Mitsuba's own default
 
 
 @dataclass(frozen=True, eq=False)
-class Facts:
+class XmlSettings:
     """What an XML file says that decides how it is rendered."""
 
     digest: str  # of the file as parsed, and of the bytes of all files that it names
@@ -31,7 +31,7 @@ class Facts:
     notes: list[str] = field(default_factory=list)  # what is rendered otherwise than it says
 
 
-def read(document: Document) -> Facts:
+def read_settings(document: XmlFile) -> XmlSettings:
     """Parse an XML file and check that this renderer can do what it asks for.
 
     All spellings that Mitsuba upgrades are understood, and relative paths start at the file. The
@@ -44,17 +44,17 @@ def read(document: Document) -> Facts:
         files = _files(state)
         _refuse_media(state)
         _refuse_dark_lights(state)
-        matrix, fov, aspect = _sensor(state, document.file, notes)
+        matrix, fov, aspect = _sensor(state, document.path, notes)
         depth = _depth(state, notes)
         from mitsuba import parser
 
         words = hashlib.blake2b(parser.write_string(state).encode(), digest_size=16)
         for file in files:
             words.update(hashlib.blake2b(file.read_bytes()).digest())
-    return Facts(words.hexdigest(), depth, matrix, fov, aspect, notes)
+    return XmlSettings(words.hexdigest(), depth, matrix, fov, aspect, notes)
 
 
-def build(document: Document, merge: bool) -> Any:
+def build_scene(document: XmlFile, merge: bool) -> Any:
     """The Mitsuba scene of an XML file, without its sensors and integrator.
 
     With `merge`, meshes of one material become one, which is faster but forgets their names.
@@ -72,11 +72,11 @@ def build(document: Document, merge: bool) -> Any:
         return made[0] if isinstance(made, list) else made
 
 
-def meshes(document: Document) -> dict[str, Mesh]:
+def named_meshes(document: XmlFile) -> dict[str, Mesh]:
     """The shapes of an XML file that can move, by id: meshes that were given one."""
     import mitsuba as mi
 
-    scene = build(document, merge=False)
+    scene = build_scene(document, merge=False)
     held = mi.traverse(scene)
     found = {}
     for name in sorted(shape.id() for shape in scene.shapes()):
@@ -92,7 +92,7 @@ def meshes(document: Document) -> dict[str, Mesh]:
 
 
 @contextmanager
-def _parsed(document: Document, merge: bool) -> Iterator[tuple[Any, Any]]:
+def _parsed(document: XmlFile, merge: bool) -> Iterator[tuple[Any, Any]]:
     """The parser's settings and nodes, while relative paths start at the file's folder.
 
     Whatever Mitsuba finds wrong rises as SceneError, with its words.
@@ -100,21 +100,21 @@ def _parsed(document: Document, merge: bool) -> Iterator[tuple[Any, Any]]:
     import mitsuba as mi
     from mitsuba import parser
 
-    if not document.file.is_file():
+    if not document.path.is_file():
         raise SceneError(
-            f"no scene file {document.file}; --scene takes a Mitsuba XML or a .py file"
+            f"no scene file {document.path}; --scene takes a Mitsuba XML or a .py file"
         )
     resolver = _resolver()
     before = [str(path) for path in resolver]
-    resolver.prepend(str(document.file.resolve().parent))
+    resolver.prepend(str(document.path.resolve().parent))
     config = parser.ParserConfig(str(mi.variant()))
     config.merge_equivalent = config.merge_meshes = merge
     try:
-        state = parser.parse_file(config, str(document.file), **dict(document.parameters))
+        state = parser.parse_file(config, str(document.path), **dict(document.parameters))
         parser.transform_all(config, state)
         yield config, state
     except RuntimeError as error:
-        raise SceneError(f"Mitsuba cannot use {document.file}: {error}") from error
+        raise SceneError(f"Mitsuba cannot use {document.path}: {error}") from error
     finally:
         resolver.clear()
         for path in before:

@@ -20,7 +20,7 @@ SPP = (4, 64)  # samples of each ray; the second where the first found no light 
 GREY, WHITE = 0.18, 1.0  # display values of the average, and of what 95 % of the picture is below
 
 
-def distance(tracer: Tracer) -> float:
+def measure_distance(tracer: Tracer) -> float:
     """How far away is what the middle of the picture shows, to three digits, in scene units.
 
     The median over its middle quarter. Raises SceneError where that shows no surface.
@@ -42,24 +42,24 @@ def estimate_exposure(tracer: Tracer, frames: int) -> float:
     Photographic Tone Reproduction), or less if more than 5 % of the areas would exceed white.
     Raises SceneError for a frame that shows no surface, or no light.
     """
-    if not tracer.mitsuba.emitters():
+    if not tracer.mi_scene.emitters():
         raise SceneError("the scene has no light: every picture would be black; add an emitter")
     bright, seen = [], False
-    with told():
+    with mitsuba_errors():
         for index in range(frames):
             tracer.set_time(float(index))
             found = np.isfinite(_hits(tracer)[0])
-            if not found.any() and not tracer.mitsuba.environment():
+            if not found.any() and not tracer.mi_scene.environment():
                 raise SceneError(_nothing(tracer))
             seen = seen or bool(found.any())
             bright.append(_lit(tracer))
         if not seen:
             raise SceneError(_nothing(tracer))
         render_gbuffer(tracer)
-    return exposure(np.stack(bright))
+    return exposure_from_areas(np.stack(bright))
 
 
-def exposure(areas: Float[Array, "..."]) -> float:
+def exposure_from_areas(areas: Float[Array, "..."]) -> float:
     """What shows luminances of areas at a usual brightness; see `survey`. One must be above 0."""
     average = np.exp(np.log(areas[areas > 0]).mean())
     return float(f"{min(GREY / average, WHITE / np.percentile(areas, 95)):.2g}")
@@ -71,7 +71,7 @@ def _hits(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
     import mitsuba as mi
 
     def look(ray: Any) -> tuple[Any, Any]:
-        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+        hit = tracer.mi_scene.ray_intersect_preliminary(ray)
         valid = hit.is_valid()
         if valid is False:
             return np.inf, 0.0
@@ -81,7 +81,7 @@ def _hits(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
 
     step = (np.arange(GRID) + 0.5) / GRID
     across, down = np.meshgrid(step * tracer.width, step * tracer.height)
-    lengths, behind = tracer.each(look, np.stack([across.ravel(), down.ravel()], 1))
+    lengths, behind = tracer.evaluate_rays(look, np.stack([across.ravel(), down.ravel()], 1))
     return lengths, behind
 
 
@@ -108,7 +108,7 @@ def _lit(tracer: Tracer) -> Float[Array, " areas"]:
 
 
 def _nothing(tracer: Tracer) -> str:
-    box = tracer.mitsuba.bbox()
+    box = tracer.mi_scene.bbox()
     return (
         f"{_camera(tracer)} sees no surface; the scene spans {_told_point(box.min)} to "
         f"{_told_point(box.max)}. Matrices are camera-to-world, and cameras look along +z"
@@ -116,7 +116,7 @@ def _nothing(tracer: Tracer) -> str:
 
 
 def _camera(tracer: Tracer) -> str:
-    place, towards = tracer.pose.camera.origin, tracer.pose.axes()[2]
+    place, towards = tracer.pose.camera.origin, tracer.pose.camera_axes()[2]
     return (
         f"frame {tracer.time:.0f}: the camera at {_told_point(place)}, which looks along "
         f"{_told_point(towards)},"
@@ -128,7 +128,7 @@ def _told_point(point: Any) -> str:
 
 
 @contextmanager
-def told() -> Iterator[None]:
+def mitsuba_errors() -> Iterator[None]:
     """What Mitsuba refuses, such as spectra that RGB rendering lacks, as SceneError."""
     try:
         yield

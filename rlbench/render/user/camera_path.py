@@ -22,10 +22,10 @@ TURN = np.radians(0.5)  # an orbit's step from frame to frame
 ADVANCE = 0.02  # a dolly's step, of what is left of the way to what it looks at
 RIGID = 1e-3  # how far the axes' lengths and angles may be from those of a rotation
 
-Route = Callable[[float], Float[Array, "4 4"]]  # camera-to-world at a time, in frames
+MatrixPath = Callable[[float], Float[Array, "4 4"]]  # camera-to-world at a time, in frames
 
 
-def read(file: Path) -> tuple[list[Float[Array, "4 4"]], float | None]:
+def read_matrices(file: Path) -> tuple[list[Float[Array, "4 4"]], float | None]:
     """The matrices of a JSON file, and its horizontal field of view in degrees if it has one.
 
     The file holds a list of 4x4 matrices, each a list of four rows, or an object with that list as
@@ -47,10 +47,10 @@ def read(file: Path) -> tuple[list[Float[Array, "4 4"]], float | None]:
         )
     if fov is not None and not (isinstance(fov, int | float) and 0 < fov < 180):
         raise SceneError(f"{file}: fov is {fov!r}; expected degrees between 0 and 180, horizontal")
-    return [rigid(matrix, f"{file}, matrix {i}") for i, matrix in enumerate(listed)], fov
+    return [check_rigid(matrix, f"{file}, matrix {i}") for i, matrix in enumerate(listed)], fov
 
 
-def rigid(matrix: object, where: str) -> Float[Array, "4 4"]:
+def check_rigid(matrix: object, where: str) -> Float[Array, "4 4"]:
     """`matrix` as float64, if it is a rotation and a translation. Raises SceneError."""
     try:
         found = np.array(matrix, np.float64)
@@ -78,14 +78,14 @@ def rigid(matrix: object, where: str) -> Float[Array, "4 4"]:
     return found
 
 
-def camera(matrix: Float[Array, "4 4"], fov: float) -> Camera:
+def camera_from_matrix(matrix: Float[Array, "4 4"], fov: float) -> Camera:
     """The pinhole of a camera-to-world matrix; `fov` is horizontal, in degrees."""
     place, forward, up = matrix[:3, 3], matrix[:3, 2], matrix[:3, 1]
     origin, target, above = (tuple(v.tolist()) for v in (place, place + forward, up))
     return Camera(origin, target, above, fov)
 
 
-def matrix(camera: Camera) -> Float[Array, "4 4"]:
+def matrix_from_camera(camera: Camera) -> Float[Array, "4 4"]:
     """The camera-to-world matrix of a pinhole."""
     forward = np.subtract(camera.target, camera.origin, dtype=np.float64)
     forward /= np.linalg.norm(forward)
@@ -96,12 +96,12 @@ def matrix(camera: Camera) -> Float[Array, "4 4"]:
     return made
 
 
-def listed(matrices: Sequence[Float[Array, "4 4"]]) -> Route:
+def follow_matrices(matrices: Sequence[Float[Array, "4 4"]]) -> MatrixPath:
     """The matrices one after the other; before the first and after the last nothing moves."""
     return lambda time: matrices[int(np.clip(round(time), 0, len(matrices) - 1))]
 
 
-def orbit(start: Float[Array, "4 4"], distance: float, frames: int) -> Route:
+def orbit(start: Float[Array, "4 4"], distance: float, frames: int) -> MatrixPath:
     """Half a degree a frame around the point `distance` ahead; the middle frame is `start`.
 
     The axis is the world's x, y or z, whichever is nearest to the camera's up.
@@ -123,7 +123,7 @@ def orbit(start: Float[Array, "4 4"], distance: float, frames: int) -> Route:
     return at
 
 
-def dolly(start: Float[Array, "4 4"], distance: float) -> Route:
+def dolly(start: Float[Array, "4 4"], distance: float) -> MatrixPath:
     """From `start` towards the point `distance` ahead, two percent of what is left a frame."""
 
     def at(time: float) -> Float[Array, "4 4"]:

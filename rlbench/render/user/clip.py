@@ -14,14 +14,14 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.parallel.executor import LOCAL, Executor
-from rlbench.render.jobs.job import POOLS, Job
+from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.jobs.render_clips import render_missing
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import auto_exposure, camera_path
-from rlbench.render.user.scene_file import UserScene, opened
+from rlbench.render.user.scene_file import UserScene, open_scene_file
 from rlbench.system import paths
 
 FOLDER = "own-"  # of these clips in the cache, with the preset's name
@@ -50,23 +50,25 @@ class CameraPath:
     fov: float = 60.0
 
     @property
-    def fixed(self) -> bool:
+    def is_static(self) -> bool:
         """Is it the same matrix throughout?"""
         first = self.matrices[:1]
         return self.kind not in ("own", "orbit", "dolly") and all(
             (m == first[0]).all() for m in self.matrices
         )
 
-    def camera(self, path: camera_path.Route | None = None) -> Callable[[float], Camera]:
+    def camera_at_time(
+        self, path: camera_path.MatrixPath | None = None
+    ) -> Callable[[float], Camera]:
         """The pinhole on `path`, or else through the matrices."""
-        route = path or camera_path.listed(self.matrices)
-        return lambda time: camera_path.camera(route(time), self.fov)
+        route = path or camera_path.follow_matrices(self.matrices)
+        return lambda time: camera_path.camera_from_matrix(route(time), self.fov)
 
-    def around(self, away: float, frames: int) -> Callable[[float], Camera]:
+    def move_around(self, away: float, frames: int) -> Callable[[float], Camera]:
         """The pinhole on an orbit of the point `away` ahead, or on a dolly towards it."""
         start = self.matrices[0]
         orbits = self.kind == "orbit"
-        return self.camera(
+        return self.camera_at_time(
             camera_path.orbit(start, away, frames) if orbits else camera_path.dolly(start, away)
         )
 
@@ -84,24 +86,24 @@ def ensure_own(
     rendered as asked, and ClipError where `out` holds frames of another origin.
     """
     llvm.select_variant()
-    found = opened(wish.file, wish.parameters)
-    job, route = job_of(wish, found, preset)
-    if job.finished:
+    found = open_scene_file(wish.file, wish.parameters)
+    job, route = plan_clip(wish, found, preset)
+    if job.is_finished:
         return job.folder
     for note in found.notes:
         tell(note)
     seen, usual = _looked(job.scene, route, job.preset)
     own = seen.exposure if found.animates_camera else usual
     job = replace(job, scene=replace(seen, exposure=wish.exposure or own))
-    tell(told(job))
+    tell(describe_job(job))
     return render_missing([job], engine=engine)[0]
 
 
-def job_of(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[Job, CameraPath]:
+def plan_clip(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[Job, CameraPath]:
     """What is to be rendered of an opened scene, before it was looked at. Raises SceneError."""
     route = _route(wish, found)
     size = _size(wish, found, preset)
-    plan = replace(preset, frames=_frames(wish, route, preset), size=size, pools=POOLS)
+    plan = replace(preset, frames=_frames(wish, route, preset), size=size, pools=FRAME_POOLS)
     name = re.sub(r"[^\w.-]+", "-", f"{found.name}-{route.kind}")
     folder = wish.out or paths.clips() / f"{FOLDER}{preset.name}" / name
     if folder.exists() and not folder.is_dir():
@@ -109,7 +111,7 @@ def job_of(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[Jo
     return Job(name, _scene(wish, found, route, plan), plan, folder), route
 
 
-def told(job: Job) -> str:
+def describe_job(job: Job) -> str:
     """What was decided, in words."""
     plan = job.preset
     size = f"{plan.size[1]}x{plan.size[0]}"
@@ -118,10 +120,10 @@ def told(job: Job) -> str:
 
 def _looked(scene: Scene, route: CameraPath, plan: Preset) -> tuple[Scene, float]:
     """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
-    with auto_exposure.told():
+    with auto_exposure.mitsuba_errors():
         tracer = open_tracer(scene, *plan.size)
     if route.kind in ("orbit", "dolly"):
-        camera = route.around(auto_exposure.distance(tracer), plan.frames)
+        camera = route.move_around(auto_exposure.measure_distance(tracer), plan.frames)
         tracer.scene = replace(scene, camera=camera)
     exposure, seen = auto_exposure.estimate_exposure(tracer, plan.frames), tracer.scene
     del tracer
@@ -135,8 +137,8 @@ def _route(wish: UserSceneOptions, found: UserScene) -> CameraPath:
     if kind == "own":
         return CameraPath(kind)
     if kind in ("still", "orbit", "dolly"):
-        return CameraPath(kind, (found.start(),), fov)
-    matrices, given = camera_path.read(Path(kind))
+        return CameraPath(kind, (found.sensor_matrix(),), fov)
+    matrices, given = camera_path.read_matrices(Path(kind))
     return CameraPath(Path(kind).stem, tuple(matrices), given or fov)
 
 
@@ -165,15 +167,15 @@ def _scene(wish: UserSceneOptions, found: UserScene, route: CameraPath, plan: Pr
     """The scene as far as it is known before it is looked at, with the hash of its origin."""
     matrices = [matrix.tolist() for matrix in route.matrices]
     path = f"{route.kind} {matrices} {route.fov}"
-    words = f"{found.digest(plan.frames)} {path} exposure {wish.exposure}"
+    words = f"{found.content_hash(plan.frames)} {path} exposure {wish.exposure}"
     own = route.kind == "own"
     return replace(
         found.scene,
         name=found.name,
-        camera=found.scene.camera if own else route.camera(),
+        camera=found.scene.camera if own else route.camera_at_time(),
         cuts=found.scene.cuts if own else (),
         takes=(),
-        static=found.scene.static if own else route.fixed and not found.moves,
+        static=found.scene.static if own else route.is_static and not found.has_moving_shapes,
         origin=hashlib.blake2b(words.encode(), digest_size=16).hexdigest(),
         licence="",  # of the scene's author
     )

@@ -27,7 +27,7 @@ from numpy import ndarray as Array
 
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.mitsuba import xml_scene
-from rlbench.render.scene import Camera, Document, Scene, SceneError
+from rlbench.render.scene import Camera, Scene, SceneError, XmlFile
 from rlbench.render.user import camera_path
 
 Vertices = Mapping[str, Float[Array, "v 3"]]
@@ -40,33 +40,33 @@ class UserScene:
 
     scene: Scene
     name: str
-    made_of: str  # hash of the files
-    matrix: Float[Array, "4 4"] | None  # camera-to-world, as the file has it
+    files_hash: str  # hash of the files
+    camera_to_world: Float[Array, "4 4"] | None  # camera-to-world, as the file has it
     fov: float  # horizontal, degrees
     animates_camera: bool = False  # does the scene move its camera itself?
-    moves: bool = False  # may shapes move?
+    has_moving_shapes: bool = False  # may shapes move?
     aspect: float = 0.0  # width over height of its film; 0 where it has none
     notes: list[str] = field(default_factory=list)  # what is rendered otherwise than it says
 
-    def start(self) -> Float[Array, "4 4"]:
+    def sensor_matrix(self) -> Float[Array, "4 4"]:
         """The scene's own view, camera-to-world. Raises SceneError where there is none."""
-        if self.matrix is None:
+        if self.camera_to_world is None:
             raise SceneError(
                 f"{self.name} has no sensor; add one, or give --camera a JSON file of matrices"
             )
-        return camera_path.rigid(self.matrix, f"{self.name}: to_world of its sensor")
+        return camera_path.check_rigid(self.camera_to_world, f"{self.name}: to_world of its sensor")
 
-    def digest(self, frames: int) -> str:
+    def content_hash(self, frames: int) -> str:
         """Hash of all that the scene is made of."""
-        return f"{self.made_of} {fingerprint(self.scene, frames)}"
+        return f"{self.files_hash} {fingerprint(self.scene, frames)}"
 
 
-def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> UserScene:
+def open_scene_file(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> UserScene:
     """Open an XML or Python file. Mitsuba must be running. Raises SceneError."""
     if not file.is_file():
         raise SceneError(f"no scene file {file}; --scene takes a Mitsuba XML or a Python file")
     if file.suffix == ".xml":
-        return _from_xml(Document(file, parameters))
+        return _from_xml(XmlFile(file, parameters))
     if file.suffix != ".py":
         raise SceneError(f"{file} is neither .xml (Mitsuba) nor .py; --scene takes one of these")
     with _told(file):
@@ -87,16 +87,16 @@ def opened(file: Path, parameters: tuple[tuple[str, str], ...] = ()) -> UserScen
             f"{file} defines neither scene(), nor SCENE (the name of an XML file) and "
             "moving(time, rest)"
         )
-    found = _from_xml(Document(file.parent / module.SCENE, parameters))
-    found = replace(found, made_of=f"{made_of} {found.made_of}")
+    found = _from_xml(XmlFile(file.parent / module.SCENE, parameters))
+    found = replace(found, made_of=f"{made_of} {found.files_hash}")
     return _moved(found, file, hook)
 
 
-def _from_xml(asked: Document) -> UserScene:
-    facts = xml_scene.read(asked)
-    stem = asked.file.stem
-    name = asked.file.resolve().parent.name if UNSAID.fullmatch(stem) else stem
-    scene = Scene(name, name, (), lambda time: Camera((0, 0, 0), (0, 1, 0)), document=asked)
+def _from_xml(asked: XmlFile) -> UserScene:
+    facts = xml_scene.read_settings(asked)
+    stem = asked.path.stem
+    name = asked.path.resolve().parent.name if UNSAID.fullmatch(stem) else stem
+    scene = Scene(name, name, (), lambda time: Camera((0, 0, 0), (0, 1, 0)), xml_file=asked)
     scene = replace(scene, depth=facts.depth)
     return UserScene(
         scene,
@@ -111,15 +111,19 @@ def _from_xml(asked: Document) -> UserScene:
 
 def _from_scene(scene: Scene, made_of: str) -> UserScene:
     first, moves = scene.camera(0.0), not scene.static
-    if scene.document:
-        made_of = f"{made_of} {xml_scene.read(scene.document).digest}"
-    return UserScene(scene, scene.name, made_of, camera_path.matrix(first), first.fov, True, moves)
+    if scene.xml_file:
+        made_of = f"{made_of} {xml_scene.read_settings(scene.xml_file).digest}"
+    return UserScene(
+        scene, scene.name, made_of, camera_path.matrix_from_camera(first), first.fov, True, moves
+    )
 
 
 def _moved(found: UserScene, file: Path, hook: Callable[..., Any]) -> UserScene:
     """`found` with the meshes that `hook` moves; at and before time 0 they are as at time 0."""
-    plan = found.scene.document
-    meshes = xml_scene.meshes(plan) if plan else {mesh.name: mesh for mesh in found.scene.meshes}
+    plan = found.scene.xml_file
+    meshes = (
+        xml_scene.named_meshes(plan) if plan else {mesh.name: mesh for mesh in found.scene.meshes}
+    )
     rest = {name: mesh.vertices for name, mesh in meshes.items()}
 
     def moving(time: float) -> Vertices:
@@ -140,7 +144,7 @@ def _moved(found: UserScene, file: Path, hook: Callable[..., Any]) -> UserScene:
 
     static = found.scene.static and not first
     scene = replace(found.scene, vertex_animation=steady, static=static)
-    if scene.document:
+    if scene.xml_file:
         scene = replace(scene, meshes=tuple(meshes[name] for name in first))
     return replace(found, scene=scene, moves=True)
 

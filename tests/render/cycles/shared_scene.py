@@ -150,7 +150,7 @@ def for_blender(folder):
     }
     file, flight_path = folder / "both.gltf", folder / "path.json"
     file.write_text(json.dumps(gltf))
-    matrices = [camera_path.matrix(camera(time)).tolist() for time in range(FRAMES)]
+    matrices = [camera_path.matrix_from_camera(camera(time)).tolist() for time in range(FRAMES)]
     flight_path.write_text(json.dumps({"camera_to_world": matrices, "fov": FOV}))
     return file, flight_path
 

@@ -60,9 +60,14 @@ def cycles(files, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mitsuba(tmp_path_factory):
-    scene, matrices = shared_scene.for_mitsuba(), [camera_path.matrix(shared_scene.camera(t)) for t in range(4)]
-    path = camera_path.listed(matrices)  # before frame 0, nothing moves, as in the file
-    scene = replace(scene, camera=lambda time: camera_path.camera(path(time), shared_scene.FOV))
+    scene, matrices = (
+        shared_scene.for_mitsuba(),
+        [camera_path.matrix_from_camera(shared_scene.camera(t)) for t in range(4)],
+    )
+    path = camera_path.follow_matrices(matrices)  # before frame 0, nothing moves, as in the file
+    scene = replace(
+        scene, camera=lambda time: camera_path.camera_from_matrix(path(time), shared_scene.FOV)
+    )
     job = Job("both", scene, PLAN, tmp_path_factory.mktemp("mitsuba") / "clip")
     return render_missing([job])[0]
 
@@ -105,7 +110,7 @@ def test_the_header_says_who_traced_it(cycles):
 
 def test_a_finished_clip_needs_no_blender(cycles, files, monkeypatch):
     assert verify(cycles) == []
-    monkeypatch.setenv(process.VARIABLE, "/nowhere")
+    monkeypatch.setenv(process.PYTHON_VARIABLE, "/nowhere")
     assert ensure_cycles(wish(files, cycles), PLAN) == cycles
 
 
@@ -160,8 +165,10 @@ def test_a_still_camera_and_nothing_that_moves_make_a_static_clip(files, tmp_pat
     text = (files / "both.gltf").read_text()
     still.write_text(text.replace('"animations"', '"extras"'))
     asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
-    first = camera_path.matrix(shared_scene.camera(0)).tolist()
-    Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV}))
+    first = camera_path.matrix_from_camera(shared_scene.camera(0)).tolist()
+    Path(asked.camera).write_text(
+        json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV})
+    )
     header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
     assert header.static
     assert "motion" not in header.buffers
@@ -184,7 +191,7 @@ def test_a_broken_file_is_told_with_blenders_words(blender, tmp_path):
 
 
 def test_a_worker_that_is_killed_is_a_crash(files, tmp_path):
-    events = process.run(
+    events = process.run_worker(
         {
             "scene": str(files / "both.blend"),
             "frames": 2000,

@@ -17,13 +17,13 @@ def python(tmp_path, monkeypatch):
         script = tmp_path / "python"
         script.write_text(f"#!/bin/sh\n{body}\n")
         script.chmod(0o755)
-        monkeypatch.setenv(process.VARIABLE, str(script))
+        monkeypatch.setenv(process.PYTHON_VARIABLE, str(script))
 
     return install
 
 
 def events(tmp_path, job=None):
-    return list(process.run(job or {}, tmp_path / "logs" / "render.log"))
+    return list(process.run_worker(job or {}, tmp_path / "logs" / "render.log"))
 
 
 @pytest.mark.parametrize(
@@ -54,18 +54,18 @@ def test_events_come_as_they_are_told(python, tmp_path):
 
 
 def test_an_interpreter_that_is_not_there_is_told_with_the_variable(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.VARIABLE, str(tmp_path / "none"))
-    with pytest.raises(CyclesError, match=f"{process.VARIABLE}: .*none cannot be run"):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
+    with pytest.raises(CyclesError, match=f"{process.PYTHON_VARIABLE}: .*none cannot be run"):
         events(tmp_path)
 
 
 def test_an_interpreter_that_is_not_there_has_no_bpy(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.VARIABLE, str(tmp_path / "none"))
+    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
     assert process.installed() is None
 
 
 def test_a_python_without_bpy_is_told_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.VARIABLE, sys.executable)
+    monkeypatch.setenv(process.PYTHON_VARIABLE, sys.executable)
     if process.installed():
         pytest.skip("this Python has bpy")
     with pytest.raises(CyclesError, match=r"rlbench\[cycles\]"):
@@ -74,7 +74,7 @@ def test_a_python_without_bpy_is_told_how_to_get_it(tmp_path, monkeypatch):
 
 def test_a_caller_that_stops_listening_ends_the_process(python, tmp_path):
     python(f"""echo $$ > {tmp_path}/pid; echo '{{"event": "made"}}'; exec sleep 60""")
-    listening = process.run({}, tmp_path / "render.log")
+    listening = process.run_worker({}, tmp_path / "render.log")
     next(listening)
     listening.close()
     with pytest.raises(ProcessLookupError):

@@ -11,13 +11,13 @@ from rlbench.cli.user_scene import tracer_of
 from rlbench.errors import OptionError
 from rlbench.render.cycles import clip, scene_file
 from rlbench.render.cycles.worker_job import (
-    NUMBERS,
+    SEEDS_PER_STREAM,
     STREAMS,
-    Parameters,
-    Picture,
+    CyclesParameters,
+    ImageTask,
+    convert_axes,
+    image_seed,
     render_job,
-    seed,
-    turned,
 )
 from rlbench.render.presets import preset
 from rlbench.render.scene import Camera, Scene, SceneError
@@ -29,25 +29,25 @@ LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1
 
 
 def test_no_two_pictures_share_a_seed():
-    made = [seed(*which) for which in product(range(5), STREAMS, range(NUMBERS))]
+    made = [image_seed(*which) for which in product(range(5), STREAMS, range(SEEDS_PER_STREAM))]
     assert len(set(made)) == len(made)
 
 
 def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
-    assert seed(10_000, "pilot", NUMBERS - 1) < 2**31
+    assert image_seed(10_000, "pilot", SEEDS_PER_STREAM - 1) < 2**31
 
 
 def test_a_camera_that_looks_north_does_so_in_blenders_axes():
-    found = turned(camera_path.matrix(LEVEL.camera(0.0)))
+    found = convert_axes(camera_path.matrix_from_camera(LEVEL.camera(0.0)))
     right, up, back, place = found[:3].T
     assert_allclose([right, up, back], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)  # float64
     assert_allclose(place, [0, -4, 1])
 
 
 def ordered(**more):
-    pictures = [Picture(clip.Path("a.exr"), 0, 1)]
+    pictures = [ImageTask(clip.Path("a.exr"), 0, 1)]
     return render_job(
-        clip.Path("a.blend"), LEVEL, 1, 3, (8, 9), Parameters(max_bounces=4), pictures, **more
+        clip.Path("a.blend"), LEVEL, 1, 3, (8, 9), CyclesParameters(max_bounces=4), pictures, **more
     )
 
 
@@ -70,10 +70,10 @@ def test_no_radiance_is_of_sample_zero():
 
 @pytest.mark.parametrize("total", [1, 31, 32, 33, 100])
 def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
-    parts = clip.spans(tmp_path, "referenceA", 3, 0, total)
+    parts = clip.reference_images(tmp_path, "referenceA", 3, 0, total)
     numbers = [n for part in parts for n in range(part.first, part.first + part.spp)]
     assert numbers == list(range(1, total + 1))
-    assert {(part.seed, part.total) for part in parts} == {(seed(3, "referenceA", 0), total)}
+    assert {(part.seed, part.total) for part in parts} == {(image_seed(3, "referenceA", 0), total)}
 
 
 @pytest.mark.parametrize(
@@ -87,12 +87,14 @@ def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
 )
 def test_a_parameter_that_is_none_is_refused(pair, match):
     with pytest.raises(SceneError, match=match):
-        Parameters.of((pair,))
+        CyclesParameters.parse((pair,))
 
 
 def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
     with pytest.raises(SceneError, match="not capped"):
-        clip.ensure_cycles(UserSceneOptions(tmp_path / "a.blend"), preset("tiny").capped(4.0))
+        clip.ensure_cycles(
+            UserSceneOptions(tmp_path / "a.blend"), preset("tiny").with_radiance_cap(4.0)
+        )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +107,7 @@ def test_a_file_that_cannot_be_opened_is_told_without_blender(name, match, tmp_p
 
 def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
     file, _ = shared_scene.for_blender(tmp_path)
-    parts = scene_file.parts(file)
+    parts = scene_file.gltf_parts(file)
     before = scene_file.digest(file, parts)
     (tmp_path / "both.bin").write_bytes(b"other")
     assert [clip.Path(part).name for part in parts] == ["both.bin"]

@@ -10,7 +10,7 @@ from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import render, render_missing
+from rlbench.render.jobs.render_clips import render_clip, render_missing
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.presets import Preset
 from tests.render.small_scenes import room
@@ -30,7 +30,7 @@ def contents(folder, pattern="*.exr"):
 @pytest.fixture
 def plain(llvm, tmp_path):
     """A clip with the path tracer's pool alone."""
-    render(job(tmp_path / "plain", PLAN))
+    render_clip(job(tmp_path / "plain", PLAN))
     return tmp_path / "plain"
 
 
@@ -66,7 +66,7 @@ def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
 
 
 def test_a_clip_of_both_is_that_to_which_one_was_added(clip, tmp_path):
-    render(job(tmp_path / "both"))
+    render_clip(job(tmp_path / "both"))
     assert contents(tmp_path / "both") == contents(clip)
 
 
@@ -75,7 +75,7 @@ def test_samples_of_each_pool_have_a_digest_of_their_own(clip):
 
 
 def test_a_finished_pool_is_not_traced_again(clip):
-    assert extra_pools.lacking([job(clip)]) == []
+    assert extra_pools.find_missing_pools([job(clip)]) == []
 
 
 @pytest.mark.slow
@@ -86,9 +86,9 @@ def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, c
     whole, again = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
     render_missing([whole])
     render_missing([replace(again, preset=PLAN)])
-    (lack,) = extra_pools.lacking([again])
+    (lack,) = extra_pools.find_missing_pools([again])
     with pytest.raises(Killed):
-        extra_pools.add(lack, killer(after))
+        extra_pools.add_pool(lack, killer(after))
     assert read_header(again.folder).pools == ("path",)
     assert len(contents(again.folder, "pool.restir.*.exr")) == after + 1
     render_missing([again])
@@ -109,8 +109,8 @@ def test_a_pool_of_another_recipe_is_replaced(clip):
         extra_pools.MissingPool(job(clip), replace(kind, recipe=kind.recipe + 1))
         for kind in [extra_pools.registry.load("pools", "restir")]
     ]
-    assert lack.missing == [0, 1, 2, 3]
-    lack.claim()
+    assert lack.missing_frames == [0, 1, 2, 3]
+    lack.claim_files()
     assert read_header(clip).pools == ("path",)
     assert contents(clip, "pool.restir.*.exr") == {}
 

@@ -14,7 +14,7 @@ from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live
-from rlbench.render.jobs.render_clips import render, scene_of_clip
+from rlbench.render.jobs.render_clips import render_clip, scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
@@ -51,7 +51,7 @@ def glaring():
 
 
 def rendered(folder, scene, name="room"):
-    render(Job(name, scene, PLAN, folder))
+    render_clip(Job(name, scene, PLAN, folder))
     return folder
 
 
@@ -85,9 +85,9 @@ def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
 
 
 def test_capped_samples_are_the_same_live(llvm, tmp_path):
-    render(Job("room", room(), PLAN.capped(0.25), tmp_path))
+    render_clip(Job("room", room(), PLAN.with_radiance_cap(0.25), tmp_path))
     stored = open_clip(tmp_path)
-    live = LiveClip(stored, open_tracer(room(), H, W, cap=0.25 / room().exposure))
+    live = LiveClip(stored, open_tracer(room(), H, W, radiance_cap=0.25 / room().exposure))
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
 
 
@@ -178,7 +178,7 @@ def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
     tracer = open_tracer(room(), H, W)
     pixels = np.arange(50)
     tracer.trace(pixels, pixels)
-    tracer.seed, tracer.cap = 12, 0.5
+    tracer.seed, tracer.radiance_cap = 12, 0.5
     kernels, _ = launches(lambda: [tracer.trace(pixels, pixels, s) for s in STREAMS])
     assert len(kernels) == len(STREAMS)
     assert all(kernel["cache_hit"] for kernel in kernels)

@@ -11,7 +11,7 @@ from metrics.image import psnr
 from rlbench.clips.stored import open_clip, read_header
 from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import render
+from rlbench.render.jobs.render_clips import render_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from tests.render.small_scenes import looking_down, room
@@ -32,19 +32,19 @@ def test_the_ceiling_is_what_the_truth_scores(sigma):
     truth, a, b = noisy(sigma, seed=1)
     shown = [torch.from_numpy(i).permute(2, 0, 1)[None] for i in (truth, (a + b) / 2)]
     # the deviation of a mean of 30000 squares, which is below 0.05 dB, and the curve's bend
-    assert references.ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*shown)), abs=0.1)
+    assert references.noise_ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*shown)), abs=0.1)
 
 
 def test_the_ceiling_sees_what_exposure_lifts_above_white():
     _, a, b = noisy(0.05, seed=2)
     assert (
-        references.ceiling_db(a, b, 1000.0) == 100.0
+        references.noise_ceiling_db(a, b, 1000.0) == 100.0
     )  # all is white, and the display shows no noise
 
 
 def test_equal_halves_have_the_highest_psnr():
     image = np.full((4, 4, 3), 0.5, np.float32)
-    assert references.ceiling_db(image, image, 1.0) == 100.0
+    assert references.noise_ceiling_db(image, image, 1.0) == 100.0
 
 
 @pytest.mark.parametrize("spp", [1, 5])
@@ -69,10 +69,10 @@ def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     plan = replace(PLAN, rounds=50, ceiling_db=25.0)
     a, b, spent = references.trace_reference(tracer, plan, room().exposure)
     assert 8 < spent < 400
-    assert references.ceiling_db(a, b, room().exposure) >= 25.0
+    assert references.noise_ceiling_db(a, b, room().exposure) >= 25.0
     fewer = replace(plan, rounds=spent // 8 - 1, ceiling_db=math.inf)
     before = references.trace_reference(tracer, fewer, room().exposure)
-    assert references.ceiling_db(*before[:2], room().exposure) < 25.0
+    assert references.noise_ceiling_db(*before[:2], room().exposure) < 25.0
 
 
 def test_progress_counts_the_samples_that_were_not_needed(llvm):
@@ -92,7 +92,7 @@ def test_an_easy_scene_costs_less_and_the_header_says_what(llvm, tmp_path, easy)
     plan = replace(PLAN, rounds=6, ceiling_db=30.0)
     headers = []
     for name, scene in (("easy", easy), ("hard", room())):
-        render(Job(name, scene, plan, tmp_path / name))
+        render_clip(Job(name, scene, plan, tmp_path / name))
         headers.append(read_header(tmp_path / name))
     assert max(headers[0].reference_spp) < min(headers[1].reference_spp)
     assert min(headers[0].noise_ceiling_db) >= 30.0
@@ -100,24 +100,26 @@ def test_an_easy_scene_costs_less_and_the_header_says_what(llvm, tmp_path, easy)
     halves = [
         h[0].permute(1, 2, 0).numpy() for h in (frame.reference.half_a, frame.reference.half_b)
     ]
-    assert headers[1].noise_ceiling_db[1] == pytest.approx(references.ceiling_db(*halves, 1.0))
+    assert headers[1].noise_ceiling_db[1] == pytest.approx(
+        references.noise_ceiling_db(*halves, 1.0)
+    )
 
 
 def test_a_resumed_clip_knows_what_its_first_frames_cost(llvm, tmp_path):
     plan = replace(PLAN, rounds=4, ceiling_db=24.0)
     first = Job("room", room(), plan, tmp_path)
-    render(first)
+    render_clip(first)
     spent = read_header(tmp_path).reference_spp
     (tmp_path / "clip.toml").unlink()
     (tmp_path / "referenceB.0001.exr").unlink()
-    assert first.missing == [1]
-    render(first)
+    assert first.missing_frames == [1]
+    render_clip(first)
     assert read_header(tmp_path).reference_spp == spent
 
 
 def test_a_frame_whose_cost_is_lost_is_traced_again(llvm, tmp_path):
     made = Job("room", room(), replace(PLAN, rounds=2), tmp_path)
-    render(made)
+    render_clip(made)
     (tmp_path / "rounds.0000.txt").unlink()
-    assert made.missing == [0]
-    assert not made.finished
+    assert made.missing_frames == [0]
+    assert not made.is_finished

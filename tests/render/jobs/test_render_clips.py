@@ -8,7 +8,7 @@ import pytest
 from rlbench.clips.stored import ClipError, open_clip, read_header, verify
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import ensure, render
+from rlbench.render.jobs.render_clips import ensure, render_clip
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import PRESETS, Preset, preset
@@ -27,7 +27,7 @@ def contents(folder):
 
 @pytest.fixture
 def clip(llvm, tmp_path):
-    render(job(tmp_path / "room"))
+    render_clip(job(tmp_path / "room"))
     return tmp_path / "room"
 
 
@@ -49,9 +49,9 @@ def killer(after):
 def test_an_interrupted_clip_is_unfinished_and_resumes_to_the_same_files(clip, tmp_path, after):
     again = tmp_path / "again"
     with pytest.raises(Killed):
-        render(job(again), killer(after))
+        render_clip(job(again), killer(after))
     assert not (again / "clip.toml").exists()
-    render(job(again))
+    render_clip(job(again))
     assert contents(again) == contents(clip)
     assert (again / "clip.toml").exists()
 
@@ -60,8 +60,8 @@ def test_a_lost_file_is_rendered_again_and_the_others_are_left_alone(clip):
     before = contents(clip)
     kept = (clip / "view.0000.exr").stat().st_mtime_ns
     (clip / "referenceA.0001.exr").unlink()
-    assert not job(clip).finished
-    render(job(clip))
+    assert not job(clip).is_finished
+    render_clip(job(clip))
     assert contents(clip) == before
     assert (clip / "view.0000.exr").stat().st_mtime_ns == kept
 
@@ -81,7 +81,7 @@ def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
     tracer = open_tracer(room(), 16, 24)
     tracer.set_time(1.0)
     sold = open_clip(clip).frame(1).pool.radiance[0].permute(0, 2, 3, 1).numpy() / 2.0
-    stack = tracer.stack(3)
+    stack = tracer.trace_images(3)
     # sorted, as the clip sells them in an order of its own; half precision has 11 bits
     np.testing.assert_allclose(np.sort(sold, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
 
@@ -92,7 +92,7 @@ def test_halves_of_the_reference_are_other_paths(clip):
 
 
 def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
-    render(job(tmp_path, room(static=True), replace(PLAN, frames=1)))
+    render_clip(job(tmp_path, room(static=True), replace(PLAN, frames=1)))
     assert read_header(tmp_path).static
     assert "motion" not in read_header(tmp_path).buffers
 
@@ -101,7 +101,7 @@ EXTRAS = ("object", "albedo_first", "normal_behind", "depth_behind", "object_beh
 
 
 def test_view_buffers_that_were_asked_for_are_in_the_clip(llvm, tmp_path):
-    render(job(tmp_path, plan=PLAN.with_buffers(EXTRAS)))
+    render_clip(job(tmp_path, plan=PLAN.with_buffers(EXTRAS)))
     assert verify(tmp_path) == []
     gbuffer = open_clip(tmp_path, inputs=frozenset(EXTRAS)).frame(1).gbuffer
     tracer = open_tracer(room(), 16, 24)
@@ -131,20 +131,20 @@ def test_a_changed_scene_replaces_its_frames(clip):
     before = contents(clip)
     painted = replace(room().meshes[0], material=diffuse(0.9, 0.1, 0.1))
     changed = replace(room(), meshes=(painted, *room().meshes[1:]))
-    assert not job(clip, changed).finished
-    render(job(clip, changed))
+    assert not job(clip, changed).is_finished
+    render_clip(job(clip, changed))
     assert not set(contents(clip).values()) & {before["view.0000.exr"], before["view.0002.exr"]}
 
 
 def test_frames_of_a_changed_scene_count_as_missing(clip):
-    assert job(clip).missing == []
-    assert job(clip, replace(room(), depth=3)).missing == [0, 1, 2]
+    assert job(clip).missing_frames == []
+    assert job(clip, replace(room(), depth=3)).missing_frames == [0, 1, 2]
 
 
 def test_frames_of_another_origin_are_not_removed(llvm, tmp_path):
     (tmp_path / "view.0000.exr").write_bytes(b"somebody's work")
     with pytest.raises(ClipError, match="did not write"):
-        render(job(tmp_path))
+        render_clip(job(tmp_path))
     assert (tmp_path / "view.0000.exr").exists()
 
 
@@ -173,11 +173,11 @@ def test_the_papers_protocol():
     paper = PRESETS["paper"]
     assert (paper.size, paper.frames, paper.pool_spp) == ((720, 720), 20, 8)
     assert 2 * paper.reference_spp == 1000
-    assert paper.clip_samples == 20 * 720 * 720 * 1008
+    assert paper.paths_per_clip == 20 * 720 * 720 * 1008
 
 
 def test_a_capped_preset_is_another_set_of_clips():
-    capped = PRESETS["mini"].capped(64.0)
+    capped = PRESETS["mini"].with_radiance_cap(64.0)
     assert capped.name == "mini-cap64"
     assert job("a", plan=capped).content_key != job("a", plan=PRESETS["mini"]).content_key
 
@@ -185,11 +185,11 @@ def test_a_capped_preset_is_another_set_of_clips():
 @pytest.mark.parametrize("cap", [0.0, -1.0, float("nan")])
 def test_a_cap_that_leaves_no_light_is_told(cap):
     with pytest.raises(ValueError, match="must be above 0"):
-        PRESETS["mini"].capped(cap)
+        PRESETS["mini"].with_radiance_cap(cap)
 
 
 def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
-    render(job(tmp_path / "capped", plan=PLAN.capped(0.25)))
+    render_clip(job(tmp_path / "capped", plan=PLAN.with_radiance_cap(0.25)))
     assert read_header(tmp_path / "capped").radiance_cap == 0.25
     free, capped = (open_clip(folder).frame(1) for folder in (clip, tmp_path / "capped"))
     assert free.pool.radiance.max() > 1

@@ -53,7 +53,7 @@ def clips(llvm, installed, place):
 
 
 def test_a_take_is_the_scene_but_for_what_it_says():
-    scene, take = filmed(), filmed().take("still")
+    scene, take = filmed(), filmed().select_take("still")
     assert [mesh.name for mesh in take.meshes] == [mesh.name for mesh in scene.meshes]
     assert (take.name, take.sky, take.exposure, take.depth) == ("room", scene.sky, 2.0, 8)
     assert (take.static, take.camera(7.0), take.vertex_animation(7.0), take.takes) == (
@@ -67,7 +67,7 @@ def test_a_take_is_the_scene_but_for_what_it_says():
 def test_a_take_that_says_nothing_of_motion_moves_as_the_scene():
     scene = filmed()
     assert np.array_equal(
-        scene.take("cut").vertex_animation(3.0)["cube"], scene.vertex_animation(3.0)["cube"]
+        scene.select_take("cut").vertex_animation(3.0)["cube"], scene.vertex_animation(3.0)["cube"]
     )
 
 
@@ -123,7 +123,7 @@ def test_at_a_cut_every_pixel_comes_from_outside_and_only_there(clips):
 def test_between_frames_a_cut_lasts_as_long_as_the_frame_before_is_of_the_other_shot(
     llvm, time, outside
 ):
-    tracer = open_tracer(filmed().take("cut"), 8, 12)
+    tracer = open_tracer(filmed().select_take("cut"), 8, 12)
     tracer.set_time(time)
     motion = render_gbuffer(tracer, ("motion",))["motion"]
     assert bool((motion == np.array([-24, -16], np.float32)).all()) is outside

@@ -166,7 +166,7 @@ def test_normals_are_unit_vectors_towards_the_camera(variant):
     seen = np.isfinite(found["depth"][..., 0])
     normal = found["normal"][seen]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-5)
-    towards = tracer.pose.directions(_centres(), H, W)[seen.ravel()]
+    towards = tracer.pose.ray_directions(_centres(), H, W)[seen.ravel()]
     assert ((normal * towards).sum(1) < 0).all()
 
 
@@ -227,9 +227,9 @@ def test_motion_of_a_mesh_that_deforms_is_exact(variant):
 
 
 def test_projection_undoes_directions():
-    pose = Pose.of(room(), 2.0)
+    pose = Pose.at_time(room(), 2.0)
     film = np.random.default_rng(0).uniform(0, [W, H], (100, 2))
-    rays = np.column_stack([pose.directions(film, H, W), np.zeros(100)])
+    rays = np.column_stack([pose.ray_directions(film, H, W), np.zeros(100)])
     np.testing.assert_allclose(pose.project(rays, H, W)[0], film, atol=1e-9)
 
 
@@ -242,7 +242,7 @@ def _mesh(tracer):
     """Which mesh each pixel shows, -1 for none."""
 
     def look(ray):
-        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+        hit = tracer.mi_scene.ray_intersect_preliminary(ray)
         return tracer.mesh(hit), hit.t
 
     mesh, distance = tracer.each(look, _centres())
@@ -253,7 +253,7 @@ def _places(tracer, film):
     """World positions that are seen at film positions."""
 
     def look(ray):
-        return (tracer.mitsuba.ray_intersect_preliminary(ray).t,)
+        return (tracer.mi_scene.ray_intersect_preliminary(ray).t,)
 
     (distance,) = tracer.each(look, film)
     eye = np.asarray(tracer.pose.camera.origin)

@@ -21,7 +21,7 @@ def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
     tracer.set_time(TIME)
     motion = render_gbuffer(tracer, {"motion"})["motion"].reshape(-1, 2)
     mesh, place, hit = seen(tracer, film)
-    towards = tracer.pose.directions(film, SIDE, SIDE)
+    towards = tracer.pose.ray_directions(film, SIDE, SIDE)
     tracer.set_time(TIME - 1)
     mesh_then, place_then, hit_then = seen(tracer, film + motion)
     eye = np.asarray(tracer.pose.camera.origin)
@@ -29,7 +29,7 @@ def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
     was = points(tracer, mesh, place, hit) - eye
     found = points(tracer, mesh_then, place_then, hit_then) - eye
     same = hit & hit_then & (mesh == mesh_then) & (np.linalg.norm(found - was, axis=1) < NEAR)
-    apart = abs(towards - tracer.pose.directions(film + motion, SIDE, SIDE)).max(1)
+    apart = abs(towards - tracer.pose.ray_directions(film + motion, SIDE, SIDE)).max(1)
     same |= ~hit & ~hit_then & (apart < 1e-5)  # the sky: a hundredth of a pixel
     far = np.where(hit, np.linalg.norm(was, axis=1), np.inf)
     hidden = hit_then & (np.linalg.norm(found, axis=1) < far - NEAR)
@@ -41,7 +41,7 @@ def seen(tracer, film):
     """What lies at film positions: the mesh, the place on it (face, u, v), is there anything?"""
 
     def look(ray):
-        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+        hit = tracer.mi_scene.ray_intersect_preliminary(ray)
         return tracer.mesh(hit), hit.prim_index, hit.prim_uv.x, hit.prim_uv.y, hit.t
 
     mesh, *place, distance = tracer.each(look, film)
@@ -51,7 +51,7 @@ def seen(tracer, film):
 def points(tracer, mesh, place, hit):
     """Where places on the meshes are at the tracer's time, by the scene's own animation."""
     found = np.zeros((len(mesh), 3))
-    vertices = Pose.of(tracer.scene, tracer.time).vertices
+    vertices = Pose.at_time(tracer.scene, tracer.time).vertices
     for number, (shape, corners) in enumerate(zip(tracer.scene.meshes, vertices, strict=True)):
         of = hit & (mesh == number)
         a, b, c = np.moveaxis(corners[shape.faces[place[of, 0].astype(int)]].astype(float), 1, 0)

@@ -53,10 +53,10 @@ def switched(scene, light, at=5):
 def test_a_light_that_changed_shines_as_if_it_was_made_so(llvm, kind, share):
     light, made = MADE[kind]
     changing, fresh = open_tracer(switched(made(1.0), light), H, W), open_tracer(made(share), H, W)
-    full = changing.stack(SPP)
+    full = changing.trace_images(SPP)
     changing.set_time(5.0 if share else 7.0)
     fresh.set_time(changing.time)
-    dimmed, wanted = changing.stack(SPP), fresh.stack(SPP)
+    dimmed, wanted = changing.trace_images(SPP), fresh.trace_images(SPP)
     assert dimmed.mean() < 0.98 * full.mean()
     # the same paths; a light's table may be rounded otherwise, so that a few choose another texel
     assert dimmed.mean() == pytest.approx(wanted.mean(), rel=2e-3)
@@ -73,18 +73,18 @@ def test_without_llvm_lights_change_too(kind):
     for each in (tracer, fresh):
         each.set_time(5.0)
     # the same paths, and float32 all along
-    assert tracer.stack(4).mean() == pytest.approx(fresh.stack(4).mean(), rel=1e-4)
+    assert tracer.trace_images(4).mean() == pytest.approx(fresh.trace_images(4).mean(), rel=1e-4)
     tracer.set_time(7.0)
-    assert np.isfinite(tracer.stack(4)).all()
+    assert np.isfinite(tracer.trace_images(4)).all()
 
 
 def test_a_light_comes_back_as_it_was(llvm):
     tracer = open_tracer(switched(room(), "lamp"), H, W)
     tracer.set_time(1.0)
-    before = tracer.stack(2)
+    before = tracer.trace_images(2)
     for time in (7.0, 5.0, 1.0):
         tracer.set_time(time)
-    np.testing.assert_array_equal(tracer.stack(2), before)
+    np.testing.assert_array_equal(tracer.trace_images(2), before)
 
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap", "constant", "sun"])
@@ -96,12 +96,12 @@ def test_no_kernel_is_compiled_when_a_light_changes_again(llvm, kind):
     tracer = open_tracer(scene, H, W)
     for time in (1.0, 2.0):
         tracer.set_time(time)
-        tracer.stack(1)
+        tracer.trace_images(1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         for time in (3.0, 4.5, 7.0):
             tracer.set_time(time)
-            tracer.stack(1)
+            tracer.trace_images(1)
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert kernels
     assert all(kernel["cache_hit"] for kernel in kernels)

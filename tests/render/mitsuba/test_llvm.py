@@ -9,7 +9,7 @@ import pytest
 
 from rlbench.render.mitsuba import llvm
 
-NINETEEN = llvm.Library(Path("/usr/lib/libLLVM.so.19.1"), 19)
+NINETEEN = llvm.LlvmLibrary(Path("/usr/lib/libLLVM.so.19.1"), 19)
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def false_library(tmp_path, monkeypatch):
 
 
 def test_a_file_that_is_no_library_is_refused_with_a_reason(false_library):
-    assert "LLVM" in llvm.probed(false_library)
+    assert "LLVM" in llvm.probe_library(false_library)
 
 
 def test_a_library_that_the_machine_offers_is_usable(llvm):
@@ -30,24 +30,24 @@ def test_a_library_that_the_machine_offers_is_usable(llvm):
 
 
 def test_a_library_is_probed_once(false_library, tmp_path):
-    reason = llvm.libraries()[0].refused
+    reason = llvm.find_libraries()[0].unusable_reason
     note = tmp_path / "cache" / "llvm.json"
     note.write_text(note.read_text().replace(reason[:20], "as noted"))
-    assert llvm.libraries()[0].refused.startswith("as noted")
+    assert llvm.find_libraries()[0].unusable_reason.startswith("as noted")
 
 
 def test_a_library_that_was_replaced_is_probed_again(false_library, tmp_path):
-    reason = llvm.libraries()[0].refused
+    reason = llvm.find_libraries()[0].unusable_reason
     note = tmp_path / "cache" / "llvm.json"
     note.write_text(note.read_text().replace(reason[:20], "as noted"))
     os.utime(false_library, ns=(1, 1))
-    assert llvm.libraries()[0].refused == reason
+    assert llvm.find_libraries()[0].unusable_reason == reason
 
 
 def test_what_is_too_old_is_refused_without_being_loaded(tmp_path, monkeypatch):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-15.so.1"))
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
-    assert "too old" in llvm.libraries()[0].refused
+    assert "too old" in llvm.find_libraries()[0].unusable_reason
     assert not (tmp_path / "llvm.json").exists()
 
 
@@ -57,7 +57,7 @@ def test_candidates_come_newest_first(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     monkeypatch.setattr(llvm, "PATTERNS", (f"{tmp_path}/libLLVM*",))
-    assert [version for version, _ in llvm.candidates()] == [22, 19, 16, 14]
+    assert [version for version, _ in llvm.find_candidates()] == [22, 19, 16, 14]
 
 
 def test_without_llvm_it_is_scalar_and_says_how_to_get_the_fast_one(false_library):
@@ -79,12 +79,12 @@ def test_a_probe_sees_no_kernel_that_another_llvm_compiled(tmp_path, monkeypatch
     monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))
     code = "import os; assert not os.listdir(os.environ['DRJIT_CACHE_DIR']); print('usable')"
     monkeypatch.setattr(llvm, "PROBE", code)
-    assert llvm.probed(tmp_path / "libLLVM.so.19.1") == ""
+    assert llvm.probe_library(tmp_path / "libLLVM.so.19.1") == ""
 
 
 def test_each_version_of_llvm_has_kernels_of_its_own():
-    others = [llvm.Library(NINETEEN.path, 20), None]
-    assert len({llvm.kernels(library) for library in (NINETEEN, *others)}) == 3
+    others = [llvm.LlvmLibrary(NINETEEN.path, 20), None]
+    assert len({llvm.kernel_cache(library) for library in (NINETEEN, *others)}) == 3
 
 
 def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
@@ -114,7 +114,7 @@ def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
     ],
 )
 def test_the_fastest_variant_that_works_is_chosen(library, cuda_refused, variant):
-    assert llvm.fastest(library, cuda_refused) == variant
+    assert llvm.fastest_variant(library, cuda_refused) == variant
 
 
 def test_a_variant_that_mitsuba_lacks_is_an_error_that_lists_those_there_are(llvm):

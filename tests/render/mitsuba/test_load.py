@@ -72,7 +72,7 @@ def test_smooth_meshes_have_the_same_normals_in_every_run(llvm, time):
 
         tracer = open_tracer(scene, 4, 4)
         tracer.set_time(time)
-        return mi.traverse(tracer.mitsuba)["ball.vertex_normals"].numpy()
+        return mi.traverse(tracer.mi_scene)["ball.vertex_normals"].numpy()
 
     first = normals()
     for _ in range(4):  # Mitsuba's own differ within two or three runs

@@ -73,8 +73,8 @@ def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
     jitter, place = numbers.next_2d(), numbers.next_2d()
     rows, columns = np.indices((H, W)).reshape(2, -1)
     ray = tracer.rays(mi.Float(columns) + jitter.x, mi.Float(rows) + jitter.y)
-    hit = tracer.mitsuba.ray_intersect(ray)
-    towards, weight = tracer.mitsuba.sample_emitter_direction(hit, place, True, hit.is_valid())
+    hit = tracer.mi_scene.ray_intersect(ray)
+    towards, weight = tracer.mi_scene.sample_emitter_direction(hit, place, True, hit.is_valid())
     value = hit.bsdf(ray).eval(mi.BSDFContext(), hit, hit.to_local(towards.d), hit.is_valid())
     expected = np.stack([(value * weight)[c].numpy() for c in range(3)], -1).reshape(H, W, 3)
     assert expected.max() > 0.1
@@ -91,7 +91,7 @@ def test_means_are_those_of_the_path_tracer(llvm, config, depth):
         tracer.set_time(float(time))
         samples = pool()
     spp = 4096
-    assert away(samples, *tracer.moments(spp, "referenceA"), spp).max() < SIGMAS
+    assert away(samples, *tracer.trace_moments(spp, "referenceA"), spp).max() < SIGMAS
 
 
 @pytest.mark.slow

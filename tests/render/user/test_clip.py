@@ -16,7 +16,7 @@ from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.clip import UserSceneOptions, ensure_own
-from rlbench.render.user.scene_file import opened
+from rlbench.render.user.scene_file import open_scene_file
 from tests.render.small_scenes import looking_down
 
 H, W, FOV = 32, 48, 60.0
@@ -253,14 +253,17 @@ def test_no_kernel_is_compiled_after_the_first_frame_of_a_document(room):
 
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
-    path = camera_path.listed(PASSING)
-    scene = replace(opened(hook).scene, camera=lambda time: camera_path.camera(path(time), FOV))
+    path = camera_path.follow_matrices(PASSING)
+    scene = replace(
+        open_scene_file(hook).scene,
+        camera=lambda time: camera_path.camera_from_matrix(path(time), FOV),
+    )
     tracer = open_tracer(scene, H, W)
 
     def work(time):
         tracer.set_time(time)
         render_gbuffer(tracer)
-        tracer.stack(2)
+        tracer.trace_images(2)
 
     work(0.0)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
