@@ -1,4 +1,4 @@
-"""Fingerprint of a scene: a short hash of everything its pixels depend on, equal on all machines."""
+"""Fingerprint of a scene: a hash of everything its pixels depend on, equal on all machines."""
 
 from __future__ import annotations
 

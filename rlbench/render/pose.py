@@ -44,7 +44,7 @@ class Pose:
     def ray_directions(
         self, film: Float[Array, "p 2"], height: int, width: int
     ) -> Float[Array, "p 3"]:
-        """Unit ray directions through film positions in pixels (x right, y down, 0 at the corner)."""
+        """Unit rays through film positions in pixels (x right, y down, 0 at the corner)."""
         slopes = (film - np.array([width / 2, height / 2])) * self.tangent_per_pixel(width)
         directions = np.column_stack([slopes, np.ones(len(film))]) @ self.camera_axes()
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
@@ -52,7 +52,7 @@ class Pose:
     def project(
         self, points: Float[Array, "p 4"], height: int, width: int
     ) -> tuple[Float[Array, "p 2"], Float[Array, " p"]]:
-        """Film positions in pixels (x right, y down, 0 at the corner), and depths along the view axis.
+        """Film positions in pixels (x right, y down, 0 at the corner) and depths along the view axis.
 
         Points are homogeneous: (position, 1), or (direction, 0) for points at infinity.
         """

@@ -10,7 +10,16 @@ from typing import Literal, cast, get_args
 from rlbench.clips.header import EXTRAS
 from rlbench.errors import RlbenchError
 
-__all__ = ["GENERATED", "PRESETS", "TEST_SCENES", "Preset", "PresetError", "TakeSelection", "UnknownPresetError", "preset"]
+__all__ = [
+    "GENERATED",
+    "PRESETS",
+    "TEST_SCENES",
+    "Preset",
+    "PresetError",
+    "TakeSelection",
+    "UnknownPresetError",
+    "preset",
+]
 
 TEST_SCENES = ("city", "temple", "hall", "ripples")
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
@@ -44,9 +53,13 @@ class Preset:
     takes: TakeSelection = "main"  # clips per scene: the main one, or one for each take as well
     pool_spp: int = 8  # stored 1-spp images per frame
     radiance_cap: float = math.inf  # upper bound of each sample, in display whites
-    min_noise_ceiling_db: float = math.inf  # PSNR: more rounds follow until the reference reaches it
+    min_noise_ceiling_db: float = (
+        math.inf
+    )  # PSNR: more rounds follow until the reference reaches it
     max_reference_rounds: int = 1
-    pools: tuple[str, ...] = ("path",)  # others come from plugins, where this machine can trace them
+    pools: tuple[str, ...] = (
+        "path",
+    )  # others come from plugins, where this machine can trace them
     extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
 
     @property
@@ -110,7 +123,7 @@ PRESETS = {
             64,
             pools=PATH_AND_RESTIR,
         ),
-        # a ceiling of 33 dB changes a score of 23 dB by 0.4 dB, for all methods alike; not mse_debiased
+        # a ceiling of 33 dB changes a score of 23 dB by 0.4 dB for all methods, not mse_debiased
         Preset(
             "standard",
             "a workstation: all takes",

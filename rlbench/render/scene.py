@@ -71,8 +71,8 @@ class Take:
 
     Everything else comes from the scene. `lights(time)` returns factors >= 0 on the radiance of
     emitters: by mesh name, or `sky0`, `sky1`, ... for `Scene.sky`. Emitters that it does not name
-    are unchanged. Another shot begins at each frame in `cuts`, and the history is invalid there: see
-    `rlbench.render.mitsuba.gbuffer`.
+    are unchanged. Another shot begins at each frame in `cuts`, and the history is invalid there:
+    see `rlbench.render.mitsuba.gbuffer`.
     """
 
     name: str  # the clip is called <scene>-<name>; must not contain a hyphen

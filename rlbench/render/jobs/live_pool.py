@@ -149,8 +149,8 @@ class LiveClip:
 def scene_of(folder: Path) -> Scene:
     """The scene that a clip folder was rendered from, built again.
 
-    Raises ClipError if `rlbench render` did not write the folder, or if the scene has changed since,
-    and LookupError if the scene is not installed.
+    Raises ClipError if `rlbench render` did not write the folder, or if the scene has changed
+    since, and LookupError if the scene is not installed.
     """
     header = read_header(folder)
     error = f"clip {folder} cannot be sampled live"
@@ -160,8 +160,8 @@ def scene_of(folder: Path) -> Scene:
     current, rendered = fingerprint(scene, header.frames), key.split()[0]
     if current != rendered:
         raise ClipError(
-            f"{error}: its scene '{header.name}' has changed since (fingerprint {current}, the clip "
-            f"has {rendered}). Render the clip again, or use --pool stored"
+            f"{error}: its scene '{header.name}' has changed since (fingerprint {current}, the "
+            f"clip has {rendered}). Render the clip again, or use --pool stored"
         )
     return scene
 

@@ -1,4 +1,4 @@
-"""References: two independent halves, traced in rounds until their noise no longer limits scores."""
+"""References: two independent halves, traced until their noise no longer limits scores."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def trace_reference(
     Each round adds `preset.reference_spp` samples to each half. Rounds end after
     `preset.max_reference_rounds`, or once the noise ceiling reaches `preset.min_noise_ceiling_db`.
     Stopping where the halves happen to agree underestimates their noise by a fraction of the order
-    of 1 / sqrt(number of pixels). `on_samples` receives the samples per pixel of each launch, and at
-    the end those of the rounds that were not needed.
+    of 1 / sqrt(number of pixels). `on_samples` receives the samples per pixel of each launch, and
+    at the end those of the rounds that were not needed.
     """
     totals = {half: np.zeros((tracer.height, tracer.width, 3)) for half in HALVES}
     for rounds in range(1, preset.max_reference_rounds + 1):
@@ -68,10 +68,10 @@ def trace_reference(
 
 
 def noise_ceiling_db(a: Image, b: Image, exposure: float) -> float:
-    """PSNR in dB, at most 100, that the noise-free image would score against the mean of two halves.
+    """PSNR of the noise-free image against the mean of two halves, in dB, at most 100.
 
-    mean((A - B)^2) / 4 is what the noise of (A + B) / 2 adds to the mean squared error. The estimate
-    is unbiased because the halves are independent. As for PSNR, A and B are exposed, clipped to
+    mean((A - B)^2) / 4 is what the noise of (A + B) / 2 adds to the mean squared error. The
+    estimate is unbiased because the halves are independent. As for PSNR, A and B are exposed, clipped to
     [0, 1] and encoded as sRGB; the curvature of sRGB within the noise is neglected.
     """
     difference = _display(a * exposure) - _display(b * exposure)

@@ -132,7 +132,9 @@ def _render_frames(
     for job in jobs:
         job.claim_folder()
     renderer = FrameRenderer(jobs)
-    tasks = [FrameTask(clip, index) for clip, job in enumerate(jobs) for index in job.missing_frames]
+    tasks = [
+        FrameTask(clip, index) for clip, job in enumerate(jobs) for index in job.missing_frames
+    ]
     errors = []
     for result in executor.map(renderer, tasks, frame_resources(), on_progress):
         if result.error:
@@ -159,9 +161,7 @@ def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
 def _estimate(jobs: list[Job], executor: Executor) -> str:
     """The work ahead in words, with the time it takes on this machine, after a short trial."""
     preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
-    trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(
-        repeats=1, spp=TRIAL_SPP
-    )
+    trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
