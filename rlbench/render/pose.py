@@ -52,7 +52,7 @@ class Pose:
     def project(
         self, points: Float[Array, "p 4"], height: int, width: int
     ) -> tuple[Float[Array, "p 2"], Float[Array, " p"]]:
-        """Film positions in pixels (x right, y down, 0 at the corner) and depths along the view axis.
+        """Film positions in pixels (x right, y down, 0 at the corner) and depths along the axis.
 
         Points are homogeneous: (position, 1), or (direction, 0) for points at infinity.
         """

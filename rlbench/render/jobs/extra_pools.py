@@ -100,7 +100,7 @@ class MissingPool:
 
 
 def find_missing_pools(jobs: Iterable[Job]) -> list[MissingPool]:
-    """The missing pools of finished clips that this machine can trace: none in the scalar variant."""
+    """The missing pools of finished clips; none if this machine has only the scalar variant."""
     installed = registry.names("pools")
     candidates = [
         MissingPool(job, registry.load("pools", name))

@@ -71,8 +71,8 @@ def noise_ceiling_db(a: Image, b: Image, exposure: float) -> float:
     """PSNR of the noise-free image against the mean of two halves, in dB, at most 100.
 
     mean((A - B)^2) / 4 is what the noise of (A + B) / 2 adds to the mean squared error. The
-    estimate is unbiased because the halves are independent. As for PSNR, A and B are exposed, clipped to
-    [0, 1] and encoded as sRGB; the curvature of sRGB within the noise is neglected.
+    estimate is unbiased because the halves are independent. As for PSNR, A and B are exposed,
+    clipped to [0, 1] and encoded as sRGB; the curvature of sRGB within the noise is neglected.
     """
     difference = _display(a * exposure) - _display(b * exposure)
     noise = float(np.square(difference).mean()) / 4

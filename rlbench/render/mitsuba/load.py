@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from rlbench.errors import RlbenchError
 from rlbench.render.mitsuba import xml_scene
+from rlbench.render.mitsuba.normals import smooth_normals
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 
@@ -21,7 +21,6 @@ __all__ = [
     "make_sensor",
     "move_vertices",
     "pinhole_vectors",
-    "smooth_normals",
     "upload",
 ]
 
@@ -66,23 +65,6 @@ def move_vertices(parameters: Any, vertices: Mapping[str, Array], meshes: Iterab
             normals = smooth_normals(vertices[mesh.name], mesh.faces)
             _assign(parameters, f"{mesh.name}.vertex_normals", normals)
         parameters.update()  # a second time, because new positions would overwrite new normals
-
-
-def smooth_normals(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v 3"]:
-    """Unit vertex normals: face normals weighted by the angle of each face at the vertex.
-
-    Thuermer and Wuethrich 1998, Computing Vertex Normals from Polygonal Facets. The normal of a
-    vertex without faces is z.
-    """
-    corners = vertices.astype(np.float64)[faces]  # f 3 3
-    to_next, to_last = np.roll(corners, -1, 1) - corners, np.roll(corners, 1, 1) - corners
-    normal = _normalize(np.cross(to_next[:, 0], to_last[:, 0]))
-    angle = np.arccos(np.clip((_normalize(to_next) * _normalize(to_last)).sum(-1), -1, 1))  # f 3
-    weighted = (normal[:, None] * angle[..., None]).reshape(-1, 3)
-    total = np.stack(
-        [np.bincount(faces.ravel(), weighted[:, axis], len(vertices)) for axis in range(3)], 1
-    )
-    return np.where(np.any(total, 1, keepdims=True), _normalize(total), [0.0, 0.0, 1.0])
 
 
 def upload(kind: Any, values: Array) -> Any:
@@ -178,12 +160,6 @@ def _check_light(name: str, emission: Plugin) -> None:
 def _assign(parameters: Any, name: str, values: Array) -> None:
     """Replace a buffer by a copy of `values`, converted to the variant's type."""
     parameters[name] = upload(type(parameters[name]), values)
-
-
-def _normalize(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
-    """Vectors scaled to length 1; zero vectors stay zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
 def _to_mitsuba(value: Any, name: str = "") -> Any:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba import load, normals
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.small_scenes import ball, diffuse, room
 
@@ -38,7 +38,7 @@ def test_what_is_uploaded_is_aligned_whatever_the_caller_holds(llvm, length):
 
 def test_smooth_normals_of_a_sphere_point_outwards():
     mesh = ball()
-    normals = load.smooth_normals(mesh.vertices, mesh.faces)
+    normals = normals.smooth_normals(mesh.vertices, mesh.faces)
     # within one ring of faces, 1/48 of a half circle
     assert (normals * mesh.vertices).sum(1).min() > np.cos(np.pi / 48)
 
@@ -56,7 +56,7 @@ def test_smooth_normals_are_mitsubas(llvm):
     parameters.update()
     theirs = mi.traverse(made)["vertex_normals"].numpy().reshape(-1, 3)
     ring = slice(64, -64)  # at the poles there are faces without area, which Mitsuba counts too
-    ours = load.smooth_normals(vertices, mesh.faces)
+    ours = normals.smooth_normals(vertices, mesh.faces)
     np.testing.assert_allclose(ours[ring], theirs[ring], atol=2e-3)  # their arc cosine is rough
 
 
