@@ -1,9 +1,9 @@
 """Camera paths of a user's scene: 4x4 matrices, one per frame, or an orbit or dolly from one view.
 
 A matrix is camera-to-world in Mitsuba's convention: the camera looks along its +z axis, +y is up
-and +x points to the LEFT of the image; columns 0 to 2 are these axes in world space, column 3 is the
-camera's position. To convert a matrix of Blender or OpenGL, whose camera looks along -z with x to
-the right, negate its columns 0 and 2.
+and +x points to the LEFT of the image; columns 0 to 2 are these axes in world space, column 3 is
+the position of the camera. To convert a matrix of Blender or OpenGL, whose camera looks along -z
+with x to the right, negate its columns 0 and 2.
 """
 
 from __future__ import annotations

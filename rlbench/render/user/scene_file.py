@@ -105,8 +105,14 @@ def _from_xml(xml_file: XmlFile) -> UserScene:
     settings = xml_scene.read_settings(xml_file)
     stem = xml_file.path.stem
     name = xml_file.path.resolve().parent.name if GENERIC_NAME.fullmatch(stem) else stem
-    scene = Scene(name, name, (), lambda time: Camera((0, 0, 0), (0, 1, 0)), xml_file=xml_file)
-    scene = replace(scene, depth=settings.max_depth)
+    scene = Scene(
+        name,
+        name,
+        (),
+        lambda time: Camera((0, 0, 0), (0, 1, 0)),
+        depth=settings.max_depth,
+        xml_file=xml_file,
+    )
     return UserScene(
         scene,
         name,

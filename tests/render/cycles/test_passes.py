@@ -41,11 +41,11 @@ def test_depth_of_sky_is_infinite_and_of_surfaces_unchanged():
 
 
 @pytest.mark.parametrize("name", ["albedo", "normal"])
-def test_sky_has_no(name):
+def test_sky_has_neither_albedo_nor_normal(name):
     assert not passes.convert_passes(planes(), SCENE, 0.0)[name][:, -1].any()
 
 
-def test_albedo_of_what_glows_is_cut_to_one():
+def test_albedo_of_emitters_is_clipped_to_one():
     albedo = passes.convert_passes(planes(albedo=(23.9, 0.5, -0.1)), SCENE, 0.0)["albedo"][0, 0]
     assert_allclose(albedo, [1, 0.5, 0])
 

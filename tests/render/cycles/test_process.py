@@ -30,7 +30,7 @@ def events(tmp_path, job=None):
     ("signal", "why"),
     [("SEGV", "segmentation fault"), ("KILL", "ran out of memory"), ("ABRT", "aborted")],
 )
-def test_a_crash_is_told_as_one_with_the_end_of_the_log(python, tmp_path, signal, why):
+def test_the_error_of_a_crash_has_the_signal_and_the_end_of_the_log(python, tmp_path, signal, why):
     python(f"echo 'BVH build of Suzanne' >&2; kill -{signal} $$")
     with pytest.raises(CyclesError, match=f"(?s)SIG{signal}.*{why}.*BVH build of Suzanne"):
         events(tmp_path)
@@ -48,23 +48,23 @@ def test_half_a_line_of_a_process_that_died_is_no_event(python, tmp_path):
         events(tmp_path)
 
 
-def test_events_come_as_they_are_told(python, tmp_path):
+def test_events_arrive_in_order(python, tmp_path):
     python("""echo '{"event": "made", "file": "a", "seconds": 1}'; echo '{"event": "done"}'""")
     assert [event["event"] for event in events(tmp_path)] == ["made", "done"]
 
 
-def test_an_interpreter_that_is_not_there_is_told_with_the_variable(tmp_path, monkeypatch):
+def test_the_error_of_a_missing_interpreter_names_the_variable(tmp_path, monkeypatch):
     monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
     with pytest.raises(CyclesError, match=f"{process.PYTHON_VARIABLE}: .*none cannot be run"):
         events(tmp_path)
 
 
-def test_an_interpreter_that_is_not_there_has_no_bpy(tmp_path, monkeypatch):
+def test_a_missing_interpreter_has_no_bpy(tmp_path, monkeypatch):
     monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
     assert process.installed() is None
 
 
-def test_a_python_without_bpy_is_told_how_to_get_it(tmp_path, monkeypatch):
+def test_the_error_of_a_python_without_bpy_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setenv(process.PYTHON_VARIABLE, sys.executable)
     if process.installed():
         pytest.skip("this Python has bpy")

@@ -28,7 +28,7 @@ from tests.render.cycles import shared_scene
 LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1.0), fov=40.0))
 
 
-def test_no_two_pictures_share_a_seed():
+def test_no_two_images_share_a_seed():
     made = [image_seed(*which) for which in product(range(5), STREAMS, range(SEEDS_PER_STREAM))]
     assert len(set(made)) == len(made)
 
@@ -62,14 +62,14 @@ def test_a_job_is_json_with_absolute_paths():
     assert clip.Path(job["renders"][0]["file"]).is_absolute()
 
 
-def test_no_radiance_is_of_sample_zero():
+def test_radiance_never_includes_sample_zero():
     # Cycles sends it through the pixel's centre whatever the seed, so it does not converge
     job = ordered()
     assert all(picture["first"] >= 1 for picture in job["renders"])
 
 
 @pytest.mark.parametrize("total", [1, 31, 32, 33, 100])
-def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
+def test_the_images_of_a_half_contain_each_sample_once(total, tmp_path):
     parts = clip.reference_images(tmp_path, "referenceA", 3, 0, total)
     numbers = [n for part in parts for n in range(part.first, part.first + part.spp)]
     assert numbers == list(range(1, total + 1))
@@ -85,12 +85,12 @@ def test_the_pictures_of_a_half_are_each_sample_once(total, tmp_path):
         (("world", "-1"), "takes a number from 0"),
     ],
 )
-def test_a_parameter_that_is_none_is_refused(pair, match):
+def test_an_invalid_parameter_is_refused(pair, match):
     with pytest.raises(SceneError, match=match):
         CyclesParameters.parse((pair,))
 
 
-def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
+def test_a_preset_with_a_radiance_cap_is_refused(tmp_path):
     with pytest.raises(SceneError, match="not capped"):
         clip.ensure_cycles(
             UserSceneOptions(tmp_path / "a.blend"), preset("tiny").with_radiance_cap(4.0)
@@ -100,7 +100,7 @@ def test_a_cap_that_would_not_be_kept_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "match"), [("none.blend", "no scene file"), ("a.max", "it takes .blend, .usd")]
 )
-def test_a_file_that_cannot_be_opened_is_told_without_blender(name, match, tmp_path):
+def test_a_file_that_cannot_be_opened_is_refused_without_blender(name, match, tmp_path):
     with pytest.raises(SceneError, match=match):
         clip.ensure_cycles(UserSceneOptions(tmp_path / name), preset("tiny"))
 

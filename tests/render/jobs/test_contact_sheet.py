@@ -26,13 +26,13 @@ def test_brighter_is_never_shown_darker():
     assert (np.diff(contact_sheet.tone_map(ramp, 1.0)[0, :, 0].astype(int)) >= 0).all()
 
 
-def test_what_is_not_finite_is_black():
+def test_non_finite_radiance_is_black():
     assert contact_sheet.tone_map(np.array([[[np.nan, np.inf, -np.inf]]]), 1.0).tolist() == [
         [[0, 0, 0]]
     ]
 
 
-def test_the_third_picture_starts_the_second_row():
+def test_the_third_image_starts_the_second_row():
     pictures = [np.full((3, 5, 3), k, np.uint8) for k in range(3)]
     page = contact_sheet.tile_images(pictures)
     assert page.shape == (6 + contact_sheet.GAP, 10 + contact_sheet.GAP, 3)

@@ -65,7 +65,7 @@ def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
     assert verify(plain) == []
 
 
-def test_a_clip_of_both_is_that_to_which_one_was_added(clip, tmp_path):
+def test_a_clip_rendered_with_both_pools_equals_one_to_which_a_pool_was_added(clip, tmp_path):
     render_clip(job(tmp_path / "both"))
     assert contents(tmp_path / "both") == contents(clip)
 
@@ -115,14 +115,14 @@ def test_a_pool_of_another_recipe_is_replaced(clip):
     assert contents(clip, "pool.restir.*.exr") == {}
 
 
-def test_the_header_says_what_a_sample_of_each_pool_costs(clip):
+def test_the_header_records_the_time_per_sample_of_each_pool(clip):
     header = read_header(clip)
     assert header.sample_ms_of("path") == header.sample_ms
     assert header.sample_ms_of("restir") > 0
     assert np.isnan(header.sample_ms_of("unheard"))
 
 
-def test_without_wavefronts_there_is_no_pool_and_a_method_that_needs_it_says_so(plain):
+def test_the_scalar_variant_adds_no_pool_and_the_incompatibility_names_it(plain):
     select_variant("scalar_rgb")
     render_missing([job(plain)])
     header = read_header(plain)

@@ -19,7 +19,7 @@ from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
 from rlbench.run import run_clip
-from rlbench.sampling import draw_samples, nothing
+from rlbench.sampling import draw_samples
 from tests.conftest import write_noise
 from tests.render.small_scenes import grey, room
 
@@ -97,13 +97,13 @@ def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
 
 
-def test_a_frame_that_was_kept_still_sells_its_own_samples(llvm, tmp_path):
+def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, tmp_path):
     stored, live = both(rendered(tmp_path, room()), room())
     kept = list(live)[1].pool
     density = torch.ones(1, 1, H, W)
-    first = draw_samples(kept, nothing(kept), density, 1.5)
+    first = draw_samples(kept, kept.empty(), density, 1.5)
     again = stored.frame(1).pool
-    assert torch.equal(first.radiance, draw_samples(again, nothing(again), density, 1.5).radiance)
+    assert torch.equal(first.radiance, draw_samples(again, again.empty(), density, 1.5).radiance)
 
 
 def launches(work):
@@ -116,11 +116,11 @@ def launches(work):
         return dr.kernel_history([dr.KernelType.JIT]), returned
 
 
-def test_each_sample_bought_is_one_path_and_nothing_else_is_traced(llvm, tmp_path):
+def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, tmp_path):
     _, live = both(rendered(tmp_path, room()), room())
     pool = live.frame(1).pool
     density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
-    held, sizes = nothing(pool), []
+    held, sizes = pool.empty(), []
     for upto in (0.1, 0.9, 4.0):
         kernels, held = launches(
             lambda upto=upto, held=held: draw_samples(pool, held, density, upto)
@@ -194,7 +194,7 @@ def test_a_clip_knows_its_scene(temple):
     assert agree(images(open_live(stored), 0.5), images(stored, 0.5))
 
 
-def test_the_bench_may_take_either_and_tells_them_apart(temple):
+def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(temple):
     live, stored = open_source(temple, "live"), open_source(temple, "stored")
     device = torch.device("cpu")
     clips = [source.open(Follows().traits, 1.0, 3, device) for source in (live, stored)]
@@ -203,25 +203,25 @@ def test_the_bench_may_take_either_and_tells_them_apart(temple):
     assert live.content("path") != stored.content("path") == StoredSource(temple).content("path")
 
 
-def test_a_scene_that_has_changed_is_told(temple):
+def test_a_scene_that_has_changed_is_an_error(temple):
     mark = temple / "scene.txt"
     mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
     with pytest.raises(ClipError, match="the clip shows 0123456789abcdef.*--pool stored"):
         open_source(temple, "live")
 
 
-def test_a_clip_of_another_renderer_is_told(tmp_path):
+def test_a_clip_of_another_renderer_is_an_error(tmp_path):
     with pytest.raises(ClipError, match="did not write it; use --pool stored"):
         open_source(write_noise(tmp_path / "noise"), "live")
 
 
-def test_a_pool_that_is_not_of_paths_is_told(tmp_path):
+def test_only_the_path_pool_can_be_live(tmp_path):
     clip = open_clip(write_noise(tmp_path / "noise", pools=("path",)))
     with pytest.raises(ClipError, match="no live pool 'restir'"):
         open_live(replace(clip, pool="restir"))
 
 
-def test_a_scene_that_is_not_installed_is_told(llvm, tmp_path):
+def test_a_scene_that_is_not_installed_is_an_error(llvm, tmp_path):
     rendered(tmp_path / "room", room())
     assert read_header(tmp_path / "room").name == "room"
     with pytest.raises(LookupError, match="'room' is not a scene"):

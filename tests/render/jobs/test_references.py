@@ -28,14 +28,14 @@ def noisy(sigma, seed, h=100, w=100):
 
 
 @pytest.mark.parametrize("sigma", [0.001, 0.01, 0.05])
-def test_the_ceiling_is_what_the_truth_scores(sigma):
+def test_the_noise_ceiling_is_the_psnr_of_the_noise_free_image(sigma):
     truth, a, b = noisy(sigma, seed=1)
     shown = [torch.from_numpy(i).permute(2, 0, 1)[None] for i in (truth, (a + b) / 2)]
     # the deviation of a mean of 30000 squares, which is below 0.05 dB, and the curve's bend
     assert references.noise_ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*shown)), abs=0.1)
 
 
-def test_the_ceiling_sees_what_exposure_lifts_above_white():
+def test_the_noise_ceiling_takes_exposure_and_clipping_into_account():
     _, a, b = noisy(0.05, seed=2)
     assert (
         references.noise_ceiling_db(a, b, 1000.0) == 100.0
@@ -56,9 +56,9 @@ def test_one_round_is_the_mean_of_each_stream(llvm, spp):
     np.testing.assert_array_equal(b, tracer.mean(spp, "referenceB"))
 
 
-def test_rounds_go_on_where_the_last_ended(llvm):
+def test_a_round_continues_where_the_last_one_ended(llvm):
     tracer = open_tracer(room(), H, W)
-    a, _, spent = references.trace_reference(tracer, replace(PLAN, rounds=3), 1.0)
+    a, _, spent = references.trace_reference(tracer, replace(PLAN, max_reference_rounds=3), 1.0)
     assert spent == 2 * 3 * 4
     # a float64 sum in another order, rounded to float32
     np.testing.assert_allclose(a, tracer.mean(12, "referenceA"), rtol=1e-6)
@@ -66,18 +66,18 @@ def test_rounds_go_on_where_the_last_ended(llvm):
 
 def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     tracer = open_tracer(room(), H, W)
-    plan = replace(PLAN, rounds=50, ceiling_db=25.0)
+    plan = replace(PLAN, max_reference_rounds=50, min_noise_ceiling_db=25.0)
     a, b, spent = references.trace_reference(tracer, plan, room().exposure)
     assert 8 < spent < 400
     assert references.noise_ceiling_db(a, b, room().exposure) >= 25.0
-    fewer = replace(plan, rounds=spent // 8 - 1, ceiling_db=math.inf)
+    fewer = replace(plan, max_reference_rounds=spent // 8 - 1, min_noise_ceiling_db=math.inf)
     before = references.trace_reference(tracer, fewer, room().exposure)
     assert references.noise_ceiling_db(*before[:2], room().exposure) < 25.0
 
 
 def test_progress_counts_the_samples_that_were_not_needed(llvm):
     told = []
-    plan = replace(PLAN, rounds=50, ceiling_db=25.0)
+    plan = replace(PLAN, max_reference_rounds=50, min_noise_ceiling_db=25.0)
     references.trace_reference(open_tracer(room(), H, W), plan, room().exposure, told.append)
     assert sum(told) == 2 * 50 * 4
 
@@ -88,8 +88,8 @@ def easy():
     return looking_down({"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}})
 
 
-def test_an_easy_scene_costs_less_and_the_header_says_what(llvm, tmp_path, easy):
-    plan = replace(PLAN, rounds=6, ceiling_db=30.0)
+def test_an_easy_scene_needs_fewer_samples_and_the_header_records_them(llvm, tmp_path, easy):
+    plan = replace(PLAN, max_reference_rounds=6, min_noise_ceiling_db=30.0)
     headers = []
     for name, scene in (("easy", easy), ("hard", room())):
         render_clip(Job(name, scene, plan, tmp_path / name))
@@ -105,8 +105,8 @@ def test_an_easy_scene_costs_less_and_the_header_says_what(llvm, tmp_path, easy)
     )
 
 
-def test_a_resumed_clip_knows_what_its_first_frames_cost(llvm, tmp_path):
-    plan = replace(PLAN, rounds=4, ceiling_db=24.0)
+def test_a_resumed_clip_keeps_the_sample_counts_of_its_first_frames(llvm, tmp_path):
+    plan = replace(PLAN, max_reference_rounds=4, min_noise_ceiling_db=24.0)
     first = Job("room", room(), plan, tmp_path)
     render_clip(first)
     spent = read_header(tmp_path).reference_spp
@@ -117,8 +117,8 @@ def test_a_resumed_clip_knows_what_its_first_frames_cost(llvm, tmp_path):
     assert read_header(tmp_path).reference_spp == spent
 
 
-def test_a_frame_whose_cost_is_lost_is_traced_again(llvm, tmp_path):
-    made = Job("room", room(), replace(PLAN, rounds=2), tmp_path)
+def test_a_frame_whose_sample_count_is_lost_is_traced_again(llvm, tmp_path):
+    made = Job("room", room(), replace(PLAN, max_reference_rounds=2), tmp_path)
     render_clip(made)
     (tmp_path / "rounds.0000.txt").unlink()
     assert made.missing_frames == [0]

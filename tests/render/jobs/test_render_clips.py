@@ -4,15 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from rlbench import registry
+from rlbench.cli.app import app
 from rlbench.clips.stored import ClipError, open_clip, read_header, verify
-from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import ensure, render_clip
+from rlbench.render.jobs.render_clips import ensure, render_clip, scene_of_clip
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.presets import PRESETS, Preset, preset
-from tests.render.small_scenes import diffuse, room, square
+from rlbench.render.presets import Preset
+from rlbench.render.scene import SceneError
+from tests.render.small_scenes import diffuse, room
 
 PLAN = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
 
@@ -66,11 +69,11 @@ def test_a_lost_file_is_rendered_again_and_the_others_are_left_alone(clip):
     assert (clip / "view.0000.exr").stat().st_mtime_ns == kept
 
 
-def test_what_is_written_is_a_sound_clip(clip):
+def test_a_rendered_clip_passes_verification(clip):
     assert verify(clip) == []
 
 
-def test_the_header_says_what_was_rendered(clip):
+def test_the_header_describes_the_clip(clip):
     header = read_header(clip)
     assert (header.height, header.width, header.frames, header.pool_spp) == (16, 24, 3, 3)
     assert header.reference_spp == (4, 4, 4)
@@ -86,7 +89,7 @@ def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
     np.testing.assert_allclose(np.sort(sold, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
 
 
-def test_halves_of_the_reference_are_other_paths(clip):
+def test_the_reference_halves_come_from_different_paths(clip):
     reference = open_clip(clip).frame(0).reference
     assert not (reference.half_a == reference.half_b).all()
 
@@ -100,7 +103,7 @@ def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
 EXTRAS = ("object", "albedo_first", "normal_behind", "depth_behind", "object_behind")
 
 
-def test_view_buffers_that_were_asked_for_are_in_the_clip(llvm, tmp_path):
+def test_extra_buffers_are_in_the_clip(llvm, tmp_path):
     render_clip(job(tmp_path, plan=PLAN.with_buffers(EXTRAS)))
     assert verify(tmp_path) == []
     gbuffer = open_clip(tmp_path, inputs=frozenset(EXTRAS)).frame(1).gbuffer
@@ -111,20 +114,9 @@ def test_view_buffers_that_were_asked_for_are_in_the_clip(llvm, tmp_path):
         np.testing.assert_allclose(found, expected, atol=2**-11, err_msg=name)  # half, up to 1
 
 
-def test_a_clip_without_them_says_so(clip):
+def test_opening_a_clip_without_extra_buffers_lists_those_it_has(clip):
     with pytest.raises(ClipError, match="no buffer object; it has: albedo, normal, depth, motion"):
         open_clip(clip, inputs=frozenset({"object"}))
-
-
-def test_clips_with_more_buffers_are_another_set():
-    more = PRESETS["mini"].with_buffers(["object"])
-    assert more.name == "mini-views"
-    assert job("a", plan=more).content_key != job("a", plan=PRESETS["mini"]).content_key
-
-
-def test_a_buffer_that_cannot_be_added_is_an_error_that_lists_those_there_are():
-    with pytest.raises(ValueError, match="no view buffer emission to add; there are: object"):
-        PRESETS["mini"].with_buffers(["object", "emission"])
 
 
 def test_a_changed_scene_replaces_its_frames(clip):
@@ -136,56 +128,16 @@ def test_a_changed_scene_replaces_its_frames(clip):
     assert not set(contents(clip).values()) & {before["view.0000.exr"], before["view.0002.exr"]}
 
 
-def test_frames_of_a_changed_scene_count_as_missing(clip):
-    assert job(clip).missing_frames == []
-    assert job(clip, replace(room(), depth=3)).missing_frames == [0, 1, 2]
-
-
-def test_frames_of_another_origin_are_not_removed(llvm, tmp_path):
+def test_frames_of_another_renderer_are_not_removed(llvm, tmp_path):
     (tmp_path / "view.0000.exr").write_bytes(b"somebody's work")
     with pytest.raises(ClipError, match="did not write"):
         render_clip(job(tmp_path))
     assert (tmp_path / "view.0000.exr").exists()
 
 
-def test_a_fingerprint_ignores_the_last_bit_of_a_number():
-    jitter = replace(room().meshes[1], vertices=room().meshes[1].vertices * np.float32(1 + 1e-7))
-    other = replace(room(), meshes=(room().meshes[0], jitter, *room().meshes[2:]))
-    assert fingerprint(room(), 8) == fingerprint(other, 8)
-
-
-def test_a_fingerprint_notices_a_new_mesh():
-    more = replace(room(), meshes=(*room().meshes, square("new", 1.0, 2.0, diffuse(0, 0, 0))))
-    assert fingerprint(room(), 8) != fingerprint(more, 8)
-
-
-def test_an_unknown_scene_is_an_error_that_lists_those_there_are(tmp_path):
+def test_an_unknown_scene_is_an_error_that_lists_the_available_ones(tmp_path):
     with pytest.raises(LookupError, match="temple"):
         ensure("tiny", scenes=["atlantis"], folder=tmp_path)
-
-
-def test_an_unknown_preset_is_an_error_that_lists_those_there_are():
-    with pytest.raises(LookupError, match="mini"):
-        preset("huge")
-
-
-def test_the_papers_protocol():
-    paper = PRESETS["paper"]
-    assert (paper.size, paper.frames, paper.pool_spp) == ((720, 720), 20, 8)
-    assert 2 * paper.reference_spp == 1000
-    assert paper.paths_per_clip == 20 * 720 * 720 * 1008
-
-
-def test_a_capped_preset_is_another_set_of_clips():
-    capped = PRESETS["mini"].with_radiance_cap(64.0)
-    assert capped.name == "mini-cap64"
-    assert job("a", plan=capped).content_key != job("a", plan=PRESETS["mini"]).content_key
-
-
-@pytest.mark.parametrize("cap", [0.0, -1.0, float("nan")])
-def test_a_cap_that_leaves_no_light_is_told(cap):
-    with pytest.raises(ValueError, match="must be above 0"):
-        PRESETS["mini"].with_radiance_cap(cap)
 
 
 def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
@@ -199,9 +151,18 @@ def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_p
     assert capped.reference.half_a.max() <= 0.25 * (1 + 1e-6)
 
 
-def test_presets_of_clips_in_use_keep_their_mark():
-    # what stands in scene.txt of clips that were rendered before there were rounds and caps
-    assert job("a", plan=PRESETS["mini"]).content_key.endswith(" 192x192 8 frames 8 + 2 x 64 spp\n")
-    assert job("a", plan=PRESETS["train"]).content_key.endswith(
-        " 160x160 5 frames 8 + 2 x 64 spp\n"
-    )
+def test_a_generated_scene_comes_from_the_registry_with_its_seed():
+    scene = registry.load("scenes", "generated")(7)
+    assert scene_of_clip("generated-007").name == scene.name == "generated-7"
+
+
+@pytest.mark.parametrize("name", ["generated", "generated-cut"])
+def test_a_generated_scene_without_a_seed_is_an_error(name):
+    with pytest.raises(SceneError, match=f"'{name}' is not a generated scene; give a seed"):
+        scene_of_clip(name)
+
+
+def test_a_missing_seed_on_the_command_line_is_an_error():
+    shown = CliRunner().invoke(app, ["render", "--scenes", "generated"])
+    assert shown.exit_code != 0
+    assert "give a seed" in shown.output

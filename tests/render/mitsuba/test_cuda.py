@@ -15,13 +15,13 @@ def false_driver(tmp_path, monkeypatch):
     return file
 
 
-def test_without_a_driver_there_is_nothing_to_refuse(tmp_path, monkeypatch):
+def test_without_a_driver_there_is_no_reason(tmp_path, monkeypatch):
     monkeypatch.setattr(cuda, "DRIVERS", (f"{tmp_path}/libcuda.so.1",))
     assert cuda.unusable_reason() is None
     assert not list(tmp_path.rglob("cuda.json"))
 
 
-def test_a_driver_that_does_not_work_is_refused_and_told(false_driver):
+def test_an_unusable_driver_is_in_the_report_with_the_reason(false_driver):
     assert cuda.unusable_reason()
     assert f"refused cuda_ad_rgb with {false_driver}: {cuda.unusable_reason()}" in llvm.report()
     assert not llvm.report().startswith("path tracer: cuda")

@@ -50,7 +50,7 @@ def switched(scene, light, at=5):
 
 @pytest.mark.parametrize("share", [0.25, 0.0])
 @pytest.mark.parametrize("kind", MADE)
-def test_a_light_that_changed_shines_as_if_it_was_made_so(llvm, kind, share):
+def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
     light, made = MADE[kind]
     changing, fresh = open_tracer(switched(made(1.0), light), H, W), open_tracer(made(share), H, W)
     full = changing.trace_images(SPP)
@@ -64,7 +64,7 @@ def test_a_light_that_changed_shines_as_if_it_was_made_so(llvm, kind, share):
 
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
-def test_without_llvm_lights_change_too(kind):
+def test_without_llvm_lights_are_scaled_too(kind):
     from rlbench.render.mitsuba.llvm import select_variant
 
     select_variant("scalar_rgb")
@@ -78,7 +78,7 @@ def test_without_llvm_lights_change_too(kind):
     assert np.isfinite(tracer.trace_images(4)).all()
 
 
-def test_a_light_comes_back_as_it_was(llvm):
+def test_a_light_returns_to_its_full_strength(llvm):
     tracer = open_tracer(switched(room(), "lamp"), H, W)
     tracer.set_time(1.0)
     before = tracer.trace_images(2)
@@ -88,7 +88,7 @@ def test_a_light_comes_back_as_it_was(llvm):
 
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap", "constant", "sun"])
-def test_no_kernel_is_compiled_when_a_light_changes_again(llvm, kind):
+def test_scaling_a_light_again_compiles_no_kernel(llvm, kind):
     import drjit as dr
 
     light, made = MADE[kind]
@@ -115,6 +115,6 @@ def test_no_kernel_is_compiled_when_a_light_changes_again(llvm, kind):
         ({"lamp": float("nan")}, "light 'lamp' is to give nan times its light"),
     ],
 )
-def test_a_light_that_cannot_change_so_is_told(llvm, lights, told):
+def test_an_invalid_light_factor_is_an_error(llvm, lights, told):
     with pytest.raises(LightError, match=told):
         open_tracer(replace(room(), lights=lambda time: lights), H, W)

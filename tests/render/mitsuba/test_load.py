@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rlbench.render.mitsuba import load, normals
+from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba.normals import smooth_normals
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from tests.render.small_scenes import ball, diffuse, room
 
 
-def test_a_light_that_mitsuba_would_leave_dark_is_told(variant):
+def test_a_mesh_attribute_as_radiance_is_an_error(variant):
     by_face = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "face_light"}}
     *others, lamp = room().meshes
     scene = replace(room(), meshes=(*others, replace(lamp, emission=by_face)))
@@ -18,7 +19,7 @@ def test_a_light_that_mitsuba_would_leave_dark_is_told(variant):
         open_tracer(scene, 4, 4)
 
 
-def test_what_is_uploaded_is_a_copy(llvm):
+def test_an_uploaded_array_is_a_copy(llvm):
     import mitsuba as mi
 
     values = np.arange(64, dtype=np.float32)
@@ -28,7 +29,7 @@ def test_what_is_uploaded_is_a_copy(llvm):
 
 
 @pytest.mark.parametrize("length", [16, 1000, 100_000, 1_000_000])
-def test_what_is_uploaded_is_aligned_whatever_the_caller_holds(llvm, length):
+def test_an_uploaded_array_is_aligned(llvm, length):
     import mitsuba as mi
 
     # or Dr.Jit would compile a kernel for each alignment of each input
@@ -38,12 +39,12 @@ def test_what_is_uploaded_is_aligned_whatever_the_caller_holds(llvm, length):
 
 def test_smooth_normals_of_a_sphere_point_outwards():
     mesh = ball()
-    normals = normals.smooth_normals(mesh.vertices, mesh.faces)
+    normals = smooth_normals(mesh.vertices, mesh.faces)
     # within one ring of faces, 1/48 of a half circle
     assert (normals * mesh.vertices).sum(1).min() > np.cos(np.pi / 48)
 
 
-def test_smooth_normals_are_mitsubas(llvm):
+def test_smooth_normals_equal_mitsubas(llvm):
     import mitsuba as mi
 
     random = np.random.default_rng(0)
@@ -56,7 +57,7 @@ def test_smooth_normals_are_mitsubas(llvm):
     parameters.update()
     theirs = mi.traverse(made)["vertex_normals"].numpy().reshape(-1, 3)
     ring = slice(64, -64)  # at the poles there are faces without area, which Mitsuba counts too
-    ours = normals.smooth_normals(vertices, mesh.faces)
+    ours = smooth_normals(vertices, mesh.faces)
     np.testing.assert_allclose(ours[ring], theirs[ring], atol=2e-3)  # their arc cosine is rough
 
 
@@ -64,7 +65,9 @@ def test_smooth_normals_are_mitsubas(llvm):
 def test_smooth_meshes_have_the_same_normals_in_every_run(llvm, time):
     mesh = replace(ball(200, 400), material=diffuse(0.5, 0.5, 0.5))
     scene = replace(
-        room(), meshes=(mesh,), moving=lambda time: {"ball": mesh.vertices + np.float32(time / 10)}
+        room(),
+        meshes=(mesh,),
+        vertex_animation=lambda time: {"ball": mesh.vertices + np.float32(time / 10)},
     )
 
     def normals():

@@ -27,7 +27,7 @@ def chains(tracer, count, config=BIASED, indirect=True):
 
 def camera_alone(depth):
     """The room in which only the camera moves: there the unbiased form is exact."""
-    return replace(room(), moving=lambda time: {}, depth=depth)
+    return replace(room(), vertex_animation=lambda time: {}, depth=depth)
 
 
 def many_lamps():
@@ -117,7 +117,7 @@ def test_under_many_lamps_its_variance_is_a_small_part_of_next_event_estimations
     assert 0.7 < second.mean() / truth < 1.05
 
 
-def test_at_a_cut_nothing_of_the_past_is_left(llvm):
+def test_no_history_survives_a_cut(llvm):
     tracer = opened(replace(room(), cuts=(2,)))
     pool = chains(tracer, 2)
     for time in (0.0, 1.0, 2.0):
@@ -126,11 +126,11 @@ def test_at_a_cut_nothing_of_the_past_is_left(llvm):
     np.testing.assert_array_equal(samples, chains(tracer, 2)())
 
 
-def test_what_has_just_come_into_view_has_no_past(llvm):
+def test_disoccluded_pixels_have_no_history(llvm):
     def to_the_right(time):
         return Camera((0.5 * time, -6.0, 2.5), (0.5 * time, 0, 0.5), fov=50.0)
 
-    tracer = opened(replace(room(), moving=lambda time: {}, camera=to_the_right))
+    tracer = opened(replace(room(), vertex_animation=lambda time: {}, camera=to_the_right))
     pool = chains(tracer, 1, replace(BIASED, passes=0))
     for time in (0.0, 1.0):
         tracer.set_time(time)
@@ -143,7 +143,7 @@ def test_what_has_just_come_into_view_has_no_past(llvm):
     assert (count[~new] == 2 * BIASED.candidates).mean() > 0.2  # the ground lies at a steep angle
 
 
-def test_the_past_counts_at_most_twenty_times_the_present(llvm):
+def test_the_history_counts_at_most_twenty_times_the_current_frame(llvm):
     tracer = opened(room(static=True))
     pool = chains(tracer, 1, replace(BIASED, candidates=2, passes=0))
     for _ in range(25):
@@ -151,7 +151,7 @@ def test_the_past_counts_at_most_twenty_times_the_present(llvm):
     assert pool.past.kept.M.numpy().max() == 2 * (20 + 1)
 
 
-def test_a_chain_does_not_depend_on_those_beside_it(llvm):
+def test_a_stream_does_not_depend_on_the_other_streams(llvm):
     tracer = opened(room())
     stage = PoolStage(tracer, "restir")
     pools = [Restir(stage, numbers) for numbers in (range(4), range(2), range(2, 4))]

@@ -23,7 +23,7 @@ def test_streams_times_and_seeds_never_share_a_key():
     assert len(set(keys)) == len(keys)
 
 
-def test_an_unknown_stream_is_an_error_that_lists_those_there_are():
+def test_an_unknown_stream_is_an_error_that_lists_the_available_ones():
     with pytest.raises(LookupError, match="referenceA"):
         rng.stream_key("reference", 0.0, 0)
 

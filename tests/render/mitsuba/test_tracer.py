@@ -25,7 +25,7 @@ def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
     np.testing.assert_array_equal(tracer.trace(pixels, samples), stack[samples, pixels])
 
 
-def test_without_llvm_pairs_are_those_of_the_stack_too():
+def test_without_llvm_pairs_equal_the_stack_too():
     from rlbench.render.mitsuba.llvm import select_variant
 
     select_variant("scalar_rgb")
@@ -44,7 +44,7 @@ def test_samples_do_not_depend_on_where_the_scene_was_before(variant):
     np.testing.assert_array_equal(tracer.trace_images(1), before)
 
 
-def test_what_was_traced_stays_as_it_is(tracer):
+def test_a_result_does_not_change_with_the_next_launch(tracer):
     pixels, samples = np.arange(64), np.zeros(64, int)
     kept = tracer.trace(pixels, samples)
     before = kept.copy()
