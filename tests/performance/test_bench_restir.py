@@ -26,5 +26,5 @@ def tracer():
 @pytest.mark.parametrize("what", ["chains", "paths"])
 def test_samples(benchmark, tracer, what):
     pool = chains(tracer, POOL, COUNT)
-    frame = pool if what == "chains" else lambda: tracer.stack(COUNT, "pilot")
+    frame = pool if what == "chains" else lambda: tracer.trace_images(COUNT, "pilot")
     benchmark.pedantic(frame, rounds=ROUNDS, warmup_rounds=2)

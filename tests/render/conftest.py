@@ -15,8 +15,8 @@ NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
 
 
 @pytest.fixture(scope="session")
-def noted(tmp_path_factory) -> Path:
-    """What probing libLLVM has found, once for all tests: each has an empty cache."""
+def probe_results(tmp_path_factory) -> Path:
+    """Results of probing libLLVM, shared by all tests, each of which has an empty cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("probed")))
         find_libraries()
@@ -24,10 +24,10 @@ def noted(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _probed(noted, _own_cache):
+def _probed(probe_results, _own_cache):
     paths.cache().mkdir(parents=True, exist_ok=True)
-    if noted.exists():
-        shutil.copy(noted, paths.cache())
+    if probe_results.exists():
+        shutil.copy(probe_results, paths.cache())
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def variant(request):
 
 @pytest.fixture(autouse=True)
 def _fast_again():
-    """What a test leaves running is what the next ones get: not the slow variant."""
+    """The variant that a test sets stays for the next ones: do not leave them the slow one."""
     yield
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
     if running == "scalar_rgb" and not all(library.unusable_reason for library in find_libraries()):

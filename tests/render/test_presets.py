@@ -25,7 +25,7 @@ def test_a_preset_with_extra_buffers_has_another_name_and_content_key():
 
 
 def test_an_unknown_buffer_is_an_error_that_lists_the_available_ones():
-    with pytest.raises(ValueError, match="no view buffer emission to add; there are: object"):
+    with pytest.raises(ValueError, match="no G-buffer channel emission to add; available: object"):
         PRESETS["mini"].with_buffers(["object", "emission"])
 
 

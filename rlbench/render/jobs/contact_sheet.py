@@ -101,7 +101,7 @@ def _cached_frame(
         return cached
     tracer = open_tracer(scene, size, size)
     tracer.set_time(TIME)
-    image = tracer.mean(spp, STREAM, on_samples=lambda count: on_samples(scene.name, count))
+    image = tracer.trace_mean(spp, STREAM, on_samples=lambda count: on_samples(scene.name, count))
     with paths.replacing(file) as temporary, temporary.open("wb") as stream:
         np.save(stream, image)
     del tracer

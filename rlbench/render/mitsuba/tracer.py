@@ -96,7 +96,7 @@ class Tracer(ABC):
             ]
         )
 
-    def mean(
+    def trace_mean(
         self,
         spp: int,
         stream: str,

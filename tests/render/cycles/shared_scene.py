@@ -47,16 +47,16 @@ def parts():
     """Name: vertices, faces, albedo, radiance, does it move?"""
     floor = tiled((-3, -6, 0), (6, 0, 0), (0, 9, 0), [(0.7, 0.6, 0.3), (0.2, 0.35, 0.6)], 8)
     wall = tiled((-3, 3, 0), (6, 0, 0), (0, 0, 3), [(0.7, 0.25, 0.2), (0.75, 0.7, 0.6)], 6)
-    found = {f"floor{i}": (*part, (0, 0, 0), False) for i, part in enumerate(floor)}
-    found |= {f"wall{i}": (*part, (0, 0, 0), False) for i, part in enumerate(wall)}
+    shapes = {f"floor{i}": (*part, (0, 0, 0), False) for i, part in enumerate(floor)}
+    shapes |= {f"wall{i}": (*part, (0, 0, 0), False) for i, part in enumerate(wall)}
     for name, x, colour in (("left", -3, (0.3, 0.6, 0.3)), ("right", 3, (0.6, 0.6, 0.2))):
-        found[name] = (*quad((x, -6, 0), (0, 9, 0), (0, 0, 3)), colour, (0, 0, 0), False)
-    found["ceiling"] = (*quad((-3, -6, 3), (6, 0, 0), (0, 9, 0)), (0.6,) * 3, (0, 0, 0), False)
-    found["box"] = (*box((-0.6, -0.4, 0.0), (0.4, 0.6, 1.0)), (0.6, 0.3, 0.5), (0, 0, 0), True)
-    found["pillar"] = (*box((1.2, 0.8, 0), (1.7, 1.3, 2.2)), (0.5, 0.5, 0.5), (0, 0, 0), False)
+        shapes[name] = (*quad((x, -6, 0), (0, 9, 0), (0, 0, 3)), colour, (0, 0, 0), False)
+    shapes["ceiling"] = (*quad((-3, -6, 3), (6, 0, 0), (0, 9, 0)), (0.6,) * 3, (0, 0, 0), False)
+    shapes["box"] = (*box((-0.6, -0.4, 0.0), (0.4, 0.6, 1.0)), (0.6, 0.3, 0.5), (0, 0, 0), True)
+    shapes["pillar"] = (*box((1.2, 0.8, 0), (1.7, 1.3, 2.2)), (0.5, 0.5, 0.5), (0, 0, 0), False)
     lamp = box((-0.8, -0.8, 2.3), (0.8, 0.8, 2.4))  # closed, as Cycles' meshes shine to both sides
-    found["lamp"] = (*lamp, (0, 0, 0), LIGHT, False)
-    return found
+    shapes["lamp"] = (*lamp, (0, 0, 0), LIGHT, False)
+    return shapes
 
 
 def camera(time):
@@ -159,7 +159,7 @@ def material(name, albedo, radiance):
     """Diffuse alone: Blender's Principled without its specular layer."""
     strength = max(radiance)
     extensions = {"KHR_materials_specular": {"specularFactor": 0.0}}
-    found = {
+    shapes = {
         "name": name,
         "doubleSided": True,
         "pbrMetallicRoughness": {
@@ -170,6 +170,6 @@ def material(name, albedo, radiance):
         "extensions": extensions,
     }
     if strength:
-        found["emissiveFactor"] = [value / strength for value in radiance]
+        shapes["emissiveFactor"] = [value / strength for value in radiance]
         extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
-    return found
+    return shapes

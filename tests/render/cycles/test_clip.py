@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 H, W = 64, 64
 PLAN = Preset("test", "tests", (H, W), shared_scene.FRAMES, reference_spp=40)  # in two spans
 SMALL = replace(PLAN, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
-ASKED = (("max_bounces", str(shared_scene.BOUNCES)),)
+PARAMETERS = (("max_bounces", str(shared_scene.BOUNCES)),)
 FORMATS = ("blend", "usd", "glb", "fbx")
 HERE = Path(__file__).parent
 
@@ -47,14 +47,14 @@ def files(blender, tmp_path_factory):
     return folder
 
 
-def wish(folder, out, **more):
-    asked = {"exposure": 1.0, "size": (H, W), "parameters": ASKED, **more}
-    return UserSceneOptions(folder / "both.gltf", str(folder / "path.json"), out=out, **asked)
+def make_options(folder, out, **more):
+    options = {"exposure": 1.0, "size": (H, W), "parameters": PARAMETERS, **more}
+    return UserSceneOptions(folder / "both.gltf", str(folder / "path.json"), out=out, **options)
 
 
 @pytest.fixture(scope="module")
 def cycles(files, tmp_path_factory):
-    return ensure_cycles(wish(files, tmp_path_factory.mktemp("cycles") / "clip"), PLAN)
+    return ensure_cycles(make_options(files, tmp_path_factory.mktemp("cycles") / "clip"), PLAN)
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +80,12 @@ def test_the_linter_finds_no_fault(tracer, llvm, request):
 @pytest.mark.parametrize("index", range(shared_scene.FRAMES))
 def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index):
     ours, theirs = (open_clip(clip).frame(index) for clip in (cycles, mitsuba))
-    seen = (theirs.gbuffer.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.gbuffer.albedo)
+    visible = (theirs.gbuffer.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.gbuffer.albedo)
     means, errors = [], []
     for frame in (ours, theirs):
-        noise = (frame.reference.half_a - frame.reference.half_b)[seen] / 2
-        means.append(float(frame.reference.mean[seen].mean()))
-        errors.append(float(noise.double().square().mean().sqrt()) / int(seen.sum()) ** 0.5)
+        noise = (frame.reference.half_a - frame.reference.half_b)[visible] / 2
+        means.append(float(frame.reference.mean[visible].mean()))
+        errors.append(float(noise.double().square().mean().sqrt()) / int(visible.sum()) ** 0.5)
     # 4 standard errors of the difference of two means, noise of pixels being independent
     assert abs(means[0] - means[1]) < 4 * np.hypot(*errors)
 
@@ -96,21 +96,21 @@ def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index
 def test_geometry_equals_mitsubas(cycles, mitsuba, llvm, name, tolerance):
     # half precision of normals, float32 matrices; pixels at edges may see another surface
     ours, theirs = (open_clip(clip).frame(2).gbuffer.buffers[name] for clip in (cycles, mitsuba))
-    apart = (ours - theirs).abs().amax(1)
-    assert float((apart > tolerance).float().mean()) < 5e-3
+    difference = (ours - theirs).abs().amax(1)
+    assert float((difference > tolerance).float().mean()) < 5e-3
 
 
 def test_the_header_records_the_renderer(cycles):
     header = read_header(cycles)
-    told = (header.sampler, header.sampler_version, header.stratified, header.pool_spp)
-    assert told == ("cycles", "Blender 4.5.15 LTS, 6 bounces, light tree", True, 8)
+    renderer = (header.sampler, header.sampler_version, header.stratified, header.pool_spp)
+    assert renderer == ("cycles", "Blender 4.5.15 LTS, 6 bounces, light tree", True, 8)
     assert header.sample_ms > 0
 
 
 def test_a_finished_clip_needs_no_blender(cycles, files, monkeypatch):
     assert verify(cycles) == []
     monkeypatch.setenv(process.PYTHON_VARIABLE, "/nowhere")
-    assert ensure_cycles(wish(files, cycles), PLAN) == cycles
+    assert ensure_cycles(make_options(files, cycles), PLAN) == cycles
 
 
 def test_samples_are_antialiased(cycles, mitsuba, llvm):
@@ -131,44 +131,46 @@ def test_a_killed_rendering_resumes_to_the_same_pixels(cycles, files, tmp_path):
         "from tests.render.cycles.test_clip import *; import sys;"
         "ensure_cycles(wish(Path(sys.argv[1]), Path(sys.argv[2])), PLAN)"
     )
-    with log.open("wb") as words:
-        going = subprocess.Popen(
-            [sys.executable, "-c", code, str(files), str(out)], stderr=words, cwd=HERE.parents[2]
+    with log.open("wb") as stderr:
+        rendering = subprocess.Popen(
+            [sys.executable, "-c", code, str(files), str(out)], stderr=stderr, cwd=HERE.parents[2]
         )
-        while going.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
+        while rendering.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
             pass
-        going.send_signal(signal.SIGKILL)
-        going.wait()
+        rendering.send_signal(signal.SIGKILL)
+        rendering.wait()
     assert not (out / "clip.toml").exists(), log.read_text()
-    again = ensure_cycles(wish(files, out), PLAN)
+    resumed = ensure_cycles(make_options(files, out), PLAN)
     for file in cycles.glob("*.exr"):
-        assert (again / file.name).read_bytes() == file.read_bytes(), file.name
-    assert not (again / ".cycles").exists()
+        assert (resumed / file.name).read_bytes() == file.read_bytes(), file.name
+    assert not (resumed / ".cycles").exists()
 
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_every_format_has_the_camera_the_shapes_and_their_motion(kind, files, tmp_path, llvm):
-    asked = UserSceneOptions(
+    options = UserSceneOptions(
         files / f"both.{kind}", "", size=SMALL.size, exposure=1.0, out=tmp_path / "clip"
     )
-    found = open_clip(ensure_cycles(asked, SMALL)).frame(1).gbuffer
+    gbuffer = open_clip(ensure_cycles(options, SMALL)).frame(1).gbuffer
     tracer = open_tracer(shared_scene.for_mitsuba(), *SMALL.size)
     tracer.set_time(1.0)
-    for name, wanted in render_gbuffer(tracer, ("depth", "motion")).items():
-        apart = np.abs(found.buffers[name][0].permute(1, 2, 0).numpy() - wanted).max(-1)
-        assert (apart > 1e-2).mean() < 0.01, name  # pixels at edges may see another surface
+    for name, expected in render_gbuffer(tracer, ("depth", "motion")).items():
+        difference = np.abs(gbuffer.buffers[name][0].permute(1, 2, 0).numpy() - expected).max(-1)
+        assert (difference > 1e-2).mean() < 0.01, name  # pixels at edges may see another surface
 
 
 def test_a_still_camera_and_static_meshes_make_a_static_clip(files, tmp_path):
     still = files / "still.gltf"
     text = (files / "both.gltf").read_text()
     still.write_text(text.replace('"animations"', '"extras"'))
-    asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
+    options = replace(
+        make_options(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json")
+    )
     first = camera_path.matrix_from_camera(shared_scene.camera(0)).tolist()
-    Path(asked.camera).write_text(
+    Path(options.camera).write_text(
         json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV})
     )
-    header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
+    header = read_header(ensure_cycles(replace(options, size=(32, 32)), SMALL))
     assert header.static
     assert "motion" not in header.buffers
 
@@ -176,9 +178,9 @@ def test_a_still_camera_and_static_meshes_make_a_static_clip(files, tmp_path):
 def test_a_scene_without_light_is_refused_before_anything_is_written(files, tmp_path):
     dark = files / "dark.gltf"
     dark.write_text((files / "both.gltf").read_text().replace("emissiveFactor", "extras"))
-    asked = replace(wish(files, tmp_path / "clip"), file=dark)
+    options = replace(make_options(files, tmp_path / "clip"), file=dark)
     with pytest.raises(SceneError, match="frames 0, 1.* are black.*world=1"):
-        ensure_cycles(replace(asked, exposure=None), SMALL)
+        ensure_cycles(replace(options, exposure=None), SMALL)
     assert not (tmp_path / "clip").exists()
 
 

@@ -25,9 +25,9 @@ SCENE = Scene("pan", "pan", (), panning)
 def planes(albedo=(0.5, 0.4, 0.3), normal=(0, 0, 1), depth=2.0, vector=(3.0, 5.0)):
     """One value for all pixels; the last column is sky, as Cycles writes it."""
     values = np.array([*albedo, *normal, depth, *vector], np.float32)
-    made = np.broadcast_to(values[:, None, None], (9, H, W)).copy()
-    made[:, :, -1] = np.array([9, 9, 9, 0, 0, 0, 1e10, 0, 0], np.float32)[:, None]
-    return made
+    channels = np.broadcast_to(values[:, None, None], (9, H, W)).copy()
+    channels[:, :, -1] = np.array([9, 9, 9, 0, 0, 0, 1e10, 0, 0], np.float32)[:, None]
+    return channels
 
 
 def test_motion_is_vector_with_y_down():
@@ -70,9 +70,9 @@ def test_sky_moves_by_the_turn_of_the_camera():
 
 
 def test_channels_are_found_by_name_in_a_file(tmp_path):
-    made = planes()
+    channels = planes()
     file = tmp_path / "view.exr"
-    write_exr(file, dict(zip(reversed(passes.GEOMETRY), made[::-1], strict=True)))
-    found = passes.read_gbuffer(file, SCENE, 0, (H, W))
-    wanted = passes.convert_passes(made, SCENE, 0.0)
-    assert all(np.array_equal(found[name], wanted[name]) for name in wanted)
+    write_exr(file, dict(zip(reversed(passes.GEOMETRY), channels[::-1], strict=True)))
+    gbuffer = passes.read_gbuffer(file, SCENE, 0, (H, W))
+    expected = passes.convert_passes(channels, SCENE, 0.0)
+    assert all(np.array_equal(gbuffer[name], expected[name]) for name in expected)

@@ -29,8 +29,8 @@ LEVEL = Scene("s", "s", (), lambda time: Camera((time, -4.0, 1.0), (time, 0.0, 1
 
 
 def test_no_two_images_share_a_seed():
-    made = [image_seed(*which) for which in product(range(5), STREAMS, range(SEEDS_PER_STREAM))]
-    assert len(set(made)) == len(made)
+    seeds = [image_seed(*which) for which in product(range(5), STREAMS, range(SEEDS_PER_STREAM))]
+    assert len(set(seeds)) == len(seeds)
 
 
 def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
@@ -38,13 +38,13 @@ def test_seeds_stay_below_what_cycles_takes_for_ten_thousand_frames():
 
 
 def test_a_camera_that_looks_north_does_so_in_blenders_axes():
-    found = convert_axes(camera_path.matrix_from_camera(LEVEL.camera(0.0)))
-    right, up, back, place = found[:3].T
+    matrix = convert_axes(camera_path.matrix_from_camera(LEVEL.camera(0.0)))
+    right, up, back, position = matrix[:3].T
     assert_allclose([right, up, back], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)  # float64
-    assert_allclose(place, [0, -4, 1])
+    assert_allclose(position, [0, -4, 1])
 
 
-def ordered(**more):
+def make_job(**more):
     pictures = [ImageTask(clip.Path("a.exr"), 0, 1)]
     return render_job(
         clip.Path("a.blend"), LEVEL, 1, 3, (8, 9), CyclesParameters(max_bounces=4), pictures, **more
@@ -52,19 +52,19 @@ def ordered(**more):
 
 
 def test_the_camera_is_given_from_the_frame_before_the_first_to_the_one_after_the_last():
-    places = np.array(ordered()["camera"]["matrices"])[:, 0, 3]
-    assert_allclose(places, [-1, 0, 1, 2, 3])
+    positions = np.array(make_job()["camera"]["matrices"])[:, 0, 3]
+    assert_allclose(positions, [-1, 0, 1, 2, 3])
 
 
 def test_a_job_is_json_with_absolute_paths():
-    job = json.loads(json.dumps(ordered()))
+    job = json.loads(json.dumps(make_job()))
     assert clip.Path(job["scene"]).is_absolute()
     assert clip.Path(job["renders"][0]["file"]).is_absolute()
 
 
 def test_radiance_never_includes_sample_zero():
     # Cycles sends it through the pixel's centre whatever the seed, so it does not converge
-    job = ordered()
+    job = make_job()
     assert all(picture["first"] >= 1 for picture in job["renders"])
 
 
@@ -80,9 +80,9 @@ def test_the_images_of_a_half_contain_each_sample_once(total, tmp_path):
     ("pair", "match"),
     [
         (("depth", "3"), "takes max_bounces, world, start, threads"),
-        (("max_bounces", "many"), "'many' is no number"),
-        (("world", "nan"), "takes a number from 0"),
-        (("world", "-1"), "takes a number from 0"),
+        (("max_bounces", "many"), "'many' is not a number"),
+        (("world", "nan"), "world must be a number from 0"),
+        (("world", "-1"), "world must be a number from 0"),
     ],
 )
 def test_an_invalid_parameter_is_refused(pair, match):
@@ -108,10 +108,10 @@ def test_a_file_that_cannot_be_opened_is_refused_without_blender(name, match, tm
 def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):
     file, _ = shared_scene.for_blender(tmp_path)
     parts = scene_file.gltf_parts(file)
-    before = scene_file.digest(file, parts)
+    before = scene_file.hash_files(file, parts)
     (tmp_path / "both.bin").write_bytes(b"other")
     assert [clip.Path(part).name for part in parts] == ["both.bin"]
-    assert scene_file.digest(file, parts) != before
+    assert scene_file.hash_files(file, parts) != before
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_tracer_that_does_not_read_a_file_is_refused(name, tracer, match):
 
 
 @pytest.mark.parametrize(
-    ("name", "wanted"), [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "cycles")]
+    ("name", "tracer"), [("a.xml", "mitsuba"), ("a.py", "mitsuba"), ("A.GLB", "cycles")]
 )
-def test_a_file_goes_to_the_tracer_that_reads_it(name, wanted):
-    assert tracer_of(clip.Path(name), None) == wanted
+def test_a_file_goes_to_the_tracer_that_reads_it(name, tracer):
+    assert tracer_of(clip.Path(name), None) == tracer

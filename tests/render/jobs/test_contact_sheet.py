@@ -41,7 +41,7 @@ def test_the_third_image_starts_the_second_row():
 
 
 @pytest.fixture(scope="module")
-def asked(tmp_path_factory):
+def sheet_options(tmp_path_factory):
     """Scene, size and spp of a sheet, in a cache of its own."""
     folder = tmp_path_factory.mktemp("contact")
     with pytest.MonkeyPatch.context() as patch:
@@ -50,9 +50,9 @@ def asked(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_second_sheet_traces_nothing_and_is_the_same(asked, monkeypatch):
-    first = Image.open(contact_sheet.write_sheet(*asked)).tobytes()
+def test_a_second_sheet_traces_nothing_and_is_the_same(sheet_options, monkeypatch):
+    first = Image.open(contact_sheet.write_sheet(*sheet_options)).tobytes()
     monkeypatch.setattr(contact_sheet, "open_tracer", None)
-    second = Image.open(contact_sheet.write_sheet(*asked))
+    second = Image.open(contact_sheet.write_sheet(*sheet_options))
     assert second.size == (32 + contact_sheet.GAP, 16)
     assert second.tobytes() == first

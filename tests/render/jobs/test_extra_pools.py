@@ -83,34 +83,34 @@ def test_a_finished_pool_is_not_traced_again(clip):
 @pytest.mark.parametrize("after", [1, 3])
 def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, cuts, after):
     scene = replace(room(), cuts=cuts)
-    whole, again = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
-    render_missing([whole])
-    render_missing([replace(again, preset=PLAN)])
-    (lack,) = extra_pools.find_missing_pools([again])
+    complete, resumed = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
+    render_missing([complete])
+    render_missing([replace(resumed, preset=PLAN)])
+    (missing,) = extra_pools.find_missing_pools([resumed])
     with pytest.raises(Killed):
-        extra_pools.add_pool(lack, killer(after))
-    assert read_header(again.folder).pools == ("path",)
-    assert len(contents(again.folder, "pool.restir.*.exr")) == after + 1
-    render_missing([again])
-    assert contents(again.folder) == contents(whole.folder)
+        extra_pools.add_pool(missing, killer(after))
+    assert read_header(resumed.folder).pools == ("path",)
+    assert len(contents(resumed.folder, "pool.restir.*.exr")) == after + 1
+    render_missing([resumed])
+    assert contents(resumed.folder) == contents(complete.folder)
 
 
 def test_a_lost_file_is_traced_again_and_the_others_are_left_alone(clip):
     before = contents(clip)
-    kept = (clip / "pool.restir.0000.exr").stat().st_mtime_ns
+    written_ns = (clip / "pool.restir.0000.exr").stat().st_mtime_ns
     (clip / "pool.restir.0002.exr").unlink()
     render_missing([job(clip)])
     assert contents(clip) == before
-    assert (clip / "pool.restir.0000.exr").stat().st_mtime_ns == kept
+    assert (clip / "pool.restir.0000.exr").stat().st_mtime_ns == written_ns
 
 
 def test_a_pool_of_another_recipe_is_replaced(clip):
-    (lack,) = [
+    (missing,) = [
         extra_pools.MissingPool(job(clip), replace(kind, recipe=kind.recipe + 1))
         for kind in [extra_pools.registry.load("pools", "restir")]
     ]
-    assert lack.missing_frames == [0, 1, 2, 3]
-    lack.claim_files()
+    assert missing.missing_frames == [0, 1, 2, 3]
+    missing.claim_files()
     assert read_header(clip).pools == ("path",)
     assert contents(clip, "pool.restir.*.exr") == {}
 

@@ -30,9 +30,9 @@ def noisy(sigma, seed, h=100, w=100):
 @pytest.mark.parametrize("sigma", [0.001, 0.01, 0.05])
 def test_the_noise_ceiling_is_the_psnr_of_the_noise_free_image(sigma):
     truth, a, b = noisy(sigma, seed=1)
-    shown = [torch.from_numpy(i).permute(2, 0, 1)[None] for i in (truth, (a + b) / 2)]
+    images = [torch.from_numpy(i).permute(2, 0, 1)[None] for i in (truth, (a + b) / 2)]
     # the deviation of a mean of 30000 squares, which is below 0.05 dB, and the curve's bend
-    assert references.noise_ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*shown)), abs=0.1)
+    assert references.noise_ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*images)), abs=0.1)
 
 
 def test_the_noise_ceiling_takes_exposure_and_clipping_into_account():
@@ -50,36 +50,36 @@ def test_equal_halves_have_the_highest_psnr():
 @pytest.mark.parametrize("spp", [1, 5])
 def test_one_round_is_the_mean_of_each_stream(llvm, spp):
     tracer = open_tracer(room(), H, W)
-    a, b, spent = references.trace_reference(tracer, replace(PLAN, reference_spp=spp), 1.0)
-    assert spent == 2 * spp
-    np.testing.assert_array_equal(a, tracer.mean(spp, "referenceA"))
-    np.testing.assert_array_equal(b, tracer.mean(spp, "referenceB"))
+    a, b, total_spp = references.trace_reference(tracer, replace(PLAN, reference_spp=spp), 1.0)
+    assert total_spp == 2 * spp
+    np.testing.assert_array_equal(a, tracer.trace_mean(spp, "referenceA"))
+    np.testing.assert_array_equal(b, tracer.trace_mean(spp, "referenceB"))
 
 
 def test_a_round_continues_where_the_last_one_ended(llvm):
     tracer = open_tracer(room(), H, W)
-    a, _, spent = references.trace_reference(tracer, replace(PLAN, max_reference_rounds=3), 1.0)
-    assert spent == 2 * 3 * 4
+    a, _, total_spp = references.trace_reference(tracer, replace(PLAN, max_reference_rounds=3), 1.0)
+    assert total_spp == 2 * 3 * 4
     # a float64 sum in another order, rounded to float32
-    np.testing.assert_allclose(a, tracer.mean(12, "referenceA"), rtol=1e-6)
+    np.testing.assert_allclose(a, tracer.trace_mean(12, "referenceA"), rtol=1e-6)
 
 
 def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     tracer = open_tracer(room(), H, W)
     plan = replace(PLAN, max_reference_rounds=50, min_noise_ceiling_db=25.0)
-    a, b, spent = references.trace_reference(tracer, plan, room().exposure)
-    assert 8 < spent < 400
+    a, b, total_spp = references.trace_reference(tracer, plan, room().exposure)
+    assert 8 < total_spp < 400
     assert references.noise_ceiling_db(a, b, room().exposure) >= 25.0
-    fewer = replace(plan, max_reference_rounds=spent // 8 - 1, min_noise_ceiling_db=math.inf)
+    fewer = replace(plan, max_reference_rounds=total_spp // 8 - 1, min_noise_ceiling_db=math.inf)
     before = references.trace_reference(tracer, fewer, room().exposure)
     assert references.noise_ceiling_db(*before[:2], room().exposure) < 25.0
 
 
 def test_progress_counts_the_samples_that_were_not_needed(llvm):
-    told = []
+    samples = []
     plan = replace(PLAN, max_reference_rounds=50, min_noise_ceiling_db=25.0)
-    references.trace_reference(open_tracer(room(), H, W), plan, room().exposure, told.append)
-    assert sum(told) == 2 * 50 * 4
+    references.trace_reference(open_tracer(room(), H, W), plan, room().exposure, samples.append)
+    assert sum(samples) == 2 * 50 * 4
 
 
 @pytest.fixture
@@ -109,17 +109,17 @@ def test_a_resumed_clip_keeps_the_sample_counts_of_its_first_frames(llvm, tmp_pa
     plan = replace(PLAN, max_reference_rounds=4, min_noise_ceiling_db=24.0)
     first = Job("room", room(), plan, tmp_path)
     render_clip(first)
-    spent = read_header(tmp_path).reference_spp
+    total_spp = read_header(tmp_path).reference_spp
     (tmp_path / "clip.toml").unlink()
     (tmp_path / "referenceB.0001.exr").unlink()
     assert first.missing_frames == [1]
     render_clip(first)
-    assert read_header(tmp_path).reference_spp == spent
+    assert read_header(tmp_path).reference_spp == total_spp
 
 
 def test_a_frame_whose_sample_count_is_lost_is_traced_again(llvm, tmp_path):
-    made = Job("room", room(), replace(PLAN, max_reference_rounds=2), tmp_path)
-    render_clip(made)
+    job = Job("room", room(), replace(PLAN, max_reference_rounds=2), tmp_path)
+    render_clip(job)
     (tmp_path / "rounds.0000.txt").unlink()
-    assert made.missing_frames == [0]
-    assert not made.is_finished
+    assert job.missing_frames == [0]
+    assert not job.is_finished

@@ -50,23 +50,23 @@ def killer(after):
 
 @pytest.mark.parametrize("after", [0, 2, 4, 7])
 def test_an_interrupted_clip_is_unfinished_and_resumes_to_the_same_files(clip, tmp_path, after):
-    again = tmp_path / "again"
+    resumed = tmp_path / "again"
     with pytest.raises(Killed):
-        render_clip(job(again), killer(after))
-    assert not (again / "clip.toml").exists()
-    render_clip(job(again))
-    assert contents(again) == contents(clip)
-    assert (again / "clip.toml").exists()
+        render_clip(job(resumed), killer(after))
+    assert not (resumed / "clip.toml").exists()
+    render_clip(job(resumed))
+    assert contents(resumed) == contents(clip)
+    assert (resumed / "clip.toml").exists()
 
 
 def test_a_lost_file_is_rendered_again_and_the_others_are_left_alone(clip):
     before = contents(clip)
-    kept = (clip / "view.0000.exr").stat().st_mtime_ns
+    written_ns = (clip / "view.0000.exr").stat().st_mtime_ns
     (clip / "referenceA.0001.exr").unlink()
     assert not job(clip).is_finished
     render_clip(job(clip))
     assert contents(clip) == before
-    assert (clip / "view.0000.exr").stat().st_mtime_ns == kept
+    assert (clip / "view.0000.exr").stat().st_mtime_ns == written_ns
 
 
 def test_a_rendered_clip_passes_verification(clip):
@@ -83,10 +83,10 @@ def test_the_header_describes_the_clip(clip):
 def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
     tracer = open_tracer(room(), 16, 24)
     tracer.set_time(1.0)
-    sold = open_clip(clip).frame(1).pool.radiance[0].permute(0, 2, 3, 1).numpy() / 2.0
+    stored = open_clip(clip).frame(1).pool.radiance[0].permute(0, 2, 3, 1).numpy() / 2.0
     stack = tracer.trace_images(3)
     # sorted, as the clip sells them in an order of its own; half precision has 11 bits
-    np.testing.assert_allclose(np.sort(sold, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
+    np.testing.assert_allclose(np.sort(stored, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
 
 
 def test_the_reference_halves_come_from_different_paths(clip):
@@ -110,8 +110,8 @@ def test_extra_buffers_are_in_the_clip(llvm, tmp_path):
     tracer = open_tracer(room(), 16, 24)
     tracer.set_time(1.0)
     for name, expected in render_gbuffer(tracer, EXTRAS).items():
-        found = gbuffer.extra(name)[0].permute(1, 2, 0).numpy()
-        np.testing.assert_allclose(found, expected, atol=2**-11, err_msg=name)  # half, up to 1
+        buffer = gbuffer.extra(name)[0].permute(1, 2, 0).numpy()
+        np.testing.assert_allclose(buffer, expected, atol=2**-11, err_msg=name)  # half, up to 1
 
 
 def test_opening_a_clip_without_extra_buffers_lists_those_it_has(clip):
@@ -163,6 +163,6 @@ def test_a_generated_scene_without_a_seed_is_an_error(name):
 
 
 def test_a_missing_seed_on_the_command_line_is_an_error():
-    shown = CliRunner().invoke(app, ["render", "--scenes", "generated"])
-    assert shown.exit_code != 0
-    assert "give a seed" in shown.output
+    result = CliRunner().invoke(app, ["render", "--scenes", "generated"])
+    assert result.exit_code != 0
+    assert "give a seed" in result.output

@@ -37,7 +37,9 @@ def clips(llvm, installed, place):
 
 
 def test_an_unknown_take_is_an_error_that_lists_the_available_ones(installed):
-    with pytest.raises(SceneError, match="scene 'room' has no take 'crane'; it has: cut, still"):
+    with pytest.raises(
+        SceneError, match="scene 'room' has no take 'crane'; available takes: cut, still"
+    ):
         scene_of_clip("room-crane")
 
 
@@ -48,7 +50,7 @@ def test_a_preset_of_all_takes_renders_a_clip_for_each_with_the_name_of_the_scen
 
 
 @pytest.mark.parametrize(
-    ("takes", "asked", "made"),
+    ("takes", "scenes", "clip_names"),
     [
         ("main", ["room"], ["room"]),
         ("main", ["room-cut"], ["room-cut"]),
@@ -57,13 +59,13 @@ def test_a_preset_of_all_takes_renders_a_clip_for_each_with_the_name_of_the_scen
     ],
 )
 def test_a_scene_name_selects_the_takes_of_the_preset_and_a_clip_name_one_take(
-    installed, monkeypatch, tmp_path, takes, asked, made
+    installed, monkeypatch, tmp_path, takes, scenes, clip_names
 ):
     monkeypatch.setattr(
-        "rlbench.render.jobs.render_clips._render_all", lambda jobs, bar, engine: None
+        "rlbench.render.jobs.render_clips._render_all", lambda jobs, bar, executor: None
     )
-    folders = ensure(replace(PLAN, takes=takes), asked, folder=tmp_path)
-    assert [folder.name for folder in folders] == made
+    folders = ensure(replace(PLAN, takes=takes), scenes, folder=tmp_path)
+    assert [folder.name for folder in folders] == clip_names
 
 
 def test_the_estimate_counts_all_takes(llvm, installed, tmp_path, capsys):
@@ -109,8 +111,10 @@ def test_a_switched_light_changes_radiance_and_not_the_gbuffer(clips):
 
 def test_live_samples_of_a_take_equal_the_stored_ones(clips):
     stored = open_clip(clips["room-cut"])
-    for one, other in zip(stored, open_live(stored), strict=True):
+    for stored_frame, live_frame in zip(stored, open_live(stored), strict=True):
         counts = torch.full((1, 1, 16, 24), 2)
-        whole, traced = (pool.read(pool.empty(), counts) for pool in (one.pool, other.pool))
-        # but for what Embree decides by the rays around: see Wavefront
-        assert float((whole != traced).double().mean()) < 0.01
+        stored_radiance, live_radiance = (
+            pool.read(pool.empty(), counts) for pool in (stored_frame.pool, live_frame.pool)
+        )
+        # but where Embree's choice depends on neighbouring rays: see WavefrontTracer
+        assert float((stored_radiance != live_radiance).double().mean()) < 0.01

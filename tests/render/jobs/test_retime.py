@@ -39,6 +39,6 @@ def test_remeasuring_changes_the_times_per_sample_and_nothing_else(folder):
 def test_a_clip_of_another_machine_is_not_remeasured(folder):
     before = read_header(folder)
     write_header(folder, replace(before, device="abacus"))
-    with pytest.raises(ClipError, match="was rendered on 'abacus'.*times its samples here"):
+    with pytest.raises(ClipError, match="was rendered on 'abacus'.*times samples on this machine"):
         remeasure_sample_ms(folder)
     write_header(folder, before)

@@ -23,7 +23,7 @@ def test_without_a_driver_there_is_no_reason(tmp_path, monkeypatch):
 
 def test_an_unusable_driver_is_in_the_report_with_the_reason(false_driver):
     assert cuda.unusable_reason()
-    assert f"refused cuda_ad_rgb with {false_driver}: {cuda.unusable_reason()}" in llvm.report()
+    assert f"cannot use cuda_ad_rgb with {false_driver}: {cuda.unusable_reason()}" in llvm.report()
     assert not llvm.report().startswith("path tracer: cuda")
 
 

@@ -20,40 +20,47 @@ def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
     film = np.stack([columns, rows], 1) + 0.5
     tracer.set_time(TIME)
     motion = render_gbuffer(tracer, {"motion"})["motion"].reshape(-1, 2)
-    mesh, place, hit = seen(tracer, film)
-    towards = tracer.pose.ray_directions(film, SIDE, SIDE)
+    mesh, face_uv, hit = query_film(tracer, film)
+    directions = tracer.pose.ray_directions(film, SIDE, SIDE)
     tracer.set_time(TIME - 1)
-    mesh_then, place_then, hit_then = seen(tracer, film + motion)
+    mesh_then, face_uv_then, hit_then = query_film(tracer, film + motion)
     eye = np.asarray(tracer.pose.camera.origin)
 
-    was = points(tracer, mesh, place, hit) - eye
-    found = points(tracer, mesh_then, place_then, hit_then) - eye
-    same = hit & hit_then & (mesh == mesh_then) & (np.linalg.norm(found - was, axis=1) < NEAR)
-    apart = abs(towards - tracer.pose.ray_directions(film + motion, SIDE, SIDE)).max(1)
+    expected_offset = points(tracer, mesh, face_uv, hit) - eye
+    previous_offset = points(tracer, mesh_then, face_uv_then, hit_then) - eye
+    same = (
+        hit
+        & hit_then
+        & (mesh == mesh_then)
+        & (np.linalg.norm(previous_offset - expected_offset, axis=1) < NEAR)
+    )
+    apart = abs(directions - tracer.pose.ray_directions(film + motion, SIDE, SIDE)).max(1)
     same |= ~hit & ~hit_then & (apart < 1e-5)  # the sky: a hundredth of a pixel
-    far = np.where(hit, np.linalg.norm(was, axis=1), np.inf)
-    hidden = hit_then & (np.linalg.norm(found, axis=1) < far - NEAR)
+    far = np.where(hit, np.linalg.norm(expected_offset, axis=1), np.inf)
+    hidden = hit_then & (np.linalg.norm(previous_offset, axis=1) < far - NEAR)
     assert same.mean() > 0.9
     assert (~same & ~hidden).mean() < 1e-4
 
 
-def seen(tracer, film):
+def query_film(tracer, film):
     """What lies at film positions: the mesh, the place on it (face, u, v), is there anything?"""
 
-    def look(ray):
+    def query(ray):
         hit = tracer.mi_scene.ray_intersect_preliminary(ray)
-        return tracer.mesh(hit), hit.prim_index, hit.prim_uv.x, hit.prim_uv.y, hit.t
+        return tracer.mesh_index(hit), hit.prim_index, hit.prim_uv.x, hit.prim_uv.y, hit.t
 
-    mesh, *place, distance = tracer.each(look, film)
-    return mesh, np.stack(place, 1), np.isfinite(distance)
+    mesh, *face_uv, distance = tracer.evaluate_rays(query, film)
+    return mesh, np.stack(face_uv, 1), np.isfinite(distance)
 
 
-def points(tracer, mesh, place, hit):
+def points(tracer, mesh, face_uv, hit):
     """Where places on the meshes are at the tracer's time, by the scene's own animation."""
-    found = np.zeros((len(mesh), 3))
+    positions = np.zeros((len(mesh), 3))
     vertices = Pose.at_time(tracer.scene, tracer.time).vertices
     for number, (shape, corners) in enumerate(zip(tracer.scene.meshes, vertices, strict=True)):
-        of = hit & (mesh == number)
-        a, b, c = np.moveaxis(corners[shape.faces[place[of, 0].astype(int)]].astype(float), 1, 0)
-        found[of] = a + place[of, 1:2] * (b - a) + place[of, 2:] * (c - a)
-    return found
+        is_mesh = hit & (mesh == number)
+        a, b, c = np.moveaxis(
+            corners[shape.faces[face_uv[is_mesh, 0].astype(int)]].astype(float), 1, 0
+        )
+        positions[is_mesh] = a + face_uv[is_mesh, 1:2] * (b - a) + face_uv[is_mesh, 2:] * (c - a)
+    return positions

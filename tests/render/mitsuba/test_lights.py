@@ -1,4 +1,4 @@
-"""Lights that change without loading again, against scenes that were loaded with them changed."""
+"""Scaled lights, against scenes that were loaded with lights of that strength."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def sun(factor):
 
 
 SUNSKY = {"type": "sunsky", "turbidity": 3.5, "sun_direction": [-0.6, -0.4, 0.7]}
-MADE = {  # the light that changes, and the room with it at a factor
+LIGHT_CASES = {  # the light that changes, and the room with it at a factor
     "lamp": ("lamp", lambda f: with_lamp({"type": "area", "radiance": grey(12 * f)})),
     "bitmap": ("lamp", lambda f: with_lamp(bitmap(f))),
     "constant": ("sky0", lambda f: with_sky(type="constant", radiance=grey(0.3 * f))),
@@ -49,18 +49,21 @@ def switched(scene, light, at=5):
 
 
 @pytest.mark.parametrize("share", [0.25, 0.0])
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", LIGHT_CASES)
 def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
-    light, made = MADE[kind]
-    changing, fresh = open_tracer(switched(made(1.0), light), H, W), open_tracer(made(share), H, W)
+    light, build = LIGHT_CASES[kind]
+    changing, fresh = (
+        open_tracer(switched(build(1.0), light), H, W),
+        open_tracer(build(share), H, W),
+    )
     full = changing.trace_images(SPP)
     changing.set_time(5.0 if share else 7.0)
     fresh.set_time(changing.time)
-    dimmed, wanted = changing.trace_images(SPP), fresh.trace_images(SPP)
+    dimmed, expected = changing.trace_images(SPP), fresh.trace_images(SPP)
     assert dimmed.mean() < 0.98 * full.mean()
     # the same paths; a light's table may be rounded otherwise, so that a few choose another texel
-    assert dimmed.mean() == pytest.approx(wanted.mean(), rel=2e-3)
-    assert np.isclose(dimmed, wanted, rtol=1e-4, atol=1e-6).mean() > 0.99
+    assert dimmed.mean() == pytest.approx(expected.mean(), rel=2e-3)
+    assert np.isclose(dimmed, expected, rtol=1e-4, atol=1e-6).mean() > 0.99
 
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
@@ -68,8 +71,8 @@ def test_without_llvm_lights_are_scaled_too(kind):
     from rlbench.render.mitsuba.llvm import select_variant
 
     select_variant("scalar_rgb")
-    light, made = MADE[kind]
-    tracer, fresh = open_tracer(switched(made(1.0), light), 4, 6), open_tracer(made(0.25), 4, 6)
+    light, build = LIGHT_CASES[kind]
+    tracer, fresh = open_tracer(switched(build(1.0), light), 4, 6), open_tracer(build(0.25), 4, 6)
     for each in (tracer, fresh):
         each.set_time(5.0)
     # the same paths, and float32 all along
@@ -91,8 +94,8 @@ def test_a_light_returns_to_its_full_strength(llvm):
 def test_scaling_a_light_again_compiles_no_kernel(llvm, kind):
     import drjit as dr
 
-    light, made = MADE[kind]
-    scene = replace(made(1.0), lights=lambda time: {light: 1 / (1 + time)})
+    light, build = LIGHT_CASES[kind]
+    scene = replace(build(1.0), lights=lambda time: {light: 1 / (1 + time)})
     tracer = open_tracer(scene, H, W)
     for time in (1.0, 2.0):
         tracer.set_time(time)
@@ -108,13 +111,13 @@ def test_scaling_a_light_again_compiles_no_kernel(llvm, kind):
 
 
 @pytest.mark.parametrize(
-    ("lights", "told"),
+    ("lights", "message"),
     [
-        ({"moon": 0.5}, "no light 'moon' whose strength can change; there are: lamp, sky0"),
-        ({"lamp": -1.0}, "light 'lamp' is to give -1.0 times its light"),
-        ({"lamp": float("nan")}, "light 'lamp' is to give nan times its light"),
+        ({"moon": 0.5}, "no light 'moon' whose strength can change; available: lamp, sky0"),
+        ({"lamp": -1.0}, "light 'lamp' is scaled by -1.0; factors must be finite and at least 0"),
+        ({"lamp": float("nan")}, "light 'lamp' is scaled by nan"),
     ],
 )
-def test_an_invalid_light_factor_is_an_error(llvm, lights, told):
-    with pytest.raises(LightError, match=told):
+def test_an_invalid_light_factor_is_an_error(llvm, lights, message):
+    with pytest.raises(LightError, match=message):
         open_tracer(replace(room(), lights=lambda time: lights), H, W)

@@ -70,7 +70,7 @@ def test_without_llvm_the_variant_is_scalar_with_a_hint_to_install_llvm(false_li
 
 def test_the_report_says_what_cannot_be_used_and_what_to_install(false_library):
     text = llvm.report()
-    assert f"refused {false_library}" in text
+    assert f"cannot use {false_library}" in text
     assert "apt-get install libllvm" in text
 
 
@@ -103,7 +103,7 @@ def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("library", "cuda_refused", "variant"),
+    ("library", "cuda_reason", "variant"),
     [
         (NINETEEN, "", "cuda_ad_rgb"),
         (None, "", "cuda_ad_rgb"),
@@ -113,12 +113,12 @@ def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
         (None, None, "scalar_rgb"),
     ],
 )
-def test_the_fastest_variant_that_works_is_chosen(library, cuda_refused, variant):
-    assert llvm.fastest_variant(library, cuda_refused) == variant
+def test_the_fastest_variant_that_works_is_chosen(library, cuda_reason, variant):
+    assert llvm.fastest_variant(library, cuda_reason) == variant
 
 
 def test_an_unknown_variant_is_an_error_that_lists_the_available_ones(llvm):
     from rlbench.render.mitsuba.llvm import select_variant
 
-    with pytest.raises(ValueError, match="no variant 'metal_rgb'; it has: .*scalar_rgb"):
+    with pytest.raises(ValueError, match="no variant 'metal_rgb'; available: .*scalar_rgb"):
         select_variant("metal_rgb")

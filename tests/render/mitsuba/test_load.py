@@ -15,7 +15,7 @@ def test_a_mesh_attribute_as_radiance_is_an_error(variant):
     by_face = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "face_light"}}
     *others, lamp = room().meshes
     scene = replace(room(), meshes=(*others, replace(lamp, emission=by_face)))
-    with pytest.raises(load.LightError, match="'lamp' shines by a mesh attribute"):
+    with pytest.raises(load.LightError, match="the radiance of mesh 'lamp' is a mesh attribute"):
         open_tracer(scene, 4, 4)
 
 
@@ -23,9 +23,9 @@ def test_an_uploaded_array_is_a_copy(llvm):
     import mitsuba as mi
 
     values = np.arange(64, dtype=np.float32)
-    there = load.upload(mi.Float, values)
+    uploaded = load.upload(mi.Float, values)
     values[:] = -1
-    assert there.numpy().tolist() == list(range(64))
+    assert uploaded.numpy().tolist() == list(range(64))
 
 
 @pytest.mark.parametrize("length", [16, 1000, 100_000, 1_000_000])
@@ -33,8 +33,8 @@ def test_an_uploaded_array_is_aligned(llvm, length):
     import mitsuba as mi
 
     # or Dr.Jit would compile a kernel for each alignment of each input
-    held = np.zeros(length + 1, np.float32)[1:]
-    assert load.upload(mi.Float, held).numpy().ctypes.data % 64 == 0
+    unaligned = np.zeros(length + 1, np.float32)[1:]
+    assert load.upload(mi.Float, unaligned).numpy().ctypes.data % 64 == 0
 
 
 def test_smooth_normals_of_a_sphere_point_outwards():
@@ -50,12 +50,12 @@ def test_smooth_normals_equal_mitsubas(llvm):
     random = np.random.default_rng(0)
     mesh = ball()
     vertices = mesh.vertices * random.uniform(0.8, 1.2, mesh.vertices.shape).astype(np.float32)
-    made = mi.Mesh("ball", len(vertices), len(mesh.faces), has_vertex_normals=True)
-    parameters = mi.traverse(made)
+    shape = mi.Mesh("ball", len(vertices), len(mesh.faces), has_vertex_normals=True)
+    parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mi.Float(vertices.ravel())
     parameters["faces"] = mi.UInt32(mesh.faces.ravel())
     parameters.update()
-    theirs = mi.traverse(made)["vertex_normals"].numpy().reshape(-1, 3)
+    theirs = mi.traverse(shape)["vertex_normals"].numpy().reshape(-1, 3)
     ring = slice(64, -64)  # at the poles there are faces without area, which Mitsuba counts too
     ours = smooth_normals(vertices, mesh.faces)
     np.testing.assert_allclose(ours[ring], theirs[ring], atol=2e-3)  # their arc cosine is rough

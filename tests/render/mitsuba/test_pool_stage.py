@@ -15,7 +15,7 @@ H, W = 16, 24
 SIGMAS = 4.0  # standard errors that a mean may be away from what it estimates
 
 
-def opened(scene, time=0.0):
+def open_scene(scene, time=0.0):
     tracer = WavefrontTracer(scene, H, W)
     tracer.set_time(time)
     return tracer
@@ -48,7 +48,7 @@ def many_lamps():
     )
 
 
-def away(samples, reference, variance, spp):
+def standard_errors(samples, reference, variance, spp):
     """How many standard errors the means of 2 x 3 areas are away from those of a reference.
 
     `samples` [s h w 3] are independent; so are those of the reference, of this variance.
@@ -65,8 +65,8 @@ def away(samples, reference, variance, spp):
 def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
     import mitsuba as mi
 
-    tracer = opened(room(), 1.0)
-    (found,) = chains(tracer, 1, PLAIN, indirect=False)()
+    tracer = open_scene(room(), 1.0)
+    (samples,) = chains(tracer, 1, PLAIN, indirect=False)()
 
     pixels = mi.UInt32(np.arange(H * W))
     numbers = PoolStage(tracer, "restir").numbers(pixels, mi.UInt32(np.zeros(H * W)))
@@ -74,51 +74,51 @@ def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
     rows, columns = np.indices((H, W)).reshape(2, -1)
     ray = tracer.rays(mi.Float(columns) + jitter.x, mi.Float(rows) + jitter.y)
     hit = tracer.mi_scene.ray_intersect(ray)
-    towards, weight = tracer.mi_scene.sample_emitter_direction(hit, place, True, hit.is_valid())
-    value = hit.bsdf(ray).eval(mi.BSDFContext(), hit, hit.to_local(towards.d), hit.is_valid())
+    light, weight = tracer.mi_scene.sample_emitter_direction(hit, place, True, hit.is_valid())
+    value = hit.bsdf(ray).eval(mi.BSDFContext(), hit, hit.to_local(light.d), hit.is_valid())
     expected = np.stack([(value * weight)[c].numpy() for c in range(3)], -1).reshape(H, W, 3)
     assert expected.max() > 0.1
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)  # W is 1, but for rounding
+    np.testing.assert_allclose(samples, expected, rtol=1e-4, atol=1e-6)  # W is 1, but for rounding
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("config", [PLAIN, UNBIASED], ids=["plain", "unbiased"])
 @pytest.mark.parametrize("depth", [2, 6], ids=["direct", "direct and indirect"])
 def test_means_are_those_of_the_path_tracer(llvm, config, depth):
-    tracer = opened(camera_alone(depth))
+    tracer = open_scene(camera_alone(depth))
     pool = chains(tracer, 256, config)
     for time in range(4):  # with a past of three frames
         tracer.set_time(float(time))
         samples = pool()
     spp = 4096
-    assert away(samples, *tracer.trace_moments(spp, "referenceA"), spp).max() < SIGMAS
+    assert standard_errors(samples, *tracer.trace_moments(spp, "referenceA"), spp).max() < SIGMAS
 
 
 @pytest.mark.slow
 def test_the_biased_form_loses_little_light_and_gains_none(llvm):
-    tracer = opened(camera_alone(2))
+    tracer = open_scene(camera_alone(2))
     pool = chains(tracer, 128)
     for time in range(6):
         tracer.set_time(float(time))
         samples = pool()
-    kept = samples.mean() / tracer.mean(1024, "referenceA").mean()
-    assert 0.85 < kept < 1.02  # shadows darken where neighbours do not see the lamp: 0.92 here
+    ratio = samples.mean() / tracer.trace_mean(1024, "referenceA").mean()
+    assert 0.85 < ratio < 1.02  # shadows darken where neighbours do not see the lamp: 0.92 here
 
 
 @pytest.mark.slow
 def test_under_many_lamps_its_variance_is_a_small_part_of_next_event_estimations(llvm):
-    tracer = opened(many_lamps())
+    tracer = open_scene(many_lamps())
     plain, reused = chains(tracer, 32, PLAIN), chains(tracer, 32)
     for time in range(4):
         tracer.set_time(float(time))
         first, second = plain(), reused()
     assert second.var(0).mean() < first.var(0).mean() / 5
-    truth = tracer.mean(4096, "referenceA").mean()
+    truth = tracer.trace_mean(4096, "referenceA").mean()
     assert 0.7 < second.mean() / truth < 1.05
 
 
 def test_no_history_survives_a_cut(llvm):
-    tracer = opened(replace(room(), cuts=(2,)))
+    tracer = open_scene(replace(room(), cuts=(2,)))
     pool = chains(tracer, 2)
     for time in (0.0, 1.0, 2.0):
         tracer.set_time(time)
@@ -130,7 +130,7 @@ def test_disoccluded_pixels_have_no_history(llvm):
     def to_the_right(time):
         return Camera((0.5 * time, -6.0, 2.5), (0.5 * time, 0, 0.5), fov=50.0)
 
-    tracer = opened(replace(room(), vertex_animation=lambda time: {}, camera=to_the_right))
+    tracer = open_scene(replace(room(), vertex_animation=lambda time: {}, camera=to_the_right))
     pool = chains(tracer, 1, replace(BIASED, passes=0))
     for time in (0.0, 1.0):
         tracer.set_time(time)
@@ -144,7 +144,7 @@ def test_disoccluded_pixels_have_no_history(llvm):
 
 
 def test_the_history_counts_at_most_twenty_times_the_current_frame(llvm):
-    tracer = opened(room(static=True))
+    tracer = open_scene(room(static=True))
     pool = chains(tracer, 1, replace(BIASED, candidates=2, passes=0))
     for _ in range(25):
         pool()
@@ -152,20 +152,20 @@ def test_the_history_counts_at_most_twenty_times_the_current_frame(llvm):
 
 
 def test_a_stream_does_not_depend_on_the_other_streams(llvm):
-    tracer = opened(room())
+    tracer = open_scene(room())
     stage = PoolStage(tracer, "restir")
     pools = [Restir(stage, numbers) for numbers in (range(4), range(2), range(2, 4))]
     for time in (0.0, 1.0):
         tracer.set_time(time)
-        whole, first, second = (pool() for pool in pools)
-    same = (whole == np.concatenate([first, second])).all(-1)
+        all_streams, first, second = (pool() for pool in pools)
+    same = (all_streams == np.concatenate([first, second])).all(-1)
     assert same.mean() > 0.99  # rays that meet two triangles at once, see Wavefront
 
 
 def test_no_kernel_is_compiled_after_the_second_frame(llvm):
     import drjit as dr
 
-    tracer = opened(room())
+    tracer = open_scene(room())
     pool = chains(tracer, 2)
 
     def frame(time):

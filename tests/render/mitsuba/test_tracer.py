@@ -21,7 +21,7 @@ def tracer(llvm):
 def test_any_pairs_in_any_order_equal_the_stack(tracer, count):
     random = np.random.default_rng(count)
     pixels, samples = random.integers(0, H * W, count), random.integers(0, 4, count)
-    stack = tracer.stack(4).reshape(4, -1, 3)
+    stack = tracer.trace_images(4).reshape(4, -1, 3)
     np.testing.assert_array_equal(tracer.trace(pixels, samples), stack[samples, pixels])
 
 
@@ -46,11 +46,11 @@ def test_samples_do_not_depend_on_where_the_scene_was_before(variant):
 
 def test_a_result_does_not_change_with_the_next_launch(tracer):
     pixels, samples = np.arange(64), np.zeros(64, int)
-    kept = tracer.trace(pixels, samples)
-    before = kept.copy()
-    kept[0] = before[0] = -1  # a caller may write into it
+    radiance = tracer.trace(pixels, samples)
+    before = radiance.copy()
+    radiance[0] = before[0] = -1  # a caller may write into it
     tracer.trace(pixels, samples + 1)
-    np.testing.assert_array_equal(kept, before)
+    np.testing.assert_array_equal(radiance, before)
 
 
 def test_a_stack_continues_where_another_ended(variant):
@@ -60,9 +60,9 @@ def test_a_stack_continues_where_another_ended(variant):
 
 
 def test_the_mean_is_that_of_the_stack_whatever_the_chunk(tracer):
-    stack = tracer.stack(6, "referenceA").mean(0, dtype=np.float64)
+    stack = tracer.trace_images(6, "referenceA").mean(0, dtype=np.float64)
     # float32 result of a float64 sum
-    np.testing.assert_allclose(tracer.mean(6, "referenceA", chunk=4), stack, rtol=1e-6)
+    np.testing.assert_allclose(tracer.trace_mean(6, "referenceA", chunk=4), stack, rtol=1e-6)
 
 
 @pytest.mark.parametrize("chunk", [None, 1, 3])
@@ -84,11 +84,11 @@ def test_threads_do_not_change_a_sample(tracer, threads):
     import drjit as dr
 
     tracer.set_time(2.0)
-    before, usual = tracer.stack(2), dr.thread_count()
+    before, usual = tracer.trace_images(2), dr.thread_count()
     dr.set_thread_count(threads)
     try:
         tracer.set_time(2.0)
-        np.testing.assert_array_equal(tracer.stack(2), before)
+        np.testing.assert_array_equal(tracer.trace_images(2), before)
     finally:
         dr.set_thread_count(usual)
 
@@ -151,7 +151,7 @@ def test_a_cap_dims_what_is_brighter_in_its_own_colour(variant):
     # one division and one multiplication in float32
     np.testing.assert_allclose(dimmed, radiance * (0.3 / np.maximum(brightest, 0.3)), rtol=1e-6)
     expected = dimmed.mean(0, dtype=np.float64)
-    np.testing.assert_allclose(capped.mean(4, "input"), expected, rtol=1e-6)
+    np.testing.assert_allclose(capped.trace_mean(4, "input"), expected, rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -174,7 +174,7 @@ def test_no_kernel_is_compiled_after_the_first_frame(tracer):
     def work(time):
         tracer.set_time(time)
         render_gbuffer(tracer)
-        tracer.stack(2)
+        tracer.trace_images(2)
         random = np.random.default_rng(int(time))
         count = int(random.integers(1, 200))
         tracer.trace(random.integers(0, H * W, count), random.integers(0, 99, count), "pilot")

@@ -8,8 +8,8 @@ from rlbench.render.user.clip import UserSceneOptions
 from tests.render.small_scenes import looking_down
 from tests.render.user.xml_room import (
     BODY,
+    check_refused,
     document,
-    refused,
 )
 
 
@@ -26,4 +26,4 @@ def test_a_scene_without_lights_is_refused(room):
     dark = BODY.replace(
         '<emitter type="area"><rgb name="radiance" value="17, 12, 4"/></emitter>', ""
     )
-    refused(UserSceneOptions(document(room.parent, dark)), "no light")
+    check_refused(UserSceneOptions(document(room.parent, dark)), "no light")

@@ -9,9 +9,9 @@ from tests.render.user.xml_room import (
     PASSING,
     PLAN,
     buffer,
+    check_refused,
     flown,
     look_at,
-    refused,
 )
 
 
@@ -58,17 +58,17 @@ AWAY = look_at([0, 1, 20], [0, 1, 40])
     ],
 )
 def test_an_invalid_camera_path_is_refused(room, matrices, match):
-    refused(UserSceneOptions(room, flown(room.parent, matrices)), match)
+    check_refused(UserSceneOptions(room, flown(room.parent, matrices)), match)
 
 
 @pytest.mark.parametrize("fov", [0, 180, "wide"])
 def test_an_invalid_field_of_view_is_refused(room, fov):
-    refused(UserSceneOptions(room, flown(room.parent, PASSING, fov)), "between 0 and 180")
+    check_refused(UserSceneOptions(room, flown(room.parent, PASSING, fov)), "between 0 and 180")
 
 
 def test_a_camera_that_is_not_a_file_is_refused(room):
-    refused(UserSceneOptions(room, "zoom"), "takes still, orbit, dolly, or a JSON")
+    check_refused(UserSceneOptions(room, "zoom"), "takes still, orbit, dolly, or a JSON")
 
 
 def test_more_frames_than_matrices_are_refused(room):
-    refused(UserSceneOptions(room, flown(room.parent, PASSING), frames=4), "has 3 matrices")
+    check_refused(UserSceneOptions(room, flown(room.parent, PASSING), frames=4), "has 3 matrices")

@@ -28,13 +28,13 @@ from tests.render.user.xml_room import (
 def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tmp_path):
     run = CliRunner()
     path = flown(room.parent, PASSING)
-    words = ["--scene", room, "--camera", path, "--size", "24x16", "--preset", "tiny"]
-    told = run.invoke(app, ["render", *map(str, words), "--out", str(tmp_path / "clip")])
-    assert told.exit_code == 0, told.output
+    arguments = ["--scene", room, "--camera", path, "--size", "24x16", "--preset", "tiny"]
+    result = run.invoke(app, ["render", *map(str, arguments), "--out", str(tmp_path / "clip")])
+    assert result.exit_code == 0, result.output
     assert verify(tmp_path / "clip") == []
-    words = ["-m", "mean", "--clips", tmp_path / "clip", "--out", tmp_path / "results"]
-    told = run.invoke(app, ["run", "--spp", "1", *map(str, words)])
-    assert told.exit_code == 0, told.output
+    arguments = ["-m", "mean", "--clips", tmp_path / "clip", "--out", tmp_path / "results"]
+    result = run.invoke(app, ["run", "--spp", "1", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
     rows = results.read(tmp_path / "results")
     assert np.isfinite(rows[rows["metric"] == "psnr"]["value"]).all()
 
@@ -49,21 +49,19 @@ def test_the_header_describes_the_clip(room):
 def test_radiance_equals_that_of_mitsubas_own_renderer(room):
     import mitsuba as mi
 
-    known = (
-        BODY.replace("sobol", "independent").replace("ldrfilm", "hdrfilm").replace("tent", "box")
-    )
-    file = document(room.parent, known.replace('"1200"', f'"{W}"').replace('"800"', f'"{H}"'))
+    body = BODY.replace("sobol", "independent").replace("ldrfilm", "hdrfilm").replace("tent", "box")
+    file = document(room.parent, body.replace('"1200"', f'"{W}"').replace('"800"', f'"{H}"'))
     truth = mi.TensorXf(mi.render(mi.load_file(str(file)), spp=256)).numpy()
-    wish = UserSceneOptions(file, "still", exposure=1.0)
-    clip = open_clip(ensure_own(wish, replace(PLAN, frames=1, reference_spp=128)))
-    found = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
+    options = UserSceneOptions(file, "still", exposure=1.0)
+    clip = open_clip(ensure_own(options, replace(PLAN, frames=1, reference_spp=128)))
+    image = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
 
     def areas(image):  # 8 x 8 pixels each
         return image.reshape(H // 8, 8, W // 8, 8, 3).mean((1, 3))
 
     # 8000 samples an area, each with a standard deviation of about twice its mean, of two images
-    np.testing.assert_allclose(areas(found), areas(truth), rtol=0.15, atol=0.01)
-    assert found.mean() == pytest.approx(truth.mean(), rel=0.02)
+    np.testing.assert_allclose(areas(image), areas(truth), rtol=0.15, atol=0.01)
+    assert image.mean() == pytest.approx(truth.mean(), rel=0.02)
 
 
 def world(matrix, film):
@@ -77,9 +75,9 @@ def world(matrix, film):
     origin = matrix[:3, 3]
     with np.errstate(invalid="ignore"):
         floor = np.where(rays[..., 1] < 0, -origin[1] / rays[..., 1], np.inf)
-        along, away = (rays * (origin - [0, RADIUS, 0])).sum(-1), origin - [0, RADIUS, 0]
+        along, offset = (rays * (origin - [0, RADIUS, 0])).sum(-1), origin - [0, RADIUS, 0]
         square = (rays**2).sum(-1)
-        root = np.sqrt(along**2 - square * (away @ away - RADIUS**2))
+        root = np.sqrt(along**2 - square * (offset @ offset - RADIUS**2))
     floor, ball = np.minimum(floor, 1e6), np.nan_to_num((-along - root) / square, nan=1e6)
     return origin + np.minimum(floor, ball)[..., None] * rays
 
@@ -94,15 +92,16 @@ def test_motion_and_depth_equal_a_closed_form(variant, tmp_path):
     now, before = PASSING[2], PASSING[1]
     points = world(now, centres)
     local = (points - now[:3, 3]) @ now[:3, :3]
-    seen = np.abs(local[..., 2] - buffer(clip, "depth", 2)[..., 0]) < 1e-3  # else cube, flag, lamp
+    # elsewhere the pixel shows cube, flag or lamp
+    visible = np.abs(local[..., 2] - buffer(clip, "depth", 2)[..., 0]) < 1e-3
     earlier = (points - before[:3, 3]) @ before[:3, :3]
     slope = np.tan(np.radians(FOV / 2)) * 2 / W
-    there = np.array([W / 2, H / 2]) - earlier[..., :2] / earlier[..., 2:] / slope
+    previous = np.array([W / 2, H / 2]) - earlier[..., :2] / earlier[..., 2:] / slope
     motion = buffer(clip, "motion", 2)
-    assert seen.mean() > 0.4
+    assert visible.mean() > 0.4
     # points are float32: 1e-6 of metres, seen at 48 pixels a radian
-    np.testing.assert_allclose(motion[seen], (there - centres)[seen], atol=1e-3)
-    assert abs(motion[seen]).max() > 1
+    np.testing.assert_allclose(motion[visible], (previous - centres)[visible], atol=1e-3)
+    assert abs(motion[visible]).max() > 1
 
 
 def test_differences_between_file_and_rendering_are_reported(room):
@@ -111,10 +110,10 @@ def test_differences_between_file_and_rendering_are_reported(room):
     )
     lens = '<float name="apertureRadius" value="0.1"/><float name="focusDistance" value="4"/>'
     room.write_text(text.replace('type="perspective">', f'type="thinlens">{lens}'))
-    told = []
-    ensure_own(UserSceneOptions(room, "still"), PLAN, told.append)
-    assert "integrator volpath is replaced by path" in told
-    assert any("everything is sharp" in words for words in told)
+    messages = []
+    ensure_own(UserSceneOptions(room, "still"), PLAN, messages.append)
+    assert "integrator volpath is replaced by path" in messages
+    assert any("pinhole, without depth of field" in message for message in messages)
 
 
 def test_a_given_exposure_is_used(room):
@@ -131,10 +130,10 @@ def test_a_finished_clip_is_not_rendered_again(room):
 
 
 def test_the_same_scene_in_another_folder_gives_the_same_clip(room, tmp_path):
-    again = ensure_own(
+    copy = ensure_own(
         UserSceneOptions(document(tmp_path / "b" / "room"), out=tmp_path / "again"), PLAN
     )
-    assert contents(again) == contents(ensure_own(UserSceneOptions(room), PLAN))
+    assert contents(copy) == contents(ensure_own(UserSceneOptions(room), PLAN))
 
 
 def _paint(room):
@@ -163,6 +162,6 @@ def test_a_changed_file_is_rendered_again(room, change):
 
 
 def test_options_of_a_user_scene_without_scene_are_refused(tmp_path):
-    told = CliRunner().invoke(app, ["render", "--camera", "orbit"])
-    assert told.exit_code == 2
-    assert "belong to --scene" in told.output
+    result = CliRunner().invoke(app, ["render", "--camera", "orbit"])
+    assert result.exit_code == 2
+    assert "belong to --scene" in result.output

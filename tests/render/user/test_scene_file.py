@@ -21,9 +21,9 @@ from tests.render.user.xml_room import (
     H,
     W,
     buffer,
+    check_refused,
     document,
     flown,
-    refused,
 )
 
 PYTHON = """from dataclasses import replace
@@ -101,8 +101,8 @@ def test_a_python_scene_is_rendered_with_its_own_camera_and_exposure(room):
 
 def test_default_values_of_the_file_can_be_replaced(room):
     def brightness(depth):
-        wish = UserSceneOptions(room, "still", exposure=1.0, parameters=(("max_depth", depth),))
-        return open_clip(ensure_own(wish, PLAN)).frame(0).reference.half_a.mean()
+        options = UserSceneOptions(room, "still", exposure=1.0, parameters=(("max_depth", depth),))
+        return open_clip(ensure_own(options, PLAN)).frame(0).reference.half_a.mean()
 
     assert brightness("2") < 0.95 * brightness("5")  # without light from the floor
 
@@ -110,8 +110,8 @@ def test_default_values_of_the_file_can_be_replaced(room):
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        ("textures/wood.png", "textures/none.png", r"textures/none.png, of a bitmap at .*line \d"),
-        ("flag.obj", "none.obj", "none.obj, of a obj at"),
+        ("textures/wood.png", "textures/none.png", r"textures/none.png, in bitmap at .*line \d"),
+        ("flag.obj", "none.obj", "none.obj, in obj at"),
         ("roughconductor", "unobtainium", 'Plugin "unobtainium" not found'),
         ("</bsdf></bsdf>", "</bsdf>", "failed: Start-end tags mismatch .line"),
         ("$max_depth", "$deepest", r"undefined parameter: \$deepest"),
@@ -132,16 +132,16 @@ def test_default_values_of_the_file_can_be_replaced(room):
 def test_a_broken_file_is_refused(room, old, new, match):
     assert room.read_text().count(old) == 1
     room.write_text(room.read_text().replace(old, new))
-    refused(UserSceneOptions(room), match)
+    check_refused(UserSceneOptions(room), match)
 
 
 def test_a_parameter_without_a_default_in_the_file_is_refused(room):
-    refused(UserSceneOptions(room, parameters=(("colour", "red"),)), "unused parameters")
+    check_refused(UserSceneOptions(room, parameters=(("colour", "red"),)), "unused parameters")
 
 
 def test_a_scene_without_a_sensor_needs_matrices(room):
     bare = BODY[: BODY.index("<sensor")] + BODY[BODY.index("</sensor>") + len("</sensor>") :]
-    refused(UserSceneOptions(document(room.parent, bare)), "has no sensor.*JSON")
+    check_refused(UserSceneOptions(document(room.parent, bare)), "has no sensor.*JSON")
     clip = ensure_own(UserSceneOptions(room, flown(room.parent, PASSING)), PLAN)
     assert read_header(clip).frames == 3
 
@@ -159,7 +159,7 @@ def test_a_scene_without_a_sensor_needs_matrices(room):
             ),
             "cannot trace.*unobtainium",
         ),
-        (HOOK.replace('{"Flag"', '{"Pole"'), "moves 'Pole'; .*: Flag"),
+        (HOOK.replace('{"Flag"', '{"Pole"'), "moves 'Pole', .*: Flag"),
         (HOOK.replace('{"Flag"', '{"Ball"'), "moves 'Ball'"),
         (HOOK.replace('rest["Flag"] +', ""), r"shape \[3\], expected finite.*\[3, 3\]"),
         (HOOK.replace("0.1", "float('nan')"), "expected finite"),
@@ -170,9 +170,9 @@ def test_a_scene_without_a_sensor_needs_matrices(room):
 def test_an_unusable_python_file_is_refused(room, code, match):
     file = room.with_name("mine.py")
     file.write_text(code)
-    refused(UserSceneOptions(file, "still"), match)
+    check_refused(UserSceneOptions(file, "still"), match)
 
 
 @pytest.mark.parametrize("name", ["none.xml", "textures/wood.png"])
 def test_a_file_that_is_not_a_scene_is_refused(room, name):
-    refused(UserSceneOptions(room.parent / name), "--scene takes")
+    check_refused(UserSceneOptions(room.parent / name), "--scene takes")

@@ -86,11 +86,11 @@ def flown(folder, matrices, fov=FOV):
 PASSING = [look_at([0.3 * i, 1.2 + 0.1 * i, 4 - 0.1 * i], [0, 0.8, 0]) for i in range(3)]
 
 
-def refused(wish, match):
-    """`wish` is refused with words that match, and leaves nothing behind."""
+def check_refused(options, match):
+    """Rendering raises SceneError with a matching message, and writes nothing."""
     with pytest.raises(SceneError, match=match):
-        ensure_own(wish, PLAN)
-    folder = wish.out or wish.file.parent.parent / "cache" / "clips"
+        ensure_own(options, PLAN)
+    folder = options.out or options.file.parent.parent / "cache" / "clips"
     assert not folder.exists()
 
 
