@@ -21,7 +21,7 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
 from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
-from tests.render.jobs.test_render_clips import PLAN, contents
+from tests.render.jobs.test_render_clips import PRESET, contents
 from tests.render.small_scenes import room
 
 RETRIES = 1
@@ -114,11 +114,11 @@ def test_ray_reports_nothing_to_its_makers(workers):
 def test_clips_rendered_on_ray_are_those_rendered_here_bit_for_bit(workers, tmp_path):
     folders = {}
     for name, engine in (("here", LOCAL), ("ray", workers)):
-        jobs = [Job(each, room(), PLAN, tmp_path / name / each) for each in ("a", "b")]
+        jobs = [Job(each, room(), PRESET, tmp_path / name / each) for each in ("a", "b")]
         folders[name] = render_missing(jobs, engine=engine)
     for here, there in zip(folders["here"], folders["ray"], strict=True):
         assert contents(here) == contents(there)
-        assert len(contents(there)) == 4 * PLAN.frames
+        assert len(contents(there)) == 4 * PRESET.frames
         assert told(here) == told(there)
 
 

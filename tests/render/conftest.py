@@ -1,4 +1,4 @@
-"""Mitsuba's variants as fixtures: `llvm` skips where there is no libLLVM, `variant` is both."""
+"""Mitsuba's variants as fixtures: `llvm` skips without a libLLVM, `variant` runs both variants."""
 
 from __future__ import annotations
 

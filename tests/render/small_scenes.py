@@ -1,4 +1,4 @@
-"""Small scenes whose pixels are known, or can be worked out."""
+"""Small scenes with known pixels."""
 
 from __future__ import annotations
 
@@ -157,17 +157,17 @@ def under_a_lamp(half, height, radiance, albedo):
     return scene, albedo * radiance * factor
 
 
-AWAY = Camera((4.0, -4.0, 1.5), (0, 0, 0.5), fov=50.0)
+OTHER_CAMERA = Camera((4.0, -4.0, 1.5), (0, 0, 0.5), fov=50.0)
 
 
 def room_with_takes():
-    """The room with two takes: after a cut its lamp goes out, or all stands still."""
+    """The room with two takes: one with a cut, after which the lamp goes out; one static."""
     first = room().camera
     shots = Take(
         "cut",
-        lambda time: first(time) if time < 2 else AWAY,
+        lambda time: first(time) if time < 2 else OTHER_CAMERA,
         lights=lambda time: {"lamp": 1.0 if time < 3 else 0.0},
         cuts=(2, 9),
     )
-    still = Take("still", lambda time: AWAY, moving=lambda time: {}, static=True)
+    still = Take("still", lambda time: OTHER_CAMERA, moving=lambda time: {}, static=True)
     return replace(room(), takes=(shots, still))

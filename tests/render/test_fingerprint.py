@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rlbench.render.fingerprint import fingerprint
-from tests.render.small_scenes import AWAY, diffuse, room, room_with_takes, square
+from tests.render.small_scenes import OTHER_CAMERA, diffuse, room, room_with_takes, square
 
 
 def test_a_fingerprint_ignores_the_last_bit_of_a_number():
@@ -29,7 +29,10 @@ def test_takes_do_not_change_the_fingerprint_of_the_main_clip():
     [
         {"lights": lambda time: {"lamp": 0.5 if time == 3 else 1.0}},
         {"cuts": (2,)},
-        {"camera": lambda time: AWAY if time in (1.0, 2.0) else room().camera(time), "cuts": (2,)},
+        {
+            "camera": lambda time: OTHER_CAMERA if time in (1.0, 2.0) else room().camera(time),
+            "cuts": (2,),
+        },
     ],
     ids=["lights", "cuts", "camera"],
 )

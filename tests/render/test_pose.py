@@ -1,4 +1,4 @@
-"""The pose of a scene, and projection to the film."""
+"""Poses: projection and ray directions."""
 
 import numpy as np
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.render.small_scenes import AWAY, room_with_takes
+from tests.render.small_scenes import OTHER_CAMERA, room_with_takes
 
 
 def test_a_take_changes_only_what_it_defines():
@@ -11,7 +11,7 @@ def test_a_take_changes_only_what_it_defines():
     assert (take.name, take.sky, take.exposure, take.depth) == ("room", scene.sky, 2.0, 8)
     assert (take.static, take.camera(7.0), take.vertex_animation(7.0), take.takes) == (
         True,
-        AWAY,
+        OTHER_CAMERA,
         {},
         (),
     )

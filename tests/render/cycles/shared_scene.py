@@ -1,4 +1,4 @@
-"""One small scene, as data: for Mitsuba as our Scene, for Blender as a glTF file and matrices.
+"""One small scene for both renderers: a Scene for Mitsuba, a glTF file and matrices for Blender.
 
 A chequered floor and wall, three more sides, a box that slides, a pillar and a flat lamp; all
 diffuse. The camera passes by. World is z up; glTF is y up, and Blender turns it back.
@@ -25,7 +25,7 @@ def quad(origin, u, v):
 
 
 def tiled(origin, u, v, colours, side):
-    """Squares of a chequered rectangle, by colour: the edges of texture that a linter looks for."""
+    """Squares of a chequered rectangle, by colour: the linter needs texture edges."""
     u, v = np.array(u, float) / side, np.array(v, float) / side
     parts = [([], []) for _ in colours]
     for i in range(side):
@@ -44,7 +44,7 @@ def box(low, high):
 
 
 def parts():
-    """Name: vertices, faces, albedo, radiance, does it move?"""
+    """For each name: vertices, faces, albedo, radiance, and whether it moves."""
     floor = tiled((-3, -6, 0), (6, 0, 0), (0, 9, 0), [(0.7, 0.6, 0.3), (0.2, 0.35, 0.6)], 8)
     wall = tiled((-3, 3, 0), (6, 0, 0), (0, 0, 3), [(0.7, 0.25, 0.2), (0.75, 0.7, 0.6)], 6)
     shapes = {f"floor{i}": (*part, (0, 0, 0), False) for i, part in enumerate(floor)}

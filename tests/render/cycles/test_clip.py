@@ -1,4 +1,4 @@
-"""Clips that Cycles renders: the same scene as Mitsuba's, in every format, killed and resumed."""
+"""Clips of Cycles against Mitsuba's, for every file format, killed and resumed."""
 
 import json
 import os
@@ -29,8 +29,8 @@ from tests.render.cycles import shared_scene
 
 pytestmark = pytest.mark.slow
 H, W = 64, 64
-PLAN = Preset("test", "tests", (H, W), shared_scene.FRAMES, reference_spp=40)  # in two spans
-SMALL = replace(PLAN, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
+PRESET = Preset("test", "tests", (H, W), shared_scene.FRAMES, reference_spp=40)  # in two spans
+SMALL = replace(PRESET, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
 PARAMETERS = (("max_bounces", str(shared_scene.BOUNCES)),)
 FORMATS = ("blend", "usd", "glb", "fbx")
 HERE = Path(__file__).parent
@@ -54,7 +54,7 @@ def make_options(folder, out, **more):
 
 @pytest.fixture(scope="module")
 def cycles(files, tmp_path_factory):
-    return ensure_cycles(make_options(files, tmp_path_factory.mktemp("cycles") / "clip"), PLAN)
+    return ensure_cycles(make_options(files, tmp_path_factory.mktemp("cycles") / "clip"), PRESET)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def mitsuba(tmp_path_factory):
     scene = replace(
         scene, camera=lambda time: camera_path.camera_from_matrix(path(time), shared_scene.FOV)
     )
-    job = Job("both", scene, PLAN, tmp_path_factory.mktemp("mitsuba") / "clip")
+    job = Job("both", scene, PRESET, tmp_path_factory.mktemp("mitsuba") / "clip")
     return render_missing([job])[0]
 
 
@@ -110,7 +110,7 @@ def test_the_header_records_the_renderer(cycles):
 def test_a_finished_clip_needs_no_blender(cycles, files, monkeypatch):
     assert verify(cycles) == []
     monkeypatch.setenv(process.PYTHON_VARIABLE, "/nowhere")
-    assert ensure_cycles(make_options(files, cycles), PLAN) == cycles
+    assert ensure_cycles(make_options(files, cycles), PRESET) == cycles
 
 
 def test_samples_are_antialiased(cycles, mitsuba, llvm):
@@ -140,7 +140,7 @@ def test_a_killed_rendering_resumes_to_the_same_pixels(cycles, files, tmp_path):
         rendering.send_signal(signal.SIGKILL)
         rendering.wait()
     assert not (out / "clip.toml").exists(), log.read_text()
-    resumed = ensure_cycles(make_options(files, out), PLAN)
+    resumed = ensure_cycles(make_options(files, out), PRESET)
     for file in cycles.glob("*.exr"):
         assert (resumed / file.name).read_bytes() == file.read_bytes(), file.name
     assert not (resumed / ".cycles").exists()

@@ -1,4 +1,4 @@
-"""Channels as Cycles writes them become a view in the conventions of a clip."""
+"""Conversion of Cycles' passes to the conventions of a clip."""
 
 import math
 
@@ -56,7 +56,7 @@ def test_normals_become_unit_length():
 
 
 def test_a_surface_without_a_normal_is_background():
-    # the linter refuses clips whose depth and normal disagree on what is background
+    # the linter refuses clips whose depth and normal disagree about the background
     gbuffer = passes.convert_passes(planes(normal=(0, 0, 0)), SCENE, 0.0)
     assert np.isposinf(gbuffer["depth"]).all()
 

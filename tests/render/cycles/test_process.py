@@ -1,4 +1,4 @@
-"""Blender's process: missing, refusing, dying; each is told as what it is."""
+"""Errors of Blender's process: missing bpy, rejected job, crash."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ from rlbench.render.cycles.process import CyclesError
 
 @pytest.fixture
 def python(tmp_path, monkeypatch):
-    """Lets a script stand in for the Python that has bpy, to die in ways that bpy does not."""
+    """Replaces the Python that has bpy by a script, which can die in other ways."""
 
     def install(body):
         script = tmp_path / "python"

@@ -1,4 +1,4 @@
-"""The job file: seeds that never meet, cameras turned to Blender's axes, parameters checked."""
+"""The job file: distinct seeds, cameras in Blender's axes, checked parameters."""
 
 import json
 from itertools import product

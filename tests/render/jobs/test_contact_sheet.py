@@ -1,4 +1,4 @@
-"""The contact sheet shows every scene, keeps what was traced, and its tone curve is the paper's."""
+"""The contact sheet: its images, its cache, and its tone curve."""
 
 from __future__ import annotations
 

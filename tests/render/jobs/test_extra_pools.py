@@ -1,4 +1,4 @@
-"""Pools of chains, added to clips that are there."""
+"""Pools with temporal reuse, added to finished clips."""
 
 from dataclasses import replace
 
@@ -15,12 +15,12 @@ from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.presets import Preset
 from tests.render.small_scenes import room
 
-PLAN = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
-BOTH = replace(PLAN, pools=("path", "restir"))
+PRESET = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
+BOTH = replace(PRESET, pools=("path", "restir"))
 
 
-def job(folder, plan=BOTH, scene=None):
-    return Job("room", scene or room(), plan, folder)
+def job(folder, preset=BOTH, scene=None):
+    return Job("room", scene or room(), preset, folder)
 
 
 def contents(folder, pattern="*.exr"):
@@ -30,19 +30,19 @@ def contents(folder, pattern="*.exr"):
 @pytest.fixture
 def plain(llvm, tmp_path):
     """A clip with the path tracer's pool alone."""
-    render_clip(job(tmp_path / "plain", PLAN))
+    render_clip(job(tmp_path / "plain", PRESET))
     return tmp_path / "plain"
 
 
 @pytest.fixture
 def clip(plain):
-    """The same with a pool of chains, added later."""
+    """The same with the ReSTIR pool, added later."""
     render_missing([job(plain)])
     return plain
 
 
 class Killed(BaseException):
-    """What ends a rendering in the middle."""
+    """Interrupts a rendering."""
 
 
 def killer(after):
@@ -85,7 +85,7 @@ def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, c
     scene = replace(room(), cuts=cuts)
     complete, resumed = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
     render_missing([complete])
-    render_missing([replace(resumed, preset=PLAN)])
+    render_missing([replace(resumed, preset=PRESET)])
     (missing,) = extra_pools.find_missing_pools([resumed])
     with pytest.raises(Killed):
         extra_pools.add_pool(missing, killer(after))

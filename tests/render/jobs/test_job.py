@@ -23,7 +23,9 @@ def test_frames_of_a_changed_scene_count_as_missing(clip):
 
 def test_content_keys_of_existing_clips_have_not_changed():
     # as in scene.txt of clips that were rendered before rounds and caps existed
-    assert job("a", plan=PRESETS["mini"]).content_key.endswith(" 192x192 8 frames 8 + 2 x 64 spp\n")
-    assert job("a", plan=PRESETS["train"]).content_key.endswith(
+    assert job("a", preset=PRESETS["mini"]).content_key.endswith(
+        " 192x192 8 frames 8 + 2 x 64 spp\n"
+    )
+    assert job("a", preset=PRESETS["train"]).content_key.endswith(
         " 160x160 5 frames 8 + 2 x 64 spp\n"
     )

@@ -24,7 +24,7 @@ from tests.conftest import write_noise
 from tests.render.small_scenes import grey, room
 
 H, W = 16, 24
-PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
+PRESET = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def glaring():
 
 
 def render_scene(folder, scene, name="room"):
-    render_clip(Job(name, scene, PLAN, folder))
+    render_clip(Job(name, scene, PRESET, folder))
     return folder
 
 
@@ -62,7 +62,7 @@ def open_both(folder, scene, seed=0):
 
 
 def agree(image, other):
-    """Equal but for a few pixels in 10^4, where Embree depends on neighbours: see WavefrontTracer."""
+    """Equal but for a few pixels in 10^4, where Embree decides: see WavefrontTracer."""
     return float((image != other).any(1).double().mean()) < 0.01
 
 
@@ -85,7 +85,7 @@ def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
 
 
 def test_capped_samples_are_the_same_live(llvm, tmp_path):
-    render_clip(Job("room", room(), PLAN.with_radiance_cap(0.25), tmp_path))
+    render_clip(Job("room", room(), PRESET.with_radiance_cap(0.25), tmp_path))
     stored = open_clip(tmp_path)
     live = LiveClip(stored, open_tracer(room(), H, W, radiance_cap=0.25 / room().exposure))
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
@@ -144,7 +144,7 @@ def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):
 
 
 def maps(h, w):
-    """Counts of 0 to 8 samples per pixel that follow no order: few, none, one, 0.01 spp, many."""
+    """Random counts of 0 to 8 samples per pixel: in total one, none, two, 0.01 spp, and more."""
     random = np.random.default_rng(0)
     for drawn in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
         counts = np.bincount(random.integers(0, h * w, drawn), minlength=h * w)

@@ -1,4 +1,4 @@
-"""References: how noisy they are, and when they are good enough."""
+"""References: noise ceiling and rounds."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ from rlbench.render.presets import Preset
 from tests.render.small_scenes import looking_down, room
 
 H, W = 16, 24
-PLAN = Preset("test", "tests", (H, W), frames=2, reference_spp=4, pool_spp=1)
+PRESET = Preset("test", "tests", (H, W), frames=2, reference_spp=4, pool_spp=1)
 
 
 def noisy(sigma, seed, h=100, w=100):
@@ -50,7 +50,7 @@ def test_equal_halves_have_the_highest_psnr():
 @pytest.mark.parametrize("spp", [1, 5])
 def test_one_round_is_the_mean_of_each_stream(llvm, spp):
     tracer = open_tracer(room(), H, W)
-    a, b, total_spp = references.trace_reference(tracer, replace(PLAN, reference_spp=spp), 1.0)
+    a, b, total_spp = references.trace_reference(tracer, replace(PRESET, reference_spp=spp), 1.0)
     assert total_spp == 2 * spp
     np.testing.assert_array_equal(a, tracer.trace_mean(spp, "referenceA"))
     np.testing.assert_array_equal(b, tracer.trace_mean(spp, "referenceB"))
@@ -58,7 +58,9 @@ def test_one_round_is_the_mean_of_each_stream(llvm, spp):
 
 def test_a_round_continues_where_the_last_one_ended(llvm):
     tracer = open_tracer(room(), H, W)
-    a, _, total_spp = references.trace_reference(tracer, replace(PLAN, max_reference_rounds=3), 1.0)
+    a, _, total_spp = references.trace_reference(
+        tracer, replace(PRESET, max_reference_rounds=3), 1.0
+    )
     assert total_spp == 2 * 3 * 4
     # a float64 sum in another order, rounded to float32
     np.testing.assert_allclose(a, tracer.trace_mean(12, "referenceA"), rtol=1e-6)
@@ -66,19 +68,19 @@ def test_a_round_continues_where_the_last_one_ended(llvm):
 
 def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     tracer = open_tracer(room(), H, W)
-    plan = replace(PLAN, max_reference_rounds=50, min_noise_ceiling_db=25.0)
-    a, b, total_spp = references.trace_reference(tracer, plan, room().exposure)
+    preset = replace(PRESET, max_reference_rounds=50, min_noise_ceiling_db=25.0)
+    a, b, total_spp = references.trace_reference(tracer, preset, room().exposure)
     assert 8 < total_spp < 400
     assert references.noise_ceiling_db(a, b, room().exposure) >= 25.0
-    fewer = replace(plan, max_reference_rounds=total_spp // 8 - 1, min_noise_ceiling_db=math.inf)
+    fewer = replace(preset, max_reference_rounds=total_spp // 8 - 1, min_noise_ceiling_db=math.inf)
     before = references.trace_reference(tracer, fewer, room().exposure)
     assert references.noise_ceiling_db(*before[:2], room().exposure) < 25.0
 
 
 def test_progress_counts_the_samples_that_were_not_needed(llvm):
     samples = []
-    plan = replace(PLAN, max_reference_rounds=50, min_noise_ceiling_db=25.0)
-    references.trace_reference(open_tracer(room(), H, W), plan, room().exposure, samples.append)
+    preset = replace(PRESET, max_reference_rounds=50, min_noise_ceiling_db=25.0)
+    references.trace_reference(open_tracer(room(), H, W), preset, room().exposure, samples.append)
     assert sum(samples) == 2 * 50 * 4
 
 
@@ -89,10 +91,10 @@ def easy():
 
 
 def test_an_easy_scene_needs_fewer_samples_and_the_header_records_them(llvm, tmp_path, easy):
-    plan = replace(PLAN, max_reference_rounds=6, min_noise_ceiling_db=30.0)
+    preset = replace(PRESET, max_reference_rounds=6, min_noise_ceiling_db=30.0)
     headers = []
     for name, scene in (("easy", easy), ("hard", room())):
-        render_clip(Job(name, scene, plan, tmp_path / name))
+        render_clip(Job(name, scene, preset, tmp_path / name))
         headers.append(read_header(tmp_path / name))
     assert max(headers[0].reference_spp) < min(headers[1].reference_spp)
     assert min(headers[0].noise_ceiling_db) >= 30.0
@@ -106,8 +108,8 @@ def test_an_easy_scene_needs_fewer_samples_and_the_header_records_them(llvm, tmp
 
 
 def test_a_resumed_clip_keeps_the_sample_counts_of_its_first_frames(llvm, tmp_path):
-    plan = replace(PLAN, max_reference_rounds=4, min_noise_ceiling_db=24.0)
-    first = Job("room", room(), plan, tmp_path)
+    preset = replace(PRESET, max_reference_rounds=4, min_noise_ceiling_db=24.0)
+    first = Job("room", room(), preset, tmp_path)
     render_clip(first)
     total_spp = read_header(tmp_path).reference_spp
     (tmp_path / "clip.toml").unlink()
@@ -118,7 +120,7 @@ def test_a_resumed_clip_keeps_the_sample_counts_of_its_first_frames(llvm, tmp_pa
 
 
 def test_a_frame_whose_sample_count_is_lost_is_traced_again(llvm, tmp_path):
-    job = Job("room", room(), replace(PLAN, max_reference_rounds=2), tmp_path)
+    job = Job("room", room(), replace(PRESET, max_reference_rounds=2), tmp_path)
     render_clip(job)
     (tmp_path / "rounds.0000.txt").unlink()
     assert job.missing_frames == [0]

@@ -17,11 +17,11 @@ from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from tests.render.small_scenes import diffuse, room
 
-PLAN = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
+PRESET = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
 
 
-def job(folder, scene=None, plan=PLAN):
-    return Job("room", scene or room(), plan, folder)
+def job(folder, scene=None, preset=PRESET):
+    return Job("room", scene or room(), preset, folder)
 
 
 def contents(folder):
@@ -35,7 +35,7 @@ def clip(llvm, tmp_path):
 
 
 class Killed(BaseException):
-    """What ends a rendering in the middle."""
+    """Interrupts a rendering."""
 
 
 def killer(after):
@@ -85,7 +85,7 @@ def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
     tracer.set_time(1.0)
     stored = open_clip(clip).frame(1).pool.radiance[0].permute(0, 2, 3, 1).numpy() / 2.0
     stack = tracer.trace_images(3)
-    # sorted, as the clip sells them in an order of its own; half precision has 11 bits
+    # sorted, because the clip has its own sample order; half precision has 11 bits
     np.testing.assert_allclose(np.sort(stored, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
 
 
@@ -95,7 +95,7 @@ def test_the_reference_halves_come_from_different_paths(clip):
 
 
 def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
-    render_clip(job(tmp_path, room(static=True), replace(PLAN, frames=1)))
+    render_clip(job(tmp_path, room(static=True), replace(PRESET, frames=1)))
     assert read_header(tmp_path).static
     assert "motion" not in read_header(tmp_path).buffers
 
@@ -104,7 +104,7 @@ EXTRAS = ("object", "albedo_first", "normal_behind", "depth_behind", "object_beh
 
 
 def test_extra_buffers_are_in_the_clip(llvm, tmp_path):
-    render_clip(job(tmp_path, plan=PLAN.with_buffers(EXTRAS)))
+    render_clip(job(tmp_path, preset=PRESET.with_buffers(EXTRAS)))
     assert verify(tmp_path) == []
     gbuffer = open_clip(tmp_path, inputs=frozenset(EXTRAS)).frame(1).gbuffer
     tracer = open_tracer(room(), 16, 24)
@@ -141,7 +141,7 @@ def test_an_unknown_scene_is_an_error_that_lists_the_available_ones(tmp_path):
 
 
 def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
-    render_clip(job(tmp_path / "capped", plan=PLAN.with_radiance_cap(0.25)))
+    render_clip(job(tmp_path / "capped", preset=PRESET.with_radiance_cap(0.25)))
     assert read_header(tmp_path / "capped").radiance_cap == 0.25
     free, capped = (open_clip(folder).frame(1) for folder in (clip, tmp_path / "capped"))
     assert free.pool.radiance.max() > 1

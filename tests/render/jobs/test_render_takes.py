@@ -1,4 +1,4 @@
-"""Takes of a scene: what of it they change, their clips, and what a cut does to motion."""
+"""Clips of takes: names, headers, motion at cuts, and live samples."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from tests.render.small_scenes import room_with_takes
 
-PLAN = Preset("test", "tests", (16, 24), 4, 2, ("room",), pool_spp=2, takes="all")
+PRESET = Preset("test", "tests", (16, 24), 4, 2, ("room",), pool_spp=2, takes="all")
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def place(tmp_path_factory):
 
 @pytest.fixture
 def clips(llvm, installed, place):
-    return {folder.name: folder for folder in ensure(PLAN, folder=place)}  # rendered once
+    return {folder.name: folder for folder in ensure(PRESET, folder=place)}  # rendered once
 
 
 def test_an_unknown_take_is_an_error_that_lists_the_available_ones(installed):
@@ -64,12 +64,12 @@ def test_a_scene_name_selects_the_takes_of_the_preset_and_a_clip_name_one_take(
     monkeypatch.setattr(
         "rlbench.render.jobs.render_clips._render_all", lambda jobs, bar, executor: None
     )
-    folders = ensure(replace(PLAN, takes=takes), scenes, folder=tmp_path)
+    folders = ensure(replace(PRESET, takes=takes), scenes, folder=tmp_path)
     assert [folder.name for folder in folders] == clip_names
 
 
 def test_the_estimate_counts_all_takes(llvm, installed, tmp_path, capsys):
-    ensure(replace(PLAN, size=(4, 6), frames=1, reference_spp=1), folder=tmp_path)
+    ensure(replace(PRESET, size=(4, 6), frames=1, reference_spp=1), folder=tmp_path)
     assert "rendering 3 clips of preset test" in capsys.readouterr().err.replace("\n", " ")
 
 

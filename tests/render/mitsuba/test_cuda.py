@@ -1,4 +1,4 @@
-"""Finding a device that Mitsuba can trace with; none is needed here."""
+"""Finding a usable NVIDIA device; the tests need none."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Albedo, normal, depth and motion."""
+"""The G-buffer: albedo, normal, depth, motion and optional buffers."""
 
 import numpy as np
 import pytest
@@ -96,7 +96,7 @@ def test_albedo_is_between_zero_and_one_and_no_surface_is_black(llvm, material):
         open_tracer(around_the_corner(material), 8, 8), {"albedo", "albedo_first"}
     )
     for albedo in gbuffer.values():
-        assert albedo.min() > 0.05  # the wall behind what is clear has 0.2 of red
+        assert albedo.min() > 0.05  # the wall behind clear materials has a red albedo of 0.2
         assert albedo.max() <= 1
 
 
@@ -191,7 +191,7 @@ def test_the_sky_moves_with_the_turning_camera(llvm):
     scene = Scene("sky", "", (ground,), camera, sky, vertex_animation=lambda time: {"plane": below})
     tracer = open_tracer(scene, 3, 65)
     motion = render_gbuffer(tracer)["motion"][0, 32]
-    # what is ahead now was to the left of ahead, as the camera then looked further right
+    # the point ahead was further left in the previous frame, when the camera looked to the right
     pixels = np.tan(0.01) / (np.tan(np.radians(30)) / 32.5)
     np.testing.assert_allclose(motion[0], -pixels, rtol=1e-4)
 
@@ -203,7 +203,7 @@ def test_motion_leads_to_the_same_point_in_the_previous_frame(variant):
     mesh = _mesh(tracer).ravel()
     hit = mesh >= 0
     now = _positions(tracer, _centres())
-    expected = now - np.where(mesh[:, None] == 1, STEP, 0.0)  # the cube, and no other mesh, moved
+    expected = now - np.where(mesh[:, None] == 1, STEP, 0.0)  # only the cube moved
     tracer.set_time(2.0)
     gbuffer = _positions(tracer, _centres() + motion)
     eye = np.asarray(tracer.pose.camera.origin)
@@ -231,7 +231,7 @@ def _centres():
 
 
 def _mesh(tracer):
-    """Which mesh each pixel shows, -1 for none."""
+    """The mesh index at each pixel, -1 for background."""
 
     def query(ray):
         hit = tracer.mi_scene.ray_intersect_preliminary(ray)
@@ -242,7 +242,7 @@ def _mesh(tracer):
 
 
 def _positions(tracer, film):
-    """World positions that are seen at film positions."""
+    """World positions of the surfaces at film positions."""
 
     def query(ray):
         return (tracer.mi_scene.ray_intersect_preliminary(ray).t,)

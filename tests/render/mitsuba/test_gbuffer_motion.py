@@ -1,4 +1,4 @@
-"""Motion of the test scenes: the previous camera's ray hits what was said to be there."""
+"""Motion vectors in the test scenes: the previous camera's ray hits the same point."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from rlbench.render.pose import Pose
 
 SIDE = 192
 TIME = 3.0
-NEAR = 1e-3  # m, between where a point was and where it is found
+NEAR = 1e-3  # m, between expected and actual previous position
 
 
 @pytest.mark.parametrize("name", ["temple", "city", "hall", "ripples"])
@@ -43,7 +43,7 @@ def test_motion_leads_to_the_same_point_a_frame_earlier(llvm, name):
 
 
 def query_film(tracer, film):
-    """What lies at film positions: the mesh, the place on it (face, u, v), is there anything?"""
+    """For each film position: the mesh, (face, u, v) on it, and whether there is a hit."""
 
     def query(ray):
         hit = tracer.mi_scene.ray_intersect_preliminary(ray)
@@ -54,7 +54,7 @@ def query_film(tracer, film):
 
 
 def points(tracer, mesh, face_uv, hit):
-    """Where places on the meshes are at the tracer's time, by the scene's own animation."""
+    """World positions of points on meshes at the tracer's time, by the scene's own animation."""
     positions = np.zeros((len(mesh), 3))
     vertices = Pose.at_time(tracer.scene, tracer.time).vertices
     for number, (shape, corners) in enumerate(zip(tracer.scene.meshes, vertices, strict=True)):

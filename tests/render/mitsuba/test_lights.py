@@ -33,7 +33,7 @@ def sun(factor):
 
 
 SUNSKY = {"type": "sunsky", "turbidity": 3.5, "sun_direction": [-0.6, -0.4, 0.7]}
-LIGHT_CASES = {  # the light that changes, and the room with it at a factor
+LIGHT_CASES = {  # the scaled light, and a function from its factor to the room
     "lamp": ("lamp", lambda f: with_lamp({"type": "area", "radiance": grey(12 * f)})),
     "bitmap": ("lamp", lambda f: with_lamp(bitmap(f))),
     "constant": ("sky0", lambda f: with_sky(type="constant", radiance=grey(0.3 * f))),
@@ -43,7 +43,7 @@ LIGHT_CASES = {  # the light that changes, and the room with it at a factor
 
 
 def switched(scene, light, at=5):
-    """The scene, whose light gives a quarter from frame `at` on, and nothing two frames later."""
+    """The scene with a light scaled to a quarter in frames `at` and `at` + 1, then to 0."""
     shares = {at: 0.25, at + 1: 0.25}
     return replace(scene, lights=lambda time: {light: shares.get(time, 0.0)} if time >= at else {})
 
@@ -61,7 +61,7 @@ def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
     fresh.set_time(changing.time)
     dimmed, expected = changing.trace_images(SPP), fresh.trace_images(SPP)
     assert dimmed.mean() < 0.98 * full.mean()
-    # the same paths; a light's table may be rounded otherwise, so that a few choose another texel
+    # the same paths; a table of the emitter may be rounded differently, so a few texels differ
     assert dimmed.mean() == pytest.approx(expected.mean(), rel=2e-3)
     assert np.isclose(dimmed, expected, rtol=1e-4, atol=1e-6).mean() > 0.99
 

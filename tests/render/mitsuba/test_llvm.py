@@ -1,4 +1,4 @@
-"""Finding libLLVM."""
+"""Finding libLLVM and selecting a variant."""
 
 import os
 import subprocess

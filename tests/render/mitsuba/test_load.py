@@ -1,4 +1,4 @@
-"""Scenes as Mitsuba objects."""
+"""Conversion of scenes to Mitsuba objects."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def test_an_uploaded_array_is_a_copy(llvm):
 def test_an_uploaded_array_is_aligned(llvm, length):
     import mitsuba as mi
 
-    # or Dr.Jit would compile a kernel for each alignment of each input
+    # otherwise Dr.Jit compiles a kernel for each alignment of each input
     unaligned = np.zeros(length + 1, np.float32)[1:]
     assert load.upload(mi.Float, unaligned).numpy().ctypes.data % 64 == 0
 
@@ -56,9 +56,11 @@ def test_smooth_normals_equal_mitsubas(llvm):
     parameters["faces"] = mi.UInt32(mesh.faces.ravel())
     parameters.update()
     theirs = mi.traverse(shape)["vertex_normals"].numpy().reshape(-1, 3)
-    ring = slice(64, -64)  # at the poles there are faces without area, which Mitsuba counts too
+    ring = slice(64, -64)  # not the poles, whose faces without area Mitsuba counts too
     ours = smooth_normals(vertices, mesh.faces)
-    np.testing.assert_allclose(ours[ring], theirs[ring], atol=2e-3)  # their arc cosine is rough
+    np.testing.assert_allclose(
+        ours[ring], theirs[ring], atol=2e-3
+    )  # Mitsuba approximates the arc cosine
 
 
 @pytest.mark.parametrize("time", [0.0, 2.0])

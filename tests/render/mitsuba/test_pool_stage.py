@@ -1,4 +1,4 @@
-"""ReSTIR's samples: what they are without reuse, on average, after a cut; how much they vary."""
+"""The ReSTIR pool on a PoolStage: its samples without reuse, mean, variance, and cuts."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from rlbench.render.scene import Camera, Mesh, Scene
 from tests.render.small_scenes import diffuse, grey, room, square
 
 H, W = 16, 24
-SIGMAS = 4.0  # standard errors that a mean may be away from what it estimates
+SIGMAS = 4.0  # standard errors that a mean may deviate
 
 
 def open_scene(scene, time=0.0):
@@ -49,7 +49,7 @@ def many_lamps():
 
 
 def standard_errors(samples, reference, variance, spp):
-    """How many standard errors the means of 2 x 3 areas are away from those of a reference.
+    """Deviation of the means of 2 x 3 areas from those of a reference, in standard errors.
 
     `samples` [s h w 3] are independent; so are those of the reference, of this variance.
     """
@@ -87,7 +87,7 @@ def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
 def test_means_are_those_of_the_path_tracer(llvm, config, depth):
     tracer = open_scene(camera_alone(depth))
     pool = chains(tracer, 256, config)
-    for time in range(4):  # with a past of three frames
+    for time in range(4):  # with a history of three frames
         tracer.set_time(float(time))
         samples = pool()
     spp = 4096
@@ -159,7 +159,7 @@ def test_a_stream_does_not_depend_on_the_other_streams(llvm):
         tracer.set_time(time)
         all_streams, first, second = (pool() for pool in pools)
     same = (all_streams == np.concatenate([first, second])).all(-1)
-    assert same.mean() > 0.99  # rays that meet two triangles at once, see Wavefront
+    assert same.mean() > 0.99  # rays that meet two triangles at once, see WavefrontTracer
 
 
 def test_no_kernel_is_compiled_after_the_second_frame(llvm):

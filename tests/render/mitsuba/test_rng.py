@@ -1,4 +1,4 @@
-"""Random numbers for paths."""
+"""Random numbers of samples."""
 
 import itertools
 

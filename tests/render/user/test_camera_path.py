@@ -7,7 +7,7 @@ from rlbench.clips.stored import read_header
 from rlbench.render.user.clip import UserSceneOptions, ensure_own
 from tests.render.user.xml_room import (
     PASSING,
-    PLAN,
+    PRESET,
     buffer,
     check_refused,
     flown,
@@ -16,23 +16,23 @@ from tests.render.user.xml_room import (
 
 
 def test_the_sensor_of_the_file_is_the_middle_of_an_orbit(room):
-    clip = ensure_own(UserSceneOptions(room), PLAN)
+    clip = ensure_own(UserSceneOptions(room), PRESET)
     middle = buffer(clip, "depth", 1)
     still = ensure_own(
-        UserSceneOptions(room, flown(room.parent, [look_at([0, 1.2, 4], [0, 0.8, 0])])), PLAN
+        UserSceneOptions(room, flown(room.parent, [look_at([0, 1.2, 4], [0, 0.8, 0])])), PRESET
     )
     np.testing.assert_allclose(middle, buffer(still, "depth", 0), rtol=1e-4)
 
 
 @pytest.mark.parametrize("camera", ["orbit", "dolly"])
 def test_an_orbit_or_dolly_moves_the_camera(room, camera):
-    clip = ensure_own(UserSceneOptions(room, camera), PLAN)
+    clip = ensure_own(UserSceneOptions(room, camera), PRESET)
     # half a degree of 60, or 2 % of the way, on 48 pixels
     assert 0.1 < np.median(np.linalg.norm(buffer(clip, "motion", 1), axis=-1)) < 2
 
 
 def test_a_still_camera_makes_a_static_clip(room):
-    header = read_header(ensure_own(UserSceneOptions(room, "still"), PLAN))
+    header = read_header(ensure_own(UserSceneOptions(room, "still"), PRESET))
     assert header.static
     assert "motion" not in header.buffers
 

@@ -1,4 +1,4 @@
-"""Scenes of one's own: Mitsuba XML and Python files, as clips."""
+"""Clips of users' scenes: radiance, motion, exposure, and resuming."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.render.user.xml_room import (
     BODY,
     FOV,
     PASSING,
-    PLAN,
+    PRESET,
     RADIUS,
     H,
     W,
@@ -40,7 +40,9 @@ def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tm
 
 
 def test_the_header_describes_the_clip(room):
-    header = read_header(ensure_own(UserSceneOptions(room, flown(room.parent, PASSING[:2])), PLAN))
+    header = read_header(
+        ensure_own(UserSceneOptions(room, flown(room.parent, PASSING[:2])), PRESET)
+    )
     assert (header.name, header.scene, header.frames) == ("room-path", "room", 2)
     assert (header.height, header.width) == (H, W)  # the film is 3 : 2, as the preset is
     assert header.licence == ""
@@ -53,7 +55,7 @@ def test_radiance_equals_that_of_mitsubas_own_renderer(room):
     file = document(room.parent, body.replace('"1200"', f'"{W}"').replace('"800"', f'"{H}"'))
     truth = mi.TensorXf(mi.render(mi.load_file(str(file)), spp=256)).numpy()
     options = UserSceneOptions(file, "still", exposure=1.0)
-    clip = open_clip(ensure_own(options, replace(PLAN, frames=1, reference_spp=128)))
+    clip = open_clip(ensure_own(options, replace(PRESET, frames=1, reference_spp=128)))
     image = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
 
     def areas(image):  # 8 x 8 pixels each
@@ -65,7 +67,7 @@ def test_radiance_equals_that_of_mitsubas_own_renderer(room):
 
 
 def world(matrix, film):
-    """The first of floor and ball that is seen at film positions, in closed form, or far away.
+    """World positions of the floor or ball at film positions, in closed form; else far away.
 
     A ray's y reaches 0 at -oy / dy; |o + t d - c| = r is a quadratic equation in t.
     """
@@ -84,9 +86,9 @@ def world(matrix, film):
 
 def test_motion_and_depth_equal_a_closed_form(variant, tmp_path):
     room = document(tmp_path)
-    plan = replace(PLAN, reference_spp=1, pool_spp=1)
+    preset = replace(PRESET, reference_spp=1, pool_spp=1)
     clip = ensure_own(
-        UserSceneOptions(room, flown(room.parent, PASSING), out=tmp_path / "clip"), plan
+        UserSceneOptions(room, flown(room.parent, PASSING), out=tmp_path / "clip"), preset
     )
     centres = np.stack(np.meshgrid(np.arange(W), np.arange(H)), -1) + 0.5
     now, before = PASSING[2], PASSING[1]
@@ -111,29 +113,30 @@ def test_differences_between_file_and_rendering_are_reported(room):
     lens = '<float name="apertureRadius" value="0.1"/><float name="focusDistance" value="4"/>'
     room.write_text(text.replace('type="perspective">', f'type="thinlens">{lens}'))
     messages = []
-    ensure_own(UserSceneOptions(room, "still"), PLAN, messages.append)
+    ensure_own(UserSceneOptions(room, "still"), PRESET, messages.append)
     assert "integrator volpath is replaced by path" in messages
     assert any("pinhole, without depth of field" in message for message in messages)
 
 
 def test_a_given_exposure_is_used(room):
     assert (
-        read_header(ensure_own(UserSceneOptions(room, "still", exposure=3.5), PLAN)).exposure == 3.5
+        read_header(ensure_own(UserSceneOptions(room, "still", exposure=3.5), PRESET)).exposure
+        == 3.5
     )
 
 
 def test_a_finished_clip_is_not_rendered_again(room):
-    clip = ensure_own(UserSceneOptions(room), PLAN)
+    clip = ensure_own(UserSceneOptions(room), PRESET)
     before = {file: file.stat().st_mtime_ns for file in clip.iterdir()}
-    assert ensure_own(UserSceneOptions(room), PLAN) == clip
+    assert ensure_own(UserSceneOptions(room), PRESET) == clip
     assert {file: file.stat().st_mtime_ns for file in clip.iterdir()} == before
 
 
 def test_the_same_scene_in_another_folder_gives_the_same_clip(room, tmp_path):
     copy = ensure_own(
-        UserSceneOptions(document(tmp_path / "b" / "room"), out=tmp_path / "again"), PLAN
+        UserSceneOptions(document(tmp_path / "b" / "room"), out=tmp_path / "again"), PRESET
     )
-    assert contents(copy) == contents(ensure_own(UserSceneOptions(room), PLAN))
+    assert contents(copy) == contents(ensure_own(UserSceneOptions(room), PRESET))
 
 
 def _paint(room):
@@ -152,10 +155,10 @@ def _dim(room):
 
 @pytest.mark.parametrize("change", [_paint, _bend, _dim], ids=["texture", "mesh", "XML"])
 def test_a_changed_file_is_rendered_again(room, change):
-    clip = ensure_own(UserSceneOptions(room), PLAN)
+    clip = ensure_own(UserSceneOptions(room), PRESET)
     before = contents(clip)
     change(room)
-    ensure_own(UserSceneOptions(room), PLAN)
+    ensure_own(UserSceneOptions(room), PRESET)
     after = contents(clip)
     assert after.keys() == before.keys()
     assert after["referenceA.0001.exr"] != before["referenceA.0001.exr"]

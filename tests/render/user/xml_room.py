@@ -13,7 +13,7 @@ from rlbench.render.user.clip import ensure_own
 H, W, FOV = 32, 48, 60.0
 
 
-PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=2)
+PRESET = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=2)
 
 
 RADIUS = 0.8
@@ -58,7 +58,7 @@ def moving(time, rest):
 
 
 def document(folder, body=BODY, version="0.6.0"):
-    """A scene as Bitterli's are written: all files called scene.xml, textures beside, camelCase."""
+    """A scene in the style of Bitterli's: named scene.xml, with textures in a folder, camelCase."""
     import mitsuba as mi
 
     (folder / "textures").mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ def document(folder, body=BODY, version="0.6.0"):
 
 
 def look_at(origin, target):
-    """Camera-to-world, written out again: columns left, up, forward, position."""
+    """The camera-to-world matrix, derived independently: columns left, up, forward, position."""
     forward = np.subtract(target, origin) / np.linalg.norm(np.subtract(target, origin))
     left = np.cross([0, 1, 0], forward) / np.linalg.norm(np.cross([0, 1, 0], forward))
     return np.vstack([np.stack([left, np.cross(forward, left), forward, origin], 1), [0, 0, 0, 1]])
@@ -89,7 +89,7 @@ PASSING = [look_at([0.3 * i, 1.2 + 0.1 * i, 4 - 0.1 * i], [0, 0.8, 0]) for i in 
 def check_refused(options, match):
     """Rendering raises SceneError with a matching message, and writes nothing."""
     with pytest.raises(SceneError, match=match):
-        ensure_own(options, PLAN)
+        ensure_own(options, PRESET)
     folder = options.out or options.file.parent.parent / "cache" / "clips"
     assert not folder.exists()
 
