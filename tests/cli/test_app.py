@@ -152,14 +152,14 @@ def test_a_folder_without_a_clip_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--preset", "huge"), "error: no preset 'huge'; there are: tiny, mini"),
-        (("--scenes", "cellar"), "error: no scene 'cellar'; there are: city, hall"),
+        (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, generated"),
         (
             ("--scenes", "city-crane"),
             "error: scene 'city' has no take 'crane'; it has: static, cut",
         ),
         (("--seeds", "48:0"), "error: --seeds takes a range such as 0:48"),
-        (("--takes", "some"), "error: --takes is main or all, and was given 'some'"),
+        (("--takes", "some"), "error: --takes was given 'some'; it must be main or all"),
         (("--retime", "--scene", "x.xml"), "error: --retime is of a preset's clips"),
         (("--seeds", "a"), "and was given 'a'"),
         (("--seeds", "0:48", "--scene", "x.xml"), "without --scenes and --seeds"),
