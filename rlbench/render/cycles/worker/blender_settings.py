@@ -42,7 +42,7 @@ CYCLES = {
 RENDER = {
     "engine": "CYCLES",
     "use_motion_blur": False,  # with it, the Vector pass is zero
-    "use_persistent_data": False,  # with it, changing passes crash Blender, and seeds change meaning
+    "use_persistent_data": False,  # with it, changing passes crash, and seeds change meaning
     "use_compositing": False,
     "use_sequencer": False,
     "use_freestyle": False,
