@@ -4,8 +4,8 @@ SPDX-License-Identifier: GPL-3.0-or-later
 
 This file imports bpy, which is Blender and GPL; see LICENSE and README.md beside it. It runs in its
 own process, `python -I worker.py job.json`, and needs nothing but bpy. Events go to standard
-output, one JSON object per line: hello, opened, made (one for each file), done, or error. Blender's output
-goes to standard error. README.md describes the job.
+output, one JSON object per line: hello, opened, made (one for each file), done, or error. Blender's
+output goes to standard error. README.md describes the job.
 
 The camera's matrices are camera-to-world in Blender's convention: it looks along -z, y is up, x is
 to the right. Frame i of a job is frame start + i of the scene; matrices cover -1, 0, ... frames.
@@ -77,8 +77,8 @@ def render(scene: Any, plan: dict[str, Any], geometry: bool, start: int) -> None
     """Render one image.
 
     Radiance excludes sample 0, which goes through pixel centres for every seed. Geometry uses
-    sample 0 alone, because no other sample writes depth. The sampling pattern depends on `total`, so it is
-    equal for all images of one seed.
+    sample 0 alone, because no other sample writes depth. The sampling pattern depends on `total`,
+    so it is equal for all images of one seed.
     """
     file = Path(plan["file"])
     part = file.with_name(f".part.{file.name}")
