@@ -17,6 +17,7 @@ from rich.progress import Progress
 from rlbench import registry
 from rlbench.clips.stored import Header, write_header
 from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
+from rlbench.render import presets
 from rlbench.render.jobs import extra_pools, progress
 from rlbench.render.jobs.frame_worker import (
     SEED,
@@ -29,7 +30,6 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 from rlbench.render.presets import GENERATED, Preset
-from rlbench.render.presets import preset as preset_of
 from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
 
@@ -55,7 +55,7 @@ def ensure(
     error, and `executor` traces the frames. Raises LookupError for an unknown preset or scene, and
     SceneError for an unknown take.
     """
-    preset = preset_of(preset) if isinstance(preset, str) else preset
+    preset = presets.preset(preset) if isinstance(preset, str) else preset
     folder = folder or paths.clips() / preset.name
     if scenes is None and seeds is None:
         scenes, seeds = preset.scenes, preset.seeds
