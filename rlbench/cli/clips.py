@@ -79,7 +79,7 @@ def render(
 
       rlbench render --cap 64
 
-      rlbench render --views object,normal_behind
+      rlbench render --views object,normal_psr
 
       rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
 

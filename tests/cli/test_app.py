@@ -152,14 +152,14 @@ def test_a_folder_without_a_clip_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--preset", "huge"), "error: no preset 'huge'; there are: tiny, mini"),
-        (("--scenes", "cellar"), "error: no scene 'cellar'; there are: city, hall"),
+        (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, generated"),
         (
             ("--scenes", "city-crane"),
             "error: scene 'city' has no take 'crane'; it has: static, cut",
         ),
         (("--seeds", "48:0"), "error: --seeds takes a range such as 0:48"),
-        (("--takes", "some"), "error: --takes is main or all, and was given 'some'"),
+        (("--takes", "some"), "error: --takes was given 'some'; it must be main or all"),
         (("--retime", "--scene", "x.xml"), "error: --retime is of a preset's clips"),
         (("--seeds", "a"), "and was given 'a'"),
         (("--seeds", "0:48", "--scene", "x.xml"), "without --scenes and --seeds"),
@@ -180,7 +180,7 @@ def test_seeds_are_ranges_without_their_end_and_lists(text, seeds):
 def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
     wanted = []
 
-    def ensure(plan, scenes, seeds, engine):
+    def ensure(plan, scenes, seeds, executor):
         wanted.append((plan.name, scenes, seeds))
         return []
 
@@ -207,7 +207,7 @@ def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
 
 
 def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
-    def ensure(plan, scenes, seeds, engine):
+    def ensure(plan, scenes, seeds, executor):
         return [Path(plan.name, str(name)) for name in scenes or seeds]
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)

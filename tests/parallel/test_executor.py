@@ -24,8 +24,8 @@ from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
 from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
-from tests.render.test_record import PLAN, contents
-from tests.render.worlds import room
+from tests.render.jobs.test_render_clips import PRESET, contents
+from tests.render.small_scenes import room
 
 MAX_RETRIES = 1
 
@@ -176,11 +176,11 @@ def test_ray_sends_no_usage_statistics(workers):
 def test_clips_rendered_on_ray_and_in_this_process_are_bit_identical(workers, tmp_path):
     folders = {}
     for name, executor in (("local", LOCAL), ("ray", workers)):
-        jobs = [Job(clip, room(), PLAN, tmp_path / name / clip) for clip in ("a", "b")]
+        jobs = [Job(clip, room(), PRESET, tmp_path / name / clip) for clip in ("a", "b")]
         folders[name] = render_missing(jobs, engine=executor)
     for local, remote in zip(folders["local"], folders["ray"], strict=True):
         assert contents(local) == contents(remote)
-        assert len(contents(remote)) == 4 * PLAN.frames
+        assert len(contents(remote)) == 4 * PRESET.frames
         assert header_without_time(local) == header_without_time(remote)
 
 

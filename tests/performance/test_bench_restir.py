@@ -26,5 +26,5 @@ def tracer():
 @pytest.mark.parametrize("kind", ["streams", "paths"])
 def test_samples(benchmark, tracer, kind):
     pool = chains(tracer, POOL, COUNT)
-    frame = pool if kind == "streams" else lambda: tracer.stack(COUNT, "pilot")
+    frame = pool if kind == "streams" else lambda: tracer.trace_images(COUNT, "pilot")
     benchmark.pedantic(frame, rounds=ROUNDS, warmup_rounds=2)

@@ -1,4 +1,4 @@
-"""The Python that has bpy, or a reason why there is none."""
+"""The Python that has bpy, as a fixture; skips if there is none."""
 
 from __future__ import annotations
 

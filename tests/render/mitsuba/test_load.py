@@ -1,4 +1,4 @@
-"""Scenes as Mitsuba objects."""
+"""Conversion of scenes to Mitsuba objects."""
 
 from dataclasses import replace
 
@@ -6,65 +6,70 @@ import numpy as np
 import pytest
 
 from rlbench.render.mitsuba import load
+from rlbench.render.mitsuba.normals import smooth_normals
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from tests.render.worlds import ball, diffuse, room
+from tests.render.small_scenes import ball, diffuse, room
 
 
-def test_a_light_that_mitsuba_would_leave_dark_is_told(variant):
+def test_a_mesh_attribute_as_radiance_is_an_error(variant):
     by_face = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "face_light"}}
     *others, lamp = room().meshes
     scene = replace(room(), meshes=(*others, replace(lamp, emission=by_face)))
-    with pytest.raises(load.LightError, match="'lamp' shines by a mesh attribute"):
+    with pytest.raises(load.LightError, match="the radiance of mesh 'lamp' is a mesh attribute"):
         open_tracer(scene, 4, 4)
 
 
-def test_what_is_uploaded_is_a_copy(llvm):
+def test_an_uploaded_array_is_a_copy(llvm):
     import mitsuba as mi
 
     values = np.arange(64, dtype=np.float32)
-    there = load.upload(mi.Float, values)
+    uploaded = load.upload(mi.Float, values)
     values[:] = -1
-    assert there.numpy().tolist() == list(range(64))
+    assert uploaded.numpy().tolist() == list(range(64))
 
 
 @pytest.mark.parametrize("length", [16, 1000, 100_000, 1_000_000])
-def test_what_is_uploaded_is_aligned_whatever_the_caller_holds(llvm, length):
+def test_an_uploaded_array_is_aligned(llvm, length):
     import mitsuba as mi
 
-    # or Dr.Jit would compile a kernel for each alignment of each input
-    held = np.zeros(length + 1, np.float32)[1:]
-    assert load.upload(mi.Float, held).numpy().ctypes.data % 64 == 0
+    # otherwise Dr.Jit compiles a kernel for each alignment of each input
+    unaligned = np.zeros(length + 1, np.float32)[1:]
+    assert load.upload(mi.Float, unaligned).numpy().ctypes.data % 64 == 0
 
 
 def test_smooth_normals_of_a_sphere_point_outwards():
     mesh = ball()
-    normals = load.smooth_normals(mesh.vertices, mesh.faces)
+    normals = smooth_normals(mesh.vertices, mesh.faces)
     # within one ring of faces, 1/48 of a half circle
     assert (normals * mesh.vertices).sum(1).min() > np.cos(np.pi / 48)
 
 
-def test_smooth_normals_are_mitsubas(llvm):
+def test_smooth_normals_equal_mitsubas(llvm):
     import mitsuba as mi
 
     random = np.random.default_rng(0)
     mesh = ball()
     vertices = mesh.vertices * random.uniform(0.8, 1.2, mesh.vertices.shape).astype(np.float32)
-    made = mi.Mesh("ball", len(vertices), len(mesh.faces), has_vertex_normals=True)
-    parameters = mi.traverse(made)
+    shape = mi.Mesh("ball", len(vertices), len(mesh.faces), has_vertex_normals=True)
+    parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mi.Float(vertices.ravel())
     parameters["faces"] = mi.UInt32(mesh.faces.ravel())
     parameters.update()
-    theirs = mi.traverse(made)["vertex_normals"].numpy().reshape(-1, 3)
-    ring = slice(64, -64)  # at the poles there are faces without area, which Mitsuba counts too
-    ours = load.smooth_normals(vertices, mesh.faces)
-    np.testing.assert_allclose(ours[ring], theirs[ring], atol=2e-3)  # their arc cosine is rough
+    theirs = mi.traverse(shape)["vertex_normals"].numpy().reshape(-1, 3)
+    ring = slice(64, -64)  # not the poles, whose faces without area Mitsuba counts too
+    ours = smooth_normals(vertices, mesh.faces)
+    np.testing.assert_allclose(
+        ours[ring], theirs[ring], atol=2e-3
+    )  # Mitsuba approximates the arc cosine
 
 
 @pytest.mark.parametrize("time", [0.0, 2.0])
 def test_smooth_meshes_have_the_same_normals_in_every_run(llvm, time):
     mesh = replace(ball(200, 400), material=diffuse(0.5, 0.5, 0.5))
     scene = replace(
-        room(), meshes=(mesh,), moving=lambda time: {"ball": mesh.vertices + np.float32(time / 10)}
+        room(),
+        meshes=(mesh,),
+        vertex_animation=lambda time: {"ball": mesh.vertices + np.float32(time / 10)},
     )
 
     def normals():
@@ -72,7 +77,7 @@ def test_smooth_meshes_have_the_same_normals_in_every_run(llvm, time):
 
         tracer = open_tracer(scene, 4, 4)
         tracer.set_time(time)
-        return mi.traverse(tracer.mitsuba)["ball.vertex_normals"].numpy()
+        return mi.traverse(tracer.mi_scene)["ball.vertex_normals"].numpy()
 
     first = normals()
     for _ in range(4):  # Mitsuba's own differ within two or three runs

@@ -1,4 +1,4 @@
-"""ReSTIR's samples: what they are without reuse, on average, after a cut; how much they vary."""
+"""The ReSTIR pool on a PoolStage: its samples without reuse, mean, variance, and cuts."""
 
 from dataclasses import replace
 
@@ -9,13 +9,13 @@ from baselines.restir.chains import BIASED, PLAIN, UNBIASED, Restir
 from rlbench.render.mitsuba.pool_stage import PoolStage
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Camera, Mesh, Scene
-from tests.render.worlds import diffuse, grey, room, square
+from tests.render.small_scenes import diffuse, grey, room, square
 
 H, W = 16, 24
-SIGMAS = 4.0  # standard errors that a mean may be away from what it estimates
+SIGMAS = 4.0  # standard errors that a mean may deviate
 
 
-def opened(scene, time=0.0):
+def open_scene(scene, time=0.0):
     tracer = WavefrontTracer(scene, H, W)
     tracer.set_time(time)
     return tracer
@@ -27,7 +27,7 @@ def chains(tracer, count, config=BIASED, indirect=True):
 
 def camera_alone(depth):
     """The room in which only the camera moves: there the unbiased form is exact."""
-    return replace(room(), moving=lambda time: {}, depth=depth)
+    return replace(room(), vertex_animation=lambda time: {}, depth=depth)
 
 
 def many_lamps():
@@ -48,8 +48,8 @@ def many_lamps():
     )
 
 
-def away(samples, reference, variance, spp):
-    """How many standard errors the means of 2 x 3 areas are away from those of a reference.
+def standard_errors(samples, reference, variance, spp):
+    """Deviation of the means of 2 x 3 areas from those of a reference, in standard errors.
 
     `samples` [s h w 3] are independent; so are those of the reference, of this variance.
     """
@@ -65,60 +65,60 @@ def away(samples, reference, variance, spp):
 def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
     import mitsuba as mi
 
-    tracer = opened(room(), 1.0)
-    (found,) = chains(tracer, 1, PLAIN, indirect=False)()
+    tracer = open_scene(room(), 1.0)
+    (samples,) = chains(tracer, 1, PLAIN, indirect=False)()
 
     pixels = mi.UInt32(np.arange(H * W))
     numbers = PoolStage(tracer, "restir").numbers(pixels, mi.UInt32(np.zeros(H * W)))
     jitter, place = numbers.next_2d(), numbers.next_2d()
     rows, columns = np.indices((H, W)).reshape(2, -1)
     ray = tracer.rays(mi.Float(columns) + jitter.x, mi.Float(rows) + jitter.y)
-    hit = tracer.mitsuba.ray_intersect(ray)
-    towards, weight = tracer.mitsuba.sample_emitter_direction(hit, place, True, hit.is_valid())
-    value = hit.bsdf(ray).eval(mi.BSDFContext(), hit, hit.to_local(towards.d), hit.is_valid())
+    hit = tracer.mi_scene.ray_intersect(ray)
+    light, weight = tracer.mi_scene.sample_emitter_direction(hit, place, True, hit.is_valid())
+    value = hit.bsdf(ray).eval(mi.BSDFContext(), hit, hit.to_local(light.d), hit.is_valid())
     expected = np.stack([(value * weight)[c].numpy() for c in range(3)], -1).reshape(H, W, 3)
     assert expected.max() > 0.1
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)  # W is 1, but for rounding
+    np.testing.assert_allclose(samples, expected, rtol=1e-4, atol=1e-6)  # W is 1, but for rounding
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("config", [PLAIN, UNBIASED], ids=["plain", "unbiased"])
 @pytest.mark.parametrize("depth", [2, 6], ids=["direct", "direct and indirect"])
 def test_means_are_those_of_the_path_tracer(llvm, config, depth):
-    tracer = opened(camera_alone(depth))
+    tracer = open_scene(camera_alone(depth))
     pool = chains(tracer, 256, config)
-    for time in range(4):  # with a past of three frames
+    for time in range(4):  # with a history of three frames
         tracer.set_time(float(time))
         samples = pool()
     spp = 4096
-    assert away(samples, *tracer.moments(spp, "referenceA"), spp).max() < SIGMAS
+    assert standard_errors(samples, *tracer.trace_moments(spp, "referenceA"), spp).max() < SIGMAS
 
 
 @pytest.mark.slow
 def test_the_biased_form_loses_little_light_and_gains_none(llvm):
-    tracer = opened(camera_alone(2))
+    tracer = open_scene(camera_alone(2))
     pool = chains(tracer, 128)
     for time in range(6):
         tracer.set_time(float(time))
         samples = pool()
-    kept = samples.mean() / tracer.mean(1024, "referenceA").mean()
-    assert 0.85 < kept < 1.02  # shadows darken where neighbours do not see the lamp: 0.92 here
+    ratio = samples.mean() / tracer.trace_mean(1024, "referenceA").mean()
+    assert 0.85 < ratio < 1.02  # shadows darken where neighbours do not see the lamp: 0.92 here
 
 
 @pytest.mark.slow
 def test_under_many_lamps_its_variance_is_a_small_part_of_next_event_estimations(llvm):
-    tracer = opened(many_lamps())
+    tracer = open_scene(many_lamps())
     plain, reused = chains(tracer, 32, PLAIN), chains(tracer, 32)
     for time in range(4):
         tracer.set_time(float(time))
         first, second = plain(), reused()
     assert second.var(0).mean() < first.var(0).mean() / 5
-    truth = tracer.mean(4096, "referenceA").mean()
+    truth = tracer.trace_mean(4096, "referenceA").mean()
     assert 0.7 < second.mean() / truth < 1.05
 
 
-def test_at_a_cut_nothing_of_the_past_is_left(llvm):
-    tracer = opened(replace(room(), cuts=(2,)))
+def test_no_history_survives_a_cut(llvm):
+    tracer = open_scene(replace(room(), cuts=(2,)))
     pool = chains(tracer, 2)
     for time in (0.0, 1.0, 2.0):
         tracer.set_time(time)
@@ -126,11 +126,11 @@ def test_at_a_cut_nothing_of_the_past_is_left(llvm):
     np.testing.assert_array_equal(samples, chains(tracer, 2)())
 
 
-def test_what_has_just_come_into_view_has_no_past(llvm):
+def test_disoccluded_pixels_have_no_history(llvm):
     def to_the_right(time):
         return Camera((0.5 * time, -6.0, 2.5), (0.5 * time, 0, 0.5), fov=50.0)
 
-    tracer = opened(replace(room(), moving=lambda time: {}, camera=to_the_right))
+    tracer = open_scene(replace(room(), vertex_animation=lambda time: {}, camera=to_the_right))
     pool = chains(tracer, 1, replace(BIASED, passes=0))
     for time in (0.0, 1.0):
         tracer.set_time(time)
@@ -143,29 +143,29 @@ def test_what_has_just_come_into_view_has_no_past(llvm):
     assert (count[~new] == 2 * BIASED.candidates).mean() > 0.2  # the ground lies at a steep angle
 
 
-def test_the_past_counts_at_most_twenty_times_the_present(llvm):
-    tracer = opened(room(static=True))
+def test_the_history_counts_at_most_twenty_times_the_current_frame(llvm):
+    tracer = open_scene(room(static=True))
     pool = chains(tracer, 1, replace(BIASED, candidates=2, passes=0))
     for _ in range(25):
         pool()
     assert pool.past.kept.M.numpy().max() == 2 * (20 + 1)
 
 
-def test_a_chain_does_not_depend_on_those_beside_it(llvm):
-    tracer = opened(room())
+def test_a_stream_does_not_depend_on_the_other_streams(llvm):
+    tracer = open_scene(room())
     stage = PoolStage(tracer, "restir")
     pools = [Restir(stage, numbers) for numbers in (range(4), range(2), range(2, 4))]
     for time in (0.0, 1.0):
         tracer.set_time(time)
-        whole, first, second = (pool() for pool in pools)
-    same = (whole == np.concatenate([first, second])).all(-1)
-    assert same.mean() > 0.99  # rays that meet two triangles at once, see Wavefront
+        all_streams, first, second = (pool() for pool in pools)
+    same = (all_streams == np.concatenate([first, second])).all(-1)
+    assert same.mean() > 0.99  # rays that meet two triangles at once, see WavefrontTracer
 
 
 def test_no_kernel_is_compiled_after_the_second_frame(llvm):
     import drjit as dr
 
-    tracer = opened(room())
+    tracer = open_scene(room())
     pool = chains(tracer, 2)
 
     def frame(time):

@@ -1,4 +1,4 @@
-"""Finding a device that Mitsuba can trace with; none is needed here."""
+"""Finding a usable NVIDIA device; the tests need none."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from rlbench.render.mitsuba import cuda, llvm, probe
 
 @pytest.fixture
 def false_driver(tmp_path, monkeypatch):
-    if cuda.driver():
+    if cuda.find_driver():
         pytest.skip("an NVIDIA driver is installed, which a false one would not replace")
     file = tmp_path / "libcuda.so.1"
     file.write_bytes(b"not a library")
@@ -15,27 +15,27 @@ def false_driver(tmp_path, monkeypatch):
     return file
 
 
-def test_without_a_driver_there_is_nothing_to_refuse(tmp_path, monkeypatch):
+def test_without_a_driver_there_is_no_reason(tmp_path, monkeypatch):
     monkeypatch.setattr(cuda, "DRIVERS", (f"{tmp_path}/libcuda.so.1",))
-    assert cuda.refused() is None
+    assert cuda.unusable_reason() is None
     assert not list(tmp_path.rglob("cuda.json"))
 
 
-def test_a_driver_that_does_not_work_is_refused_and_told(false_driver):
-    assert cuda.refused()
-    assert f"refused cuda_ad_rgb with {false_driver}: {cuda.refused()}" in llvm.report()
+def test_an_unusable_driver_is_in_the_report_with_the_reason(false_driver):
+    assert cuda.unusable_reason()
+    assert f"cannot use cuda_ad_rgb with {false_driver}: {cuda.unusable_reason()}" in llvm.report()
     assert not llvm.report().startswith("path tracer: cuda")
 
 
 def test_a_driver_is_probed_once(false_driver, tmp_path):
-    reason = cuda.refused()
+    reason = cuda.unusable_reason()
     note = next(tmp_path.rglob("cuda.json"))
     note.write_text(note.read_text().replace(reason[:10], "as noted"))
-    assert cuda.refused().startswith("as noted")
+    assert cuda.unusable_reason().startswith("as noted")
 
 
 def test_a_driver_that_works_is_used(false_driver, tmp_path):
-    reason = cuda.refused()
+    reason = cuda.unusable_reason()
     note = next(tmp_path.rglob("cuda.json"))
     note.write_text(note.read_text().replace(f'"{reason}"', '""'))
     assert llvm.report().startswith(f"path tracer: cuda_ad_rgb, with {false_driver}")

@@ -1,4 +1,4 @@
-"""Small scenes whose pixels are known, or can be worked out."""
+"""Small scenes with known pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlbench.render.scene import Camera, Mesh, Scene
+from rlbench.render.scene import Camera, Mesh, Scene, Take
 
 STEP = np.array([0.1, -0.05, 0.02])  # metres that the cube of `room` moves per frame
 
@@ -94,7 +94,9 @@ def stretching(material):
     """The plane of `looking_down`, which grows by a tenth of its first size each frame."""
     scene = looking_down(material)
     (plane,) = scene.meshes
-    return replace(scene, moving=lambda time: {"plane": plane.vertices * np.float32(1 + time / 10)})
+    return replace(
+        scene, vertex_animation=lambda time: {"plane": plane.vertices * np.float32(1 + time / 10)}
+    )
 
 
 def around_the_corner(material):
@@ -153,3 +155,19 @@ def under_a_lamp(half, height, radiance, albedo):
     slant = math.sqrt(1 + side**2)
     factor = 4 / (2 * math.pi) * 2 * side / slant * math.atan(side / slant)
     return scene, albedo * radiance * factor
+
+
+OTHER_CAMERA = Camera((4.0, -4.0, 1.5), (0, 0, 0.5), fov=50.0)
+
+
+def room_with_takes():
+    """The room with two takes: one with a cut, after which the lamp goes out; one static."""
+    first = room().camera
+    shots = Take(
+        "cut",
+        lambda time: first(time) if time < 2 else OTHER_CAMERA,
+        lights=lambda time: {"lamp": 1.0 if time < 3 else 0.0},
+        cuts=(2, 9),
+    )
+    still = Take("still", lambda time: OTHER_CAMERA, moving=lambda time: {}, static=True)
+    return replace(room(), takes=(shots, still))

@@ -1,4 +1,4 @@
-"""One small scene, as data: for Mitsuba as our Scene, for Blender as a glTF file and matrices.
+"""One small scene for both renderers: a Scene for Mitsuba, a glTF file and matrices for Blender.
 
 A chequered floor and wall, three more sides, a box that slides, a pillar and a flat lamp; all
 diffuse. The camera passes by. World is z up; glTF is y up, and Blender turns it back.
@@ -25,7 +25,7 @@ def quad(origin, u, v):
 
 
 def tiled(origin, u, v, colours, side):
-    """Squares of a chequered rectangle, by colour: the edges of texture that a linter looks for."""
+    """Squares of a chequered rectangle, by colour: the linter needs texture edges."""
     u, v = np.array(u, float) / side, np.array(v, float) / side
     parts = [([], []) for _ in colours]
     for i in range(side):
@@ -44,19 +44,19 @@ def box(low, high):
 
 
 def parts():
-    """Name: vertices, faces, albedo, radiance, does it move?"""
+    """For each name: vertices, faces, albedo, radiance, and whether it moves."""
     floor = tiled((-3, -6, 0), (6, 0, 0), (0, 9, 0), [(0.7, 0.6, 0.3), (0.2, 0.35, 0.6)], 8)
     wall = tiled((-3, 3, 0), (6, 0, 0), (0, 0, 3), [(0.7, 0.25, 0.2), (0.75, 0.7, 0.6)], 6)
-    found = {f"floor{i}": (*part, (0, 0, 0), False) for i, part in enumerate(floor)}
-    found |= {f"wall{i}": (*part, (0, 0, 0), False) for i, part in enumerate(wall)}
+    shapes = {f"floor{i}": (*part, (0, 0, 0), False) for i, part in enumerate(floor)}
+    shapes |= {f"wall{i}": (*part, (0, 0, 0), False) for i, part in enumerate(wall)}
     for name, x, colour in (("left", -3, (0.3, 0.6, 0.3)), ("right", 3, (0.6, 0.6, 0.2))):
-        found[name] = (*quad((x, -6, 0), (0, 9, 0), (0, 0, 3)), colour, (0, 0, 0), False)
-    found["ceiling"] = (*quad((-3, -6, 3), (6, 0, 0), (0, 9, 0)), (0.6,) * 3, (0, 0, 0), False)
-    found["box"] = (*box((-0.6, -0.4, 0.0), (0.4, 0.6, 1.0)), (0.6, 0.3, 0.5), (0, 0, 0), True)
-    found["pillar"] = (*box((1.2, 0.8, 0), (1.7, 1.3, 2.2)), (0.5, 0.5, 0.5), (0, 0, 0), False)
+        shapes[name] = (*quad((x, -6, 0), (0, 9, 0), (0, 0, 3)), colour, (0, 0, 0), False)
+    shapes["ceiling"] = (*quad((-3, -6, 3), (6, 0, 0), (0, 9, 0)), (0.6,) * 3, (0, 0, 0), False)
+    shapes["box"] = (*box((-0.6, -0.4, 0.0), (0.4, 0.6, 1.0)), (0.6, 0.3, 0.5), (0, 0, 0), True)
+    shapes["pillar"] = (*box((1.2, 0.8, 0), (1.7, 1.3, 2.2)), (0.5, 0.5, 0.5), (0, 0, 0), False)
     lamp = box((-0.8, -0.8, 2.3), (0.8, 0.8, 2.4))  # closed, as Cycles' meshes shine to both sides
-    found["lamp"] = (*lamp, (0, 0, 0), LIGHT, False)
-    return found
+    shapes["lamp"] = (*lamp, (0, 0, 0), LIGHT, False)
+    return shapes
 
 
 def camera(time):
@@ -150,7 +150,7 @@ def for_blender(folder):
     }
     file, flight_path = folder / "both.gltf", folder / "path.json"
     file.write_text(json.dumps(gltf))
-    matrices = [camera_path.matrix(camera(time)).tolist() for time in range(FRAMES)]
+    matrices = [camera_path.matrix_from_camera(camera(time)).tolist() for time in range(FRAMES)]
     flight_path.write_text(json.dumps({"camera_to_world": matrices, "fov": FOV}))
     return file, flight_path
 
@@ -159,7 +159,7 @@ def material(name, albedo, radiance):
     """Diffuse alone: Blender's Principled without its specular layer."""
     strength = max(radiance)
     extensions = {"KHR_materials_specular": {"specularFactor": 0.0}}
-    found = {
+    shapes = {
         "name": name,
         "doubleSided": True,
         "pbrMetallicRoughness": {
@@ -170,6 +170,6 @@ def material(name, albedo, radiance):
         "extensions": extensions,
     }
     if strength:
-        found["emissiveFactor"] = [value / strength for value in radiance]
+        shapes["emissiveFactor"] = [value / strength for value in radiance]
         extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
-    return found
+    return shapes

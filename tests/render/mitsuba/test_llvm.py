@@ -1,4 +1,4 @@
-"""Finding libLLVM."""
+"""Finding libLLVM and selecting a variant."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 from rlbench.render.mitsuba import llvm
 
-NINETEEN = llvm.Library(Path("/usr/lib/libLLVM.so.19.1"), 19)
+NINETEEN = llvm.LlvmLibrary(Path("/usr/lib/libLLVM.so.19.1"), 19)
 
 
 @pytest.fixture
@@ -21,33 +21,33 @@ def false_library(tmp_path, monkeypatch):
     return file
 
 
-def test_a_file_that_is_no_library_is_refused_with_a_reason(false_library):
-    assert "LLVM" in llvm.probed(false_library)
+def test_a_file_that_is_not_a_library_is_unusable_with_a_reason(false_library):
+    assert "LLVM" in llvm.probe_library(false_library)
 
 
-def test_a_library_that_the_machine_offers_is_usable(llvm):
+def test_the_library_of_this_machine_is_usable(llvm):
     assert llvm == "llvm_ad_rgb"
 
 
 def test_a_library_is_probed_once(false_library, tmp_path):
-    reason = llvm.libraries()[0].refused
+    reason = llvm.find_libraries()[0].unusable_reason
     note = tmp_path / "cache" / "llvm.json"
     note.write_text(note.read_text().replace(reason[:20], "as noted"))
-    assert llvm.libraries()[0].refused.startswith("as noted")
+    assert llvm.find_libraries()[0].unusable_reason.startswith("as noted")
 
 
 def test_a_library_that_was_replaced_is_probed_again(false_library, tmp_path):
-    reason = llvm.libraries()[0].refused
+    reason = llvm.find_libraries()[0].unusable_reason
     note = tmp_path / "cache" / "llvm.json"
     note.write_text(note.read_text().replace(reason[:20], "as noted"))
     os.utime(false_library, ns=(1, 1))
-    assert llvm.libraries()[0].refused == reason
+    assert llvm.find_libraries()[0].unusable_reason == reason
 
 
-def test_what_is_too_old_is_refused_without_being_loaded(tmp_path, monkeypatch):
+def test_a_library_that_is_too_old_is_not_loaded(tmp_path, monkeypatch):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-15.so.1"))
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path))
-    assert "too old" in llvm.libraries()[0].refused
+    assert "too old" in llvm.find_libraries()[0].unusable_reason
     assert not (tmp_path / "llvm.json").exists()
 
 
@@ -57,20 +57,20 @@ def test_candidates_come_newest_first(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     monkeypatch.setattr(llvm, "PATTERNS", (f"{tmp_path}/libLLVM*",))
-    assert [version for version, _ in llvm.candidates()] == [22, 19, 16, 14]
+    assert [version for version, _ in llvm.find_candidates()] == [22, 19, 16, 14]
 
 
-def test_without_llvm_it_is_scalar_and_says_how_to_get_the_fast_one(false_library):
-    code = "from rlbench.render.mitsuba import llvm; print(llvm.activate())"
+def test_without_llvm_the_variant_is_scalar_with_a_hint_to_install_llvm(false_library):
+    code = "from rlbench.render.mitsuba import llvm; print(llvm.select_variant())"
     run = [sys.executable, "-c", code]
     done = subprocess.run(run, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["scalar_rgb"]
     assert "apt-get install libllvm" in done.stderr
 
 
-def test_the_report_says_what_was_refused_and_what_would_do(false_library):
+def test_the_report_says_what_cannot_be_used_and_what_to_install(false_library):
     text = llvm.report()
-    assert f"refused {false_library}" in text
+    assert f"cannot use {false_library}" in text
     assert "apt-get install libllvm" in text
 
 
@@ -79,23 +79,23 @@ def test_a_probe_sees_no_kernel_that_another_llvm_compiled(tmp_path, monkeypatch
     monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))
     code = "import os; assert not os.listdir(os.environ['DRJIT_CACHE_DIR']); print('usable')"
     monkeypatch.setattr(llvm, "PROBE", code)
-    assert llvm.probed(tmp_path / "libLLVM.so.19.1") == ""
+    assert llvm.probe_library(tmp_path / "libLLVM.so.19.1") == ""
 
 
 def test_each_version_of_llvm_has_kernels_of_its_own():
-    others = [llvm.Library(NINETEEN.path, 20), None]
-    assert len({llvm.kernels(library) for library in (NINETEEN, *others)}) == 3
+    others = [llvm.LlvmLibrary(NINETEEN.path, 20), None]
+    assert len({llvm.kernel_cache(library) for library in (NINETEEN, *others)}) == 3
 
 
 def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
     monkeypatch.delenv("DRJIT_CACHE_DIR", raising=False)
     code = (
-        "from rlbench.render.mitsuba.llvm import activate, kernels, libraries\n"
+        "from rlbench.render.mitsuba.llvm import find_libraries, kernel_cache, select_variant\n"
         "import os\n"
-        "activate('llvm_ad_rgb')\n"
+        "select_variant('llvm_ad_rgb')\n"
         "import drjit as dr, mitsuba as mi\n"
         "dr.eval(dr.opaque(mi.Float, 2.0, 100) ** 3.7)\n"
-        "print(kernels(next(l for l in libraries() if not l.refused)))\n"
+        "print(kernel_cache(next(l for l in find_libraries() if not l.unusable_reason)))\n"
     )
     run = [sys.executable, "-c", code]
     done = subprocess.run(run, capture_output=True, text=True, check=True, timeout=120)
@@ -103,7 +103,7 @@ def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("library", "cuda_refused", "variant"),
+    ("library", "cuda_reason", "variant"),
     [
         (NINETEEN, "", "cuda_ad_rgb"),
         (None, "", "cuda_ad_rgb"),
@@ -113,12 +113,12 @@ def test_dr_jit_keeps_its_kernels_there(llvm, tmp_path, monkeypatch):
         (None, None, "scalar_rgb"),
     ],
 )
-def test_the_fastest_variant_that_works_is_chosen(library, cuda_refused, variant):
-    assert llvm.fastest(library, cuda_refused) == variant
+def test_the_fastest_variant_that_works_is_chosen(library, cuda_reason, variant):
+    assert llvm.fastest_variant(library, cuda_reason) == variant
 
 
-def test_a_variant_that_mitsuba_lacks_is_an_error_that_lists_those_there_are(llvm):
+def test_an_unknown_variant_is_an_error_that_lists_the_available_ones(llvm):
     from rlbench.render.mitsuba.llvm import select_variant
 
-    with pytest.raises(ValueError, match="no variant 'metal_rgb'; it has: .*scalar_rgb"):
+    with pytest.raises(ValueError, match="no variant 'metal_rgb'; available: .*scalar_rgb"):
         select_variant("metal_rgb")

@@ -1,4 +1,4 @@
-"""Pools of chains, added to clips that are there."""
+"""Pools with temporal reuse, added to finished clips."""
 
 from dataclasses import replace
 
@@ -10,17 +10,17 @@ from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.family import Traits
 from rlbench.render.jobs import extra_pools
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.render_clips import render, render_missing
+from rlbench.render.jobs.render_clips import render_clip, render_missing
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.presets import Preset
-from tests.render.worlds import room
+from tests.render.small_scenes import room
 
-PLAN = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
-BOTH = replace(PLAN, pools=("path", "restir"))
+PRESET = Preset("test", "tests", (16, 24), frames=4, reference_spp=2, pool_spp=2)
+BOTH = replace(PRESET, pools=("path", "restir"))
 
 
-def job(folder, plan=BOTH, scene=None):
-    return Job("room", scene or room(), plan, folder)
+def job(folder, preset=BOTH, scene=None):
+    return Job("room", scene or room(), preset, folder)
 
 
 def contents(folder, pattern="*.exr"):
@@ -30,19 +30,19 @@ def contents(folder, pattern="*.exr"):
 @pytest.fixture
 def plain(llvm, tmp_path):
     """A clip with the path tracer's pool alone."""
-    render(job(tmp_path / "plain", PLAN))
+    render_clip(job(tmp_path / "plain", PRESET))
     return tmp_path / "plain"
 
 
 @pytest.fixture
 def clip(plain):
-    """The same with a pool of chains, added later."""
+    """The same with the ReSTIR pool, added later."""
     render_missing([job(plain)])
     return plain
 
 
 class Killed(BaseException):
-    """What ends a rendering in the middle."""
+    """Interrupts a rendering."""
 
 
 def killer(after):
@@ -65,8 +65,8 @@ def test_a_pool_is_added_to_a_clip_and_nothing_else_is_touched(plain):
     assert verify(plain) == []
 
 
-def test_a_clip_of_both_is_that_to_which_one_was_added(clip, tmp_path):
-    render(job(tmp_path / "both"))
+def test_a_clip_rendered_with_both_pools_equals_one_to_which_a_pool_was_added(clip, tmp_path):
+    render_clip(job(tmp_path / "both"))
     assert contents(tmp_path / "both") == contents(clip)
 
 
@@ -75,7 +75,7 @@ def test_samples_of_each_pool_have_a_digest_of_their_own(clip):
 
 
 def test_a_finished_pool_is_not_traced_again(clip):
-    assert extra_pools.lacking([job(clip)]) == []
+    assert extra_pools.find_missing_pools([job(clip)]) == []
 
 
 @pytest.mark.slow
@@ -83,46 +83,46 @@ def test_a_finished_pool_is_not_traced_again(clip):
 @pytest.mark.parametrize("after", [1, 3])
 def test_a_pool_that_was_interrupted_resumes_to_the_same_files(llvm, tmp_path, cuts, after):
     scene = replace(room(), cuts=cuts)
-    whole, again = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
-    render_missing([whole])
-    render_missing([replace(again, preset=PLAN)])
-    (lack,) = extra_pools.lacking([again])
+    complete, resumed = (job(tmp_path / name, scene=scene) for name in ("whole", "again"))
+    render_missing([complete])
+    render_missing([replace(resumed, preset=PRESET)])
+    (missing,) = extra_pools.find_missing_pools([resumed])
     with pytest.raises(Killed):
-        extra_pools.add(lack, killer(after))
-    assert read_header(again.folder).pools == ("path",)
-    assert len(contents(again.folder, "pool.restir.*.exr")) == after + 1
-    render_missing([again])
-    assert contents(again.folder) == contents(whole.folder)
+        extra_pools.add_pool(missing, killer(after))
+    assert read_header(resumed.folder).pools == ("path",)
+    assert len(contents(resumed.folder, "pool.restir.*.exr")) == after + 1
+    render_missing([resumed])
+    assert contents(resumed.folder) == contents(complete.folder)
 
 
 def test_a_lost_file_is_traced_again_and_the_others_are_left_alone(clip):
     before = contents(clip)
-    kept = (clip / "pool.restir.0000.exr").stat().st_mtime_ns
+    written_ns = (clip / "pool.restir.0000.exr").stat().st_mtime_ns
     (clip / "pool.restir.0002.exr").unlink()
     render_missing([job(clip)])
     assert contents(clip) == before
-    assert (clip / "pool.restir.0000.exr").stat().st_mtime_ns == kept
+    assert (clip / "pool.restir.0000.exr").stat().st_mtime_ns == written_ns
 
 
 def test_a_pool_of_another_recipe_is_replaced(clip):
-    (lack,) = [
+    (missing,) = [
         extra_pools.MissingPool(job(clip), replace(kind, recipe=kind.recipe + 1))
         for kind in [extra_pools.registry.load("pools", "restir")]
     ]
-    assert lack.missing == [0, 1, 2, 3]
-    lack.claim()
+    assert missing.missing_frames == [0, 1, 2, 3]
+    missing.claim_files()
     assert read_header(clip).pools == ("path",)
     assert contents(clip, "pool.restir.*.exr") == {}
 
 
-def test_the_header_says_what_a_sample_of_each_pool_costs(clip):
+def test_the_header_records_the_time_per_sample_of_each_pool(clip):
     header = read_header(clip)
     assert header.sample_ms_of("path") == header.sample_ms
     assert header.sample_ms_of("restir") > 0
     assert np.isnan(header.sample_ms_of("unheard"))
 
 
-def test_without_wavefronts_there_is_no_pool_and_a_method_that_needs_it_says_so(plain):
+def test_the_scalar_variant_adds_no_pool_and_the_incompatibility_names_it(plain):
     select_variant("scalar_rgb")
     render_missing([job(plain)])
     header = read_header(plain)

@@ -1,4 +1,4 @@
-"""Lights that change without loading again, against scenes that were loaded with them changed."""
+"""Scaled lights, against scenes that were loaded with lights of that strength."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from rlbench.render.mitsuba.load import LightError
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from tests.render.worlds import grey, room
+from tests.render.small_scenes import grey, room
 
 H, W, SPP = 12, 16, 16
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -33,7 +33,7 @@ def sun(factor):
 
 
 SUNSKY = {"type": "sunsky", "turbidity": 3.5, "sun_direction": [-0.6, -0.4, 0.7]}
-MADE = {  # the light that changes, and the room with it at a factor
+LIGHT_CASES = {  # the scaled light, and a function from its factor to the room
     "lamp": ("lamp", lambda f: with_lamp({"type": "area", "radiance": grey(12 * f)})),
     "bitmap": ("lamp", lambda f: with_lamp(bitmap(f))),
     "constant": ("sky0", lambda f: with_sky(type="constant", radiance=grey(0.3 * f))),
@@ -43,78 +43,81 @@ MADE = {  # the light that changes, and the room with it at a factor
 
 
 def switched(scene, light, at=5):
-    """The scene, whose light gives a quarter from frame `at` on, and nothing two frames later."""
+    """The scene with a light scaled to a quarter in frames `at` and `at` + 1, then to 0."""
     shares = {at: 0.25, at + 1: 0.25}
     return replace(scene, lights=lambda time: {light: shares.get(time, 0.0)} if time >= at else {})
 
 
 @pytest.mark.parametrize("share", [0.25, 0.0])
-@pytest.mark.parametrize("kind", MADE)
-def test_a_light_that_changed_shines_as_if_it_was_made_so(llvm, kind, share):
-    light, made = MADE[kind]
-    changing, fresh = open_tracer(switched(made(1.0), light), H, W), open_tracer(made(share), H, W)
-    full = changing.stack(SPP)
+@pytest.mark.parametrize("kind", LIGHT_CASES)
+def test_a_scaled_light_equals_one_loaded_with_that_strength(llvm, kind, share):
+    light, build = LIGHT_CASES[kind]
+    changing, fresh = (
+        open_tracer(switched(build(1.0), light), H, W),
+        open_tracer(build(share), H, W),
+    )
+    full = changing.trace_images(SPP)
     changing.set_time(5.0 if share else 7.0)
     fresh.set_time(changing.time)
-    dimmed, wanted = changing.stack(SPP), fresh.stack(SPP)
+    dimmed, expected = changing.trace_images(SPP), fresh.trace_images(SPP)
     assert dimmed.mean() < 0.98 * full.mean()
-    # the same paths; a light's table may be rounded otherwise, so that a few choose another texel
-    assert dimmed.mean() == pytest.approx(wanted.mean(), rel=2e-3)
-    assert np.isclose(dimmed, wanted, rtol=1e-4, atol=1e-6).mean() > 0.99
+    # the same paths; a table of the emitter may be rounded differently, so a few texels differ
+    assert dimmed.mean() == pytest.approx(expected.mean(), rel=2e-3)
+    assert np.isclose(dimmed, expected, rtol=1e-4, atol=1e-6).mean() > 0.99
 
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap"])
-def test_without_llvm_lights_change_too(kind):
+def test_without_llvm_lights_are_scaled_too(kind):
     from rlbench.render.mitsuba.llvm import select_variant
 
     select_variant("scalar_rgb")
-    light, made = MADE[kind]
-    tracer, fresh = open_tracer(switched(made(1.0), light), 4, 6), open_tracer(made(0.25), 4, 6)
+    light, build = LIGHT_CASES[kind]
+    tracer, fresh = open_tracer(switched(build(1.0), light), 4, 6), open_tracer(build(0.25), 4, 6)
     for each in (tracer, fresh):
         each.set_time(5.0)
     # the same paths, and float32 all along
-    assert tracer.stack(4).mean() == pytest.approx(fresh.stack(4).mean(), rel=1e-4)
+    assert tracer.trace_images(4).mean() == pytest.approx(fresh.trace_images(4).mean(), rel=1e-4)
     tracer.set_time(7.0)
-    assert np.isfinite(tracer.stack(4)).all()
+    assert np.isfinite(tracer.trace_images(4)).all()
 
 
-def test_a_light_comes_back_as_it_was(llvm):
+def test_a_light_returns_to_its_full_strength(llvm):
     tracer = open_tracer(switched(room(), "lamp"), H, W)
     tracer.set_time(1.0)
-    before = tracer.stack(2)
+    before = tracer.trace_images(2)
     for time in (7.0, 5.0, 1.0):
         tracer.set_time(time)
-    np.testing.assert_array_equal(tracer.stack(2), before)
+    np.testing.assert_array_equal(tracer.trace_images(2), before)
 
 
 @pytest.mark.parametrize("kind", ["lamp", "bitmap", "constant", "sun"])
-def test_no_kernel_is_compiled_when_a_light_changes_again(llvm, kind):
+def test_scaling_a_light_again_compiles_no_kernel(llvm, kind):
     import drjit as dr
 
-    light, made = MADE[kind]
-    scene = replace(made(1.0), lights=lambda time: {light: 1 / (1 + time)})
+    light, build = LIGHT_CASES[kind]
+    scene = replace(build(1.0), lights=lambda time: {light: 1 / (1 + time)})
     tracer = open_tracer(scene, H, W)
     for time in (1.0, 2.0):
         tracer.set_time(time)
-        tracer.stack(1)
+        tracer.trace_images(1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         for time in (3.0, 4.5, 7.0):
             tracer.set_time(time)
-            tracer.stack(1)
+            tracer.trace_images(1)
         kernels = dr.kernel_history([dr.KernelType.JIT])
     assert kernels
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
 @pytest.mark.parametrize(
-    ("lights", "told"),
+    ("lights", "message"),
     [
-        ({"moon": 0.5}, "no light 'moon' whose strength can change; there are: lamp, sky0"),
-        ({"lamp": -1.0}, "light 'lamp' is to give -1.0 times its light"),
-        ({"lamp": float("nan")}, "light 'lamp' is to give nan times its light"),
+        ({"moon": 0.5}, "no light 'moon' whose strength can change; available: lamp, sky0"),
+        ({"lamp": -1.0}, "light 'lamp' is scaled by -1.0; factors must be finite and at least 0"),
+        ({"lamp": float("nan")}, "light 'lamp' is scaled by nan"),
     ],
 )
-def test_a_light_that_cannot_change_so_is_told(llvm, lights, told):
-    with pytest.raises(LightError, match=told):
+def test_an_invalid_light_factor_is_an_error(llvm, lights, message):
+    with pytest.raises(LightError, match=message):
         open_tracer(replace(room(), lights=lambda time: lights), H, W)

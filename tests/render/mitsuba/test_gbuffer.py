@@ -1,4 +1,4 @@
-"""Albedo, normal, depth and motion."""
+"""The G-buffer: albedo, normal, depth, motion and optional buffers."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,8 @@ import pytest
 from rlbench.clips.header import VIEWS
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.pose import Pose
 from rlbench.render.scene import Camera, Scene
-from tests.render.worlds import (
+from tests.render.small_scenes import (
     STEP,
     around_the_corner,
     diffuse,
@@ -28,7 +27,7 @@ def plane_albedo(material):
 
 
 @pytest.mark.parametrize(
-    ("material", "known", "error"),
+    ("material", "expected", "error"),
     [
         (diffuse(0.6, 0.5, 0.4), (0.6, 0.5, 0.4), 1e-6),
         (MIRROR, (0.6, 0.6, 0.6), 1e-6),
@@ -36,9 +35,9 @@ def plane_albedo(material):
     ],
     ids=["diffuse", "mirror", "rough mirror"],
 )
-def test_albedo_of_known_materials(variant, material, known, error):
+def test_albedo_of_known_materials(variant, material, expected, error):
     np.testing.assert_allclose(
-        plane_albedo(material), np.broadcast_to(known, (4, 4, 3)), atol=error
+        plane_albedo(material), np.broadcast_to(expected, (4, 4, 3)), atol=error
     )
 
 
@@ -73,10 +72,10 @@ def test_albedo_is_the_hemispherical_reflectance(llvm, material):
 
 def test_albedo_looks_through_glass(variant):
     tracer = open_tracer(room(), H, W)
-    found = render_gbuffer(tracer, {"albedo"})["albedo"]
+    gbuffer = render_gbuffer(tracer, {"albedo"})["albedo"]
     rows, columns = np.nonzero(_mesh(tracer) == 3)
     assert len(rows) > 20
-    behind = (abs(found[rows, columns] - [0.6, 0.5, 0.4]) < 0.02).all(-1)
+    behind = (abs(gbuffer[rows, columns] - [0.6, 0.5, 0.4]) < 0.02).all(-1)
     assert behind.mean() > 0.5  # the rest shows the sky, or the pane's edges
 
 
@@ -92,18 +91,18 @@ def test_albedo_looks_through_glass(variant):
     ],
     ids=lambda material: material["type"],
 )
-def test_albedo_is_a_share_and_no_surface_is_black(llvm, material):
-    found = render_gbuffer(
+def test_albedo_is_between_zero_and_one_and_no_surface_is_black(llvm, material):
+    gbuffer = render_gbuffer(
         open_tracer(around_the_corner(material), 8, 8), {"albedo", "albedo_first"}
     )
-    for albedo in found.values():
-        assert albedo.min() > 0.05  # the wall behind what is clear has 0.2 of red
+    for albedo in gbuffer.values():
+        assert albedo.min() > 0.05  # the wall behind clear materials has a red albedo of 0.2
         assert albedo.max() <= 1
 
 
-def test_a_mirror_shows_how_far_behind_it_things_are(variant):
-    found = render_gbuffer(open_tracer(around_the_corner(MIRROR), 5, 5), VIEWS)
-    middle = {name: buffer[2, 2] for name, buffer in found.items()}
+def test_buffers_behind_a_mirror_belong_to_the_reflected_surface(variant):
+    gbuffer = render_gbuffer(open_tracer(around_the_corner(MIRROR), 5, 5), VIEWS)
+    middle = {name: buffer[2, 2] for name, buffer in gbuffer.items()}
     assert middle["depth"] == pytest.approx(4.0, rel=1e-5)
     # Mitsuba starts a reflected ray a little off the mirror
     assert middle["depth_psr"] == pytest.approx(4.0 + 3.0, rel=1e-4)
@@ -114,22 +113,22 @@ def test_a_mirror_shows_how_far_behind_it_things_are(variant):
     assert (middle["object"], middle["object_psr"]) == (1, 2)
 
 
-def test_behind_what_is_not_clear_there_is_itself(variant):
-    found = render_gbuffer(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
+def test_buffers_behind_a_rough_surface_belong_to_that_surface(variant):
+    gbuffer = render_gbuffer(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
     for name in ("normal", "object"):
-        np.testing.assert_array_equal(found[f"{name}_psr"], found[name])
-    np.testing.assert_allclose(found["depth_psr"], found["depth"], rtol=1e-5)
-    np.testing.assert_array_equal(found["albedo_first"], found["albedo"])
+        np.testing.assert_array_equal(gbuffer[f"{name}_psr"], gbuffer[name])
+    np.testing.assert_allclose(gbuffer["depth_psr"], gbuffer["depth"], rtol=1e-5)
+    np.testing.assert_array_equal(gbuffer["albedo_first"], gbuffer["albedo"])
 
 
 def test_objects_are_numbered_as_the_meshes_are(variant):
     tracer = open_tracer(room(), H, W)
-    found = render_gbuffer(tracer, {"object"})["object"][..., 0]
-    np.testing.assert_array_equal(found, _mesh(tracer) + 1)
-    assert {0, 1, 2, 3, 4} <= set(found.ravel())
+    gbuffer = render_gbuffer(tracer, {"object"})["object"][..., 0]
+    np.testing.assert_array_equal(gbuffer, _mesh(tracer) + 1)
+    assert {0, 1, 2, 3, 4} <= set(gbuffer.ravel())
 
 
-def test_glass_itself_passes_all_light_on(variant):
+def test_the_first_albedo_of_glass_is_one(variant):
     tracer = open_tracer(room(), H, W)
     pane = render_gbuffer(tracer, {"albedo_first"})["albedo_first"][_mesh(tracer) == 3]
     np.testing.assert_allclose(pane, 1.0, atol=1e-5)  # not scaled by the squared refractive index
@@ -137,11 +136,11 @@ def test_glass_itself_passes_all_light_on(variant):
 
 def test_background_behind_is_background(variant):
     tracer = open_tracer(room(), H, W)
-    found = render_gbuffer(tracer, VIEWS)
-    sky = np.isinf(found["depth_psr"][..., 0])
-    assert (sky & np.isfinite(found["depth"][..., 0])).sum() > 0  # seen through the pane
-    assert not found["normal_psr"][sky].any()
-    assert not found["object_psr"][sky].any()
+    gbuffer = render_gbuffer(tracer, VIEWS)
+    sky = np.isinf(gbuffer["depth_psr"][..., 0])
+    assert (sky & np.isfinite(gbuffer["depth"][..., 0])).sum() > 0  # seen through the pane
+    assert not gbuffer["normal_psr"][sky].any()
+    assert not gbuffer["object_psr"][sky].any()
 
 
 def test_depth_runs_along_the_view_axis(variant):
@@ -152,32 +151,32 @@ def test_depth_runs_along_the_view_axis(variant):
 
 
 def test_background_has_no_normal_no_albedo_and_infinite_depth(variant):
-    found = render_gbuffer(open_tracer(room(), H, W), VIEWS)
-    sky = np.isinf(found["depth"][..., 0])
+    gbuffer = render_gbuffer(open_tracer(room(), H, W), VIEWS)
+    sky = np.isinf(gbuffer["depth"][..., 0])
     assert 0 < sky.sum() < sky.size
-    assert not found["normal"][sky].any()
-    assert not found["albedo_first"][sky].any()
-    assert not found["albedo"][sky].any()
+    assert not gbuffer["normal"][sky].any()
+    assert not gbuffer["albedo_first"][sky].any()
+    assert not gbuffer["albedo"][sky].any()
 
 
 def test_normals_are_unit_vectors_towards_the_camera(variant):
     tracer = open_tracer(room(), H, W)
-    found = render_gbuffer(tracer)
-    seen = np.isfinite(found["depth"][..., 0])
-    normal = found["normal"][seen]
+    gbuffer = render_gbuffer(tracer)
+    visible = np.isfinite(gbuffer["depth"][..., 0])
+    normal = gbuffer["normal"][visible]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-5)
-    towards = tracer.pose.directions(_centres(), H, W)[seen.ravel()]
-    assert ((normal * towards).sum(1) < 0).all()
+    directions = tracer.pose.ray_directions(_centres(), H, W)[visible.ravel()]
+    assert ((normal * directions).sum(1) < 0).all()
 
 
-def test_only_what_is_needed_is_returned(variant):
+def test_only_requested_buffers_are_returned(variant):
     assert set(render_gbuffer(open_tracer(room(), 4, 4), {"depth", "normal"})) == {
         "depth",
         "normal",
     }
 
 
-def test_nothing_moves_where_nothing_moves(variant):
+def test_a_static_scene_has_no_motion(variant):
     assert not render_gbuffer(open_tracer(room(static=True), H, W))["motion"].any()
 
 
@@ -192,7 +191,7 @@ def test_the_sky_moves_with_the_turning_camera(llvm):
     scene = Scene("sky", "", (ground,), camera, sky, vertex_animation=lambda time: {"plane": below})
     tracer = open_tracer(scene, 3, 65)
     motion = render_gbuffer(tracer)["motion"][0, 32]
-    # what is ahead now was to the left of ahead, as the camera then looked further right
+    # the point ahead was further left in the previous frame, when the camera looked to the right
     pixels = np.tan(0.01) / (np.tan(np.radians(30)) / 32.5)
     np.testing.assert_allclose(motion[0], -pixels, rtol=1e-4)
 
@@ -203,14 +202,14 @@ def test_motion_leads_to_the_same_point_in_the_previous_frame(variant):
     motion = render_gbuffer(tracer)["motion"].reshape(-1, 2)
     mesh = _mesh(tracer).ravel()
     hit = mesh >= 0
-    now = _places(tracer, _centres())
-    expected = now - np.where(mesh[:, None] == 1, STEP, 0.0)  # the cube, and no other mesh, moved
+    now = _positions(tracer, _centres())
+    expected = now - np.where(mesh[:, None] == 1, STEP, 0.0)  # only the cube moved
     tracer.set_time(2.0)
-    found = _places(tracer, _centres() + motion)
+    gbuffer = _positions(tracer, _centres() + motion)
     eye = np.asarray(tracer.pose.camera.origin)
-    apart = np.linalg.norm(found - expected, axis=1)
-    nearer = np.linalg.norm(found - eye, axis=1) < np.linalg.norm(expected - eye, axis=1) - 1e-3
-    unexplained = hit & ~(apart < 1e-3) & ~nearer  # 1 mm in a room of 10 m
+    distances = np.linalg.norm(gbuffer - expected, axis=1)
+    nearer = np.linalg.norm(gbuffer - eye, axis=1) < np.linalg.norm(expected - eye, axis=1) - 1e-3
+    unexplained = hit & ~(distances < 1e-3) & ~nearer  # 1 mm in a room of 10 m
     assert hit.mean() > 0.5
     assert (nearer & hit).mean() < 0.2
     assert unexplained.mean() < 1e-4
@@ -226,36 +225,29 @@ def test_motion_of_a_mesh_that_deforms_is_exact(variant):
     np.testing.assert_allclose(render_gbuffer(tracer)["motion"], expected, atol=1e-4)
 
 
-def test_projection_undoes_directions():
-    pose = Pose.of(room(), 2.0)
-    film = np.random.default_rng(0).uniform(0, [W, H], (100, 2))
-    rays = np.column_stack([pose.directions(film, H, W), np.zeros(100)])
-    np.testing.assert_allclose(pose.project(rays, H, W)[0], film, atol=1e-9)
-
-
 def _centres():
     rows, columns = np.indices((H, W)).reshape(2, -1)
     return np.stack([columns, rows], 1) + 0.5
 
 
 def _mesh(tracer):
-    """Which mesh each pixel shows, -1 for none."""
+    """The mesh index at each pixel, -1 for background."""
 
-    def look(ray):
-        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
-        return tracer.mesh(hit), hit.t
+    def query(ray):
+        hit = tracer.mi_scene.ray_intersect_preliminary(ray)
+        return tracer.mesh_index(hit), hit.t
 
-    mesh, distance = tracer.each(look, _centres())
+    mesh, distance = tracer.evaluate_rays(query, _centres())
     return np.where(np.isfinite(distance), mesh.astype(int), -1).reshape(H, W)
 
 
-def _places(tracer, film):
-    """World positions that are seen at film positions."""
+def _positions(tracer, film):
+    """World positions of the surfaces at film positions."""
 
-    def look(ray):
-        return (tracer.mitsuba.ray_intersect_preliminary(ray).t,)
+    def query(ray):
+        return (tracer.mi_scene.ray_intersect_preliminary(ray).t,)
 
-    (distance,) = tracer.each(look, film)
+    (distance,) = tracer.evaluate_rays(query, film)
     eye = np.asarray(tracer.pose.camera.origin)
     distance = np.where(np.isfinite(distance), distance, 1e6).astype(np.float64)
-    return eye + distance[:, None] * tracer.pose.directions(film, H, W)
+    return eye + distance[:, None] * tracer.pose.ray_directions(film, H, W)

@@ -1,4 +1,4 @@
-"""The live pool: what is bought is what is traced, and equals what is stored."""
+"""The live pool: only drawn samples are traced, and they equal the stored ones."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,22 +14,22 @@ from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live
-from rlbench.render.jobs.render_clips import render, scene_of_clip
+from rlbench.render.jobs.render_clips import render_clip, scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
 from rlbench.run import run_clip
-from rlbench.sampling import draw_samples, nothing
+from rlbench.sampling import draw_samples
 from tests.conftest import write_noise
-from tests.render.worlds import grey, room
+from tests.render.small_scenes import grey, room
 
 H, W = 16, 24
-PLAN = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
+PRESET = Preset("test", "tests", (H, W), frames=3, reference_spp=2, pool_spp=4)
 
 
 @dataclass(frozen=True)
 class Follows:
-    """Samples where it was bright, in two passes, and remembers what it saw."""
+    """Samples bright pixels in two passes, with the previous image as state."""
 
     traits: Traits = Traits(adaptive=True, temporal=True, passes=(0.3, 1.0))
 
@@ -50,29 +50,29 @@ def glaring():
     return replace(room(), meshes=(*others, replace(lamp, emission=emission)))
 
 
-def rendered(folder, scene, name="room"):
-    render(Job(name, scene, PLAN, folder))
+def render_scene(folder, scene, name="room"):
+    render_clip(Job(name, scene, PRESET, folder))
     return folder
 
 
-def both(folder, scene, seed=0):
+def open_both(folder, scene, seed=0):
     """The clip with its stored pool, and with a live one."""
     stored = open_clip(folder, seed=seed)
     return stored, LiveClip(stored, open_tracer(scene, H, W))
 
 
 def agree(image, other):
-    """Equal, but for what Embree decides by the rays around: see Wavefront. A few in 10^4."""
+    """Equal but for a few pixels in 10^4, where Embree decides: see WavefrontTracer."""
     return float((image != other).any(1).double().mean()) < 0.01
 
 
 def images(clip, spp):
-    return torch.cat([shown.image for shown in run_clip(Follows(), clip, spp)])
+    return torch.cat([result.image for result in run_clip(Follows(), clip, spp)])
 
 
 @pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 2.3, 4.0])
 def test_a_method_makes_the_same_images_of_live_and_of_stored_samples(llvm, tmp_path, spp):
-    stored, live = both(rendered(tmp_path, room()), room(), seed=5)
+    stored, live = open_both(render_scene(tmp_path, room()), room(), seed=5)
     assert torch.equal(images(live, spp), images(stored, spp))
 
 
@@ -80,30 +80,32 @@ def test_without_llvm_live_and_stored_images_are_the_same_too(tmp_path):
     from rlbench.render.mitsuba.llvm import select_variant
 
     select_variant("scalar_rgb")
-    stored, live = both(rendered(tmp_path, room()), room())
+    stored, live = open_both(render_scene(tmp_path, room()), room())
     assert torch.equal(images(live, 0.7), images(stored, 0.7))
 
 
 def test_capped_samples_are_the_same_live(llvm, tmp_path):
-    render(Job("room", room(), PLAN.capped(0.25), tmp_path))
+    render_clip(Job("room", room(), PRESET.with_radiance_cap(0.25), tmp_path))
     stored = open_clip(tmp_path)
-    live = LiveClip(stored, open_tracer(room(), H, W, cap=0.25 / room().exposure))
+    live = LiveClip(stored, open_tracer(room(), H, W, radiance_cap=0.25 / room().exposure))
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
 
 
 def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
-    stored, live = both(rendered(tmp_path, glaring()), glaring())
+    stored, live = open_both(render_scene(tmp_path, glaring()), glaring())
     assert precision(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
 
 
-def test_a_frame_that_was_kept_still_sells_its_own_samples(llvm, tmp_path):
-    stored, live = both(rendered(tmp_path, room()), room())
-    kept = list(live)[1].pool
+def test_a_frame_kept_by_the_caller_still_returns_its_own_samples(llvm, tmp_path):
+    stored, live = open_both(render_scene(tmp_path, room()), room())
+    pool = list(live)[1].pool
     density = torch.ones(1, 1, H, W)
-    first = draw_samples(kept, nothing(kept), density, 1.5)
-    again = stored.frame(1).pool
-    assert torch.equal(first.radiance, draw_samples(again, nothing(again), density, 1.5).radiance)
+    first = draw_samples(pool, pool.empty(), density, 1.5)
+    stored_pool = stored.frame(1).pool
+    assert torch.equal(
+        first.radiance, draw_samples(stored_pool, stored_pool.empty(), density, 1.5).radiance
+    )
 
 
 def launches(work):
@@ -116,21 +118,25 @@ def launches(work):
         return dr.kernel_history([dr.KernelType.JIT]), returned
 
 
-def test_each_sample_bought_is_one_path_and_nothing_else_is_traced(llvm, tmp_path):
-    _, live = both(rendered(tmp_path, room()), room())
+def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, tmp_path):
+    _, live = open_both(render_scene(tmp_path, room()), room())
     pool = live.frame(1).pool
     density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
-    held, sizes = nothing(pool), []
+    samples, sizes = pool.empty(), []
     for upto in (0.1, 0.9, 4.0):
-        kernels, held = launches(
-            lambda upto=upto, held=held: draw_samples(pool, held, density, upto)
+        kernels, samples = launches(
+            lambda upto=upto, samples=samples: draw_samples(pool, samples, density, upto)
         )
         sizes += [kernel["size"] for kernel in kernels]
-    assert sizes == [38, 346 - 38, 1536 - 346]  # 0.1, 0.9 and 4 times 16 x 24, less what is held
+    assert sizes == [
+        38,
+        346 - 38,
+        1536 - 346,
+    ]  # 0.1, 0.9 and 4 times 16 x 24, less the samples drawn before
 
 
 def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):
-    _, live = both(rendered(tmp_path, room()), room())
+    _, live = open_both(render_scene(tmp_path, room()), room())
     images(live, 1.0)
     kernels, _ = launches(lambda: [images(live, spp) for spp in (0.003, 0.01, 0.5, 3.7)])
     assert kernels
@@ -138,10 +144,10 @@ def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):
 
 
 def maps(h, w):
-    """Counts of 0 to 8 samples per pixel that follow no order: few, none, one, 0.01 spp, many."""
+    """Random counts of 0 to 8 samples per pixel: in total one, none, two, 0.01 spp, and more."""
     random = np.random.default_rng(0)
-    for bought in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
-        counts = np.bincount(random.integers(0, h * w, bought), minlength=h * w)
+    for drawn in (1, 0, 2, round(0.01 * h * w), h * w // 3, 3 * h * w):
+        counts = np.bincount(random.integers(0, h * w, drawn), minlength=h * w)
         yield torch.from_numpy(np.minimum(counts, 8)).view(1, 1, h, w)
 
 
@@ -159,9 +165,9 @@ def check_no_map_compiles_a_kernel(scene, h, w):
         for counts in maps(h, w):
             kernels, _ = launches(partial(later.read, later.empty(), counts))
             assert all(kernel["cache_hit"] for kernel in kernels)
-            bought = int(counts.sum())
-            # one wavefront as wide as what is bought; a single lane would be another kernel
-            assert [k["size"] for k in kernels] == [max(bought, 2)] * (bought > 0)
+            drawn = int(counts.sum())
+            # one wavefront as wide as the samples drawn; a single lane would be another kernel
+            assert [k["size"] for k in kernels] == [max(drawn, 2)] * (drawn > 0)
 
 
 def test_no_map_of_counts_compiles_a_kernel_and_each_costs_its_sum(llvm):
@@ -178,7 +184,7 @@ def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
     tracer = open_tracer(room(), H, W)
     pixels = np.arange(50)
     tracer.trace(pixels, pixels)
-    tracer.seed, tracer.cap = 12, 0.5
+    tracer.seed, tracer.radiance_cap = 12, 0.5
     kernels, _ = launches(lambda: [tracer.trace(pixels, pixels, s) for s in STREAMS])
     assert len(kernels) == len(STREAMS)
     assert all(kernel["cache_hit"] for kernel in kernels)
@@ -186,7 +192,7 @@ def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
 
 @pytest.fixture
 def temple(llvm, tmp_path):
-    return rendered(tmp_path / "temple", registry.load("scenes", "temple")(), "temple")
+    return render_scene(tmp_path / "temple", registry.load("scenes", "temple")(), "temple")
 
 
 def test_a_clip_knows_its_scene(temple):
@@ -194,7 +200,7 @@ def test_a_clip_knows_its_scene(temple):
     assert agree(images(open_live(stored), 0.5), images(stored, 0.5))
 
 
-def test_the_bench_may_take_either_and_tells_them_apart(temple):
+def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(temple):
     live, stored = open_source(temple, "live"), open_source(temple, "stored")
     device = torch.device("cpu")
     clips = [source.open(Follows().traits, 1.0, 3, device) for source in (live, stored)]
@@ -203,26 +209,26 @@ def test_the_bench_may_take_either_and_tells_them_apart(temple):
     assert live.content("path") != stored.content("path") == StoredSource(temple).content("path")
 
 
-def test_a_scene_that_has_changed_is_told(temple):
+def test_a_scene_that_has_changed_is_an_error(temple):
     mark = temple / "scene.txt"
     mark.write_text(mark.read_text().replace(mark.read_text()[:16], "0123456789abcdef"))
-    with pytest.raises(ClipError, match="the clip shows 0123456789abcdef.*--pool stored"):
+    with pytest.raises(ClipError, match="the clip has 0123456789abcdef.*--pool stored"):
         open_source(temple, "live")
 
 
-def test_a_clip_of_another_renderer_is_told(tmp_path):
-    with pytest.raises(ClipError, match="did not write it; use --pool stored"):
+def test_a_clip_of_another_renderer_is_an_error(tmp_path):
+    with pytest.raises(ClipError, match="did not write it. Use --pool stored"):
         open_source(write_noise(tmp_path / "noise"), "live")
 
 
-def test_a_pool_that_is_not_of_paths_is_told(tmp_path):
+def test_only_the_path_pool_can_be_live(tmp_path):
     clip = open_clip(write_noise(tmp_path / "noise", pools=("path",)))
-    with pytest.raises(ClipError, match="no live pool 'restir'"):
+    with pytest.raises(ClipError, match="pool 'restir' cannot be sampled live"):
         open_live(replace(clip, pool="restir"))
 
 
-def test_a_scene_that_is_not_installed_is_told(llvm, tmp_path):
-    rendered(tmp_path / "room", room())
+def test_a_scene_that_is_not_installed_is_an_error(llvm, tmp_path):
+    render_scene(tmp_path / "room", room())
     assert read_header(tmp_path / "room").name == "room"
     with pytest.raises(LookupError, match="'room' is not a scene"):
         open_source(tmp_path / "room", "live")

@@ -1,4 +1,4 @@
-"""Run by the Python that has bpy: the glTF file of both.py, with its camera, in other formats."""
+"""Exports the glTF file of shared_scene.py, with its camera, in other formats; needs bpy."""
 
 import json
 import math
@@ -23,7 +23,7 @@ for index, rows in enumerate(path["camera_to_world"]):
     eye.keyframe_insert("location", frame=index)
     eye.keyframe_insert("rotation_quaternion", frame=index)
 scene.frame_start, scene.frame_end = 0, len(path["camera_to_world"]) - 1
-# what a file may carry, and a clip must not have
+# settings that a file may have, and a clip must not use
 scene.render.use_motion_blur = scene.render.film_transparent = True
 scene.cycles.seed, scene.cycles.use_animated_seed, scene.cycles.film_exposure = 5, True, 3.0
 scene.view_layers.new("another")
