@@ -27,6 +27,7 @@ RENAMED_KEYS = {  # in files written before these were renamed
     "done": "fraction_done",
     "found": "failure",
 }
+OLD_CONFIG_KEYS = ("seed", "norm", "average", "half")
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,9 @@ def replay_sequence(file: Path | str, device: str = "cpu") -> NonFiniteStep | No
             f"{file} holds no failed sequence. Give the file named in the error message of the "
             "training run, failed-sequence-N.safetensors"
         )
-    # before the config had a key of its own, its fields lay beside the others
-    config = TrainingConfig.from_dict(metadata.get("config", metadata))
+    if "config" not in metadata:  # older files have some fields of the config beside the others
+        metadata["config"] = {key: metadata[key] for key in OLD_CONFIG_KEYS}
+    config = TrainingConfig.from_dict(metadata["config"])
     task = registry.training_task(metadata["method"], device, config.seed)
     state = TrainState(task, config, device)
     state.load_snapshot(tensors)
