@@ -146,7 +146,7 @@ def sample_budget(budgets: Sequence[float], seed: int, index: int) -> float:
     would never be seen at some budgets.
 
     >>> [sample_budget((1.0, 2.0, 4.0), seed=0, index=index) for index in range(4)]
-    [4.0, 1.0, 2.0, 2.0]
+    [1.0, 2.0, 1.0, 1.0]
     """
     key = hashlib.blake2b(f"{seed}/{index}/budget".encode(), digest_size=8).digest()
     return budgets[int.from_bytes(key) % len(budgets)]
