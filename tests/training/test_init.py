@@ -1,4 +1,4 @@
-"""The public names of rlbench.training: imported on first use, documented, with working examples."""
+"""The public names of rlbench.training: imported on first use, and their examples are right."""
 
 from __future__ import annotations
 
