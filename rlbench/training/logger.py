@@ -91,10 +91,10 @@ def _open_tensorboard(folder: Path, frames_seen: int) -> Any:
 def _truncate_log(log: Path, frames_seen: int) -> None:
     """Drop lines that were written after `frames_seen` frames, or are incomplete."""
     lines = log.read_text().splitlines(keepends=True) if log.exists() else []
-    kept = [line for line in lines if line.endswith("\n") and _frames_seen(line) <= frames_seen]
-    if kept != lines:
+    valid = [line for line in lines if line.endswith("\n") and _frames_seen(line) <= frames_seen]
+    if valid != lines:
         with paths.replacing(log) as temporary:
-            temporary.write_text("".join(kept))
+            temporary.write_text("".join(valid))
 
 
 def _frames_seen(line: str) -> int:

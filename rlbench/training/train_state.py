@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -12,13 +12,12 @@ from torch.optim.swa_utils import AveragedModel
 from rlbench.frames import Clip
 from rlbench.training.checkpoint import select_prefix
 from rlbench.training.config import TrainingConfig
+from rlbench.training.ema import warmed_up_ema
 from rlbench.training.task import TrainingError, TrainingTask
 
 __all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState"]
 
 MAX_LAYERS_SHOWN = 3  # in an error message
-
-Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
 class NonFiniteStep(NamedTuple):
@@ -171,24 +170,6 @@ class TrainState:
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
         raise NonFiniteStepError(NonFiniteStep(quantity, value.item(), step, tuple(layers)))
-
-
-def warmed_up_ema(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
-    """An exponential moving average for `AveragedModel`, faster during the first steps.
-
-    After n steps the decay is min(decay, n / (n + 9)), as in TensorFlow's ExponentialMovingAverage
-    with `num_updates` n - 1. Integer tensors, such as the counters of batch norm, are copied.
-    """
-
-    @torch.no_grad()
-    def update(average: Tensors, current: Tensors, step: Tensor | int) -> None:
-        n = int(step)
-        if average[0].is_floating_point():  # tensors come grouped by dtype
-            torch._foreach_lerp_(average, current, 1 - min(decay, n / (n + 9)))
-        else:
-            torch._foreach_copy_(average, current)
-
-    return update
 
 
 def _parameter_groups(task: TrainingTask) -> list[dict[str, Any]]:

@@ -113,7 +113,7 @@ def stop_after(sequences: int):
 
 
 def test_a_checkpoint_with_old_names_is_resumed_bit_by_bit(clip, tmp_path):
-    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    killed, undisturbed = tmp_path / "killed", tmp_path / "undisturbed"
     with pytest.raises(KeyboardInterrupt):
         train("blur", [clip], [clip], killed, CONFIG, on_progress=stop_after(5))
     file = killed / "checkpoint.safetensors"
@@ -121,10 +121,10 @@ def test_a_checkpoint_with_old_names_is_resumed_bit_by_bit(clip, tmp_path):
     checkpoint.write(file, rename_tensors(tensors), rename(metadata))
     assert set(checkpoint.read_metadata(file)) & set(OLD_NAMES) == set()
     train("blur", [clip], [clip], killed, CONFIG)
-    train("blur", [clip], [clip], whole, CONFIG)
-    assert digest(killed / "blur.safetensors") == digest(whole / "blur.safetensors")
+    train("blur", [clip], [clip], undisturbed, CONFIG)
+    assert digest(killed / "blur.safetensors") == digest(undisturbed / "blur.safetensors")
     torch.testing.assert_close(
-        load_file(file), load_file(whole / "checkpoint.safetensors"), rtol=0, atol=0
+        load_file(file), load_file(undisturbed / "checkpoint.safetensors"), rtol=0, atol=0
     )
 
 

@@ -12,7 +12,7 @@ from methods.ours.method import CARDS
 from rlbench.training import TrainingConfig
 from rlbench.weights import read_card
 
-# as told by the code before the fields were renamed
+# written before the fields were renamed
 OLD_JSON = """{"frames": 24, "batch": 2, "crop": 16, "length": 3, "average": 0.99, "seed": 5,
 "norm": 0.5, "half": true, "every": 6, "spp": [0.5, 4.0], "peak": 4e-05}"""
 

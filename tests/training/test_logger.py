@@ -56,10 +56,10 @@ def scalars(folder: Path, name: str) -> list[tuple[int, float]]:
 
 def test_the_log_of_a_killed_run_is_that_of_an_undisturbed_one(clip, tmp_path):
     killed = train_killed(tmp_path / "killed", clip, 3, 5)
-    whole = train_killed(tmp_path / "whole", clip)
+    undisturbed = train_killed(tmp_path / "undisturbed", clip)
     assert set(board(killed).Tags()["scalars"]) == SCALARS
     for name in SCALARS - {"frames a second"}:
-        assert scalars(killed, name) == scalars(whole, name)
+        assert scalars(killed, name) == scalars(undisturbed, name)
     assert [step for step, _ in scalars(killed, "loss")] == [3, 6, 9, 12, 15, 18]
     assert [step for step, _ in scalars(killed, "validation PSNR")] == [6, 12, 18]
 
