@@ -16,8 +16,7 @@ from rlbench.ops.losses import EVEN, l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
-from rlbench.training.loop import TrainingTask
-from rlbench.training.task import BUDGETS_FROM_1_SPP
+from rlbench.training import BUDGETS_FROM_1_SPP, TrainingTask
 
 PEAK = 1e-3  # learning rate
 TUNING = 4e-5  # the same, where training starts from Intel's weights

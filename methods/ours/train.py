@@ -30,7 +30,7 @@ from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
 PEAK = 3e-4  # learning rate
 SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
 TUNING = 4e-5  # the rate where the denoiser starts from weights that are not ours
-TUNED = {"encoder": 2.0, "sampler": 6.0, "aside": 25.0}  # shares of that one
+TUNED = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}  # shares of that one
 BUDGETS = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # samples per pixel, one a sequence
 EVERY = 2  # frames between steps of the sampler
 WEIGHT = 0.1  # of the learner's loss, which the sampler alone hears; matters for clipping only
@@ -111,7 +111,9 @@ def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     budgets = tuple(spp for spp in BUDGETS if traits.unsupported_reason(spp) is None)
     peak, shares = (PEAK, SHARES) if not origin else (TUNING, TUNED)
     shares = {**shares, "sampler": shares["sampler"] * narrowed(config.sampler)}
-    return TrainingTask(method, networks, losses, budgets, peak, shares, origin=origin, aside=aside)
+    return TrainingTask(
+        method, networks, losses, budgets, peak, shares, origin=origin, auxiliary_network=aside
+    )
 
 
 def narrowed(widths: tuple[int, ...]) -> float:

@@ -57,9 +57,8 @@ def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
         task = bar.add_task(name, total=frames)
 
         def tell(stands: Any, loss: float) -> None:
-            bar.update(
-                task, completed=stands.seen, description=f"{name}, {training_status(stands, loss)}"
-            )
+            status = f"{name}, {training_status(stands, loss)}"
+            bar.update(task, completed=stands.frames_seen, description=status)
 
         yield tell
 
@@ -67,8 +66,8 @@ def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
 def training_status(stands: Any, loss: float) -> str:
     """How a training goes: its loss, the last validation, frames a second."""
     told = [f"loss {loss:.4f}"]
-    told += [f"validation {stands.curve[-1][1]:.2f} dB"] if stands.curve else []
-    return ", ".join([*told, f"{stands.speed:.1f} frames/s"])
+    told += [f"validation {psnr:.2f} dB" for _, psnr in stands.validation_history[-1:]]
+    return ", ".join([*told, f"{stands.frames_per_second:.1f} frames/s"])
 
 
 def done(what: RunSummary, out: Path) -> None:

@@ -76,16 +76,17 @@ def train(
 
       rlbench train -m mine --plugin mine.py --range-test --frames 1200
 
-      rlbench train --replay runs/ours/halted-at-draw-71.safetensors
+      rlbench train --replay runs/ours/failed-sequence-71.safetensors
     """
     load_plugins(plugin)
     from rlbench import registry
+    from rlbench.cli import console
     from rlbench.training import dataset, logger, runs
 
     if replay is not None:
-        from rlbench.training.loop import replay as again
+        from rlbench.training import replay_sequence
 
-        found = again(replay, str(arguments.device(device)))
+        found = replay_sequence(replay, str(arguments.device(device)))
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
         return
     names = arguments.methods(methods, trained=False)
@@ -95,7 +96,13 @@ def train(
     plan = planned(frames, batch, crop, budget, half, norm, seed)
     command = shlex.join(["rlbench", *sys.argv[1:]])
     lessons = runs.TrainingRuns(
-        out, plan, str(arguments.device(device)), arguments.minutes(minutes), command, altered
+        out,
+        plan,
+        str(arguments.device(device)),
+        arguments.minutes(minutes),
+        command,
+        altered,
+        console.training,
     )
     lessons.check(learning)
     kinds = {registry.variant(name).traits.pool for name in learning}
@@ -105,8 +112,8 @@ def train(
         typer.echo(logger.lacking(), err=True) if logger.lacking() else None
     for name in learning:
         if range_test:
-            tried = lessons.range_test(name, chosen)
-            typer.echo(f"{name}: peak {tried.peak:.1e} proposed; see {tried.figure}")
+            tried = lessons.find_learning_rate(name, chosen)
+            typer.echo(f"{name}: peak {tried.suggested_lr:.1e} proposed; see {tried.figure}")
             continue
         folder = lessons.folder(name, holdout)
         if fresh and (old := runs.archive_run(folder)):
@@ -163,7 +170,15 @@ def crossval(
     names = arguments.methods(methods)
     plan = planned(frames, batch, crop, budget, half, norm, seed)
     where, command = arguments.device(device), shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = runs.TrainingRuns(out, plan, str(where), arguments.minutes(minutes), command, altered)
+    lessons = runs.TrainingRuns(
+        out,
+        plan,
+        str(where),
+        arguments.minutes(minutes),
+        command,
+        altered,
+        console.training,
+    )
     lessons.check([name for name in map(leaving.variant_to_train, names) if name])
     folds = leaving.folds(preset, arguments.split(scenes or []), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)
@@ -181,4 +196,4 @@ def planned(
     """The plan that the options of a command ask for. Raises AskedError."""
     arguments.positive("--norm", norm)
     spp = () if budget == "any" else arguments.numbers("--budget", budget, float)
-    return TrainingConfig(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)
+    return TrainingConfig(frames, batch, crop, seed=seed, max_grad_norm=norm, bf16=half, spp=spp)

@@ -34,7 +34,7 @@ def folds(tmp_path: Path) -> list[Fold]:
 
 
 def left_out(folds: list[Fold], out: Path, plan: TrainingConfig | None = None) -> RunSummary:
-    plan = plan or TrainingConfig(frames=12, crop=16, length=3)
+    plan = plan or TrainingConfig(frames=12, crop=16, sequence_length=3)
     request = RunPlan(("blur", "mean"), (), (1.0,), repeats=2)
     return crossval(folds, TrainingRuns(out, plan), request, out / "results")
 

@@ -220,8 +220,11 @@ def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
     ("words", "told"),
     [
         (("--holdout", "attic"), "preset 'mini' has: city, temple, hall,"),
-        (("--holdout", "hall", "--preset", "train"), "takes a preset with scenes that are scored"),
-        (("--holdout", "hall", "--seeds", "0:9"), "--holdout trains on those scored"),
+        (
+            ("--holdout", "hall", "--preset", "train"),
+            "needs a preset with named scenes, and 'train' has none",
+        ),
+        (("--holdout", "hall", "--seeds", "0:9"), "--seeds applies to generated scenes only"),
     ],
 )
 def test_what_cannot_be_held_out_is_told(words, told):
@@ -244,7 +247,7 @@ def test_a_budget_that_cannot_be_trained_for_is_told_before_anything_is_rendered
 
 def test_one_clip_is_too_few_to_train_on():
     told = rlbench("train", "-m", "oidn", "--seeds", "7", code=2)
-    assert "error: --seeds 7 is one clip; at least 2 are needed, 1 validates" in told
+    assert "error: --seeds 7 gives one clip. Training needs at least 2 clips" in told
 
 
 def test_a_loose_file_is_listed_and_runs(clip_folder, tmp_path):
@@ -290,13 +293,13 @@ def test_a_method_without_rows_is_never_left_out_of_a_report_in_silence(clip_fol
 @pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
 def test_nothing_is_trained_on_what_is_scored(preset):
     told = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
-    assert f"error: preset '{preset}' has scenes that methods are scored on" in told
-    assert told.endswith("there is: train")
+    assert f"error: preset '{preset}' is a test set" in told
+    assert told.endswith("Choose: train")
 
 
 def test_no_generated_scene_is_trained_on_that_is_scored():
     told = rlbench("train", "-m", "oidn", "--seeds", "70:82", code=2)
-    assert "methods are scored on 80, 81 (preset 'unseen')" in told
+    assert "--seeds 80, 81: these belong to test set 'unseen'" in told
     seeds = {plan.is_test_set: set(plan.seeds) for plan in PRESETS.values() if plan.seeds}
     assert not seeds[True] & seeds[False]
 
@@ -469,7 +472,7 @@ def test_a_replay_of_no_halted_training_is_told(tmp_path, content):
     file = tmp_path / "halted.safetensors"
     if content:
         file.write_bytes(content)
-    assert "is no file that a training wrote" in rlbench("train", "--replay", file, code=2)
+    assert "is not a file written by a training run" in rlbench("train", "--replay", file, code=2)
 
 
 def test_a_file_is_no_results_folder(tmp_path):

@@ -133,7 +133,7 @@ def retrain(
     told[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
     card = ModelCard(
         name="ours/A1" if task.floor else "ours",
-        data=tuple(dict.fromkeys([*read_card(task.weights).data, *task.batches().contents()])),
+        data=tuple(dict.fromkeys([*read_card(task.weights).data, *task.batches().clip_digests()])),
         frames_seen=frames,
         seed=task.seed,
         command=command,
