@@ -40,7 +40,8 @@ def run_documented_test(tmp_path, **plugin: str) -> list[tuple[str, str]]:
     file = tmp_path / "test_documented.py"
     file.write_text(documented_test("mine"))
     outcomes = Outcomes()
-    pytest.main([str(file), "-q", "-p", "no:cacheprovider", f"--rootdir={tmp_path}"], [outcomes])
+    options = ["-q", "-p", "no:cacheprovider", "--import-mode=importlib", f"--rootdir={tmp_path}"]
+    pytest.main([str(file), *options], [outcomes])
     return outcomes.outcomes
 
 
