@@ -115,7 +115,9 @@ def doctor(plugin: Plugins = None) -> None:
       rlbench doctor
     """
     load_plugins(plugin)
-    from rlbench.cli import console
-    from rlbench.cli.doctor import examine
+    from rich.console import Console
 
-    console.findings(examine())
+    from rlbench.checks.console import print_results
+    from rlbench.cli.doctor import inspect_machine
+
+    print_results(inspect_machine(), Console())

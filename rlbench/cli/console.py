@@ -17,7 +17,6 @@ from rlbench.benchmark.run_plan import Cell, RunPlan, cells
 
 if TYPE_CHECKING:
     from rlbench.benchmark.runner import RunSummary
-    from rlbench.cli.doctor import Finding
 
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
 COLUMNS = {  # of `rlbench list`, in their order
@@ -134,15 +133,6 @@ def listed(found: dict[str, list[dict[str, Any]]]) -> None:
             if "broken" in row:
                 told = f"{row['name']} (from {row['from']}) is broken: {row['broken']}"
                 console.print(told, style="red", markup=False)
-
-
-def findings(found: Iterable[Finding]) -> None:
-    """What the doctor says, line by line as it is found."""
-    console = Console()
-    for each in found:
-        mark = "[green]ok  [/green]" if each.fine else "[yellow]note[/yellow]"
-        console.print(f"{mark} [bold]{each.topic}[/bold]", end="  ")
-        console.print(each.told, markup=False, highlight=False)
 
 
 def _bar() -> Progress:

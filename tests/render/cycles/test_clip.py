@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.checks.lint.checks import examine
-from rlbench.checks.lint.clip_arrays import read_footage
+from rlbench.checks.lint.checks import lint_clip
+from rlbench.checks.lint.clip_arrays import read_clip_arrays
+from rlbench.checks.result import Verdict
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
@@ -73,8 +74,8 @@ def mitsuba(tmp_path_factory):
 
 @pytest.mark.parametrize("tracer", ["cycles", "mitsuba"])
 def test_the_linter_finds_no_fault(tracer, llvm, request):
-    findings = examine(read_footage(request.getfixturevalue(tracer)))
-    assert not [finding for finding in findings if finding.verdict.name == "FAIL"]
+    results = lint_clip(read_clip_arrays(request.getfixturevalue(tracer)))
+    assert not [result for result in results if result.verdict is Verdict.FAILED]
 
 
 @pytest.mark.parametrize("index", range(shared_scene.FRAMES))
