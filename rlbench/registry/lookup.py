@@ -33,6 +33,7 @@ __all__ = [
     "import_error",
     "entries",
     "expand",
+    "current_name",
     "family",
     "clear_plugins",
     "is_trainable",
@@ -97,9 +98,16 @@ def family(name: str) -> Family:
     return found
 
 
+def current_name(name: str) -> str:
+    """The name with a former variant name (`Family.aliases`) replaced by the current one."""
+    key, _, former = name.partition("/")
+    current = family(name).aliases.get(former)
+    return name if current is None else f"{key}/{current}"
+
+
 def variant(name: str) -> Variant:
     """What a method says of itself. Raises PluginError if its family has no such variant."""
-    found = family(name)
+    found, name = family(name), current_name(name)
     key = name.partition("/")[2]
     if key not in found.variants or name not in found.names():
         have = ", ".join(found.names())
@@ -117,6 +125,7 @@ def method(name: str, device: torch.device | str = "cpu", weights: str | None = 
 
     from rlbench.method import Method
 
+    name = current_name(name)
     declared = variant(name)
     if absent := " ".join(provenance.missing(declared.requires)):
         raise PluginError(f"'{name}' needs {absent}, which is not here: pip install {absent}")
@@ -136,6 +145,7 @@ def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) 
     """
     import torch
 
+    name = current_name(name)
     if not is_trainable(name):
         raise PluginError(f"'{name}' has nothing to train")
     return resolve(family(name).train)(name.partition("/")[2], torch.device(device), seed)
@@ -166,7 +176,7 @@ def expand(
         key, _, rest = pattern.partition("/")
         for each in _families(tell) if key == "all" else [key]:
             full = f"{each}/{rest}" if rest else each
-            for name in family(each).names() if rest == "*" else [full]:
+            for name in family(each).names() if rest == "*" else [current_name(full)]:
                 if variant(name).pretrained or not trained or rest != "*":
                     found[name] = None
     return list(found)
