@@ -26,9 +26,7 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("Do a learned sampler and a recurrent state pay?", TRAITS),
-        "paper": Variant(
-            "What does the paper's own recipe reach, from random weights?", TRAITS
-        ),
+        "paper": Variant("What does the paper's own recipe reach, from random weights?", TRAITS),
         "A1": Variant("Is the surrogate gradient alone as good?", AT_LEAST_ONE),
         "A2": Variant("Is adaptive sampling worth its time? (uniform sampling)", UNIFORM),
         "reinforce": Variant(

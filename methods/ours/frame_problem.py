@@ -43,7 +43,9 @@ class FrameProblem:
     spp: float
 
     @classmethod
-    def of_frame(cls, method: Ours, frame: Frame, state: RecurrentState, spp: float) -> FrameProblem:
+    def of_frame(
+        cls, method: Ours, frame: Frame, state: RecurrentState, spp: float
+    ) -> FrameProblem:
         """The problem of a frame, with the G-buffer inputs that the method declares."""
         return cls(method, frame, frame.gbuffer.select(method.traits.inputs), state, spp)
 

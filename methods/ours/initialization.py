@@ -154,7 +154,7 @@ def wire_contrast(sampler: Sampler, config: Config) -> None:
 
 
 def _wire_sources(tail: nn.Conv2d, config: Config) -> None:
-    """The first layer: last frame's colour (else albedo), albedo, deviation (else normal), depth."""
+    """The first layer reads colour (or albedo), albedo, deviation (or normal), and depth."""
     colour = GBUFFER_CHANNELS if config.history_mode != "nothing" else 3
     other: tuple[int, ...] = (0, 1, 2)  # normals
     if config.accumulates:

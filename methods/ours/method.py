@@ -94,9 +94,7 @@ class Ours:
         encoded = self.sample_encoding.encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)
         radiance, history = self.accumulator.accumulate(gbuffer, samples, trust, history)
-        image = self.accumulator.reconstruct(
-            self._run_denoiser, gbuffer, latent, radiance, history
-        )
+        image = self.accumulator.reconstruct(self._run_denoiser, gbuffer, latent, radiance, history)
         frame = DenoisedFrame(gbuffer, samples, encoded, latent, radiance, image)
         return image, self.history.remember(frame, state.age + 1)
 

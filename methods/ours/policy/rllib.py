@@ -161,10 +161,10 @@ def _pixel_advantages(
     maps: Tensor, results: Tensor, settings: dict[str, Any]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Regression loss of the maps, advantages [n hw], and the common direction [n hw]."""
-    errors, counts = results.split(1, 1)
+    errors, counts = results.chunk(2, 1)
     errors = errors / errors.mean().clamp_min(TINY)
     regression = (maps - torch.cat((errors, counts), 1)).square().mean()
-    error, count = (torch.cat((errors, counts), 1) - maps.detach()).split(1, 1)
+    error, count = (torch.cat((errors, counts), 1) - maps.detach()).chunk(2, 1)
     side = 2 * settings["reach"] + 1
     error = F.avg_pool2d(error, side, 1, settings["reach"], count_include_pad=False) * side**2
     usual, image = maps[:, 1:].detach().clamp_min(0), (1, 2, 3)
