@@ -15,10 +15,10 @@ RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
 
 APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
-# a report of a folder of results, as a page of docs
+# $(call page,REPORT,RESULTS,NAME): write a report as the page docs/results/NAME.md
 define page
 $(BIN)/rlbench report $(1) --results $(2) --out docs/made
-mv docs/made/$(1).md docs/$(3).md && rm -r docs/made
+mv docs/made/$(1).md docs/results/$(3).md && rm -r docs/made
 endef
 
 FROM1 := 1,2,4,6
@@ -42,7 +42,7 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
-	cp docs/made/*.md docs/made/*.png docs && rm -r docs/made
+	cp docs/made/*.md docs/made/*.png docs/results && rm -r docs/made
 	$(call page,clips -m '$(RIVALS)',$(RESULTS),mini)
 
 # the paper's table, figures and ablations anew, on larger clips: 45 minutes of rendering, 15 to 45 of scoring
@@ -50,7 +50,7 @@ table1: .venv/dev.stamp
 	$(BIN)/rlbench render --preset standard --takes main --retime
 	$(BIN)/rlbench run -m '$(TABLE1)' --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/standard
 	set -e; for report in table1 paper-pareto ablation; do $(BIN)/rlbench report $$report --results $(RESULTS)/standard --out docs/made; done
-	cp docs/made/*.md docs/made/*.png docs && rm -r docs/made
+	cp docs/made/*.md docs/made/*.png docs/results && rm -r docs/made
 
 # who leads on 48 generated scenes that no training saw: 11 minutes of rendering, 12 of scoring
 unseen: .venv/dev.stamp
@@ -72,7 +72,7 @@ takes: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RIVALS),ours/lag,imcd,ntas,svgf' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
 	$(call page,clips,$(RESULTS)/takes,takes)
 	$(BIN)/rlbench images -m ours/lag,ours,oidn-intel --preset standard --scenes hall-cut --spp 4 --frame 15 --out docs/made
-	mv docs/made/hall-cut-4spp-15.png docs/switched.png && rm -r docs/made
+	mv docs/made/hall-cut-4spp-15.png docs/results/switched.png && rm -r docs/made
 
 # the papers' protocol, small: 1000 crops of the other three scenes; half an hour
 crossval: .venv/dev.stamp
@@ -95,11 +95,11 @@ seeds: .venv/dev.stamp
 	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/seeds; \
 	  done; \
 	done
-	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs
+	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs/results
 
 # one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
 contact: .venv/run.stamp
-	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/scenes.png --spp $(SPP)
+	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
 
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .

@@ -1,1 +1,36 @@
-"""The core: contract, budget, clips, tracing, running, latency, training tools and command line."""
+"""rlbench: which adaptive sampler and denoiser gives the least error in a given frame time?
+
+    >>> import rlbench
+    >>> clip = rlbench.procedural_clip(seed=1, frames=2)
+    >>> method = rlbench.load_method("mean")
+    >>> result = next(rlbench.run_clip(method, clip, spp=2.0))
+    >>> result.image.shape
+    torch.Size([1, 3, 64, 64])
+
+Names are imported when they are first used: `import rlbench` alone takes milliseconds and loads no
+torch. The stub beside this file lists them.
+"""
+
+import sys
+from types import ModuleType
+from typing import Any
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+class _Package(ModuleType):
+    """This package: `rlbench.run` and `rlbench.render` are functions, whatever is imported.
+
+    Python would replace them by the submodules of the same names (`rlbench/run.py`,
+    `rlbench/render/`) as soon as one of these is imported. Those are reached by
+    `from rlbench.run import ...`.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (isinstance(value, ModuleType) and name in ("run", "render")):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

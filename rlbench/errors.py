@@ -1,15 +1,17 @@
-"""The base of every error that rlbench raises for what a user can cause, and shared subclasses."""
+"""The base of all errors that a user can cause, and the errors that several layers raise."""
 
 from __future__ import annotations
 
+__all__ = ["OptionError", "PluginError", "RlbenchError"]
+
 
 class RlbenchError(Exception):
-    """Something a user can mend. The command line prints its message without a traceback."""
+    """An error that the user can fix. The command line prints its message without a traceback."""
 
 
 class PluginError(RlbenchError, LookupError):
-    """An unknown plugin name, two plugins of one name, or a plugin that breaks the contract."""
+    """An unknown plugin, two plugins with the same name, or a plugin that violates its contract."""
 
 
 class OptionError(RlbenchError, ValueError):
-    """A command-line option whose value cannot be used."""
+    """A command-line option with an unusable value."""

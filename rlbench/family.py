@@ -1,99 +1,102 @@
-"""What a plugin says of itself before torch is imported: paper, licence, variants, needs."""
+"""Metadata of a method, readable without torch: paper, licence, variants, requirements."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+__all__ = ["Family", "Traits", "Variant"]
+
 
 @dataclass(frozen=True)
 class Traits:
-    """What a method asks of the bench; the bench reads, traces and buys no more than this.
+    """The requirements of a method. Renderer and loader provide exactly this and no more.
 
-    A pilot is a part of the budget: with one of 1 spp and a budget of 4, the method is asked where
-    the other 3 go, and at a budget of 1 nothing is left to ask for. `passes` count it in, as they
-    do each other. Raises ValueError for a pilot below zero, and for passes that do not rise to the
-    whole budget.
+    The pilot is part of the budget: with pilot_spp=1 and a budget of 4 spp, the method places the
+    other 3; at a budget of 1 spp, the pilot takes everything. `passes` are cumulative shares of the
+    budget and include the pilot.
+
+    Raises ValueError if the pilot is negative, or if the passes do not increase to 1.0.
+
+    >>> Traits(inputs=frozenset({"albedo"}), adaptive=True, passes=(0.25, 1.0)).max_samples is None
+    True
     """
 
-    inputs: frozenset[str] = frozenset()  # view buffers it reads: albedo, normal, depth, motion
-    pool: str = "path"  # the kind of sample pool it buys from
-    adaptive: bool = False  # does `plan` ever differ from a constant?
-    temporal: bool = False  # does `state` carry anything between frames?
-    pilot_spp: float = (
-        0.0  # samples per pixel, evenly spread, bought before the method is first asked
-    )
-    passes: tuple[float, ...] = (1.0,)  # share of the budget bought by the end of each pass
-    discard_pilot: bool = (
-        False  # are samples of earlier passes, which chose where to sample, left out?
-    )
-    min_samples: int = 0  # samples that every pixel has at last, whatever the densities
-    max_samples: int | None = (
-        None  # most samples of one pixel that it can take in; None is as many as sold
-    )
-    spp_range: tuple[float, float] = (
-        0.0,
-        8.0,
-    )  # budgets that make sense, samples per pixel, inclusive
+    inputs: frozenset[str] = frozenset()  # G-buffer channels to read, see rlbench.frames.GBuffer
+    pool: str = "path"  # name of the sample pool (rlbench.pools.PoolKind)
+    adaptive: bool = False  # True if the density of `plan` can vary between pixels
+    temporal: bool = False  # True if `state` carries information from frame to frame
+    pilot_spp: float = 0.0  # uniform samples per pixel, >= 0, drawn before the first call of `plan`
+    passes: tuple[float, ...] = (1.0,)  # share of the budget spent by the end of each pass, (0, 1]
+    discard_pilot: bool = False  # True if `denoise` gets only the samples of the last pass
+    min_samples: int = 0  # least samples of a pixel after the last pass, whatever the density
+    max_samples: int | None = None  # most samples of a pixel; None: as many as the pool has
+    spp_range: tuple[float, float] = (0.0, 8.0)  # supported budgets in spp, both ends included
 
     def __post_init__(self) -> None:
-        """Refuse passes by which less than the budget would be bought, or less than before."""
-        if not self.pilot_spp >= 0:
-            raise ValueError(f"the pilot is {self.pilot_spp} samples per pixel; it is 0 or more")
-        rising = all(a < b for a, b in zip((0.0, *self.passes), self.passes, strict=False))
-        if not rising or self.passes[-1:] != (1.0,):
+        """Reject pilots below zero and passes that do not increase to the whole budget."""
+        if not self.pilot_spp >= 0:  # also rejects NaN
+            raise ValueError(f"pilot_spp is {self.pilot_spp}; it must be 0 or more")
+        pairs = zip((0.0, *self.passes), self.passes, strict=False)
+        if not all(a < b for a, b in pairs) or self.passes[-1:] != (1.0,):
             raise ValueError(
-                f"passes are {self.passes}; they must rise from above 0 to 1.0 at last"
+                f"passes are {self.passes}; they must increase from above 0 to exactly 1.0, "
+                "for example (0.25, 1.0)"
             )
 
     def unsupported_reason(self, spp: float) -> str | None:
-        """Why a budget of `spp` cannot be run, or None if it can."""
+        """Why a budget of `spp` samples per pixel cannot be run, or None if it can.
+
+        >>> Traits(spp_range=(1.0, 8.0)).unsupported_reason(0.5)
+        'supports 1 to 8 spp, requested 0.5'
+        """
         low, high = self.spp_range
         if low <= spp <= high:
             return None
-        return f"supports {low:g} to {high:g} spp, asked for {spp:g}"
+        return f"supports {low:g} to {high:g} spp, requested {spp:g}"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One row of a family's table: the question it answers, and what it asks of the bench."""
+    """One configuration of a family, and the question that its results answer."""
 
-    question: str
+    question: str  # shown by `rlbench list`
     traits: Traits
-    learned: bool = True  # does it need trained weights?
-    pretrained: bool = (
-        True  # do they come with it? if not, `*` passes it over, and training makes them
-    )
-    weights_from: str | None = None  # the variant whose weights it uses, if not its own
-    requires: tuple[str, ...] = ()  # distributions that make its images; measured anew with others
+    learned: bool = True  # True if it needs trained weights
+    pretrained: bool = True  # True if its weights are shipped; if not, `FAMILY/*` leaves it out
+    weights_from: str | None = None  # variant whose weights it uses; None: its own
+    requires: tuple[str, ...] = ()  # PyPI distributions whose versions can change its images
 
 
 @dataclass(frozen=True)
 class Family:
-    """A published method and its variants. The variant `""` is the method itself.
+    """A published method and its variants. The variant `""` is the method as published.
 
-    `build` names a function, as `module:name`, that takes (variant, device, weights) and returns a
-    `Method`; it is imported when the method is first asked for. `weights` is the path of a file, or
-    `"random"` for seeded untrained weights, or None for the shipped ones: NAME.safetensors in the
-    folder `cards` beside that module, NAME as in `weights`; results are measured anew when this
-    file changes. `train` names a function in the same way (see `rlbench.training.loop`), or is
-    empty where nothing is learned.
+    `build` names a function as `module:name`, imported at first use, that takes (variant, device,
+    weights) and returns a `Method`. `weights` is the path of a file, `"random"` for untrained
+    weights from a fixed seed, or None for the shipped file. Shipped files are
+    `cards/NAME.safetensors` beside the module of `build`; when one changes, results are measured
+    again. `train` names a function in the same way (see `rlbench.training.loop`); it is empty if
+    nothing is learned.
+
+    >>> box = Family("box", "Box filter", "Nobody 2026, A paper", "MIT", build="box.method:build",
+    ...     variants={"": Variant("Is blurring enough?", Traits(), learned=False)})
     """
 
     name: str
     title: str
     paper: str  # author, year, title
-    licence: str
+    licence: str  # of the implementation and its weights
     variants: Mapping[str, Variant]
     build: str
     train: str = ""
     aliases: Mapping[str, str] = field(default_factory=dict)  # former variant name -> current one
 
     def names(self) -> list[str]:
-        """Every variant as it is written on the command line, `family` or `family/variant`."""
+        """Names of all variants as on the command line: `family` or `family/variant`."""
         return [f"{self.name}/{key}" if key else self.name for key in self.variants]
 
     def weights(self, variant: str) -> str:
-        """File name of a variant's shipped weights: its own name, or that of whose it borrows."""
-        borrowed = self.variants[variant].weights_from
-        return f"{(variant if borrowed is None else borrowed) or self.name}.safetensors"
+        """File name of the shipped weights of `variant`, or of the variant in `weights_from`."""
+        source = self.variants[variant].weights_from
+        return f"{(variant if source is None else source) or self.name}.safetensors"

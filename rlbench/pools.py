@@ -1,9 +1,10 @@
-"""Kinds of sample pool: how the samples were drawn that a method buys.
+"""Sample pools: the interface between a renderer and a plugin that draws samples in its own way.
 
-Samples of the path tracer are independent, so each frame can be traced by itself. Those of any
-other pool come in chains: chain number s gives one sample of every pixel of every frame, and may
-remember what it found in the frames before. A plugin brings such a pool as a function, `make`, that
-is handed a `Stage`: the renderer's scene, which the renderer moves from frame to frame.
+The path tracer's samples are independent, so each frame can be traced alone. Any other pool yields
+sample streams: stream s gives one sample per pixel and frame and may reuse results of earlier
+frames, as the reservoirs of ReSTIR do. A plugin registers such a pool as a `PoolKind`. Its
+`factory` receives a `RenderContext`, the scene that the renderer advances from frame to frame, and
+returns `SampleStreams`. This module does not import torch.
 """
 
 from __future__ import annotations
@@ -15,61 +16,68 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
+__all__ = ["PATH", "PoolKind", "RenderContext", "SampleStreams"]
+
 
 @dataclass(frozen=True)
 class PoolKind:
-    """A way of drawing samples. `name` is what traits and clip.toml say.
+    """A kind of sample pool; `name` identifies it in `Traits.pool` and clip.toml.
 
-    `make` names a function, as `module:name`, that takes (stage, numbers), where the range
-    `numbers` tells chains apart, and returns `Chains`; it is imported when samples are first
-    traced, and empty for what the renderer draws by itself.
+    `factory` names a function as `module:name`, imported when samples are first traced. It takes
+    (context, streams), where the range `streams` holds the index of each stream, and returns
+    `SampleStreams`. It is empty for samples that the renderer draws itself.
+
+    >>> PoolKind("restir", "ReSTIR DI", "my_package.restir:streams", independent=False).name
+    'restir'
     """
 
     name: str
     title: str
     factory: str = ""
-    recipe: int = 1  # raised whenever `make` draws other samples of the same scene
-    independent: bool = True  # is the noise of each pixel and frame its own, and its mean right?
+    recipe: int = 1  # increase it when `factory` draws different samples of the same scene
+    independent: bool = True  # True if samples are unbiased and independent of all other samples
 
 
 class RenderContext(Protocol):
-    """What a renderer shows to a pool: its scene at the present frame, in Mitsuba with wavefronts.
+    """The renderer's scene at the current frame, in Mitsuba's wavefront mode.
 
-    Pixels count row by row from the upper left; a place on the film is in pixels, x right, y down.
+    Pixels are numbered row by row from the upper left. Film positions are in pixels, x right and
+    y down.
     """
 
-    height: int
-    width: int
+    height: int  # pixels
+    width: int  # pixels
 
     @property
     def scene(self) -> Any:
-        """The Mitsuba scene, as it is now."""
+        """The Mitsuba scene (mi.Scene) at the current frame."""
 
     @property
     def depth(self) -> int:
-        """Longest light path, in edges."""
+        """Maximum path depth, in edges."""
 
     def rays(self, x: Any, y: Any) -> Any:
-        """The camera's rays through places on the film (mi.Float)."""
+        """Camera rays (mi.Ray3f) through film positions (mi.Float)."""
 
     def numbers(self, pixels: Any, samples: Any) -> Any:
-        """A sampler for lanes of pixels and samples (mi.UInt32), which decide its numbers.
+        """A random sampler with one lane per pair of pixel and sample index (mi.UInt32).
 
-        So do the frame and the seed. Its generator, a PCG32, is its field `rng`.
+        Its numbers depend on pixel, sample index, frame and seed alone. The field `rng` is its
+        generator, a PCG32.
         """
 
     def motion(self) -> tuple[Any, Any]:
-        """Of every pixel (mi.Float, x and y): pixels to where the same was one frame earlier.
+        """Motion vectors of all pixels (mi.Float, x and y), in pixels to the previous frame.
 
-        It leads outside the image where another shot begins.
+        They point outside the image in the first frame of a shot.
         """
 
 
 class SampleStreams(Protocol):
-    """Chains of samples, which remember."""
+    """Streams of samples with state; called once per frame, in order."""
 
-    def __call__(self) -> Float[Array, "chains h w 3"]:
-        """One sample per pixel of each chain, linear radiance; once a frame, in order."""
+    def __call__(self) -> Float[Array, "streams h w 3"]:
+        """One sample per pixel from each stream, linear radiance."""
 
 
 PATH = PoolKind("path", "independent path-traced samples, one per pixel and image")

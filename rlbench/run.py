@@ -1,4 +1,12 @@
-"""The page: one frame through one method. Training and benchmark both go through it."""
+"""One frame through one method: the loop that training and benchmark share.
+
+    state = method.start(clip.size)
+    for each frame:
+        for each pass: plan a density, turn it into whole sample counts, read these samples
+        denoise the samples to an image and the next state
+
+The method never receives the reference, a later frame, or a sample that its budget did not pay for.
+"""
 
 from __future__ import annotations
 
@@ -9,42 +17,73 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Samples
 from rlbench.method import Method, checked_density
 from rlbench.sampling import draw_pilot, draw_samples
 
+__all__ = ["FrameResult", "run_clip", "unroll"]
+
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What came of one frame: the image, and all samples that were bought for it."""
+    """A processed frame: the input, all samples drawn for it, and the method's image."""
 
     frame: Frame
-    samples: Samples
-    image: Float[Tensor, "n 3 h w"]
+    samples: Samples  # pilot and all passes, also those that the method discards
+    image: Float[Tensor, "n 3 h w"]  # linear radiance
 
 
 def unroll(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
-    """Send `clip` through `method`, frame by frame, at `spp` samples per pixel on average."""
+    """Run `method` over `clip` in order, with gradients; yield one result per frame.
+
+    `spp` is the budget in samples per pixel, as a mean over the image: each frame costs exactly
+    round(spp * h * w) samples, the pilot and all passes included.
+
+    Raises PluginError if a method varies its density without Traits(adaptive=True), and BudgetError
+    (rlbench.sampling) if a density is invalid or the budget cannot pay for `Traits.min_samples`.
+    """
     traits = method.traits
     state = method.start(clip.size)
     for frame in clip:
         gbuffer = frame.gbuffer.select(traits.inputs)
         samples = draw_pilot(frame.pool, min(traits.pilot_spp, spp))
         for share in traits.passes:
-            density, before = checked_density(method, gbuffer, samples, state), samples
-            poor = (
-                share < 1 and spp * share < traits.min_samples
-            )  # then no pixel is given more than it
-            limits = (0, traits.min_samples) if poor else (traits.min_samples, traits.max_samples)
+            previous = samples
+            density = checked_density(method, gbuffer, previous, state)
+            limits = _count_limits(traits, spp, share)
             samples = draw_samples(
-                frame.pool, before, density, spp * share, *limits, traits.discard_pilot
+                frame.pool, previous, density, spp * share, *limits, traits.discard_pilot
             )
-        kept = samples.since(before) if traits.discard_pilot else samples
-        image, state = method.denoise(gbuffer, kept, state)
+        visible = samples.since(previous) if traits.discard_pilot else samples
+        image, state = method.denoise(gbuffer, visible, state)
         yield FrameResult(frame, samples, image)
 
 
-@torch.inference_mode()  # as a decorator it holds while a frame is made, not between frames
+@torch.inference_mode()  # as a decorator it is active while a frame is computed, not between frames
 def run_clip(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
-    """`unroll` without gradients, for measuring."""
+    """Run `method` over `clip` as `unroll` does, without gradients: for measurements.
+
+    >>> from rlbench import registry
+    >>> from rlbench.clips.in_memory import InMemoryClip
+    >>> from rlbench.frames import GBuffer, Reference, StoredPool
+    >>> pool = StoredPool(torch.rand(1, 8, 3, 9, 11), rounding_seeds=(0,))
+    >>> grey = torch.full((1, 3, 9, 11), 0.5)
+    >>> frame = Frame(0, GBuffer({}, static=True), pool, Reference(grey, grey))
+    >>> clip = InMemoryClip("noise", "noise", "no digest", [frame])
+    >>> method = registry.method("mean", torch.device("cpu"))
+    >>> for result in run_clip(method, clip, spp=1.5):
+    ...     print(tuple(result.image.shape), int(result.samples.counts.sum()))  # 1.5 * 9 * 11
+    (1, 3, 9, 11) 148
+    """
     yield from unroll(method, clip, spp)
+
+
+def _count_limits(traits: Traits, spp: float, share: float) -> tuple[int, int | None]:
+    """Least and most samples of one pixel after the pass that ends at `share` of the budget.
+
+    An early pass that cannot pay for `min_samples` everywhere gives no pixel more than that, so
+    that the later passes can still pay for the rest.
+    """
+    below_floor = share < 1 and spp * share < traits.min_samples
+    return (0, traits.min_samples) if below_floor else (traits.min_samples, traits.max_samples)

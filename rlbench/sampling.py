@@ -1,4 +1,4 @@
-"""Buying samples: a wish becomes whole samples that cost exactly the budget."""
+"""Sample allocation: a density becomes whole sample counts that cost exactly the budget."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from rlbench.errors import RlbenchError
 from rlbench.frames import Pool, Samples
 from rlbench.ops.dither import systematic_sample
 
-TOLERANCE = 1e-3  # samples by which the shares of an image may miss the budget before rounding
-STEPS = 64  # most refinements of the multiplier; 5 to 10 are usual
-FRACTION = 2**32  # parts of a sample that remainders are counted in
+__all__ = ["BudgetError", "allocate_counts", "draw_pilot", "draw_samples"]
+
+BUDGET_TOLERANCE = 1e-3  # samples by which the sum of shares may miss the budget before rounding
+MAX_NEWTON_STEPS = 64  # for the multiplier k; 5 to 10 are usual
+REMAINDER_PARTS = 2**32  # unit of fractional shares: 1 / 2^32 of a sample
 
 
 class BudgetError(RlbenchError, ValueError):
-    """A density or a budget that cannot be turned into counts."""
+    """A density or a budget that cannot be turned into sample counts."""
 
 
 def draw_pilot(pool: Pool, spp: float) -> Samples:
-    """The samples of a frame before its method is asked: `spp` per pixel, evenly; often none."""
-    bought = pool.empty()
+    """Uniform samples, `spp` per pixel, drawn before the method's first plan; none at 0 spp."""
+    samples = pool.empty()
     if spp == 0:
-        return bought
-    return draw_samples(pool, bought, torch.ones_like(bought.counts, dtype=torch.float32), spp)
+        return samples
+    return draw_samples(pool, samples, torch.ones_like(samples.counts, dtype=torch.float32), spp)
 
 
 def draw_samples(
@@ -36,108 +38,130 @@ def draw_samples(
     max_samples: int | None = None,
     discard_pilot: bool = False,
 ) -> Samples:
-    """Samples that follow `density`, `upto` samples per pixel on average, those at hand included.
+    """`samples` and more, drawn by `density`, `target_spp` samples per pixel on average in total.
 
-    No pixel gets fewer than `floor`, or more than `cap` or than the pool has of it. If what is
-    bought now has to be `fresh`, those at hand are paid for all the same, but density, floor and
-    cap speak of the new ones alone. Raises BudgetError if the density is not finite and >= 0, or if
-    floor, cap and budget disagree.
+    The total of each image is exactly round(target_spp * h * w). Each pixel gets at least
+    `min_samples`, and at most `max_samples` and what the pool holds. With `discard_pilot`, earlier
+    samples still count towards the total, but density and limits apply to the new samples alone.
+
+    Raises BudgetError if the density has another shape than the frame, is negative or not finite,
+    or if limits and budget contradict each other.
     """
     n, h, w = pool.size
     if density.shape != (n, 1, h, w):
-        raise BudgetError(f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}")
-    cost, wish = round(target_spp * h * w), density.detach()
-    max_samples = pool.max_samples if max_samples is None else min(max_samples, pool.max_samples)
+        raise BudgetError(
+            f"density has shape {list(density.shape)}, the frame {[n, 1, h, w]}; "
+            "return one value per pixel"
+        )
+    density, drawn = density.detach(), samples.counts
+    total_samples = round(target_spp * h * w)
+    limit = pool.max_samples if max_samples is None else min(max_samples, pool.max_samples)
     if discard_pilot:
-        held, low = samples.counts, torch.full_like(samples.counts, min_samples)
-        paid = int(held[0].sum())  # as much in every image
-        keys = tuple(
-            key + 1 for key in pool.rounding_seeds
-        )  # or it would round up where the pilot did
-        counts = held + allocate_counts(
-            wish, cost - paid, low, (pool.max_samples - held).clamp_max(max_samples), keys
-        )
+        total_samples -= int(drawn[0].sum())  # the same in every image
+        low = torch.full_like(drawn, min_samples)
+        high = (pool.max_samples - drawn).clamp_max(limit)
+        seeds = tuple(seed + 1 for seed in pool.rounding_seeds)  # round up other pixels than before
+        counts = drawn + allocate_counts(density, total_samples, low, high, seeds)
     else:
-        counts = allocate_counts(
-            wish, cost, samples.counts.clamp_min(min_samples), max_samples, pool.rounding_seeds
-        )
+        low = drawn.clamp_min(min_samples)
+        counts = allocate_counts(density, total_samples, low, limit, pool.rounding_seeds)
     return Samples(pool.read(samples, counts), counts)
 
 
 def allocate_counts(
     density: Float[Tensor, "n 1 h w"],
-    cost: int,
-    low: Int[Tensor, "n 1 h w"],
-    high: int | Int[Tensor, "n 1 h w"],
+    total_samples: int,
+    min_counts: Int[Tensor, "n 1 h w"],
+    max_counts: int | Int[Tensor, "n 1 h w"],
     keys: tuple[int, ...],
 ) -> Int[Tensor, "n 1 h w"]:
-    """Whole counts in [low, high] that follow `density` and sum to exactly `cost` in each image.
+    """Sample counts within [min, max] that follow `density` and sum to `total_samples` per image.
 
-    The share of a pixel is clip(k * density, low, high) with k such that shares sum to `cost`. Its
-    count is the share rounded down or up, up with the probability of the remainder and in even
-    spread over the image (rlbench.ops.dither), so that counts follow density below one sample too:
-    to give what is left to the largest remainders would flatten any density between 0.5 and 1.5
-    at 1 spp, and follow the grain of one that is all but flat at 0.5. A density without a positive
-    value is uniform. A pixel that nobody wants still takes what full pixels cannot. Differs from
-    Scardigli et al. 2023, eq. in section 2.3, which rounds each pixel by itself and so misses the
-    budget by up to all of it below 0.5 spp.
+    The share of a pixel is clip(k * density, min, max), with k such that the shares of an image sum
+    to `total_samples` (water-filling). Its count is the share rounded down or up: up with the
+    probability of the fractional part, spread evenly over the image (rlbench.ops.dither). The last
+    argument holds one rounding seed per image.
+
+    So counts follow the density below one sample per pixel too. Rounding up the largest remainders
+    instead would flatten any density between 0.5 and 1.5 at 1 spp, and would follow the noise of a
+    nearly constant density at 0.5. A density without a positive value is uniform. Where all pixels
+    with positive density are full, the rest of the budget goes to the others. Differs from
+    Scardigli et al. 2023, equation in section 2.3, which rounds each pixel by itself and so misses
+    the budget by up to all of it below 0.5 spp.
+
+    Raises BudgetError if the density is negative or not finite, or if limits and budget contradict
+    each other.
+
+    >>> density = torch.tensor([0.0, 1.0, 2.0, 3.0]).view(1, 1, 1, 4)
+    >>> zero = torch.zeros(1, 1, 1, 4, dtype=torch.int64)
+    >>> allocate_counts(density, 6, zero, 8, (0,)).flatten().tolist()
+    [0, 1, 2, 3]
     """
     if not torch.isfinite(density).all():
-        raise BudgetError("density has values that are not finite; a density is finite and >= 0")
+        raise BudgetError("density has values that are not finite; it must be finite and >= 0")
     if (density < 0).any():
-        raise BudgetError(f"density has negative values, down to {float(density.min()):g}")
-    most = torch.as_tensor(high, device=low.device).expand_as(low)
-    images = zip(density[:, 0].double(), low[:, 0], most[:, 0], keys, strict=True)
-    return torch.stack([_spend_one(*image, cost) for image in images]).unsqueeze(1)
-
-
-def _spend_one(density: Tensor, low: Tensor, high: Tensor, key: int, cost: int) -> Tensor:
-    pixels, least, most = density.numel(), int(low.sum()), int(high.sum())
-    if not least <= cost <= most or bool((low > high).any()):
         raise BudgetError(
-            f"a budget of {cost} samples for {pixels} pixels does not fit: "
-            f"floor and earlier passes ask for {least}, cap and pool allow {most}"
+            f"density has negative values, down to {float(density.min()):g}; it must be >= 0"
         )
-    wanted = density > 0
-    if not wanted.any():
+    limits = torch.as_tensor(max_counts, device=min_counts.device).expand_as(min_counts)
+    images = zip(density[:, 0].double(), min_counts[:, 0], limits[:, 0], keys, strict=True)
+    return torch.stack([_allocate_image(*image, total_samples) for image in images]).unsqueeze(1)
+
+
+def _allocate_image(
+    density: Tensor, low: Tensor, high: Tensor, seed: int, total_samples: int
+) -> Tensor:
+    """`allocate_counts` for one image [h w]."""
+    least, most = int(low.sum()), int(high.sum())
+    if not least <= total_samples <= most or bool((low > high).any()):
+        raise BudgetError(
+            f"a budget of {total_samples} samples for {density.numel()} pixels does not fit: "
+            f"min_samples and earlier passes need {least}, max_samples and the pool allow {most}"
+        )
+    positive = density > 0
+    if not positive.any():
         density = torch.ones_like(density)
-    elif int(torch.where(wanted, high, low).sum()) < cost:  # all that is wanted is full
-        low = torch.where(wanted, high, low)
-        density = (~wanted).to(density.dtype)
-    share = _water_fill(density / density.max(), cost, low, high)
-    counts = share.floor().long()
-    while (left := cost - int(counts.sum())) > 0:
-        free = counts < high
-        rest = ((share - counts).clamp(0, 1) * FRACTION).long().where(free, 0)
-        if not rest.any():
-            rest = free.long()
-        counts += systematic_sample(rest, left, key)
-        key += 1
-    return counts
+    elif int(torch.where(positive, high, low).sum()) < total_samples:  # these pixels will be full
+        low = torch.where(positive, high, low)
+        density = (~positive).to(density.dtype)
+    shares = _water_fill(density / density.max(), total_samples, low, high)
+    return _round_to_total(shares, total_samples, high, seed)
 
 
-def _water_fill(density: Tensor, cost: int, low: Tensor, high: Tensor) -> Tensor:
-    """clip(k * density, low, high) with the k at which it sums to `cost`, by guarded Newton steps.
+def _water_fill(density: Tensor, total_samples: int, low: Tensor, high: Tensor) -> Tensor:
+    """clip(k * density, low, high) with k such that it sums to `total_samples`.
 
-    The sum rises with k and is piecewise linear. The result sums to `cost` within 1e-3, or, where
-    the steps run out, to less.
+    The sum is piecewise linear and increases with k; k is found by Newton steps within a bracket.
+    The result sums to `total_samples` within 1e-3, or to less if the steps run out.
     """
-    floor = low.double()
-    full = high.double()
-    best, below, above = floor, 0.0, float("inf")
-    k = cost / float(density.sum())
-    for _ in range(STEPS):
-        share = torch.minimum(torch.maximum(density * k, floor), full)
-        excess = float(share.sum()) - cost
-        if excess <= TOLERANCE:
-            best, below = share, k
+    low, high = low.double(), high.double()
+    best, below, above = low, 0.0, float("inf")  # shares and bracket of k
+    k = total_samples / float(density.sum())
+    for _ in range(MAX_NEWTON_STEPS):
+        shares = torch.minimum(torch.maximum(density * k, low), high)
+        excess = float(shares.sum()) - total_samples
+        if excess <= BUDGET_TOLERANCE:
+            best, below = shares, k
         else:
             above = k
-        if abs(excess) <= TOLERANCE:
+        if abs(excess) <= BUDGET_TOLERANCE:
             break
-        slope = float(density[(share > floor) & (share < full)].sum())
+        slope = float(density[(shares > low) & (shares < high)].sum())
         guess = k - excess / slope if slope > 0 else float("inf")
         if not below < guess < above:
             guess = 2 * k if above == float("inf") else (below + above) / 2
         k = guess
     return best
+
+
+def _round_to_total(shares: Tensor, total_samples: int, high: Tensor, seed: int) -> Tensor:
+    """Whole counts that sum to `total_samples`: each share rounded down or up, at most `high`."""
+    counts = shares.floor().long()
+    while (remaining := total_samples - int(counts.sum())) > 0:
+        free = counts < high
+        remainders = ((shares - counts).clamp(0, 1) * REMAINDER_PARTS).long().where(free, 0)
+        if not remainders.any():
+            remainders = free.long()
+        counts += systematic_sample(remainders, remaining, seed)
+        seed += 1
+    return counts

@@ -1,4 +1,4 @@
-"""Methods around a method: the base of all wrappers, and networks in half precision."""
+"""Wrappers around a method: the base class, and half-precision inference."""
 
 from __future__ import annotations
 
@@ -15,15 +15,24 @@ from rlbench.method import Method, State
 
 __all__ = ["HalfPrecision", "MethodWrapper"]
 
-DTYPE = torch.bfloat16  # range of float32, 8 bits of mantissa
+HALF_DTYPE = torch.bfloat16  # range of float32, 8 bits of significand
 M = TypeVar("M", bound=Method)
 
 
 @dataclass(frozen=True)
 class MethodWrapper(Generic[M]):
-    """A method that passes every call on to another one, as `gymnasium.Wrapper` does.
+    """A method that forwards every call to another method, like `gymnasium.Wrapper`.
 
-    Subclass it and override what differs. A wrapper is itself a `Method`.
+    Subclass it and override the members that differ. A wrapper is itself a `Method`.
+
+    >>> @dataclass(frozen=True)
+    ... class Brighter(MethodWrapper[Method]):
+    ...     def denoise(self, gbuffer, samples, state):
+    ...         image, state = super().denoise(gbuffer, samples, state)
+    ...         return 2 * image, state
+    >>> from rlbench import registry
+    >>> Brighter(registry.method("mean", torch.device("cpu"))).traits.adaptive
+    False
     """
 
     method: M
@@ -49,29 +58,29 @@ class MethodWrapper(Generic[M]):
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The wrapped method's image and next state."""
+        """The wrapped method's image, and the next state."""
         return self.method.denoise(gbuffer, samples, state)
 
 
 @dataclass(frozen=True)
 class HalfPrecision(MethodWrapper[Method]):
-    """The same method with convolutions and matrix products in bfloat16, images in float32.
+    """A method with convolutions and matrix products in bfloat16; density and image stay float32.
 
-    torch.autocast keeps sums, norms and other delicate operations in float32. The method itself
-    needs no change. Its state may be bfloat16.
+    torch.autocast keeps sums, norms and other precision-critical operations in float32. The method
+    itself needs no change. Its state may hold bfloat16 tensors.
     """
 
-    device: torch.device
+    device: torch.device  # where the method computes
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """The method's density, in float32."""
-        with torch.autocast(self.device.type, DTYPE):
+        with torch.autocast(self.device.type, HALF_DTYPE):
             return super().plan(gbuffer, samples, state).float()
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The method's image, in float32, and its next state."""
-        with torch.autocast(self.device.type, DTYPE):
+        """The method's image, in float32, and the next state."""
+        with torch.autocast(self.device.type, HALF_DTYPE):
             image, state = super().denoise(gbuffer, samples, state)
         return image.float(), state

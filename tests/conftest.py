@@ -1,4 +1,4 @@
-"""Shared by all tests: one thread, a cache of their own, and tiny clips on disk."""
+"""Fixtures of all tests: one thread, a separate cache, small clips on disk, plugin files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rlbench.clips.stored import Header, write_frame, write_header
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """No test reads or fills the user's cache, and no loose plugin outlives its test."""
+    """Tests do not touch the user's cache; plugin files are unloaded after each test."""
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv(registry.VARIABLE, raising=False)
     torch.set_num_threads(1)
@@ -24,16 +24,16 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 @pytest.fixture
 def clip_folder(tmp_path: Path) -> Path:
-    """A finished clip on disk: 3 frames of 20 x 24 pixels, noise from a seed."""
+    """A complete clip on disk: 3 frames of 20 x 24 pixels, seeded noise."""
     return write_noise(tmp_path / "clips" / "noise")
 
 
 def write_noise(
     folder: Path, scene: str = "noise", frames: int = 3, h: int = 20, w: int = 24, **header: object
 ) -> Path:
-    """A clip folder of noise around a gradient, that any renderer could have written."""
+    """Write a clip folder of noise around a gradient; `header` overrides fields of clip.toml."""
     rng = np.random.default_rng(len(folder.name))
-    told = {
+    fields = {
         "name": folder.name,
         "scene": scene,
         "sampler": "numpy",
@@ -56,7 +56,7 @@ def write_noise(
         pool = truth * rng.exponential(size=(8, h, w, 3)).astype(np.float32)
         halves = [truth + rng.normal(0, 1e-3, truth.shape).astype(np.float32) for _ in "AB"]
         write_frame(folder, index, gbuffer, {"path": pool}, *halves)
-    write_header(folder, Header(**told))
+    write_header(folder, Header(**fields))
     return folder
 
 
@@ -68,7 +68,7 @@ def write_plugin(
     body: str = "return samples.mean * GAIN, None",
     build: str = "return Scaled()",
 ) -> Path:
-    """A loose file with a method that shows the mean, times `gain`, or does what `body` says."""
+    """Write a plugin file with a method whose denoiser returns gain * mean, or runs `body`."""
     path.write_text(
         f'''
 from dataclasses import dataclass
@@ -88,10 +88,10 @@ class Scaled:
     def start(self, size):
         return None
 
-    def plan(self, view, samples, state):
+    def plan(self, gbuffer, samples, state):
         return torch.ones_like(samples.counts, dtype=torch.float32)
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         {body}
 
 

@@ -1,4 +1,4 @@
-"""The closed-form world as clip folders, that any renderer could have written."""
+"""Clip folders of the procedural world, in the format that a renderer writes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rlbench.frames import Size
 
 
 def write_world(folder: Path, seed: int = 0, side: int = 48, frames: int = 3) -> Path:
-    """A finished clip of a moving world, of `side` x `side` pixels."""
+    """Write a complete clip of a moving world with `side` x `side` pixels."""
     for frame in procedural(seed, Size(1, side, side), frames):
         gbuffer = {name: _image(tensor) for name, tensor in frame.gbuffer.buffers.items()}
         pool = np.stack([_image(frame.pool.radiance[:, slot]) for slot in range(8)])

@@ -1,4 +1,4 @@
-"""Running a clip: gradients only where they are wanted."""
+"""Gradients: kept by `unroll`, off in `run_clip`."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import torch
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Size
 from rlbench.run import run_clip, unroll
-from tests.test_page import Diary
+from tests.test_page import CallRecorder
 
 SIZE = Size(1, 9, 11)
 
 
-@pytest.mark.parametrize(("run", "traced"), [(unroll, True), (run_clip, False)])
-def test_only_training_keeps_gradients(run, traced):
+@pytest.mark.parametrize(("run", "has_gradient"), [(unroll, True), (run_clip, False)])
+def test_only_unroll_keeps_gradients(run, has_gradient):
     weight = torch.ones((), requires_grad=True)
 
     @dataclass(frozen=True)
-    class Scaled(Diary):
+    class Scaled(CallRecorder):
         def denoise(self, gbuffer, samples, state):
             return samples.mean * weight, state
 
-    shown = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))
-    assert shown.image.requires_grad is traced
+    result = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))
+    assert result.image.requires_grad is has_gradient
 
 
-def test_runs_that_take_turns_leave_gradients_as_they_were():
+def test_interleaved_runs_do_not_change_the_gradient_mode():
     clips = [procedural(seed, SIZE, frames=2) for seed in (0, 1)]
-    for _ in zip(*(run_clip(Diary(), clip, 1.0) for clip in clips), strict=True):
+    for _ in zip(*(run_clip(CallRecorder(), clip, 1.0) for clip in clips), strict=True):
         assert not torch.is_inference_mode_enabled()
     assert not torch.is_inference_mode_enabled()

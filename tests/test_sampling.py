@@ -1,4 +1,4 @@
-"""A budget is spent to the sample, on the pixels that were wished for, and never twice."""
+"""Sample allocation: exact totals, limits, proportionality to the density, and rounding."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from rlbench.frames import StoredPool
 from rlbench.sampling import BudgetError, allocate_counts, draw_samples
 
-KEY = (1,)
+SEEDS = (1,)  # of one image
 
 
 def image(values: list[float]) -> Tensor:
@@ -22,15 +22,17 @@ def image(values: list[float]) -> Tensor:
     return torch.tensor(values, dtype=torch.float32).view(1, 1, 1, -1)
 
 
-def at_least(values: list[int]) -> Tensor:
+def counts_of(values: list[int]) -> Tensor:
+    """One row of sample counts, [1 1 1 w]."""
     return torch.tensor(values).view(1, 1, 1, -1)
 
 
-def spent(
-    density: list[float], cost: int, low: list[int] | None = None, high: int = 8
+def allocate_row(
+    density: list[float], total: int, low: list[int] | None = None, high: int = 8
 ) -> list[int]:
+    """The counts of one row of pixels."""
     low = low or [0] * len(density)
-    counts = allocate_counts(image(density), cost, at_least(low), high, KEY)
+    counts = allocate_counts(image(density), total, counts_of(low), high, SEEDS)
     return counts.flatten().tolist()
 
 
@@ -42,104 +44,107 @@ DENSITY = st.one_of(
 
 
 @st.composite
-def wishes(draw):
-    """(density, cost, low, high) that can be met."""
+def problems(draw):
+    """(density, total, low, high) with a feasible total."""
     density = draw(st.lists(DENSITY, min_size=1, max_size=40))
     high = draw(st.integers(1, 9))
     low = draw(
         st.lists(st.integers(0, high), min_size=len(density), max_size=len(density))
         | st.just([0] * len(density))
     )
-    cost = draw(st.integers(sum(low), high * len(density)))
-    return density, cost, low, high
+    total = draw(st.integers(sum(low), high * len(density)))
+    return density, total, low, high
 
 
-# For every density and budget that fit
-
-
-@settings(deadline=None)
-@given(wishes())
-def test_the_sum_is_exact(wish):
-    density, cost, low, high = wish
-    assert sum(spent(density, cost, low, high)) == cost
+# For every density and feasible budget
 
 
 @settings(deadline=None)
-@given(wishes())
-def test_floor_and_cap_hold(wish):
-    density, cost, low, high = wish
-    assert all(a <= n <= high for a, n in zip(low, spent(density, cost, low, high), strict=True))
+@given(problems())
+def test_the_sum_is_exact(problem):
+    density, total, low, high = problem
+    assert sum(allocate_row(density, total, low, high)) == total
 
 
 @settings(deadline=None)
-@given(wishes(), st.randoms(use_true_random=False))
-def test_counts_move_with_their_pixels_up_to_rounding(wish, draw):
-    density, cost, low, high = wish
+@given(problems())
+def test_counts_are_within_the_limits(problem):
+    density, total, low, high = problem
+    assert all(
+        a <= n <= high for a, n in zip(low, allocate_row(density, total, low, high), strict=True)
+    )
+
+
+@settings(deadline=None)
+@given(problems(), st.randoms(use_true_random=False))
+def test_shuffling_pixels_shuffles_counts_up_to_rounding(problem, draw):
+    density, total, low, high = problem
     order = list(range(len(density)))
     draw.shuffle(order)
-    moved = spent([density[i] for i in order], cost, [low[i] for i in order], high)
-    counts = spent(density, cost, low, high)
-    # each is its share rounded down or up, and who is rounded up depends on the place
-    assert all(abs(moved[at] - counts[i]) <= 1 for at, i in enumerate(order))
+    shuffled = allocate_row([density[i] for i in order], total, [low[i] for i in order], high)
+    counts = allocate_row(density, total, low, high)
+    # a count is the share rounded down or up; which pixels are rounded up depends on position
+    assert all(abs(shuffled[at] - counts[i]) <= 1 for at, i in enumerate(order))
 
 
 @settings(deadline=None)
-@given(wishes(), st.floats(2**-20, 2**20))
-def test_scale_does_not_matter(wish, scale):
-    density, cost, low, high = wish
+@given(problems(), st.floats(2**-20, 2**20))
+def test_the_scale_of_the_density_does_not_matter(problem, scale):
+    density, total, low, high = problem
     scale = 2.0 ** round(math.log2(scale))  # exact in floating point
     density = [d for d in map(float, image(density).flatten())]
     assume(all(d == 0 or 1e-30 < d < 1e30 for d in density))
     scaled = [d * scale for d in density]
-    assert spent(scaled, cost, low, high) == spent(density, cost, low, high)
+    assert allocate_row(scaled, total, low, high) == allocate_row(density, total, low, high)
 
 
-def exact_shares(density: list[float], cost: int, low: list[int], high: int) -> list[Fraction]:
+def exact_shares(density: list[float], total: int, low: list[int], high: int) -> list[Fraction]:
     """The share of each pixel, in exact arithmetic.
 
-    k is found by sorting the values at which a pixel leaves its floor or reaches its cap; between
-    two of them the sum is a straight line.
+    k is found by sorting the values at which a pixel leaves its lower limit or reaches its upper
+    limit; between two of them the sum of shares is linear in k.
     """
-    wish = [Fraction(d) for d in density]
-    if not any(wish):
-        wish = [Fraction(1)] * len(wish)
-    if sum(high if d else a for d, a in zip(wish, low, strict=True)) < cost:
-        low = [high if d else a for d, a in zip(wish, low, strict=True)]
-        wish = [Fraction(not d) for d in wish]
+    exact = [Fraction(d) for d in density]
+    if not any(exact):
+        exact = [Fraction(1)] * len(exact)
+    if sum(high if d else a for d, a in zip(exact, low, strict=True)) < total:
+        low = [high if d else a for d, a in zip(exact, low, strict=True)]
+        exact = [Fraction(not d) for d in exact]
 
     def shares(k: Fraction) -> list[Fraction]:
         return [
-            min(max(k * d, Fraction(a)), Fraction(high)) for d, a in zip(wish, low, strict=True)
+            min(max(k * d, Fraction(a)), Fraction(high)) for d, a in zip(exact, low, strict=True)
         ]
 
     corners = sorted(
-        {Fraction(b) / d for d, a in zip(wish, low, strict=True) if d for b in (a, high)}
+        {Fraction(b) / d for d, a in zip(exact, low, strict=True) if d for b in (a, high)}
     )
     below, above = Fraction(0), Fraction(0)
-    for above in corners:  # noqa: B007  (the first corner at which the sum reaches the cost)
-        if sum(shares(above)) >= cost:
+    for above in corners:  # noqa: B007  (the first corner at which the sum reaches the total)
+        if sum(shares(above)) >= total:
             break
         below = above
     rise = sum(shares(above)) - sum(shares(below))
-    k = below + (above - below) * (cost - sum(shares(below))) / rise if rise else above
+    k = below + (above - below) * (total - sum(shares(below))) / rise if rise else above
     return shares(k)
 
 
 @settings(max_examples=200, deadline=None)
-@given(wishes())
-def test_a_count_is_the_exact_share_rounded_down_or_up(wish):
-    density, cost, low, high = wish
+@given(problems())
+def test_counts_are_exact_shares_rounded_down_or_up(problem):
+    density, total, low, high = problem
     values = list(map(float, image(density).flatten()))
-    wanted = [v for v in values if v]
-    assume(not wanted or max(wanted) < 1e15 * min(wanted))  # the search for k doubles it 64 times
-    share = exact_shares(values, cost, low, high)
-    counts = spent(density, cost, low, high)
+    positive = [v for v in values if v]
+    # the search for k doubles it at most 64 times
+    assume(not positive or max(positive) < 1e15 * min(positive))
+    share = exact_shares(values, total, low, high)
+    counts = allocate_row(density, total, low, high)
     # the multiplier is found within 1e-3 samples of the budget
     assert all(abs(n - s) < 1 + 2e-3 for n, s in zip(counts, share, strict=True))
 
 
 @pytest.mark.parametrize(
-    ("density", "cost", "high"),
+    ("density", "total", "high"),
     [
         ([0.1, 0.25, 0.7, 1.9, 0.0, 3.3], 11, 4),
         ([1.0, 2.5, 2.75, 8.0], 9, 8),
@@ -148,191 +153,194 @@ def test_a_count_is_the_exact_share_rounded_down_or_up(wish):
         ([1e-8, 1.0, 1e8], 13, 8),
     ],
 )
-def test_the_mean_of_counts_over_keys_is_the_exact_share(density, cost, high):
+def test_the_mean_of_counts_over_seeds_is_the_exact_share(density, total, high):
     values = list(map(float, image(density).flatten()))
-    keys, low = 2000, torch.zeros(2000, 1, 1, len(values), dtype=torch.int64)
-    counts = allocate_counts(image(density).expand(low.shape), cost, low, high, tuple(range(keys)))
+    runs, low = 2000, torch.zeros(2000, 1, 1, len(values), dtype=torch.int64)
+    counts = allocate_counts(image(density).expand(low.shape), total, low, high, tuple(range(runs)))
     mean = counts.double().mean((0, 1, 2))
-    exact = [float(s) for s in exact_shares(values, cost, [0] * len(values), high)]
-    # a count is one of two neighbours, so its deviation is at most 0.5; 4.5 standard errors
-    assert (mean - torch.tensor(exact)).abs().max() < 4.5 * 0.5 / math.sqrt(keys)
+    exact = [float(s) for s in exact_shares(values, total, [0] * len(values), high)]
+    # a count is one of two adjacent integers: standard deviation at most 0.5; 4.5 standard errors
+    assert (mean - torch.tensor(exact)).abs().max() < 4.5 * 0.5 / math.sqrt(runs)
 
 
 # Known answers
 
 
-def test_a_density_of_whole_numbers_is_met_as_it_is():
-    assert spent([0, 1, 2, 3], cost=6) == [0, 1, 2, 3]
+def test_a_density_of_feasible_counts_gives_these_counts():
+    assert allocate_row([0, 1, 2, 3], total=6) == [0, 1, 2, 3]
 
 
-def test_what_the_cap_cuts_goes_to_the_others():
-    assert spent([100, 1, 1, 2], cost=8, high=4) == [4, 1, 1, 2]
+def test_samples_above_the_maximum_go_to_other_pixels():
+    assert allocate_row([100, 1, 1, 2], total=8, high=4) == [4, 1, 1, 2]
 
 
-def test_a_pixel_that_nobody_wants_takes_what_full_pixels_cannot():
-    assert spent([1, 1, 0, 0], cost=6, high=2) == [2, 2, 1, 1]
+def test_zero_density_pixels_take_samples_that_full_pixels_cannot():
+    assert allocate_row([1, 1, 0, 0], total=6, high=2) == [2, 2, 1, 1]
 
 
-def test_a_floor_is_paid_from_the_others_share():
-    assert spent([0, 0, 1, 1], cost=6, low=[1, 1, 1, 1]) == [1, 1, 2, 2]
+def test_the_minimum_is_taken_from_the_share_of_other_pixels():
+    assert allocate_row([0, 0, 1, 1], total=6, low=[1, 1, 1, 1]) == [1, 1, 2, 2]
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, 1e-30, 1e30])
-def test_a_constant_or_empty_wish_is_uniform(value):
-    assert spent([value] * 6, cost=12) == [2] * 6
+def test_a_constant_or_zero_density_is_uniform(value):
+    assert allocate_row([value] * 6, total=12) == [2] * 6
 
 
-def test_a_full_budget_fills_all():
-    assert spent([0, 1, 5], cost=24) == [8, 8, 8]
+def test_a_full_budget_fills_all_pixels():
+    assert allocate_row([0, 1, 5], total=24) == [8, 8, 8]
 
 
-def test_no_budget_buys_nothing():
-    assert spent([0, 1, 5], cost=0) == [0, 0, 0]
+def test_a_budget_of_zero_gives_zero_counts():
+    assert allocate_row([0, 1, 5], total=0) == [0, 0, 0]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
-def test_a_wish_that_is_no_density_is_an_error(value):
+def test_a_negative_or_nonfinite_density_is_an_error(value):
     with pytest.raises(BudgetError, match="finite|negative"):
-        spent([1.0, value, 2.0], cost=3)
+        allocate_row([1.0, value, 2.0], total=3)
 
 
 @pytest.mark.parametrize(
-    ("cost", "low", "high"), [(25, [0, 0, 0], 8), (2, [1, 1, 1], 8), (-1, [0, 0, 0], 8)]
+    ("total", "low", "high"), [(25, [0, 0, 0], 8), (2, [1, 1, 1], 8), (-1, [0, 0, 0], 8)]
 )
-def test_a_budget_that_does_not_fit_is_an_error(cost, low, high):
-    with pytest.raises(BudgetError, match=f"a budget of {cost} samples for 3 pixels does not fit"):
-        spent([1.0, 1.0, 1.0], cost, low, high)
+def test_an_infeasible_budget_is_an_error(total, low, high):
+    with pytest.raises(BudgetError, match=f"a budget of {total} samples for 3 pixels does not fit"):
+        allocate_row([1.0, 1.0, 1.0], total, low, high)
 
 
-# What is left after rounding down
+# Rounding
 
 
 @pytest.mark.parametrize("spp", [0.01, 0.5, 1.3])
-def test_a_constant_density_favours_no_quadrant(spp):
+def test_a_constant_density_gives_quadrants_equal_counts(spp):
     side, zero = 128, torch.zeros(1, 1, 128, 128, dtype=torch.int64)
-    counts = allocate_counts(torch.ones(1, 1, side, side), round(spp * side * side), zero, 8, KEY)[
-        0, 0
-    ]
-    mass = counts.unfold(0, 64, 64).unfold(1, 64, 64).sum((-1, -2)).flatten()
-    # a quadrant is one piece of the curve: its share of about spp * 4096, rounded down or up
-    assert mass.max() - mass.min() <= 1
+    counts = allocate_counts(
+        torch.ones(1, 1, side, side), round(spp * side * side), zero, 8, SEEDS
+    )[0, 0]
+    sums = counts.unfold(0, 64, 64).unfold(1, 64, 64).sum((-1, -2)).flatten()
+    # a quadrant is one segment of the curve: its share of about spp * 4096, rounded down or up
+    assert sums.max() - sums.min() <= 1
 
 
-def test_half_a_sample_everywhere_is_a_chequerboard():
+def test_half_a_sample_per_pixel_is_a_chequerboard():
     zero = torch.zeros(1, 1, 64, 64, dtype=torch.int64)
-    counts = allocate_counts(torch.ones(1, 1, 64, 64), 64 * 32, zero, 8, KEY)[0, 0]
+    counts = allocate_counts(torch.ones(1, 1, 64, 64), 64 * 32, zero, 8, SEEDS)[0, 0]
     odd = (torch.arange(64)[:, None] + torch.arange(64)) % 2
     assert torch.equal(counts, odd) or torch.equal(counts, 1 - odd)
 
 
-def test_density_is_followed_below_one_sample_too():
-    """Where the largest remainders were served first, all pixels got one sample here."""
-    wish = torch.ones(1, 1, 32, 32)
-    wish[..., :16], wish[..., 16:] = 0.7, 1.3
-    counts = allocate_counts(wish, 32 * 32, torch.zeros(1, 1, 32, 32, dtype=torch.int64), 8, KEY)
-    assert abs(int(counts[..., :16].sum()) - 0.7 * 512) < 3  # the half is two pieces of the curve
+def test_counts_follow_the_density_below_one_sample():
+    """Rounding up the largest remainders would give every pixel one sample pool."""
+    density = torch.ones(1, 1, 32, 32)
+    density[..., :16], density[..., 16:] = 0.7, 1.3
+    counts = allocate_counts(
+        density, 32 * 32, torch.zeros(1, 1, 32, 32, dtype=torch.int64), 8, SEEDS
+    )
+    assert abs(int(counts[..., :16].sum()) - 0.7 * 512) < 3  # a half is two segments of the curve
 
 
-def test_another_key_rounds_others_up_and_the_same_key_does_not():
-    zero, wish = torch.zeros(1, 1, 16, 16, dtype=torch.int64), torch.ones(1, 1, 16, 16)
-    first, again, other = (allocate_counts(wish, 100, zero, 8, (k,)) for k in (3, 3, 4))
+def test_another_seed_rounds_up_other_pixels_and_the_same_seed_does_not():
+    zero, density = torch.zeros(1, 1, 16, 16, dtype=torch.int64), torch.ones(1, 1, 16, 16)
+    first, again, other = (allocate_counts(density, 100, zero, 8, (k,)) for k in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 
 
 def test_a_batch_of_two_is_two_images():
-    wish = torch.rand(2, 1, 9, 11, generator=torch.Generator().manual_seed(0))
+    density = torch.rand(2, 1, 9, 11, generator=torch.Generator().manual_seed(0))
     zero = torch.zeros(2, 1, 9, 11, dtype=torch.int64)
-    both = allocate_counts(wish, 70, zero, 8, (5, 6))
-    alone = [allocate_counts(wish[i : i + 1], 70, zero[i : i + 1], 8, (5 + i,)) for i in range(2)]
+    both = allocate_counts(density, 70, zero, 8, (5, 6))
+    alone = [
+        allocate_counts(density[i : i + 1], 70, zero[i : i + 1], 8, (5 + i,)) for i in range(2)
+    ]
     assert torch.equal(both, torch.cat(alone))
 
 
-# Buying
+# Drawing
 
 
-def pool(h: int = 6, w: int = 7, stored: int = 8, n: int = 1) -> StoredPool:
+def random_pool(h: int = 6, w: int = 7, stored: int = 8, n: int = 1) -> StoredPool:
     generator = torch.Generator().manual_seed(h * w)
     return StoredPool(torch.rand(n, stored, 3, h, w, generator=generator), tuple(range(n)))
 
 
-def test_a_hundredth_of_a_sample_per_pixel_is_paid_to_the_sample():
-    full = StoredPool(torch.zeros(1, 8, 1, 720, 720), KEY)  # one channel is enough to count
+def test_a_budget_of_a_hundredth_sample_per_pixel_is_exact():
+    full = StoredPool(torch.zeros(1, 8, 1, 720, 720), SEEDS)  # one channel is enough to count
     counts = allocate_counts(
-        torch.rand(1, 1, 720, 720), round(0.01 * 720 * 720), full.empty().counts, 8, KEY
+        torch.rand(1, 1, 720, 720), round(0.01 * 720 * 720), full.empty().counts, 8, SEEDS
     )
     assert int(counts.sum()) == 5184
 
 
 @pytest.mark.parametrize("spp", [0.0, 0.01, 0.5, 1.0, 2.3, 8.0])
-def test_buying_costs_the_budget(spp):
-    here = pool()
-    wish = torch.rand(1, 1, 6, 7, generator=torch.Generator().manual_seed(1))
-    assert int(draw_samples(here, here.empty(), wish, target_spp=spp).counts.sum()) == round(
-        spp * 42
-    )
+def test_drawing_costs_exactly_the_budget(spp):
+    pool = random_pool()
+    density = torch.rand(1, 1, 6, 7, generator=torch.Generator().manual_seed(1))
+    samples = draw_samples(pool, pool.empty(), density, target_spp=spp)
+    assert int(samples.counts.sum()) == round(spp * 42)
 
 
-def test_a_second_pass_keeps_what_the_first_bought():
-    here = pool()
-    first = draw_samples(here(here), torch.ones(1, 1, 6, 7), target_spp=1)
-    wish = torch.zeros(1, 1, 6, 7)
-    wish[..., 0] = 1
-    second = draw_samples(here, first, wish, target_spp=1.5)
+def test_a_second_pass_keeps_the_samples_of_the_first():
+    pool = random_pool()
+    first = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), target_spp=1)
+    density = torch.zeros(1, 1, 6, 7)
+    density[..., 0] = 1
+    second = draw_samples(pool, first, density, target_spp=1.5)
     assert (second.counts >= first.counts).all()
-    kept = first.valid_mask.expand_as(first.radiance)
-    assert torch.equal(second.radiance[kept], first.radiance[kept])
+    valid = first.valid_mask.expand_as(first.radiance)
+    assert torch.equal(second.radiance[valid], first.radiance[valid])
 
 
-def test_what_was_not_bought_is_not_there():
-    values = pool().radiance.clone()
+def test_samples_that_were_not_drawn_are_zero():
+    values = random_pool().radiance.clone()
     values[:, 1:] = math.nan
     samples = draw_samples(
-        StoredPool(values, KEY), pool().empty(), torch.ones(1, 1, 6, 7), target_spp=1
+        StoredPool(values, SEEDS), random_pool().empty(), torch.ones(1, 1, 6, 7), target_spp=1
     )
     assert torch.equal(samples.radiance[:, 0], values[:, 0])
     assert (samples.radiance[:, 1:] == 0).all()
 
 
-def test_the_mean_is_that_of_the_bought():
-    here = pool()
-    samples = draw_samples(here(here), torch.ones(1, 1, 6, 7), target_spp=3)
-    torch.testing.assert_close(samples.mean, here.radiance[:, :3].mean(1))
+def test_the_mean_is_that_of_the_drawn_samples():
+    pool = random_pool()
+    samples = draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), target_spp=3)
+    torch.testing.assert_close(samples.mean, pool.radiance[:, :3].mean(1))
 
 
-def test_the_mean_of_nothing_is_zero():
-    assert (pool().empty().mean == 0).all()
+def test_the_mean_of_no_samples_is_zero():
+    assert (random_pool().empty().mean == 0).all()
 
 
-def test_a_floor_of_one_samples_every_pixel():
-    here = pool()
-    wish = torch.zeros(1, 1, 6, 7)
-    wish[..., 2, 2] = 1
-    assert (
-        int(draw_samples(here, here.empty(), wish, target_spp=1.2, min_samples=1).counts.min()) == 1
-    )
+def test_a_minimum_of_one_samples_every_pixel():
+    pool = random_pool()
+    density = torch.zeros(1, 1, 6, 7)
+    density[..., 2, 2] = 1
+    samples = draw_samples(pool, pool.empty(), density, target_spp=1.2, min_samples=1)
+    assert int(samples.counts.min()) == 1
 
 
-def test_a_floor_beyond_the_budget_is_an_error():
-    here = pool()
+def test_a_minimum_beyond_the_budget_is_an_error():
+    pool = random_pool()
     with pytest.raises(BudgetError, match="does not fit"):
-        draw_samples(here(here), torch.ones(1, 1, 6, 7), target_spp=0.5, min_samples=1)
+        draw_samples(pool, pool.empty(), torch.ones(1, 1, 6, 7), target_spp=0.5, min_samples=1)
 
 
-def test_a_density_of_another_shape_is_an_error():
-    here = pool()
+def test_a_density_with_another_shape_is_an_error():
+    pool = random_pool()
     with pytest.raises(BudgetError, match=r"\[1, 1, 7, 6\], the frame \[1, 1, 6, 7\]"):
-        draw_samples(here(here), torch.ones(1, 1, 7, 6), target_spp=1)
+        draw_samples(pool, pool.empty(), torch.ones(1, 1, 7, 6), target_spp=1)
 
 
-def test_no_gradient_flows_through_buying():
-    here = pool()
-    wish = torch.ones(1, 1, 6, 7, requires_grad=True)
-    assert not draw_samples(here, here.empty(), wish, target_spp=1).radiance.requires_grad
+def test_no_gradient_flows_through_drawing():
+    pool = random_pool()
+    density = torch.ones(1, 1, 6, 7, requires_grad=True)
+    samples = draw_samples(pool, pool.empty(), density, target_spp=1)
+    assert not samples.radiance.requires_grad
 
 
-def stored(slots: int = 8, h: int = 6, w: int = 7, n: int = 1) -> StoredPool:
-    """A pool whose sample in slot k has radiance k + 1."""
+def numbered_pool(slots: int = 8, h: int = 6, w: int = 7, n: int = 1) -> StoredPool:
+    """A pool whose samples in slot k have radiance k + 1."""
     radiance = torch.arange(1.0, slots + 1).view(1, -1, 1, 1, 1).expand(n, -1, 3, h, w)
     return StoredPool(radiance, tuple(range(n)))
 
@@ -341,47 +349,47 @@ def noise(seed: int, n: int = 1, h: int = 6, w: int = 7) -> Tensor:
     return torch.rand(n, 1, h, w, generator=torch.Generator().manual_seed(seed))
 
 
-def test_fresh_samples_are_those_that_follow_the_pilots():
-    pool = stored()
-    pilot = draw_samples(pool(pool), noise(0), 1.0)
-    bought = draw_samples(pool, pilot, noise(1), 3.0, discard_pilot=True)
-    fresh = bought.since(pilot)
-    assert torch.equal(fresh.counts, bought.counts - pilot.counts)
-    first = (pilot.counts + 1).where(fresh.counts > 0, 0)[:, None].expand(-1, -1, 3, -1, -1)
-    assert torch.equal(fresh.radiance[:, :1], first.float())
-    assert torch.equal(fresh.radiance.sum(1), bought.radiance.sum(1) - pilot.radiance.sum(1))
+def test_samples_since_the_pilot_are_the_next_slots():
+    pool = numbered_pool()
+    pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
+    samples = draw_samples(pool, pilot, noise(1), 3.0, discard_pilot=True)
+    later = samples.since(pilot)
+    assert torch.equal(later.counts, samples.counts - pilot.counts)
+    first = (pilot.counts + 1).where(later.counts > 0, 0)[:, None].expand(-1, -1, 3, -1, -1)
+    assert torch.equal(later.radiance[:, :1], first.float())
+    assert torch.equal(later.radiance.sum(1), samples.radiance.sum(1) - pilot.radiance.sum(1))
 
 
-def test_a_pilot_is_paid_for_when_fresh_samples_are_bought():
-    pool = stored(n=2)
-    pilot = draw_samples(pool(pool), noise(0, n=2), 1.5)
-    bought = draw_samples(pool, pilot, noise(1, n=2), 4.0, discard_pilot=True)
-    assert bought.counts.flatten(1).sum(1).tolist() == [4 * 42, 4 * 42]
+def test_a_discarded_pilot_counts_towards_the_budget():
+    pool = numbered_pool(n=2)
+    pilot = draw_samples(pool, pool.empty(), noise(0, n=2), 1.5)
+    samples = draw_samples(pool, pilot, noise(1, n=2), 4.0, discard_pilot=True)
+    assert samples.counts.flatten(1).sum(1).tolist() == [4 * 42, 4 * 42]
 
 
-def test_fresh_samples_follow_the_density_whatever_the_pilot_had():
-    pool = stored(slots=16)
-    pilot = draw_samples(pool(pool), noise(0), 2.0)
-    wish = torch.ones(1, 1, 6, 7)
-    wish[..., :3] = 3
-    share = 42 * 4 / int(wish.sum())
-    bought = draw_samples(pool, pilot, wish, 6.0, discard_pilot=True).since(pilot)
-    assert ((bought.counts - share * wish).abs() < 1).all()
+def test_samples_after_a_discarded_pilot_follow_the_density_alone():
+    pool = numbered_pool(slots=16)
+    pilot = draw_samples(pool, pool.empty(), noise(0), 2.0)
+    density = torch.ones(1, 1, 6, 7)
+    density[..., :3] = 3
+    share = 42 * 4 / int(density.sum())
+    samples = draw_samples(pool, pilot, density, 6.0, discard_pilot=True).since(pilot)
+    assert ((samples.counts - share * density).abs() < 1).all()
 
 
-def test_a_floor_holds_for_fresh_samples():
-    pool = stored()
-    pilot = draw_samples(pool(pool), noise(0), 1.0)
-    bought = draw_samples(pool, pilot, noise(1) ** 8, 4.0, min_samples=1, discard_pilot=True).since(
-        pilot
-    )
-    assert int(bought.counts.min()) == 1
+def test_the_minimum_applies_to_samples_after_a_discarded_pilot():
+    pool = numbered_pool()
+    pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
+    samples = draw_samples(
+        pool, pilot, noise(1) ** 8, 4.0, min_samples=1, discard_pilot=True
+    ).since(pilot)
+    assert int(samples.counts.min()) == 1
 
 
-@pytest.mark.parametrize("upto", [7.0, 8.0])
-def test_pilot_and_fresh_samples_share_the_cap(upto):
-    pool = stored()
-    pilot = draw_samples(pool(pool), noise(0), 1.0)
-    bought = draw_samples(pool, pilot, noise(1) ** 4, upto, discard_pilot=True)
-    assert int(bought.counts.max()) == 8
-    assert int(bought.counts.sum()) == upto * 42
+@pytest.mark.parametrize("target_spp", [7.0, 8.0])
+def test_a_discarded_pilot_counts_towards_the_size_of_the_pool(target_spp):
+    pool = numbered_pool()
+    pilot = draw_samples(pool, pool.empty(), noise(0), 1.0)
+    samples = draw_samples(pool, pilot, noise(1) ** 4, target_spp, discard_pilot=True)
+    assert int(samples.counts.max()) == 8
+    assert int(samples.counts.sum()) == target_spp * 42

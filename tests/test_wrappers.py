@@ -1,65 +1,94 @@
-"""Half precision is another row: near the same image, faster, and only where there are networks."""
+"""Wrappers: forwarding, half precision and its rows in the results, memory formats."""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from rlbench import registry
 from rlbench.benchmark import results
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural
+from rlbench.family import Traits
 from rlbench.frames import Size
+from rlbench.method import Method, config_json
 from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
 from rlbench.ops.unet import SMALL, UNet
 from rlbench.run import run_clip
-from rlbench.wrappers import HalfPrecision
-from tests.benchmark.test_runner import request
+from rlbench.wrappers import HalfPrecision, MethodWrapper
 
 CPU = torch.device("cpu")
 
 
-def test_images_are_nearly_the_same_and_in_single_precision():
+@dataclass(frozen=True)
+class Doubled(MethodWrapper[Method]):
+    """A wrapper that overrides one member."""
+
+    def denoise(self, gbuffer, samples, state):
+        image, state = super().denoise(gbuffer, samples, state)
+        return 2 * image, state
+
+
+def test_a_wrapper_forwards_all_members_that_it_does_not_override():
+    method = registry.method("ours/A2", CPU, "random")
+    wrapper = Doubled(method)
+    assert isinstance(wrapper, Method)
+    assert wrapper.traits == method.traits != Traits()
+    assert config_json(wrapper) == config_json(method) != "{}"
+    clip = procedural(3, Size(1, 32, 48), 2, 8)
+    for plain, doubled in zip(
+        run_clip(method, clip, 4.0), run_clip(wrapper, clip, 4.0), strict=True
+    ):
+        assert torch.equal(doubled.samples.counts, plain.samples.counts)
+        assert torch.equal(doubled.image, 2 * plain.image)
+
+
+def test_half_precision_images_are_float32_and_nearly_the_same():
     method = registry.method("oidn", CPU, "random")
     clip = procedural(3, Size(1, 32, 48), 2, 8)
     full, half = (
-        [s.image for s in run_clip(m, clip, 4.0)] for m in (method, HalfPrecision(method, CPU))
+        [result.image for result in run_clip(m, clip, 4.0)]
+        for m in (method, HalfPrecision(method, CPU))
     )
-    for one, other in zip(full, half, strict=True):
-        assert other.dtype == torch.float32
-        assert not torch.equal(one, other)  # else nothing was rounded
-        # 16 layers that each round values and weights by 2^-9 of themselves at most
-        apart = (one - other).square().mean().sqrt() / one.square().mean().sqrt()
-        assert apart < 32 * 2**-9
+    for single, reduced in zip(full, half, strict=True):
+        assert reduced.dtype == torch.float32
+        assert not torch.equal(single, reduced)  # else nothing was rounded
+        # 16 layers, each with a relative rounding error of at most 2^-9 in values and in weights
+        error = (single - reduced).square().mean().sqrt() / single.square().mean().sqrt()
+        assert error < 32 * 2**-9
 
 
-def test_rows_in_half_precision_stand_beside_the_others(clip_folder, tmp_path):
-    asked = request(clip_folder, "ours/A2", "mean", frames=1)
-    measure(asked, tmp_path / "r")
-    halved = dataclasses.replace(asked, half=True)
-    assert measure(halved, tmp_path / "r") == RunSummary(
-        measured=1, cached=1
-    )  # `mean` has no networks
+def bf16_plan(folder: Path, *methods: str, bf16: bool = True) -> RunPlan:
+    clips = (StoredSource(folder),)
+    return RunPlan(methods, clips, target_spp=(1.0,), repeats=2, limit_frames=1, bf16=bf16)
+
+
+def test_half_precision_has_its_own_rows_beside_the_others(clip_folder, tmp_path):
+    plan = bf16_plan(clip_folder, "ours/A2", "mean")
+    measure(replace(plan, bf16=False), tmp_path / "r")
+    # `mean` has no networks, so its cell is cached
+    assert measure(plan, tmp_path / "r") == RunSummary(measured=1, cached=1)
     rows = results.read(tmp_path / "r").groupby("method")["dtype"].unique().explode()
-    assert dict(rows) == {"ours/A2": "float32", "ours/A2@half": "bfloat16", "mean": "float32"}
-    measure(dataclasses.replace(halved, called="seed0"), tmp_path / "r")
-    assert "ours/A2@half-seed0" in set(results.read(tmp_path / "r")["method"])
+    assert dict(rows) == {"ours/A2": "float32", "ours/A2@bf16": "bfloat16", "mean": "float32"}
+    measure(replace(plan, weights_label="seed0"), tmp_path / "r")
+    assert "ours/A2@bf16-seed0" in set(results.read(tmp_path / "r")["method"])
 
 
-def test_what_run_prints_of_half_precision_is_of_half_precision(clip_folder, tmp_path, capsys):
-    asked = dataclasses.replace(
-        request(clip_folder, "ours/A2", weights="random", frames=1), half=True
-    )
-    measure(asked, tmp_path / "r")
-    console.table(asked, tmp_path / "r")
-    assert "ours/A2@half" in capsys.readouterr().out
+def test_the_printed_table_of_a_bf16_run_shows_its_bf16_rows(clip_folder, tmp_path, capsys):
+    plan = replace(bf16_plan(clip_folder, "ours/A2"), weights="random")
+    measure(plan, tmp_path / "r")
+    console.table(plan, tmp_path / "r")
+    assert "ours/A2@bf16" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("shape", [(2, 5, 16, 32), (1, 5, 16, 32), (1, 5, 32, 16)])
-def test_packing_changes_no_value_of_a_convolution(shape):
+def test_memory_formats_change_no_value_of_a_convolution(shape):
     x = torch.rand(shape, generator=torch.Generator().manual_seed(1))
     assert to_channels_last(x).shape == x.shape
     assert torch.equal(to_channels_last(x), x)

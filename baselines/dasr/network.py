@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from rlbench.ops.init import kaiming_init
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 from rlbench.ops.upsample import UpsampleConcatConv
 
 INPUTS = 10  # colour, albedo, normal, depth

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from rlbench.ops.init import kaiming_init
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 
 VIEW = 7  # normal, albedo, depth
 COLOUR = 3

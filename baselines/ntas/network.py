@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.kernels import apply_kernels
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
 from rlbench.ops.unet import BASE, STRIDE, UNet
 

@@ -14,7 +14,7 @@ from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
 from rlbench.weights import load_for_inference

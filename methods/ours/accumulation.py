@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from rlbench.frames import Samples
 from rlbench.ops.color import luminance
 from rlbench.ops.demodulation import demodulation_albedo
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import log_forward
 
 __all__ = [

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from methods.ours.accumulation import AccumulatedRadiance
 from methods.ours.state import ReprojectedHistory
 from rlbench.ops.color import luminance
-from rlbench.ops.pad import crop
+from rlbench.ops.padding import crop
 from rlbench.ops.transfer import log_inverse
 
 __all__ = [

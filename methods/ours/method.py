@@ -35,7 +35,7 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import sanitize_radiance
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
-from rlbench.ops.pad import crop, pad
+from rlbench.ops.padding import crop, pad
 from rlbench.weights import load_for_inference
 
 __all__ = ["CARDS", "Ours", "assemble", "build"]

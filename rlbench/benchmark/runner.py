@@ -33,7 +33,7 @@ from rlbench.benchmark.run_plan import (
 )
 from rlbench.benchmark.scoring import _check, _row, _with
 from rlbench.benchmark.timing_cache import TimingCache
-from rlbench.clips.header import LACKS, Header
+from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import FrameResult, run_clip
@@ -174,10 +174,10 @@ class CellRunner:
         for metric in (each.at(*shown.image.shape[-2:]) for each in self.metrics.values()):
             if metric.temporal and before is None:
                 continue
-            undefined = metric.halves and "halves" in header.lacks
+            undefined = metric.halves and "halves" in header.limitations
             taken = _with(before, images) if metric.temporal and before else images
             score = math.nan if undefined else float(metric.score(*taken)[0])
-            note = LACKS["halves"] if undefined else ""
+            note = LIMITATIONS["halves"] if undefined else ""
             if math.isnan(score) and not undefined:
                 note = f"the value is nan: {metric.convention}"
             told = (metric.name, score, metric.unit, metric.better, metric.convention, note)

@@ -64,10 +64,10 @@ def _bar(frames: int) -> Iterator[Callable[[], None]]:
 def _tell(header: Header, folder: Path, news: str) -> None:
     """What became of one clip, what it lacks of the format, and what can be measured on it."""
     from rlbench.clips.compatibility import compatibility_summary
-    from rlbench.clips.header import LACKS
+    from rlbench.clips.header import LIMITATIONS
 
     size = f"{header.frames} frames of {header.width} x {header.height}"
     typer.echo(f"{folder}: {news}, {size}, of each pixel {header.pool_spp} samples of 1 spp")
-    for word in header.lacks:
-        typer.echo(f"  lacks {word}: {LACKS[word]}")
+    for word in header.limitations:
+        typer.echo(f"  limitation {word}: {LIMITATIONS[word]}")
     typer.echo(f"  {compatibility_summary(header)}")

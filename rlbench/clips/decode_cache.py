@@ -1,4 +1,4 @@
-"""The decoded cache: an EXR is unpacked once, then read as memory-mapped arrays."""
+"""Decode cache: each EXR image is decoded once, then read as a memory-mapped array."""
 
 from __future__ import annotations
 
@@ -15,55 +15,55 @@ from rlbench.clips.frame_files import channels, exr_path, not_finite
 from rlbench.clips.header import ClipError, Header
 from rlbench.system import code_hash, paths
 
-Arrays = Mapping[str, NDArray[np.floating]]  # c h w, as precise as the file
+Arrays = Mapping[str, NDArray[np.floating]]  # by image name, each [c h w], float16 or float32
 
 
 @dataclass(frozen=True)
 class DecodeCache:
-    """Arrays of one clip folder, decoded when first asked for and then kept under the cache."""
+    """Arrays of one clip folder. They are decoded on first use and kept in the cache folder."""
 
     folder: Path
     header: Header
     digest: str
 
     def gbuffer(self, index: int, buffers: Sequence[str]) -> Arrays:
-        """The view buffers of a frame, each [c h w]."""
-        return self._arrays("view", index, buffers)
+        """The G-buffer of a frame: the named buffers, each [c h w]."""
+        return self._load("view", index, buffers)
 
     def pool(self, kind: str, index: int, slots: Sequence[int]) -> list[NDArray[np.floating]]:
-        """The stored samples `slots` of a frame, each [3 h w]."""
+        """The stored samples of a frame in these slots, each [3 h w]."""
         names = [f"s{slot}" for slot in slots]
-        return list(self._arrays(f"pool.{kind}", index, names).values())
+        return list(self._load(f"pool.{kind}", index, names).values())
 
     def reference(self, half: str, index: int) -> NDArray[np.floating]:
         """Half "A" or "B" of the reference of a frame, [3 h w]."""
-        return self._arrays(f"reference{half}", index, ["rgb"])["rgb"]
+        return self._load(f"reference{half}", index, ["rgb"])["rgb"]
 
-    def _arrays(self, kind: str, index: int, names: Sequence[str]) -> Arrays:
-        """Arrays by name; what the cache lacks is decoded from one opening of the file."""
-        places = {name: self._place(kind, index, name) for name in names}
-        missing = [name for name, path in places.items() if not path.exists()]
+    def _load(self, kind: str, index: int, names: Sequence[str]) -> Arrays:
+        """Images by name. Those that are not in the cache are decoded together."""
+        files = {name: self._cache_file(kind, index, name) for name in names}
+        missing = [name for name, path in files.items() if not path.exists()]
         if missing:
-            fresh = decode(exr_path(self.folder, kind, index), missing, self.header)
-            for name, array in fresh.items():
-                with paths.replacing(places[name]) as temporary, temporary.open("wb") as file:
+            decoded = decode_images(exr_path(self.folder, kind, index), missing, self.header)
+            for name, array in decoded.items():
+                with paths.replacing(files[name]) as temporary, temporary.open("wb") as file:
                     np.save(file, array)
-        return {name: np.load(path, mmap_mode="r") for name, path in places.items()}
+        return {name: np.load(path, mmap_mode="r") for name, path in files.items()}
 
-    def _place(self, kind: str, index: int, name: str) -> Path:
-        return paths.decoded() / f"{self.digest}-{_reader()}" / kind / f"{name}.{index:04d}.npy"
+    def _cache_file(self, kind: str, index: int, name: str) -> Path:
+        folder = paths.decoded() / f"{self.digest}-{_decoder_hash()}" / kind
+        return folder / f"{name}.{index:04d}.npy"
 
 
 @cache
-def _reader() -> str:
-    """Hash of the code that decodes: what another one left is not read."""
-    return code_hash.code_hash(
-        [__name__, "rlbench.clips.exr", "rlbench.clips.frame_files"], core=()
-    )[:8]
+def _decoder_hash() -> str:
+    """Hash of the decoding code, so that arrays decoded by other code are not read."""
+    modules = [__name__, "rlbench.clips.exr", "rlbench.clips.frame_files"]
+    return code_hash.code_hash(modules, core=())[:8]
 
 
-def decode(path: Path, names: Sequence[str], header: Header) -> Arrays:
-    """Arrays by name, each stacked from its channels, [c h w].
+def decode_images(path: Path, names: Sequence[str], header: Header) -> Arrays:
+    """The named images of one EXR file, each [c h w].
 
     Raises ClipError where the file is missing, broken, of another size or holds values that are
     not finite; depth may be +inf, which is background.

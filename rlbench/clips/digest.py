@@ -1,4 +1,4 @@
-"""The content hash of a clip folder; files that did not change are not read again."""
+"""Digest of a clip folder: a content hash. Files that did not change are not read again."""
 
 from __future__ import annotations
 
@@ -14,51 +14,49 @@ Stamp = tuple[int, int, str]  # bytes, mtime in ns, sha256 of one file
 
 
 def clip_digest(folder: Path, header: Header, pool: str) -> str:
-    """Hash of what a clip with the samples of `pool` is made of, 32 hex digits.
+    """Hash of the content of a clip with the samples of `pool`, 32 hex digits.
 
-    That is the files' bytes, without other pools, and the header fields on which pixels depend.
-
-    The time of a sample and the machine that traced it do not count. A file whose size and time
-    of change are as remembered is not read again. Raises ClipError where a frame's file is missing.
+    It covers the bytes of the files, without other pools, and the header fields that decide
+    pixels. The time of a sample and the machine that traced it are not covered. A file is read
+    again only if its size or modification time changed. Raises ClipError for a missing file.
     """
-    remembered = _remembered(folder)
+    cached = _read_stamps(folder)
     stamps = {}
     for kind in file_kinds([pool]):
         for index in range(header.frames):
             path = exr_path(folder, kind, index)
-            stamps[path.name] = _stamp(path, remembered.get(path.name))
-    if (now := remembered | stamps) != remembered:
-        with paths.replacing(_memory(folder)) as temporary:
-            temporary.write_text(json.dumps(now))
-    told = json.dumps([header.pixels(pool), {name: stamp[2] for name, stamp in stamps.items()}])
-    return hashlib.sha256(told.encode()).hexdigest()[:32]
+            stamps[path.name] = _stamp(path, cached.get(path.name))
+    if (merged := cached | stamps) != cached:
+        with paths.replacing(_stamps_file(folder)) as temporary:
+            temporary.write_text(json.dumps(merged))
+    hashes = {name: stamp[2] for name, stamp in stamps.items()}
+    content = json.dumps([header.digest_fields(pool), hashes])
+    return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
-def _stamp(path: Path, known: Stamp | None) -> Stamp:
+def _stamp(path: Path, cached: Stamp | None) -> Stamp:
     try:
         stat = path.stat()
-        if known is not None and known[:2] == (stat.st_size, stat.st_mtime_ns):
-            return known
+        if cached is not None and cached[:2] == (stat.st_size, stat.st_mtime_ns):
+            return cached
         with path.open("rb") as file:
             return (stat.st_size, stat.st_mtime_ns, hashlib.file_digest(file, "sha256").hexdigest())
     except FileNotFoundError:
         raise ClipError(f"{path} is missing; `rlbench render` restores missing frames") from None
 
 
-def _memory(folder: Path) -> Path:
-    """Where the stamps of a folder are remembered."""
-    place = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:32]
-    return paths.decoded() / "stamps" / f"{place}.json"
+def _stamps_file(folder: Path) -> Path:
+    """The cache file with the stamps of a folder."""
+    name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:32]
+    return paths.decoded() / "stamps" / f"{name}.json"
 
 
-def _remembered(folder: Path) -> dict[str, Stamp]:
+def _read_stamps(folder: Path) -> dict[str, Stamp]:
+    """Cached stamps by file name; none where the cache file is absent or unreadable."""
     try:
-        found = json.loads(_memory(folder).read_text())
-        return {name: (int(size), int(time), str(sha)) for name, (size, time, sha) in found.items()}
-    except (
-        OSError,
-        ValueError,
-        AttributeError,
-        TypeError,
-    ):  # a cache: what is unreadable is absent
+        stamps = json.loads(_stamps_file(folder).read_text())
+        return {
+            name: (int(size), int(time), str(sha)) for name, (size, time, sha) in stamps.items()
+        }
+    except (OSError, ValueError, AttributeError, TypeError):
         return {}

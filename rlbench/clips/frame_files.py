@@ -1,4 +1,4 @@
-"""A clip folder's files: their names, their channels, and writing one frame."""
+"""Files of a clip folder: their names and channels, and writing one frame."""
 
 from __future__ import annotations
 
@@ -12,72 +12,109 @@ from numpy.typing import NDArray
 from rlbench.clips.exr import write_exr
 from rlbench.clips.header import VIEWS, ClipError, Header
 
-HALF = ("albedo", "normal")  # view buffers whose names begin so are stored in half; others float
-LARGEST_HALF = float(np.finfo(np.float16).max)
-CHANNELS = {
+__all__ = [
+    "CHANNELS",
+    "channels",
+    "exr_path",
+    "file_kinds",
+    "has_frame",
+    "images",
+    "not_finite",
+    "write_frame",
+    "write_pool",
+]
+
+HALF_PREFIXES = ("albedo", "normal")  # buffers with these prefixes are stored as float16
+MAX_HALF = float(np.finfo(np.float16).max)
+CHANNELS = {  # EXR channels of an image; sample 0 of a pool has s0.R, s0.G, s0.B, and so on
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
     "depth": ("depth.Z",),
     "motion": ("motion.X", "motion.Y"),
     "object": ("object.I",),
     "albedo_first": ("albedo_first.R", "albedo_first.G", "albedo_first.B"),
-    "normal_behind": ("normal_behind.X", "normal_behind.Y", "normal_behind.Z"),
-    "depth_behind": ("depth_behind.Z",),
-    "object_behind": ("object_behind.I",),
+    "normal_psr": ("normal_psr.X", "normal_psr.Y", "normal_psr.Z"),
+    "depth_psr": ("depth_psr.Z",),
+    "object_psr": ("object_psr.I",),
     "rgb": ("R", "G", "B"),
-}  # of the images in a file; a pool's are s0, s1, ... with s0.R, s0.G, s0.B, ...
+}
 
 
 def exr_path(folder: Path, kind: str, index: int) -> Path:
-    """The file of one kind: view, pool.<kind>, referenceA or referenceB; e.g. view.0003.exr."""
+    """The file of one kind: view, pool.<kind>, referenceA or referenceB.
+
+    >>> exr_path(Path("clip"), "pool.path", 3).as_posix()
+    'clip/pool.path.0003.exr'
+    """
     return folder / f"{kind}.{index:04d}.exr"
 
 
 def channels(names: Iterable[str]) -> list[str]:
-    """The EXR channels of the images `names` of one file, in order."""
+    """The EXR channels of the named images of one file, in order.
+
+    >>> channels(["depth", "s1"])
+    ['depth.Z', 's1.R', 's1.G', 's1.B']
+    """
     rgb = CHANNELS["rgb"]
     return [c for n in names for c in CHANNELS.get(n, [f"{n}.{letter}" for letter in rgb])]
 
 
 def images(header: Header, kind: str) -> list[str]:
-    """The images that a file of one kind must hold."""
+    """The names of the images that a file of one kind must hold."""
     if kind == "view":
         return list(header.buffers)
     return [f"s{slot}" for slot in range(header.pool_spp)] if kind.startswith("pool.") else ["rgb"]
 
 
 def file_kinds(pools: Iterable[str]) -> list[str]:
-    """The kinds of file that every frame has."""
+    """The kinds of file that every frame of a clip with these pools has."""
     return ["view", *(f"pool.{pool}" for pool in pools), "referenceA", "referenceB"]
 
 
 def write_frame(
     folder: Path,
     index: int,
-    gbuffer: Mapping[str, NDArray[Any]],  # h w c, by buffer name; a static clip has no motion
-    pools: Mapping[str, NDArray[Any]],  # s h w 3, by kind: independent 1-spp images, linear
-    a: NDArray[Any],  # h w 3, linear: one half of the reference
-    b: NDArray[Any],  # h w 3, linear: the other, independent half
+    gbuffer: Mapping[str, NDArray[Any]],
+    pools: Mapping[str, NDArray[Any]],
+    half_a: NDArray[Any],
+    half_b: NDArray[Any],
 ) -> None:
-    """Write the files of one frame, each whole or not at all, the reference last.
+    """Write the files of one frame, each atomically, the reference last.
 
-    Albedo, normal and pools are half; depth, motion and references float. A pool that holds a
-    value beyond half's range (65504) is written as float, so no firefly is clipped.
+    Radiance is linear and not exposed. Albedo, normals and pools are stored as float16; depth,
+    motion, object and references as float32. A pool with a value above 65504, the largest float16,
+    is stored as float32, so no firefly is clipped.
+
+    Args:
+        folder: folder of the clip; it is created if necessary.
+        index: number of the frame, from 0.
+        gbuffer: buffers [h w c] by name, in the conventions of `rlbench.frames.GBuffer`; a static
+            clip has no motion.
+        pools: samples [s h w 3] by kind of pool: independent 1-spp images.
+        half_a: one half of the reference, [h w 3].
+        half_b: the other, independent half, [h w 3].
+
+    Raises:
+        ClipError: for an unknown buffer, another shape, or a value that is not finite. Nothing is
+            written then.
     """
-    size = np.shape(a)[:2]
-    _check(index, size, gbuffer, pools, a, b)
+    size = np.shape(half_a)[:2]
+    _check(index, size, gbuffer, pools, half_a, half_b)
     planes: dict[str, NDArray[Any]] = {}
     for name, image in gbuffer.items():
-        planes |= _planes(name, image, np.float16 if name.startswith(HALF) else np.float32)
+        planes |= _planes(name, image, np.float16 if name.startswith(HALF_PREFIXES) else np.float32)
     write_exr(exr_path(folder, "view", index), planes)
     for pool, samples in pools.items():
         _write_pool(folder, index, pool, samples)
-    for kind, image in (("referenceA", a), ("referenceB", b)):
+    for kind, image in (("referenceA", half_a), ("referenceB", half_b)):
         write_exr(exr_path(folder, kind, index), _planes("rgb", image, np.float32))
 
 
 def write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> None:
-    """Write the file of one pool [s h w 3] of a frame that is there, as `write_frame` does."""
+    """Add the file of one pool [s h w 3] to a frame that exists, as `write_frame` writes it.
+
+    Raises ClipError for another shape or a value that is not finite.
+    """
     name = f"pool.{pool}"
     if np.ndim(samples) != 4 or np.shape(samples)[-1] != 3:
         raise ClipError(f"frame {index}: {name} has shape {np.shape(samples)}, expected s h w 3")
@@ -87,12 +124,12 @@ def write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> No
 
 
 def has_frame(folder: Path, index: int, pools: Iterable[str] = ("path",)) -> bool:
-    """Whether every file of a frame with these pools is there, so it need not be traced again."""
+    """Whether every file of a frame with these pools exists, so it need not be traced again."""
     return all(exr_path(folder, kind, index).is_file() for kind in file_kinds(pools))
 
 
 def _write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> None:
-    precision = np.float32 if _beyond_half(samples) else np.float16
+    precision = np.float32 if _exceeds_half(samples) else np.float16
     planes: dict[str, NDArray[Any]] = {}
     for slot, image in enumerate(samples):
         planes |= _planes(f"s{slot}", image, precision)
@@ -100,19 +137,19 @@ def _write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> N
 
 
 def not_finite(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where an image holds what no clip may hold: NaN or an infinity, save depth's background."""
+    """Mask of the values that no clip may hold: NaN and infinity, except +inf in depth buffers."""
     bad: NDArray[np.bool_] = ~np.isfinite(array)
     return np.logical_and(bad, ~np.isposinf(array)) if name.startswith("depth") else bad
 
 
 def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:
-    """The channels of an image [h w c]."""
-    layers = np.moveaxis(image, -1, 0).astype(precision)
-    return dict(zip(channels([name]), layers, strict=True))
+    """The planes [h w] of an image [h w c], by channel name."""
+    planes = np.moveaxis(image, -1, 0).astype(precision)
+    return dict(zip(channels([name]), planes, strict=True))
 
 
-def _beyond_half(samples: NDArray[Any]) -> bool:
-    return bool(np.abs(samples).max(initial=0) > LARGEST_HALF)
+def _exceeds_half(samples: NDArray[Any]) -> bool:
+    return bool(np.abs(samples).max(initial=0) > MAX_HALF)
 
 
 def _check(
@@ -120,19 +157,22 @@ def _check(
     size: tuple[int, ...],
     gbuffer: Mapping[str, NDArray[Any]],
     pools: Mapping[str, NDArray[Any]],
-    a: NDArray[Any],
-    b: NDArray[Any],
+    half_a: NDArray[Any],
+    half_b: NDArray[Any],
 ) -> None:
-    """Raise ClipError for the first array that could not be read back: its shape, or not finite."""
+    """Raise ClipError for the first array with another shape or a value that is not finite."""
     if not gbuffer:
-        raise ClipError(f"frame {index}: no view buffer; write at least one of {', '.join(VIEWS)}")
+        raise ClipError(f"frame {index}: no buffer; write at least one of {', '.join(VIEWS)}")
     if unknown := sorted(set(gbuffer) - set(VIEWS)):
-        raise ClipError(f"frame {index}: unknown view buffer {', '.join(unknown)}")
-    found = {name: (v, (*size, VIEWS[name])) for name, v in gbuffer.items()}
-    found |= {f"pool.{k}": (p, (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
-    found |= {"referenceA": (a, (*size, 3)), "referenceB": (b, (*size, 3))}
-    for name, (array, wanted) in found.items():
-        if np.shape(array) != wanted:
-            raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {wanted}")
+        raise ClipError(
+            f"frame {index}: unknown buffer {', '.join(unknown)}; the format has: "
+            f"{', '.join(VIEWS)}"
+        )
+    arrays = {name: (image, (*size, VIEWS[name])) for name, image in gbuffer.items()}
+    arrays |= {f"pool.{k}": (p, (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
+    arrays |= {"referenceA": (half_a, (*size, 3)), "referenceB": (half_b, (*size, 3))}
+    for name, (array, shape) in arrays.items():
+        if np.shape(array) != shape:
+            raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {shape}")
         if count := int(not_finite(name, array).sum()):
             raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")

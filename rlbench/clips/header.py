@@ -1,193 +1,256 @@
-"""clip.toml: what a clip folder says of itself; written last, so without it it is unfinished."""
+"""clip.toml, the header of a clip folder. It is written last: a folder without it is unfinished."""
 
 from __future__ import annotations
 
-import json
 import math
-import tomllib
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from rlbench.errors import RlbenchError
-from rlbench.system.paths import replacing
+from rlbench.system.documents import decode, read_toml, write_toml
 
-VERSION = 1
+__all__ = [
+    "EXTRAS",
+    "FILE",
+    "LIMITATIONS",
+    "VERSION",
+    "VIEWS",
+    "ClipError",
+    "Header",
+    "read_header",
+    "version_1_names",
+    "write_header",
+]
+
+VERSION = 2  # of the format that is written
+READABLE_VERSIONS = (1, 2)
 FILE = "clip.toml"
-CORE = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each view buffer
-EXTRAS = {  # of those that a clip has only where they were asked for
+STANDARD_BUFFERS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each
+EXTRAS = {  # channels of the buffers that only some clips have
     "object": 1,
     "albedo_first": 3,
-    "normal_behind": 3,
-    "depth_behind": 1,
-    "object_behind": 1,
+    "normal_psr": 3,
+    "depth_psr": 1,
+    "object_psr": 1,
 }
-VIEWS = CORE | EXTRAS
-LACKS = {  # what a clip that others rendered may not have, though the format asks for it
-    "halves": "referenceA and referenceB are one image, so its noise cannot be told from error",
-    "independence": "seeds of samples are those of other frames or of the reference",
-    "linear": "radiance is light of a display, clipped to [0, 1], and so are the samples' means",
-    "first motion": "motion of the first frame is zero, as no frame is known before it",
-    **{name: f"{name} is of another space, scale or range, or not known to be" for name in VIEWS},
+VIEWS = STANDARD_BUFFERS | EXTRAS
+LIMITATIONS = {  # what an imported clip may not have, although the format requires it
+    "halves": "referenceA and referenceB are one image, so the noise of the reference is unknown",
+    "independence": "samples share their seeds with other frames or with the reference",
+    "linear": "radiance was converted from display values and is clipped to [0, 1], "
+    "and so are the means of samples",
+    "first motion": "motion of the first frame is zero, because the frame before it is unknown",
+    **{name: f"{name} has another space, scale or range, or an unknown one" for name in VIEWS},
+}
+RENAMED_FIELDS = {"lacks": "limitations"}  # version 1: today
+RENAMED_BUFFERS = {  # version 1: today
+    "normal_behind": "normal_psr",
+    "depth_behind": "depth_psr",
+    "object_behind": "object_psr",
 }
 
 
 class ClipError(RlbenchError, ValueError):
-    """A clip folder that cannot be read or written as asked."""
+    """A clip folder that cannot be read or written."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """All that clip.toml holds, in its order. Radiance in the files is as traced, not exposed."""
+    """The fields of clip.toml, in the order of the file; the file begins with `version`.
 
-    version: int = VERSION  # of this format
-    name: str  # unique within a benchmark; decides, with the seed, the order of sale
-    scene: str  # clips of one scene share their cost per sample
-    preset: str = ""  # of the renderer, for the reader
-    sampler: str  # what traced the samples, e.g. "mitsuba path"
+    Radiance in the files is as traced: `exposure` is applied on reading.
+
+    Attributes:
+        name: name of the clip, unique within a benchmark; it seeds the sample order.
+        scene: name of the scene; clips of one scene share their cost per sample.
+        preset: preset of `rlbench render`, empty for other clips.
+        sampler: what traced the samples, for example "mitsuba path".
+        sampler_version: version of the sampler.
+        height: rows of an image, pixels.
+        width: columns of an image, pixels.
+        frames: number of frames.
+        fps: frames per second.
+        seed: seed of the renderer.
+        exposure: factor above 0 that maps radiance to 1.0 at display white.
+        pool_spp: stored 1-spp images per frame in each pool.
+        radiance_cap: largest value of a sample, in multiples of display white; inf for no cap.
+        reference_spp: samples per pixel of both halves together, one number per frame; 0 for
+            unknown.
+        stratified: samples of a reference half follow a pattern, so it has less noise than
+            independent samples would give.
+        noise_ceiling_db: PSNR of the noise-free image against the reference in dB, one number per
+            frame; may be empty.
+        buffers: buffers of the G-buffer, keys of `BUFFER_CHANNELS`.
+        pools: kinds of sample pool, for example "path".
+        limitations: requirements of the format that the clip does not meet, keys of `LIMITATIONS`.
+        static: neither camera nor objects move; such a clip has no motion buffer.
+        cuts: frames that begin a new shot, from 1 to `frames - 1`; all their motion points outside
+            the image.
+        licence: licence of the images.
+        sample_ms: time of one 1-spp trace of a full frame, milliseconds; nan for unknown.
+        pools_ms: the same for each of `pools`; empty for a clip with one pool.
+        device: machine that traced the samples.
+
+    Raises:
+        ClipError: for values that are out of range or contradict each other.
+    """
+
+    name: str
+    scene: str
+    preset: str = ""
+    sampler: str
     sampler_version: str = ""
-    height: int  # pixels
-    width: int  # pixels
+    height: int
+    width: int
     frames: int
-    fps: float = 24.0  # frames per second
-    seed: int = 0  # of the renderer
-    exposure: float = 1.0  # radiance times this is 1.0 at display white
-    pool_spp: int = 8  # stored 1-spp images per frame, in each pool
-    radiance_cap: float = math.inf  # of every sample, times display white; inf where there is none
-    reference_spp: tuple[int, ...]  # per frame, of both halves together; 0: unknown
-    stratified: bool = False  # samples of a half follow a pattern: less noise than independent ones
-    noise_ceiling_db: tuple[float, ...] = ()  # per frame, PSNR of the truth against the reference
-    buffers: tuple[str, ...] = tuple(CORE)  # of the view
+    fps: float = 24.0
+    seed: int = 0
+    exposure: float = 1.0
+    pool_spp: int = 8
+    radiance_cap: float = math.inf
+    reference_spp: tuple[int, ...]
+    stratified: bool = False
+    noise_ceiling_db: tuple[float, ...] = ()
+    buffers: tuple[str, ...] = tuple(STANDARD_BUFFERS)
     pools: tuple[str, ...] = ("path",)
-    lacks: tuple[str, ...] = ()  # of what the format asks for; words of LACKS
-    static: bool = False  # neither camera nor objects move; then there is no motion buffer
-    cuts: tuple[int, ...] = ()  # frames where another shot begins; all motion leads outside there
-    licence: str = ""  # of the pixels
-    sample_ms: float = math.nan  # time of one full-frame 1-spp trace, or nan
-    pools_ms: tuple[float, ...] = ()  # the same of each pool, where there are several
-    device: str = ""  # where it was traced
+    limitations: tuple[str, ...] = ()
+    static: bool = False
+    cuts: tuple[int, ...] = ()
+    licence: str = ""
+    sample_ms: float = math.nan
+    pools_ms: tuple[float, ...] = ()
+    device: str = ""
 
     def __post_init__(self) -> None:
-        """Raise ClipError for values that contradict each other."""
+        """Raise ClipError for values that are out of range or contradict each other."""
         low = [k for k in ("height", "width", "frames", "pool_spp") if getattr(self, k) < 1]
         if low:
             raise ClipError(f"clip '{self.name}': {', '.join(low)} must be at least 1")
         if not (math.isfinite(self.exposure) and self.exposure > 0):
             raise ClipError(f"clip '{self.name}': exposure is {self.exposure}, must be above 0")
-        for key in ("reference_spp", "noise_ceiling_db"):
-            told = getattr(self, key)
-            if len(told) != self.frames and (told or key == "reference_spp"):
-                raise ClipError(
-                    f"clip '{self.name}': {key} lists {len(told)} frames, "
-                    f"the clip has {self.frames}"
-                )
+        self._check_lengths()
         if not (self.buffers and self.pools):
             raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
-        if unknown := sorted(set(self.buffers) - set(VIEWS)):
-            raise ClipError(
-                f"clip '{self.name}': unknown view buffer {', '.join(unknown)}; "
-                f"format v{VERSION} knows {', '.join(VIEWS)}"
-            )
-        if unknown := sorted(set(self.lacks) - set(LACKS)):
-            raise ClipError(
-                f"clip '{self.name}': lacks {', '.join(unknown)}; known are {', '.join(LACKS)}"
-            )
+        self._check_words("buffers", VIEWS)
+        self._check_words("limitations", LIMITATIONS)
         self._check_cuts()
+
+    def _check_lengths(self) -> None:
+        for key in ("reference_spp", "noise_ceiling_db"):
+            values = getattr(self, key)
+            if len(values) != self.frames and (values or key == "reference_spp"):
+                raise ClipError(
+                    f"clip '{self.name}': {key} lists {len(values)} frames, "
+                    f"the clip has {self.frames}"
+                )
+
+    def _check_words(self, key: str, vocabulary: Iterable[str]) -> None:
+        if unknown := sorted(set(getattr(self, key)) - set(vocabulary)):
+            raise ClipError(
+                f"clip '{self.name}': {key} lists {', '.join(unknown)}; "
+                f"format version {VERSION} has: {', '.join(vocabulary)}"
+            )
 
     def _check_cuts(self) -> None:
         if self.cuts and (self.static or not set(self.cuts) <= set(range(1, self.frames))):
             raise ClipError(
                 f"clip '{self.name}': cuts are {list(self.cuts)}; expected frames from 1 to "
-                f"{self.frames - 1}, of a clip that is not static"
+                f"{self.frames - 1}, and none in a static clip"
             )
 
     def sample_ms_of(self, pool: str) -> float:
-        """Time of one full-frame sample per pixel of a pool, in milliseconds; nan if unknown."""
-        known = dict(zip(self.pools, self.pools_ms or (self.sample_ms,), strict=False))
-        return known.get(pool, math.nan)
+        """Time of one full-frame sample per pixel from a pool, in milliseconds; nan if unknown."""
+        times = dict(zip(self.pools, self.pools_ms or (self.sample_ms,), strict=False))
+        return times.get(pool, math.nan)
 
-    def pixels(self, pool: str) -> dict[str, Any]:
-        """The fields on which a frame's tensors depend, with the samples of one pool.
+    def digest_fields(self, pool: str) -> dict[str, Any]:
+        """The fields that decide the tensors of a frame with samples from `pool`.
 
-        What a content hash must cover: that of one pool stays as it is when another is added.
+        They are part of the clip's digest, which therefore does not change when another pool is
+        added. They have their names of format version 1, so a clip keeps its digest when its
+        header is written again in a later version.
         """
-        kept = ("version", "name", "scene", "height", "width", "frames", "exposure", "pool_spp")
-        lacks = ("lacks",) if self.lacks else ()  # as it was, where nothing is lacking
-        held = {k: getattr(self, k) for k in (*kept, "buffers", "pools", "static", *lacks)}
-        return held | {"pools": (pool,)}
+        keys = ("name", "scene", "height", "width", "frames", "exposure", "pool_spp")
+        values = {"version": 1} | {key: getattr(self, key) for key in keys}
+        values |= {"buffers": version_1_names(self.buffers), "pools": (pool,)}
+        values["static"] = self.static
+        if self.limitations:  # clips without limitations are older than the field
+            values["lacks"] = version_1_names(self.limitations)
+        return values
+
+
+def version_1_names(names: Iterable[str]) -> tuple[str, ...]:
+    """The names that buffers had in format version 1, for hashes and keys that must not change.
+
+    >>> version_1_names(["depth", "depth_psr"])
+    ('depth', 'depth_behind')
+    """
+    old_names = {new: old for old, new in RENAMED_BUFFERS.items()}
+    return tuple(old_names.get(name, name) for name in names)
 
 
 def write_header(folder: Path, header: Header) -> None:
-    """Write clip.toml, whole or not at all. Call it last: it says that the clip is finished."""
-    lines = [f"{f.name} = {_toml(getattr(header, f.name))}\n" for f in fields(Header)]
-    with replacing(folder / FILE) as path:
-        path.write_text("".join(lines), encoding="utf-8")
+    """Write clip.toml atomically. Call it last: it marks the clip as finished."""
+    values = {field.name: getattr(header, field.name) for field in fields(Header)}
+    write_toml(folder / FILE, {"version": VERSION} | values)
 
 
 def read_header(folder: Path) -> Header:
-    """The header of a finished clip. Keys that the format does not know are the renderer's own.
+    """The header of a finished clip, of format version 1 or 2. Unknown keys are ignored.
 
-    Raises ClipError where there is no folder, no clip.toml, or one that cannot be understood.
+    Raises ClipError where the folder or its clip.toml does not exist, or the file is not valid.
     """
     if not folder.is_dir():
-        raise ClipError(f"no clip folder {folder}; {_there_is(folder.parent)}")
+        raise ClipError(f"no clip folder {folder}; {_list_clips(folder.parent)}")
     path = folder / FILE
     if not path.is_file():
         raise ClipError(
-            f"clip {folder} is unfinished, it has no {FILE}: "
-            "`rlbench render`, or `rlbench import`, resumes it"
+            f"clip {folder} is unfinished: it has no {FILE}. "
+            "Resume it with `rlbench render` or `rlbench import`"
         )
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        document = read_toml(path)
+    except ValueError as error:
+        raise ClipError(f"{error}; delete the file and render the clip again") from error
+    if (version := document.get("version")) not in READABLE_VERSIONS:
+        readable = " and ".join(map(str, READABLE_VERSIONS))
         raise ClipError(
-            f"{path} is not TOML ({error}); delete it and render the clip again"
-        ) from error
-    if (version := found.get("version")) != VERSION:
-        raise ClipError(
-            f"{path} has format version {version}, this rlbench reads {VERSION}: "
+            f"{path} has format version {version}, this rlbench reads {readable}: "
             "update rlbench, or render the clip again"
         )
-    return Header(
-        **{f.name: _field(path, f.name, found) for f in fields(Header) if _given(f, found)}
-    )
+    return _decode_header(path, document)
 
 
-def _given(field: Any, found: Mapping[str, Any]) -> bool:
-    return field.name in found or field.default is MISSING
+def _decode_header(path: Path, document: Mapping[str, Any]) -> Header:
+    """The header in a document of any readable version. Raises ClipError, naming the wrong key."""
+    try:
+        return decode(_rename_buffers(document), Header, renamed=RENAMED_FIELDS)
+    except ValueError as error:
+        if isinstance(error.__cause__, ClipError):  # raised by Header itself
+            raise error.__cause__ from None
+        key = re.search(r"\$\.(\w+)", str(error))  # msgspec names a key as `$.height`
+        value = f", which is {document.get(key[1])!r}" if key else ""
+        raise ClipError(
+            f"{path}: {error}{value}; correct the file, or render the clip again"
+        ) from error
 
 
-def _field(path: Path, name: str, found: Mapping[str, Any]) -> Any:
-    """The value of one key as the type that Header declares."""
-    if name not in found:
-        raise ClipError(f"{path} has no '{name}', which format v{VERSION} requires")
-    value, kind = found[name], str(Header.__annotations__[name])
-    if kind == "float" and type(value) is int:
-        return float(value)
-    if kind.startswith("tuple"):
-        item = kind.removeprefix("tuple[").removesuffix(", ...]")
-        if isinstance(value, list) and all(type(v).__name__ == item for v in value):
-            return tuple(value)
-    elif type(value).__name__ == kind:
-        return value
-    raise ClipError(f"{path}: '{name}' is {value!r}, expected {kind}")
+def _rename_buffers(document: Mapping[str, Any]) -> dict[str, Any]:
+    """A document whose lists name buffers as this version does."""
+    return {
+        key: [RENAMED_BUFFERS.get(str(word), word) for word in value]
+        if isinstance(value, list)
+        else value
+        for key, value in document.items()
+    }
 
 
-def _there_is(parent: Path) -> str:
-    """What a person who mistyped a clip's name would want to read."""
+def _list_clips(parent: Path) -> str:
+    """The clips in a folder, for a message about a mistyped name."""
     if not parent.is_dir():
-        return f"there is no folder {parent} either"
-    there = sorted(path.parent.name for path in parent.glob(f"*/{FILE}"))
-    return f"there is: {', '.join(there)}" if there else f"there is no clip in {parent}"
-
-
-def _toml(value: Any) -> str:
-    """One value in TOML's syntax."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_toml, value))}]"
-    return repr(float(value)) if isinstance(value, float) else str(int(value))
+        return f"the folder {parent} does not exist either"
+    names = sorted(path.parent.name for path in parent.glob(f"*/{FILE}"))
+    return f"clips in {parent}: {', '.join(names) or 'none'}"

@@ -1,4 +1,4 @@
-"""A clip whose frames are tensors at hand: procedural worlds and training batches."""
+"""A clip whose frames are tensors in memory: procedural clips and training batches."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rlbench.frames import Frame, Size
 
 @dataclass(frozen=True)
 class InMemoryClip:
-    """Frames in memory, of one size. `n` clips may be advanced together."""
+    """A `Clip` from a sequence of frames of one size. Its tensors may hold `n` clips as a batch."""
 
     name: str
     scene: str
@@ -20,7 +20,7 @@ class InMemoryClip:
 
     @cached_property
     def size(self) -> Size:
-        """Clips in the batch and pixels of each."""
+        """Number of clips in the batch, and height and width of their images."""
         return self.frames[0].pool.size
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Clips on disk: open a folder, and read of it only what is asked for."""
+"""Clips on disk: open a folder; only the buffers and samples that are used are decoded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rlbench.clips.decode_cache import DecodeCache, decode
+from rlbench.clips.decode_cache import DecodeCache, decode_images
 from rlbench.clips.digest import clip_digest
 from rlbench.clips.frame_files import exr_path, file_kinds, has_frame, images, write_frame
 from rlbench.clips.header import FILE, ClipError, Header, read_header, write_header
@@ -24,16 +24,18 @@ __all__ = [
     "Header",
     "InMemoryClip",
     "StoredClip",
+    "find_clips",
     "has_frame",
     "open_clip",
     "read_header",
+    "sample_order",
     "verify",
     "write_frame",
     "write_header",
 ]
 
 ALL = frozenset(BUFFERS)
-WHOLE = (slice(None), slice(None))
+FULL_WINDOW = (slice(None), slice(None))
 
 
 @dataclass(frozen=True)
@@ -41,15 +43,15 @@ class StoredClip:
     """A clip folder, read frame by frame as it is iterated. Its radiance is exposed."""
 
     arrays: DecodeCache
-    inputs: frozenset[str]
-    max_samples: int  # most samples per pixel that can be bought
-    pool: str
-    seed: int  # of the order of sale and of rounding
+    inputs: frozenset[str]  # buffers that are read
+    max_samples: int  # samples per pixel that can be drawn
+    pool: str  # kind of the pool that is read
+    seed: int  # of the sample order and of rounding
     device: torch.device
 
     @property
     def header(self) -> Header:
-        """What clip.toml says."""
+        """The fields of clip.toml."""
         return self.arrays.header
 
     @property
@@ -59,17 +61,17 @@ class StoredClip:
 
     @property
     def scene(self) -> str:
-        """The scene that it shows."""
+        """The name of the scene."""
         return self.header.scene
 
     @property
     def size(self) -> Size:
-        """One clip and its pixels."""
+        """One clip, and height and width of its images."""
         return Size(1, self.header.height, self.header.width)
 
     @property
     def digest(self) -> str:
-        """Hash of the files' bytes and of what decides pixels in the header."""
+        """Content hash of the files and of the header fields that decide pixels."""
         return self.arrays.digest
 
     def __len__(self) -> int:
@@ -77,20 +79,22 @@ class StoredClip:
         return self.header.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """Frames in order, each decoded when it is reached."""
+        """Frames in order. Each is decoded when it is reached."""
         return (self.frame(index) for index in range(len(self)))
 
-    def frame(self, index: int, window: tuple[slice, slice] = WHOLE) -> Frame:
-        """Frame `index`, or the pixels of it in `window` (rows, columns), float32 on the device."""
-        order, key = sample_order(self.seed, self.name, index, self.header.pool_spp)
+    def frame(self, index: int, window: tuple[slice, slice] = FULL_WINDOW) -> Frame:
+        """Frame `index`, or a window (rows, columns) of it, as float32 on the device."""
+        order, rounding_seed = sample_order(self.seed, self.name, index, self.header.pool_spp)
         stored = self.arrays.pool(self.pool, index, order[: self.max_samples])
         radiance = torch.stack([self._tensor(sample, window) for sample in stored], dim=1)
         return self.frame_with_pool(
-            index, StoredPool(radiance * self.header.exposure, (key,)), window
+            index, StoredPool(radiance * self.header.exposure, (rounding_seed,)), window
         )
 
-    def frame_with_pool(self, index: int, pool: Pool, window: tuple[slice, slice] = WHOLE) -> Frame:
-        """Frame `index` with a pool from elsewhere: no stored sample is read."""
+    def frame_with_pool(
+        self, index: int, pool: Pool, window: tuple[slice, slice] = FULL_WINDOW
+    ) -> Frame:
+        """Frame `index` with another pool; no stored sample is read."""
         gbuffer = self.arrays.gbuffer(index, sorted(self.inputs))
         halves = [self._tensor(self.arrays.reference(half, index), window) for half in "AB"]
         exposure = self.header.exposure
@@ -102,9 +106,9 @@ class StoredClip:
         )
 
     def _tensor(self, array: NDArray[np.floating], window: tuple[slice, slice]) -> Tensor:
-        """[1 c h w], copied out of the memory map."""
-        part = np.array(array[:, *window])
-        return torch.from_numpy(part).to(self.device).float()[None]
+        """An array [c h w] as a tensor [1 c h w], copied out of the memory map."""
+        pixels = np.array(array[:, *window])
+        return torch.from_numpy(pixels).to(self.device).float()[None]
 
 
 def open_clip(
@@ -115,46 +119,53 @@ def open_clip(
     seed: int = 0,
     device: torch.device | str = "cpu",
 ) -> StoredClip:
-    """A finished clip, of which only the view buffers `needs` and `slots` samples are decoded.
+    """Open a finished clip. Only the buffers and samples that are used are decoded.
 
-    At most as many samples as are stored can be sold. Raises ClipError where the folder is not a
-    finished clip, lacks a file, or does not have the buffers or the pool.
+    Args:
+        folder: folder of the clip.
+        inputs: buffers to read; motion is left out if the clip is static.
+        max_samples: samples per pixel that can be drawn, at most as many as are stored.
+        pool: kind of the sample pool.
+        seed: seed of the sample order and of rounding.
+        device: device of the tensors.
+
+    Raises:
+        ClipError: where the folder is not a finished clip, a file is missing, or the clip does not
+            have the buffers or the pool.
     """
     folder = Path(folder)
     header = read_header(folder)
     if header.static:
         inputs -= {"motion"}
-    if lacking := sorted(inputs - set(header.buffers)):
+    if missing := sorted(inputs - set(header.buffers)):
         raise ClipError(
-            f"clip {folder} has no buffer {', '.join(lacking)}; it has: {', '.join(header.buffers)}"
+            f"clip {folder} has no buffer {', '.join(missing)}; it has: {', '.join(header.buffers)}"
         )
     if pool not in header.pools:
         raise ClipError(f"clip {folder} has no pool '{pool}'; it has: {', '.join(header.pools)}")
     if max_samples < 1:
-        raise ClipError(
-            f"asked for {max_samples} samples of clip {folder}; at least 1 must be readable"
-        )
+        raise ClipError(f"max_samples is {max_samples} for clip {folder}; it must be at least 1")
     arrays = DecodeCache(folder, header, clip_digest(folder, header, pool))
     return StoredClip(
         arrays, inputs, min(max_samples, header.pool_spp), pool, seed, torch.device(device)
     )
 
 
-def sample_order(seed: int, name: str, index: int, stored: int) -> tuple[list[int], int]:
-    """The order in which a frame's stored samples are sold, and the key of rounding its shares.
+def sample_order(seed: int, name: str, index: int, pool_spp: int) -> tuple[list[int], int]:
+    """The order in which the stored samples of a frame are drawn, and its rounding seed.
 
-    Both are hashes, so they are the same on every machine and with every version of numpy.
+    Both are hashes, so they are equal on all machines and with all versions of numpy.
     """
 
-    def draw(purpose: str) -> int:
-        told = f"{seed}/{name}/{index}/{purpose}".encode()
-        return int.from_bytes(hashlib.blake2b(told, digest_size=8).digest())
+    def hash_of(purpose: str) -> int:
+        key = f"{seed}/{name}/{index}/{purpose}".encode()
+        return int.from_bytes(hashlib.blake2b(key, digest_size=8).digest())
 
-    return sorted(range(stored), key=lambda slot: draw(f"slot {slot}")), draw("ties") >> 33
+    return sorted(range(pool_spp), key=lambda slot: hash_of(f"slot {slot}")), hash_of("ties") >> 33
 
 
 def verify(folder: Path | str) -> list[str]:
-    """Every problem of a clip folder, in words; all of its files are read. Empty if it is sound."""
+    """Read all files of a clip folder and list every problem; the list of a valid clip is empty."""
     folder = Path(folder)
     try:
         header = read_header(folder)
@@ -164,15 +175,15 @@ def verify(folder: Path | str) -> list[str]:
     for kind in file_kinds(header.pools):
         for index in range(header.frames):
             try:
-                decode(exr_path(folder, kind, index), images(header, kind), header)
+                decode_images(exr_path(folder, kind, index), images(header, kind), header)
             except ClipError as error:
                 problems.append(str(error))
     return problems
 
 
-def find_clips(place: Path) -> list[Path]:
+def find_clips(folder: Path) -> list[Path]:
     """The clip folders at or directly below a folder. Raises ClipError where there is none."""
-    found = [file.parent for file in sorted([*place.glob(FILE), *place.glob(f"*/{FILE}")])]
-    if not found:
-        raise ClipError(f"no clip in {place}: a clip is a folder with {FILE} in it")
-    return found
+    clips = [file.parent for file in sorted([*folder.glob(FILE), *folder.glob(f"*/{FILE}")])]
+    if not clips:
+        raise ClipError(f"no clip in {folder}; a clip is a folder that contains {FILE}")
+    return clips

@@ -1,4 +1,4 @@
-"""Light without the texture that reflects it: what filters blur, classical and learned ones."""
+"""Albedo demodulation: divide radiance by albedo, so that filters do not blur textures."""
 
 from __future__ import annotations
 
@@ -9,49 +9,67 @@ from torch.nn import functional as F
 
 from rlbench.ops.transfer import HALF_MAX
 
-DARKEST = 1e-3  # albedo is taken to be at least this (Falcor's SVGF pass)
-DARK = 0.01  # added to albedo where a network divides by it
+__all__ = [
+    "demodulation_albedo",
+    "filtered_albedo",
+    "reflectance",
+    "sanitize_radiance",
+    "surface_mask",
+]
+
+MIN_REFLECTANCE = 1e-3  # lower bound of albedo in divisions (Falcor's SVGF pass)
+ALBEDO_OFFSET = 0.01  # added to albedo before it multiplies a network's output
 
 
 def reflectance(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """What radiance is divided by to give irradiance (up to pi), in [0.001, 1]."""
-    return filtered_albedo(albedo).clamp(DARKEST, 1)
+    """Divisor that turns radiance into irradiance (up to a factor of pi), in [0.001, 1].
+
+    `filtered_albedo`, clamped away from zero, as in SVGF (Schied et al. 2017).
+    """
+    return filtered_albedo(albedo).clamp(MIN_REFLECTANCE, 1)
 
 
 def filtered_albedo(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Albedo of a pixel's area, in [0, 1]; 0 where the pixel reflects nothing.
+    """Albedo averaged over the pixel's area, in [0, 1]; 0 where the pixel's own albedo is black.
 
-    A view has that of the pixel's centre, while light is of all of the pixel. It is estimated as
-    the mean of 3x3 pixels, with binomial weights, of those that reflect anything.
+    The G-buffer samples albedo at the pixel centre, while radiance covers the whole pixel. The
+    average is estimated from the 3 x 3 neighbourhood with binomial weights (1 2 1), without pixels
+    whose albedo is black.
     """
     reflects = (albedo > 0).any(1, keepdim=True)
-    known = torch.cat((albedo.clamp(0, 1), torch.ones_like(albedo[:, :1])), 1) * reflects
-    x = F.pad(known, (1, 1, 1, 1))  # sums of slices, which autocast leaves in float32
+    weighted = torch.cat((albedo.clamp(0, 1), torch.ones_like(albedo[:, :1])), 1) * reflects
+    x = F.pad(weighted, (1, 1, 1, 1))  # autocast leaves the sums of slices in float32
     rows = x[..., :-2, :] + 2 * x[..., 1:-1, :] + x[..., 2:, :]
     total = rows[..., :-2] + 2 * rows[..., 1:-1] + rows[..., 2:]
     return torch.where(reflects, total[:, :3] / total[:, 3:], 0.0)
 
 
 def demodulation_albedo(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """What networks have light multiplied by to give radiance, in [0.01, 1.01].
+    """Factor from a network's demodulated output to radiance, in [0.01, 1.01].
 
-    That is albedo + 0.01, and 1.01 where albedo is black, as it is for lights and sky.
+    albedo + 0.01; where albedo is black, as for emitters and sky, 1.01.
+
+    >>> demodulation_albedo(torch.tensor([0.5, 0.0, 0.25]).view(1, 3, 1, 1)).flatten().tolist()
+    [0.5099999904632568, 0.009999999776482582, 0.25999999046325684]
     """
     black = (albedo <= 0).all(1, keepdim=True)
-    return torch.where(black, 1.0, albedo) + DARK
+    return torch.where(black, 1.0, albedo) + ALBEDO_OFFSET
 
 
 def surface_mask(
     albedo: Float[Tensor, "n 3 h w"], depth: Float[Tensor, "n 1 h w"]
 ) -> Bool[Tensor, "n 1 h w"]:
-    """Where something reflects light: not the background, and not where albedo is black.
+    """True where a surface reflects light: not for the background, and not where albedo is black.
 
-    What reflects nothing shows only the light that it emits.
+    Pixels with black albedo show only emitted light.
     """
     return depth.isfinite() & (albedo > 0).any(1, keepdim=True)
 
 
 def sanitize_radiance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
-    """Radiance that can be squared: in [0, 65504], and 0 where a channel is not finite."""
-    known = radiance.isfinite().all(-3, keepdim=True)
-    return torch.where(known, radiance, 0.0).clamp(0, HALF_MAX)
+    """Radiance clamped to [0, 65504]; black where any channel is not finite.
+
+    65504 is the largest half float; the square of the result is finite in float32.
+    """
+    finite = radiance.isfinite().all(-3, keepdim=True)
+    return torch.where(finite, radiance, 0.0).clamp(0, HALF_MAX)

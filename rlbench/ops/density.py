@@ -1,24 +1,33 @@
-"""From a network's map to a density: its exponential, kept in a range where all of it can learn."""
+"""Sampling density from a network's output: an exponential within a trainable range."""
 
 from __future__ import annotations
 
 from jaxtyping import Float
 from torch import Tensor
 
-STEEP = 1.5  # root mean square of a map's log density; steeper maps are drawn in towards it
-FAR = 3.0  # log density above and below its mean, which none reaches
+__all__ = ["bounded_exp_density"]
+
+RMS_LIMIT = 1.5  # root mean square of the log density that steeper maps approach
+MAX_LOG_DENSITY = 3.0  # bound of the log density above and below its mean; never reached
 
 
-def bounded_exp_density(wish: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Density exp(y - max y) of a map x, in [exp(-2 FAR), 1], 1 where it is largest.
+def bounded_exp_density(logits: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """Density exp(z - max z) for logits x, in [exp(-6), 1], with maximum 1 in each image.
 
-    Kuznetsov et al. 2018 take the exponential of the network's output, and so does what follows
-    them. Ours: y is x less its mean, divided by (1 + (rms / STEEP)^2)^(1/2) and bounded by
-    FAR tanh(y / FAR). Without that a map whose scale grows in training ends with one pixel above
-    all others, beyond what exponentials in float32 tell apart, and no gradient ever reaches it
-    again. Faint maps are as they were, and a constant that is added to x changes nothing.
+    y = (x - mean x) / sqrt(1 + (rms / 1.5)^2), where rms is the root mean square of x - mean x, and
+    z = 3 tanh(y / 3). Adding a constant to x changes nothing, and maps of small contrast become
+    exp(x) up to scale.
+
+    Kuznetsov et al. 2018 and later work use exp(x) alone. Differs from them: without the bounds, a
+    map whose scale grows in training ends with one pixel above all others, further than float32
+    exponentials can resolve, and gradients never reach it again.
+
+    >>> import torch
+    >>> bounded_exp_density(torch.zeros(1, 1, 1, 3)).flatten().tolist()
+    [1.0, 1.0, 1.0]
     """
-    apart = wish - wish.mean((2, 3), keepdim=True)
-    size = apart.square().mean((2, 3), keepdim=True)
-    drawn = FAR * (apart / (1 + size / STEEP**2).sqrt() / FAR).tanh()
-    return (drawn - drawn.amax((2, 3), keepdim=True)).exp()
+    centred = logits - logits.mean((2, 3), keepdim=True)
+    mean_square = centred.square().mean((2, 3), keepdim=True)
+    scaled = centred / (1 + mean_square / RMS_LIMIT**2).sqrt()
+    log_density = MAX_LOG_DENSITY * (scaled / MAX_LOG_DENSITY).tanh()
+    return (log_density - log_density.amax((2, 3), keepdim=True)).exp()

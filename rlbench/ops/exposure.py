@@ -1,4 +1,4 @@
-"""One exposure for a whole image, so that networks see every scene equally bright."""
+"""Autoexposure: one factor per image, so that networks see all scenes at the same brightness."""
 
 from __future__ import annotations
 
@@ -8,33 +8,39 @@ from torch import Tensor
 
 from rlbench.ops.color import luminance
 
-KEY = 0.18  # mean grey after exposure: Reinhard et al. 2002
-TILE = 16  # largest side of a tile, pixels
-DARK = 1e-8  # tiles of less luminance say nothing: OIDN
+__all__ = ["autoexposure"]
+
+MIDDLE_GREY = 0.18  # log-average luminance after exposure (the "key" of Reinhard et al. 2002)
+MAX_TILE_SIDE = 16  # pixels
+MIN_LUMINANCE = 1e-8  # darker tiles are ignored, as in OIDN
 
 
 def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]:
     """Factor that brings the log-average luminance of each image to 0.18; 1 for a black image.
 
-    As Open Image Denoise does (Afra 2019): luminance is averaged over tiles of at most 16 x 16
-    pixels, equal up to one pixel, so that noise hardly moves it; the mean is over logarithms of
-    tiles brighter than 1e-8. `radiance` is linear, finite and >= 0. Autocast does not reach it: in
-    half precision the exposure of a scene that brightens would move in steps.
+    0.18 / 2^mean(log2 L_t), where L_t is the mean luminance of tile t, over tiles brighter than
+    1e-8. Follows Open Image Denoise (Afra 2019): tiles have at most 16 x 16 pixels and differ in
+    size by at most one pixel; averaging over tiles makes the factor robust to noise. `radiance` is
+    linear, finite and >= 0. Computed outside autocast: in half precision the exposure of a scene
+    that gets brighter would change in steps.
+
+    >>> autoexposure(torch.full((1, 3, 8, 8), 0.36)).item()
+    0.5
     """
     h, w = radiance.shape[-2:]
     light = luminance(radiance)[:, 0]
     with torch.autocast(radiance.device.type, enabled=False):
-        tiles = (_tiles(h, light) @ light @ _tiles(w, light).T).flatten(1)
-    bright = tiles > DARK
-    logs = tiles.clamp_min(DARK).log2().where(bright, 0.0)
+        tiles = (_tile_averaging(h, light) @ light @ _tile_averaging(w, light).T).flatten(1)
+    bright = tiles > MIN_LUMINANCE
+    logs = tiles.clamp_min(MIN_LUMINANCE).log2().where(bright, 0.0)
     mean = logs.sum(1) / bright.sum(1).clamp_min(1)
-    exposure = (KEY / mean.exp2()).where(bright.any(1), 1.0)
+    exposure = (MIDDLE_GREY / mean.exp2()).where(bright.any(1), 1.0)
     return exposure.view(-1, 1, 1, 1)
 
 
-def _tiles(side: int, like: Tensor) -> Tensor:
-    """[tiles side] the matrix that averages a side over its tiles; tile i starts at i side // n."""
-    count = -(-side // TILE)
+def _tile_averaging(side: int, like: Tensor) -> Tensor:
+    """Matrix [tiles side] that averages a side over its tiles; tile i starts at i * side // n."""
+    count = -(-side // MAX_TILE_SIDE)
     bounds = torch.arange(count + 1, device=like.device) * side // count
     pixel = torch.arange(side, device=like.device)
     inside = (pixel >= bounds[:-1, None]) & (pixel < bounds[1:, None])

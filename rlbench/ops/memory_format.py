@@ -1,4 +1,4 @@
-"""The order in memory, and the precision, in which convolutions compute."""
+"""Memory format and precision of tensors between convolutions: channels last, or contiguous."""
 
 from __future__ import annotations
 
@@ -6,26 +6,29 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+__all__ = ["to_channels_last", "to_contiguous_float32"]
+
 
 def to_channels_last(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
-    """The same values, channels last; under autocast in its precision.
+    """The same values in channels-last order, cast to the autocast precision if autocast is on.
 
-    For what several convolutions read: it is then converted once, and joined with what they return
-    without being widened again. A convolution computes the same of it.
+    For a tensor that several convolutions read: it is converted once, and concatenating it with
+    their outputs does not widen it again. The output of a convolution stays the same.
     """
-    kind = x.device.type
-    casts = torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)
-    dtype = torch.get_autocast_dtype(kind) if casts else x.dtype
+    device = x.device.type
+    casts = torch.amp.is_autocast_available(device) and torch.is_autocast_enabled(device)
+    dtype = torch.get_autocast_dtype(device) if casts else x.dtype
     if len(x) > 1 or not x.is_contiguous():
         return x.to(dtype, memory_format=torch.channels_last)
-    # the same as the transpose of a matrix, for which torch has a kernel twice as fast
+    # equivalent to a matrix transpose, for which torch has a kernel that is twice as fast
     return x.to(dtype)[0].flatten(1).t().contiguous().view(1, *x.shape[2:], -1).permute(0, 3, 1, 2)
 
 
 def to_contiguous_float32(x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
-    """The same values, channel after channel, in float32.
+    """The same values, contiguous and in float32.
 
-    For what convolutions return and others read: a sum of two tensors in two orders is slow.
+    For the output of convolutions before other operations: adding two tensors of different memory
+    formats is slow.
     """
     if len(x) > 1 or not x.is_contiguous(memory_format=torch.channels_last):
         return x.float().contiguous()

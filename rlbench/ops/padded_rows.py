@@ -1,4 +1,4 @@
-"""Images in one row with margins between lines, so that a neighbour is a fixed distance away."""
+"""Images stored as one row with margins, so that each neighbour is a fixed distance away."""
 
 from __future__ import annotations
 
@@ -10,59 +10,69 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-PIECE = 1 << 16  # pixels filtered at a time on a CPU: in its cache, and enough for two threads
+__all__ = ["PaddedRows"]
+
+CHUNK_PIXELS = 1 << 16  # pixels per chunk on a CPU: they fit its cache and occupy two threads
 
 
 @dataclass(frozen=True)
 class PaddedRows:
-    """How n images of h x w pixels lie in one row, `margin` empty pixels around each.
+    """The layout of n images of h x w pixels in one row, with `margin` empty pixels around each.
 
-    A line ends in `margin` empty pixels, and as many empty lines lie before and after an image.
-    Whatever is up to `margin` pixels away, down or across, is then a pixel of the same image or
-    empty, `offset(down, right)` places further along the row. Filters over many neighbours run
-    along slices of the row: no borders to test, and all memory is read in order.
+    Each line ends in `margin` empty pixels, and `margin` empty lines precede and follow each image.
+    A neighbour up to `margin` pixels away, down or across, is then either a pixel of the same image
+    or empty, and lies `offset(down, right)` elements further along the row. Filters with many taps
+    run along slices of the row, without border tests and with contiguous memory access.
+
+    >>> rows = PaddedRows(n=1, h=2, w=3, margin=1)
+    >>> row = rows.pack(torch.arange(1.0, 7.0).view(1, 1, 2, 3))
+    >>> row[0].tolist()
+    [0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 0.0, 4.0, 5.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    >>> rows.offset(down=1, right=-1)  # from 3.0 to 5.0
+    3
     """
 
     n: int
     h: int
     w: int
-    margin: int
+    margin: int  # pixels
 
     @property
     def pitch(self) -> int:
-        """Places from a pixel to the one below."""
+        """Elements from a pixel to the one below."""
         return self.w + self.margin
 
     def offset(self, down: int, right: int) -> int:
-        """Places from a pixel to another, both at most `margin` pixels away."""
+        """Elements from a pixel to another that is at most `margin` pixels away."""
         return down * self.pitch + right
 
     def pack(self, image: Float[Tensor, "n c h w"], empty: float = 0.0) -> Float[Tensor, "c row"]:
-        """The images in a row, with `empty` in the margins."""
+        """Pack the images into a row, with a constant (the second argument) in the margins."""
         m = self.margin
         return F.pad(image, (0, m, m, m), value=empty).transpose(0, 1).reshape(image.shape[1], -1)
 
     def unpack(self, row: Float[Tensor, "c row"]) -> Float[Tensor, "n c h w"]:
-        """The images again."""
+        """Unpack the images from a row; undoes `pack`."""
         images = row.view(row.shape[0], self.n, -1, self.pitch).transpose(0, 1)
         return images[:, :, self.margin : self.margin + self.h, : self.w]
 
     def places(self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]) -> Int[Tensor, "n h w"]:
-        """Where the row holds whole positions; those far outside lead to an empty place.
+        """Index in the row of the pixel at whole-numbered position (x, y) of each image.
 
-        From there one pixel in each direction is empty too. Needs a margin of 3 or more.
+        Positions outside the image give an empty element whose neighbours at a distance of one
+        pixel are empty too. Needs a margin of 3 or more.
         """
-        lines = self.h + 2 * self.margin
-        first = torch.arange(self.n, device=x.device)[:, None, None] * lines + self.margin
+        line_count = self.h + 2 * self.margin
+        first = torch.arange(self.n, device=x.device)[:, None, None] * line_count + self.margin
         line = first + y.clamp(-2, self.h + 1).long()
         return line * self.pitch + x.clamp(-2, self.w + 1).long()
 
     def pieces(self, row: Tensor) -> Iterator[tuple[int, int]]:
-        """Starts and stops of slices that cover all pixels and can look `margin` pixels ahead.
+        """Start and stop of slices that cover all pixels and stay `margin` pixels from the ends.
 
-        A graphics card gets one slice; the cache of a CPU does better with several.
+        One slice on a GPU; several on a CPU, so that each fits its cache.
         """
-        ahead = self.offset(self.margin, 0)
-        start, end = ahead, row.shape[-1] - ahead - self.margin
-        size = PIECE if row.device.type == "cpu" else end - start
-        return ((at, min(at + size, end)) for at in range(start, end, size))
+        start = self.offset(self.margin, 0)
+        end = row.shape[-1] - start - self.margin
+        size = CHUNK_PIXELS if row.device.type == "cpu" else end - start
+        return ((first, min(first + size, end)) for first in range(start, end, size))

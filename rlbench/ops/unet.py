@@ -1,4 +1,4 @@
-"""The U-Net of Open Image Denoise: what most networks here are built from, layer by layer."""
+"""The U-Net of Open Image Denoise, the building block of most networks here."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_channels_last
 from rlbench.ops.upsample import UpsampleConcatConv
 
-STRIDE = 16  # four poolings: both sides of the input divide by this
+__all__ = ["BASE", "FAST", "SMALL", "STRIDE", "UNet", "Widths"]
+
+STRIDE = 16  # both sides of the input must be multiples of this: four poolings
 
 
 class Widths(NamedTuple):
-    """Channels of each convolution; a decoder level has two, `a` and `b`."""
+    """Output channels of each convolution; a decoder level has two convolutions, `a` and `b`."""
 
     enc1: int  # enc_conv0 and enc_conv1, full resolution
     enc2: int  # 1/2
@@ -32,62 +34,67 @@ class Widths(NamedTuple):
 
 BASE = Widths(32, 48, 64, 80, 96, (112, 112), (96, 96), (64, 64), (64, 32))  # OIDN "balanced"
 FAST = Widths(32, 32, 32, 32, 32, (64, 64), (64, 64), (64, 32), (32, 32))  # OIDN "fast"
-SMALL = Widths(32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16))  # BASE / 2, but enc1
+SMALL = Widths(
+    32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16)
+)  # OIDN "balanced" / 2, except enc1
 
 
 class UNet(nn.Module):
-    """Five levels of 3x3 convolutions with ReLU, joined by skips; the last has no ReLU.
+    """Five levels of 3 x 3 convolutions with ReLU and skip connections; the last has no ReLU.
 
-    Afra 2019, Open Image Denoise, the network of its training toolkit, with the names of its
-    parameters, so that files of either can be laid side by side. Skips carry the *pooled* features
-    of a level, and the top skip is the raw input. Weights start as He et al. 2015 have it for ReLU,
-    drawn from `seed`, biases at zero.
+    Afra 2019, Open Image Denoise: the network of its training toolkit, with its parameter names, so
+    that weights are interchangeable. Skips carry the *pooled* features of a level; the top skip is
+    the raw input. Weights are drawn from `seed` (`kaiming_init`), biases are zero.
+
+    >>> network = UNet(in_channels=9)  # radiance, albedo, normal
+    >>> network(torch.zeros(1, 9, 32, 48)).shape
+    torch.Size([1, 3, 32, 48])
     """
 
     def __init__(
         self,
-        inputs: int,
-        outputs: int = 3,
+        in_channels: int,
+        out_channels: int = 3,
         widths: Widths = BASE,
         seed: int = 0,
     ) -> None:
-        """Layers for `inputs` channels in and `outputs` out."""
+        """Create all layers; `widths` gives the channels between input and output."""
         super().__init__()
         e1, e2, e3, e4, e5, (d4a, d4b), (d3a, d3b), (d2a, d2b), (d1a, d1b) = widths
         self.widths = widths
-        self.enc_conv0 = _conv(inputs, e1)
+        self.enc_conv0 = _conv(in_channels, e1)
         self.enc_conv1 = _conv(e1, e1)
         self.enc_conv2 = _conv(e1, e2)
         self.enc_conv3 = _conv(e2, e3)
         self.enc_conv4 = _conv(e3, e4)
         self.enc_conv5a = _conv(e4, e5)
         self.enc_conv5b = _conv(e5, e5)
-        self.dec_conv4a = _rise(e5, e3, d4a)
+        self.dec_conv4a = _upsample_conv(e5, e3, d4a)
         self.dec_conv4b = _conv(d4a, d4b)
-        self.dec_conv3a = _rise(d4b, e2, d3a)
+        self.dec_conv3a = _upsample_conv(d4b, e2, d3a)
         self.dec_conv3b = _conv(d3a, d3b)
-        self.dec_conv2a = _rise(d3b, e1, d2a)
+        self.dec_conv2a = _upsample_conv(d3b, e1, d2a)
         self.dec_conv2b = _conv(d2a, d2b)
-        self.dec_conv1a = _rise(d2b, inputs, d1a)
+        self.dec_conv1a = _upsample_conv(d2b, in_channels, d1a)
         self.dec_conv1b = _conv(d1a, d1b)
-        self.dec_conv0 = _conv(d1b, outputs)
+        self.dec_conv0 = _conv(d1b, out_channels)
         kaiming_init(self, seed)
 
     def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
-        """The outputs at full resolution; h and w divide by 16."""
+        """The output at full resolution; h and w must be multiples of 16."""
         result: Tensor = self.dec_conv0(self.decode(x)[-1])
         return result
 
     def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n _ _ _"]]:
-        """Decoder features at 1/8, 1/4, 1/2 and full resolution: where heads can be attached.
+        """Decoder features at 1/8, 1/4, 1/2 and full resolution, for custom output heads.
 
-        Their channels are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
+        Their channel counts are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.
         """
         x = to_channels_last(x)
-        half = _halved(self.enc_conv1(F.relu_(self.enc_conv0(x))))
-        quarter = _halved(self.enc_conv2(half))
-        eighth = _halved(self.enc_conv3(quarter))
-        bottom = _halved(self.enc_conv4(eighth))
+        half = _relu_pool(self.enc_conv1(F.relu_(self.enc_conv0(x))))
+        quarter = _relu_pool(self.enc_conv2(half))
+        eighth = _relu_pool(self.enc_conv3(quarter))
+        bottom = _relu_pool(self.enc_conv4(eighth))
         bottom = F.relu_(self.enc_conv5b(F.relu_(self.enc_conv5a(bottom))))
 
         level4 = F.relu_(self.dec_conv4b(F.relu_(self.dec_conv4a(bottom, eighth))))
@@ -97,18 +104,19 @@ class UNet(nn.Module):
         return [level4, level3, level2, level1]
 
 
-def _conv(inputs: int, outputs: int) -> nn.Conv2d:
-    # born on meta, so that torch's own initialisation does not draw from the global generator
-    born = nn.Conv2d(inputs, outputs, 3, padding=1, device="meta")
-    return born.to_empty(device=torch.get_default_device())
+def _conv(in_channels: int, out_channels: int) -> nn.Conv2d:
+    # created on meta, so that torch's own initialization does not use the global generator
+    layer = nn.Conv2d(in_channels, out_channels, 3, padding=1, device="meta")
+    return layer.to_empty(device=torch.get_default_device())
 
 
-def _rise(coarse: int, skip: int, outputs: int) -> UpsampleConcatConv:
-    return UpsampleConcatConv(coarse, skip, outputs, device="meta").to_empty(
-        device=torch.get_default_device()
-    )
+def _upsample_conv(
+    coarse_channels: int, skip_channels: int, out_channels: int
+) -> UpsampleConcatConv:
+    layer = UpsampleConcatConv(coarse_channels, skip_channels, out_channels, device="meta")
+    return layer.to_empty(device=torch.get_default_device())
 
 
-def _halved(x: Tensor) -> Tensor:
-    """ReLU and the maximum of 2x2, in the order that has less to write."""
+def _relu_pool(x: Tensor) -> Tensor:
+    """ReLU and 2 x 2 max pooling; pooling first writes fewer values, with the same result."""
     return F.relu_(F.max_pool2d(x, 2))

@@ -78,9 +78,9 @@ def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_pat
 def test_a_method_that_cannot_run_is_left_out_and_alone_it_is_told(clip_folder, tmp_path):
     asked = request(clip_folder, "eaw", "mean", spp=(0.5,))
     (sheet,) = write(asked, 0, tmp_path)
-    assert sheet.without == {"eaw": "supports 1 to 8 spp, asked for 0.5"}
+    assert sheet.without == {"eaw": "supports 1 to 8 spp, requested 0.5"}
     assert {file.name for file in tmp_path.glob("*/*.png")} == {"mean.png", "reference.png"}
-    with pytest.raises(ImagesError, match="eaw: supports 1 to 8 spp, asked for 0.5"):
+    with pytest.raises(ImagesError, match="eaw: supports 1 to 8 spp, requested 0.5"):
         list(write(request(clip_folder, "eaw", spp=(0.5,)), 0, tmp_path))
 
 

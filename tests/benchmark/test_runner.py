@@ -157,7 +157,7 @@ def test_changed_code_beside_that_of_a_method_counts(clip_folder, tmp_path, monk
 @pytest.mark.parametrize(
     ("plugin", "header", "spp", "reason"),
     [
-        ({"traits": "spp=(1.0, 4.0)"}, {}, 8.0, "supports 1 to 4 spp, asked for 8"),
+        ({"traits": "spp=(1.0, 4.0)"}, {}, 8.0, "supports 1 to 4 spp, requested 8"),
         ({"traits": "pool='odd'"}, {}, 1.0, "buys from a 'odd' pool, the clip has: path"),
         (
             {"traits": "needs=frozenset({'depth'})"},

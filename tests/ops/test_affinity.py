@@ -1,4 +1,4 @@
-"""Sums over alike neighbours: a slow twin, known answers, finite differences, memory."""
+"""Affinity sums against unfolding, known answers and finite differences; memory use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from rlbench.ops import affinity
 from rlbench.ops.affinity import affinity_sum, cross_affinity_sum
-from tests.ops import unfolded
+from tests.ops import unfolded_affinity
 
 SIZES = [(1, 1), (2, 7), (12, 12), (9, 30)]
 WINDOWS = [(1, 1), (3, 1), (3, 4), (5, 2), (11, 1)]
@@ -23,74 +23,80 @@ def randn(*shape: int, seed: int = 0) -> Tensor:
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def drawn(n: int, h: int, w: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Features, sharpness, other features, and a source."""
+def random_inputs(n: int, h: int, w: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Features, sharpness, features of the source, and the source."""
     sharpness = randn(n, 1, h, w, seed=1).square()
     return randn(n, 3, h, w), sharpness, randn(n, 3, h, w, seed=2), randn(n, 2, h, w, seed=3)
 
 
 @pytest.mark.parametrize(("side", "dilation"), WINDOWS)
 @pytest.mark.parametrize(("h", "w"), SIZES)
-def test_alike_equals_its_slow_twin(h: int, w: int, side: int, dilation: int) -> None:
-    features, sharpness, _, source = (part.double() for part in drawn(2, h, w))
-    expected = unfolded.alike(features, sharpness, source, side, dilation)
-    found = affinity_sum(features, sharpness, source, side, dilation)
-    torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
+def test_the_sum_equals_unfolding(h: int, w: int, side: int, dilation: int) -> None:
+    features, sharpness, _, source = (part.double() for part in random_inputs(2, h, w))
+    expected = unfolded_affinity.affinity_sum(features, sharpness, source, side, dilation)
+    total_sum = affinity_sum(features, sharpness, source, side, dilation)
+    torch.testing.assert_close(total_sum, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
 
 
 @pytest.mark.parametrize(("side", "dilation"), WINDOWS)
 @pytest.mark.parametrize(("h", "w"), SIZES)
-def test_alike_in_another_image_equals_its_slow_twin(
+def test_the_sum_over_another_image_equals_unfolding(
     h: int, w: int, side: int, dilation: int
 ) -> None:
-    features, sharpness, others, source = (part.double() for part in drawn(2, h, w))
-    expected = unfolded.alike_in(features, sharpness, others, source, side, dilation)
-    found = cross_affinity_sum(features, sharpness, others, source, side, dilation)
-    torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
+    features, sharpness, source_features, source = (
+        part.double() for part in random_inputs(2, h, w)
+    )
+    expected = unfolded_affinity.cross_affinity_sum(
+        features, sharpness, source_features, source, side, dilation
+    )
+    total_sum = cross_affinity_sum(features, sharpness, source_features, source, side, dilation)
+    torch.testing.assert_close(total_sum, expected, rtol=1e-12, atol=1e-12)  # doubles, 121 taps
 
 
 @pytest.mark.parametrize("strip", [1, 7, 50])
-def test_strips_of_any_length_add_up_to_the_same(
+def test_the_length_of_strips_does_not_change_the_sum(
     strip: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    features, sharpness, _, source = (part.double() for part in drawn(2, 12, 12))
-    whole = affinity_sum(features, sharpness, source, 5, 2)
-    monkeypatch.setattr(affinity, "STRIP", strip)
-    found = affinity_sum(features, sharpness, source, 5, 2)
-    torch.testing.assert_close(found, whole, rtol=1e-12, atol=1e-12)  # doubles, another order
+    features, sharpness, _, source = (part.double() for part in random_inputs(2, 12, 12))
+    at_once = affinity_sum(features, sharpness, source, 5, 2)
+    monkeypatch.setattr(affinity, "STRIP_PIXELS", strip)
+    total_sum = affinity_sum(features, sharpness, source, 5, 2)
+    torch.testing.assert_close(total_sum, at_once, rtol=1e-12, atol=1e-12)  # doubles, another order
 
 
 @pytest.mark.parametrize("dilation", [1, 2, 4])
-def test_without_sharpness_it_is_a_dilated_box(dilation: int) -> None:
-    features, sharpness, _, source = drawn(1, 20, 23)
+def test_zero_sharpness_gives_a_dilated_box_filter(dilation: int) -> None:
+    features, sharpness, _, source = random_inputs(1, 20, 23)
     footprint = torch.zeros(4 * dilation + 1, 4 * dilation + 1)
     footprint[::dilation, ::dilation] = 1
     box = ndimage.correlate(source[0, 0].numpy(), footprint.numpy(), mode="constant")
-    found = affinity_sum(features, torch.zeros_like(sharpness), source, 5, dilation)[0, 0]
+    total_sum = affinity_sum(features, torch.zeros_like(sharpness), source, 5, dilation)[0, 0]
     # float32 sums of 25 terms of order one
-    torch.testing.assert_close(found, torch.from_numpy(box) - source[0, 0], rtol=0, atol=1e-5)
+    torch.testing.assert_close(total_sum, torch.from_numpy(box) - source[0, 0], rtol=0, atol=1e-5)
 
 
-def test_a_row_does_not_run_on_into_the_next() -> None:
+def test_the_end_of_a_row_does_not_affect_the_next_row() -> None:
     source = torch.zeros(1, 1, 3, 6)
     source[..., 1, 5] = 1
-    flat = torch.zeros(1, 1, 3, 6)
-    touched = affinity_sum(flat, flat, source, 3) > 0
+    zero = torch.zeros(1, 1, 3, 6)
+    touched = affinity_sum(zero, zero, source, 3) > 0
     rows, columns = touched[0, 0].nonzero().T.tolist()
     assert (set(rows), set(columns)) == ({0, 1, 2}, {4, 5})
 
 
-def test_unlike_neighbours_leave_nothing() -> None:
-    features, sharpness, _, source = drawn(1, 8, 8)
+def test_dissimilar_neighbours_add_almost_nothing() -> None:
+    features, sharpness, _, source = random_inputs(1, 8, 8)
     total = affinity_sum(1e3 * features, torch.ones_like(sharpness), source, 5)
     assert total.abs().max() < 1e-20  # exp(-60) = 9e-27 each
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e18])
 def test_features_of_any_size_give_finite_sums_and_gradients(scale: float) -> None:
-    features, sharpness, others, source = drawn(1, 6, 6)
+    features, sharpness, source_features, source = random_inputs(1, 6, 6)
     parts = [(scale * features).requires_grad_(), sharpness.requires_grad_(), source]
-    total = affinity_sum(*parts, 5) + cross_affinity_sum(*parts[:2], scale * others, source, 5)
+    total = affinity_sum(*parts, 5) + cross_affinity_sum(
+        *parts[:2], scale * source_features, source, 5
+    )
     total.sum().backward()
     assert torch.isfinite(total).all()
     assert torch.isfinite(parts[0].grad).all()
@@ -98,37 +104,39 @@ def test_features_of_any_size_give_finite_sums_and_gradients(scale: float) -> No
 
 
 @pytest.mark.parametrize("dilation", [1, 2])
-def test_gradients_of_alike_agree_with_finite_differences(dilation: int) -> None:
-    features, sharpness, _, source = (part.double().requires_grad_() for part in drawn(2, 3, 5))
+def test_gradients_agree_with_finite_differences(dilation: int) -> None:
+    features, sharpness, _, source = (
+        part.double().requires_grad_() for part in random_inputs(2, 3, 5)
+    )
     window = partial(affinity_sum, side=3, dilation=dilation)
     assert torch.autograd.gradcheck(window, (features, sharpness, source))
 
 
 @pytest.mark.parametrize("dilation", [1, 2])
-def test_gradients_of_alike_in_another_image_agree_with_finite_differences(dilation: int) -> None:
-    parts = tuple(part.double().requires_grad_() for part in drawn(2, 3, 5))
+def test_gradients_over_another_image_agree_with_finite_differences(dilation: int) -> None:
+    parts = tuple(part.double().requires_grad_() for part in random_inputs(2, 3, 5))
     window = partial(cross_affinity_sum, side=3, dilation=dilation)
     assert torch.autograd.gradcheck(window, parts)
 
 
 @pytest.mark.parametrize("side", [5, 11])
-def test_gradients_are_those_of_the_slow_twin(side: int) -> None:
-    parts = [part.double().requires_grad_() for part in drawn(1, 12, 13)]
-    slope = randn(1, 2, 12, 13, seed=4).double()
-    fast = torch.autograd.grad(cross_affinity_sum(*parts, side), parts, slope)
-    slow = torch.autograd.grad(unfolded.alike_in(*parts, side), parts, slope)
-    for found, expected in zip(fast, slow, strict=True):
-        torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-10)  # doubles, 121 taps
+def test_gradients_equal_those_of_unfolding(side: int) -> None:
+    parts = [part.double().requires_grad_() for part in random_inputs(1, 12, 13)]
+    grad = randn(1, 2, 12, 13, seed=4).double()
+    fast = torch.autograd.grad(cross_affinity_sum(*parts, side), parts, grad)
+    slow = torch.autograd.grad(unfolded_affinity.cross_affinity_sum(*parts, side), parts, grad)
+    for total_sum, expected in zip(fast, slow, strict=True):
+        torch.testing.assert_close(total_sum, expected, rtol=1e-10, atol=1e-10)  # doubles, 121 taps
 
 
-def test_the_backward_pass_survives_a_source_without_gradient() -> None:
-    features, sharpness, _, source = drawn(1, 3, 3)
+def test_the_backward_pass_allows_a_source_without_gradient() -> None:
+    features, sharpness, _, source = random_inputs(1, 3, 3)
     affinity_sum(features.requires_grad_(), sharpness, source, 3).sum().backward()
     assert features.grad.abs().sum() > 0
 
 
-class Largest(TorchDispatchMode):
-    """Remembers the most bytes that any tensor had."""
+class LargestTensor(TorchDispatchMode):
+    """Records the size of the largest tensor in bytes."""
 
     size = 0
 
@@ -139,16 +147,16 @@ class Largest(TorchDispatchMode):
         return result
 
 
-def test_no_tensor_in_it_is_larger_than_the_features_with_their_rows_joined() -> None:
-    features, sharpness, _, source = drawn(1, 32, 32)
+def test_no_tensor_is_larger_than_the_features_with_their_rows_joined() -> None:
+    features, sharpness, _, source = random_inputs(1, 32, 32)
     features.requires_grad_()
-    with Largest() as largest:
+    with LargestTensor() as largest:
         affinity_sum(features, sharpness, source, 11).sum().backward()
     assert largest.size <= 4 * 3 * 32 * 37  # floats of 3 channels; unfolding: 121 times as many
 
 
 @pytest.mark.parametrize(("side", "dilation"), [(4, 1), (0, 1), (-1, 1), (3, 0)])
-def test_windows_without_a_centre_are_refused(side: int, dilation: int) -> None:
-    features, sharpness, _, source = drawn(1, 3, 3)
+def test_windows_without_a_centre_are_an_error(side: int, dilation: int) -> None:
+    features, sharpness, _, source = random_inputs(1, 3, 3)
     with pytest.raises(ValueError, match=f"not {side} and {dilation}"):
         affinity_sum(features, sharpness, source, side, dilation)

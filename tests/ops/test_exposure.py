@@ -1,4 +1,4 @@
-"""Autoexposure against a loop, and what it must not depend on."""
+"""Autoexposure against a loop; independence of brightness, noise and autocast."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from rlbench.ops.exposure import autoexposure
 
 
-def looped(image: torch.Tensor) -> float:
+def slow_autoexposure(image: torch.Tensor) -> float:
     """Exposure of one image [3 h w], tile by tile."""
     _, h, w = image.shape
     rows, columns = math.ceil(h / 16), math.ceil(w / 16)
@@ -27,7 +27,7 @@ def looped(image: torch.Tensor) -> float:
     return 0.18 / 2 ** (sum(logs) / len(logs)) if logs else 1.0
 
 
-def drawn(h: int, w: int) -> torch.Tensor:
+def random_images(h: int, w: int) -> torch.Tensor:
     """Two log-normal images, the second 100 times brighter, each with a black corner."""
     generator = torch.Generator().manual_seed(h + w)
     image = torch.randn(2, 3, h, w, generator=generator).exp()
@@ -37,38 +37,38 @@ def drawn(h: int, w: int) -> torch.Tensor:
 
 @pytest.mark.parametrize("size", [(64, 64), (33, 50), (1, 1), (16, 17), (7, 100)])
 def test_autoexposure_equals_a_loop(size):
-    image = drawn(*size)
-    expected = torch.tensor([looped(one) for one in image]).view(2, 1, 1, 1)
+    image = random_images(*size)
+    expected = torch.tensor([slow_autoexposure(one) for one in image]).view(2, 1, 1, 1)
     torch.testing.assert_close(autoexposure(image), expected, rtol=1e-5, atol=0)
 
 
-def test_a_grey_image_is_brought_to_the_key():
+def test_a_grey_image_becomes_middle_grey():
     image = torch.full((1, 3, 20, 30), 0.5)
     assert float(autoexposure(image)) == pytest.approx(0.36, rel=1e-5)
 
 
-def test_a_black_image_is_left_alone():
+def test_a_black_image_is_unchanged():
     assert float(autoexposure(torch.zeros(1, 3, 20, 30))) == 1.0
 
 
 @pytest.mark.parametrize("gain", [2**-6, 0.3, 1e3])
-def test_exposed_images_do_not_depend_on_brightness(gain):
-    image = drawn(40, 40)
+def test_images_after_exposure_do_not_depend_on_brightness(gain):
+    image = random_images(40, 40)
     expected = image * autoexposure(image)
-    found = (gain * image) * autoexposure(gain * image)
-    torch.testing.assert_close(found, expected, rtol=1e-5, atol=0)
+    exposed = (gain * image) * autoexposure(gain * image)
+    torch.testing.assert_close(exposed, expected, rtol=1e-5, atol=0)
 
 
-def test_noise_of_zero_mean_hardly_moves_it():
+def test_zero_mean_noise_hardly_changes_the_exposure():
     generator = torch.Generator().manual_seed(0)
     clean = torch.full((1, 3, 128, 128), 0.5)
     noisy = clean * torch.empty_like(clean).exponential_(generator=generator)
-    # mean luminance of 256 pixels is off by 1/16 or less, of 64 tiles by 1/128
+    # relative error of the mean of 256 pixels is at most 1/16, of 64 tiles 1/128
     assert float(autoexposure(noisy) / autoexposure(clean)) == pytest.approx(1, abs=0.02)
 
 
-def test_half_precision_does_not_reach_it():
+def test_autocast_does_not_change_the_exposure():
     image = torch.rand(2, 3, 40, 50, generator=torch.Generator().manual_seed(0))
-    outside = autoexposure(image)
+    float32 = autoexposure(image)
     with torch.autocast("cpu", torch.bfloat16):
-        assert torch.equal(autoexposure(image), outside)
+        assert torch.equal(autoexposure(image), float32)

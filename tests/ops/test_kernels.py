@@ -1,4 +1,4 @@
-"""Per-pixel kernels against a slow twin, known answers and finite differences."""
+"""Per-pixel kernels against a loop, known answers and finite differences; memory use."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from rlbench.ops.kernels import apply_kernels
 
 
-def slow_gather(kernels: Tensor, image: Tensor) -> Tensor:
+def slow_apply_kernels(kernels: Tensor, image: Tensor) -> Tensor:
     """Pixel by pixel, tap by tap, in double precision."""
     n, c, h, w = image.shape
     side = int(kernels.shape[1] ** 0.5)
-    gathered = torch.zeros(n, c, h, w, dtype=torch.float64)
+    filtered = torch.zeros(n, c, h, w, dtype=torch.float64)
     for i in range(n):
         for y in range(h):
             for x in range(w):
@@ -24,8 +24,8 @@ def slow_gather(kernels: Tensor, image: Tensor) -> Tensor:
                     v = min(max(y + tap // side - side // 2, 0), h - 1)
                     u = min(max(x + tap % side - side // 2, 0), w - 1)
                     weight = kernels[i, tap, y, x].double()
-                    gathered[i, :, y, x] += weight * image[i, :, v, u].double()
-    return gathered
+                    filtered[i, :, y, x] += weight * image[i, :, v, u].double()
+    return filtered
 
 
 def randn(*shape: int, seed: int = 0) -> Tensor:
@@ -34,29 +34,32 @@ def randn(*shape: int, seed: int = 0) -> Tensor:
 
 @pytest.mark.parametrize("side", [1, 3, 5])
 @pytest.mark.parametrize(("h", "w"), [(1, 1), (2, 7), (6, 5)])
-def test_gather_equals_its_slow_twin(side: int, h: int, w: int) -> None:
+def test_filtering_equals_a_loop(side: int, h: int, w: int) -> None:
     kernels, image = randn(2, side * side, h, w), randn(2, 3, h, w, seed=1)
     # float32 sums of at most 25 terms of order one
     torch.testing.assert_close(
-        apply_kernels(kernels, image).double(), slow_gather(kernels, image), atol=1e-5, rtol=0
+        apply_kernels(kernels, image).double(),
+        slow_apply_kernels(kernels, image),
+        atol=1e-5,
+        rtol=0,
     )
 
 
-def test_a_kernel_of_its_centre_alone_is_the_identity() -> None:
+def test_a_kernel_with_only_its_centre_is_the_identity() -> None:
     kernels = torch.zeros(1, 25, 4, 6)
     kernels[:, 12] = 1
     image = randn(1, 3, 4, 6)
     assert torch.equal(apply_kernels(kernels, image), image)
 
 
-def test_taps_lie_in_reading_order() -> None:
+def test_taps_are_in_reading_order() -> None:
     kernels = torch.zeros(1, 9, 3, 3)
     kernels[:, 5] = 1  # middle row, right column
     image = torch.arange(9.0).view(1, 1, 3, 3)
     assert apply_kernels(kernels, image)[0, 0].tolist() == [[1, 2, 2], [4, 5, 5], [7, 8, 8]]
 
 
-def test_a_huge_pixel_stays_within_reach() -> None:
+def test_a_huge_pixel_affects_its_window_alone() -> None:
     image = torch.zeros(1, 1, 11, 11)
     image[..., 5, 5] = 1e30
     touched = apply_kernels(torch.ones(1, 25, 11, 11), image) > 0
@@ -69,14 +72,14 @@ def test_gradients_agree_with_finite_differences() -> None:
     assert torch.autograd.gradcheck(apply_kernels, (kernels, image))
 
 
-def test_the_backward_pass_survives_an_image_without_gradient() -> None:
+def test_the_backward_pass_allows_an_image_without_gradient() -> None:
     kernels = randn(1, 9, 3, 3).requires_grad_()
     apply_kernels(kernels, torch.ones(1, 2, 3, 3)).sum().backward()
     assert torch.equal(kernels.grad, torch.full_like(kernels, 2.0))
 
 
-class Largest(TorchDispatchMode):
-    """Remembers the most elements that any tensor had."""
+class LargestTensor(TorchDispatchMode):
+    """Records the number of elements of the largest tensor."""
 
     elements = 0
 
@@ -87,14 +90,14 @@ class Largest(TorchDispatchMode):
         return result
 
 
-def test_no_tensor_in_it_is_larger_than_what_it_was_given() -> None:
+def test_no_tensor_is_larger_than_the_inputs() -> None:
     kernels, image = randn(1, 25, 32, 32), randn(1, 4, 32, 32)
-    with Largest() as largest:
+    with LargestTensor() as largest:
         apply_kernels(kernels, image)
     assert largest.elements <= max(kernels.numel(), 4 * 36 * 36)  # unfolding: 4 * 25 * 32 * 32
 
 
 @pytest.mark.parametrize("taps", [0, 4, 8, 16, 24])
-def test_taps_that_are_no_odd_square_are_refused(taps: int) -> None:
+def test_a_number_of_taps_that_is_no_odd_square_is_an_error(taps: int) -> None:
     with pytest.raises(ValueError, match=f"not {taps}"):
         apply_kernels(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3))

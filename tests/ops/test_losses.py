@@ -1,4 +1,4 @@
-"""Losses against other libraries, closed forms and loops."""
+"""Training losses against other libraries, closed forms and loops."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 
 from rlbench.ops.losses import (
     EVEN,
-    WANG,
+    MS_SSIM_WEIGHTS,
     l1,
     l1_ms_ssim_loss,
     log_loss,
@@ -26,12 +26,12 @@ def pair(h: int, w: int, noise: float = 0.1, n: int = 2) -> tuple[torch.Tensor, 
     generator = torch.Generator().manual_seed(h * 1000 + w)
     x = torch.linspace(0, 9, w).sin() * torch.linspace(0, 7, h).cos()[:, None]
     reference = (0.5 + 0.4 * x).expand(n, 3, h, w)
-    drawn = torch.randn(n, 3, h, w, generator=generator)
-    return (reference + noise * drawn).clamp(0, 1), reference
+    gaussian = torch.randn(n, 3, h, w, generator=generator)
+    return (reference + noise * gaussian).clamp(0, 1), reference
 
 
 def slow_ms_ssim(x: torch.Tensor, y: torch.Tensor, weights: tuple[float, ...]) -> float:
-    """One channel [h w], in float64, window by window, as the paper writes it."""
+    """One channel [h w], in float64, window by window, by the formula of the paper."""
     x, y = x.double(), y.double()
     at = torch.arange(11, dtype=torch.float64) - 5
     window = torch.exp(-(at[:, None] ** 2 + at**2) / 4.5)
@@ -40,7 +40,7 @@ def slow_ms_ssim(x: torch.Tensor, y: torch.Tensor, weights: tuple[float, ...]) -
     for scale, weight in enumerate(weights):
         if scale:
             x, y = (z.unflatten(0, (-1, 2)).unflatten(2, (-1, 2)).mean((1, 3)) for z in (x, y))
-        contrasts, whole = [], []
+        contrasts, products = [], []
         for i in range(x.shape[0] - 10):
             for j in range(x.shape[1] - 10):
                 a, b = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
@@ -49,14 +49,14 @@ def slow_ms_ssim(x: torch.Tensor, y: torch.Tensor, weights: tuple[float, ...]) -
                 cov = (window * (a - ma) * (b - mb)).sum()
                 contrast = (2 * cov + 9e-4) / (va + vb + 9e-4)
                 contrasts.append(contrast)
-                whole.append(contrast * (2 * ma * mb + 1e-4) / (ma**2 + mb**2 + 1e-4))
-        terms = whole if scale == len(weights) - 1 else contrasts
+                products.append(contrast * (2 * ma * mb + 1e-4) / (ma**2 + mb**2 + 1e-4))
+        terms = products if scale == len(weights) - 1 else contrasts
         product *= max(0.0, float(torch.stack(terms).mean())) ** weight
     return product
 
 
 @pytest.mark.parametrize("size", [(176, 176), (163, 201)])
-@pytest.mark.parametrize("weights", [WANG, EVEN])
+@pytest.mark.parametrize("weights", [MS_SSIM_WEIGHTS, EVEN])
 def test_ms_ssim_equals_pytorch_msssim(size, weights):
     x, y = pair(*size)
     theirs = pytorch_msssim.ms_ssim(
@@ -66,16 +66,19 @@ def test_ms_ssim_equals_pytorch_msssim(size, weights):
     torch.testing.assert_close(ms_ssim(x, y, weights), theirs, atol=1e-5, rtol=0)
 
 
-def test_ms_ssim_of_one_scale_equals_kornias_ssim():
+def test_ms_ssim_of_one_scale_equals_ssim_of_kornia():
     x, y = pair(21, 30)
     theirs = kornia.metrics.ssim(x, y, 11, padding="valid").mean((1, 2, 3))
     # float32, kornia subtracts squares of means of order 1 from one another
     torch.testing.assert_close(ms_ssim(x, y, (1.0,)), theirs, atol=1e-4, rtol=0)
 
 
-def test_ms_ssim_equals_the_papers_formula_where_two_scales_fit():
+def test_ms_ssim_of_two_scales_equals_the_formula_of_the_paper():
     x, y = pair(24, 32, n=1)
-    weights = (WANG[0] / sum(WANG[:2]), WANG[1] / sum(WANG[:2]))
+    weights = (
+        MS_SSIM_WEIGHTS[0] / sum(MS_SSIM_WEIGHTS[:2]),
+        MS_SSIM_WEIGHTS[1] / sum(MS_SSIM_WEIGHTS[:2]),
+    )
     slow = sum(slow_ms_ssim(x[0, c], y[0, c], weights) for c in range(3)) / 3
     assert float(ms_ssim(x, y)) == pytest.approx(slow, abs=1e-5)  # float32 against float64
 
@@ -83,13 +86,13 @@ def test_ms_ssim_equals_the_papers_formula_where_two_scales_fit():
 @pytest.mark.parametrize(
     ("side", "scales"), [(11, 1), (20, 1), (21, 2), (22, 2), (128, 4), (160, 4), (161, 5), (400, 5)]
 )
-def test_the_scales_used_are_those_that_fit(side, scales):
+def test_ms_ssim_uses_the_scales_that_fit(side, scales):
     x, y = pair(side, side + 3, n=1)
-    fitting = tuple(w / sum(WANG[:scales]) for w in WANG[:scales])
+    fitting = tuple(w / sum(MS_SSIM_WEIGHTS[:scales]) for w in MS_SSIM_WEIGHTS[:scales])
     torch.testing.assert_close(ms_ssim(x, y), ms_ssim(x, y, fitting))
 
 
-def test_an_image_smaller_than_the_window_is_refused():
+def test_an_image_smaller_than_the_window_is_an_error():
     with pytest.raises(ValueError, match=r"at least 11 pixels, got \[10, 40\]"):
         ms_ssim(*pair(10, 40))
 
@@ -100,14 +103,14 @@ def test_ms_ssim_of_equal_images_is_one():
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.0, 0.5), (0.2, 0.8), (1e3, 0.0)])
-def test_ms_ssim_of_flat_images_is_their_luminance_term(a, b):
+def test_ms_ssim_of_constant_images_is_their_luminance_term(a, b):
     x, y = torch.full((1, 3, 16, 16), a), torch.full((1, 3, 16, 16), b)
     expected = (2 * a * b + 1e-4) / (a * a + b * b + 1e-4)
-    # variance of a flat image is float32 rounding of its square, against C2 = 9e-4
+    # the variance of a constant image is float32 rounding of its square, against C2 = 9e-4
     assert float(ms_ssim(x, y)) == pytest.approx(expected, abs=1e-3)
 
 
-def test_ms_ssim_gives_the_same_gradient_as_pytorch_msssim():
+def test_the_gradient_of_ms_ssim_equals_that_of_pytorch_msssim():
     x, y = pair(176, 176, n=1)
     mine, theirs = (x.clone().requires_grad_() for _ in range(2))
     ms_ssim(mine, y).mean().backward()
@@ -116,12 +119,12 @@ def test_ms_ssim_gives_the_same_gradient_as_pytorch_msssim():
     assert theirs.grad is not None
     torch.testing.assert_close(
         mine.grad, theirs.grad, atol=1e-3 * float(theirs.grad.abs().max()), rtol=0
-    )  # WANG sums to 1.0001 and is rescaled here; float32 as above
+    )  # MS_SSIM_WEIGHTS sums to 1.0001 and is rescaled here; float32 as above
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_gradients_of_the_mixed_loss_are_finite(sign):
-    """Also for an image that is the opposite of the reference, whose similarity counts as zero."""
+    """Also for the negative of the reference, whose similarity counts as zero."""
     x, y = pair(48, 48)
     x = (0.5 + sign * (x - 0.5)).requires_grad_()
     l1_ms_ssim_loss(x, y).backward()
@@ -130,7 +133,7 @@ def test_gradients_of_the_mixed_loss_are_finite(sign):
     assert x.grad.any()
 
 
-def test_mixed_is_sixteen_parts_l1_and_eighty_four_parts_dissimilarity():
+def test_the_mixed_loss_is_16_percent_l1_and_84_percent_dissimilarity():
     x, y = pair(32, 40)
     expected = 0.16 * (x - y).abs().mean() + 0.84 * (1 - ms_ssim(x, y).mean())
     torch.testing.assert_close(l1_ms_ssim_loss(x, y), expected)
@@ -158,26 +161,26 @@ def test_l1_of_a_shifted_image_is_the_shift():
     assert float(l1(y - 0.25, y)) == pytest.approx(0.25, rel=1e-5)
 
 
-def test_temporal_l1_ignores_an_error_that_stays():
+def test_temporal_l1_ignores_a_constant_error():
     x, y = pair(16, 16)
     assert float(temporal_l1(x + 0.3, x + 0.1, y + 0.2, y)) < 1e-6  # float32 rounding
 
 
-def test_temporal_l1_counts_a_flicker_against_a_still_reference():
+def test_temporal_l1_measures_flicker_against_a_static_reference():
     x, y = pair(16, 16)
     assert float(temporal_l1(x + 0.1, x - 0.1, y, y)) == pytest.approx(0.2, rel=1e-5)
 
 
-@pytest.mark.parametrize("size", [0.5, 0.02, 1e-4])
-def test_a_tenth_less_is_as_much_whatever_the_loss(size):
-    loss = torch.tensor(size, requires_grad=True)
-    fall = log_loss(loss) - log_loss(0.9 * loss)
-    assert fall.item() == pytest.approx(-0.02 * math.log(0.9), rel=1e-4)
+@pytest.mark.parametrize("value", [0.5, 0.02, 1e-4])
+def test_log_loss_depends_on_relative_changes_alone(value):
+    loss = torch.tensor(value, requires_grad=True)
+    decrease = log_loss(loss) - log_loss(0.9 * loss)
+    assert decrease.item() == pytest.approx(-0.02 * math.log(0.9), rel=1e-4)
     log_loss(loss).backward()
-    assert float(loss.grad) == pytest.approx(0.02 / size)
+    assert float(loss.grad) == pytest.approx(0.02 / value)
 
 
-def test_a_perfect_image_has_finite_decibels_and_nothing_to_learn():
+def test_log_loss_of_a_perfect_image_has_zero_gradient():
     loss = torch.tensor(0.0, requires_grad=True)
     log_loss(loss).backward()
     assert float(loss.grad) == 0

@@ -1,4 +1,4 @@
-"""Transfer functions: known values, and that each inverse inverts."""
+"""Transfer functions: known values, inverses, continuity, gradients."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ def test_inverse_of_forward_is_identity(forward, inverse):
 )
 def test_float32_keeps_four_digits_of_radiance(forward, inverse):
     radiance = RADIANCE[RADIANCE > 1e-4].float()
-    # a value near 1 has 24 bits, and PU's logarithm has 16 nats in it
+    # 24 bits for values near 1; the logarithm of PU spans 16 nats
     torch.testing.assert_close(inverse(forward(radiance)), radiance, rtol=1e-4, atol=0)
 
 
 @pytest.mark.parametrize("forward", [pu_forward, log_forward])
-def test_transfer_rises_everywhere(forward):
+def test_transfer_functions_increase_everywhere(forward):
     assert (forward(RADIANCE).diff() > 0).all()
 
 
 @pytest.mark.parametrize("at", PU_RADIANCE)
-def test_pu_has_no_step_where_its_pieces_meet(at):
+def test_pu_is_continuous_at_its_breakpoints(at):
     below, above = pu_forward(torch.tensor([at * (1 - 1e-9), at * (1 + 1e-9)], dtype=torch.float64))
-    assert float(above - below) < 1e-6  # the fit itself meets to about 1e-7
+    assert float(above - below) < 1e-6  # the pieces of the fit meet to about 1e-7
 
 
 @pytest.mark.parametrize("at", PU_VALUE)
-def test_the_inverse_of_pu_changes_piece_where_pu_does(at):
+def test_the_inverse_of_pu_has_the_same_breakpoints(at):
     radiance = PU_RADIANCE[PU_VALUE.index(at)]
     value = float(pu_forward(torch.tensor(radiance, dtype=torch.float64))) * 3.13512
     assert value == pytest.approx(at, rel=1e-5)
@@ -69,7 +69,7 @@ def test_pu_inverts_negative_values_too():
 
 
 @pytest.mark.parametrize("function", [pu_forward, pu_inverse])
-def test_gradients_of_pu_are_finite_from_zero_up(function):
+def test_gradients_of_pu_are_finite_and_positive(function):
     x = torch.tensor([0.0, 1e-7, 1e-4, 0.03, 0.5, 1.0], requires_grad=True)
     function(x).sum().backward()
     assert x.grad is not None
@@ -77,10 +77,10 @@ def test_gradients_of_pu_are_finite_from_zero_up(function):
 
 
 @pytest.mark.parametrize(("radiance", "value"), [(0.0, 0.0), (1.0, 1.0), (1 / 64, 0.166048)])
-def test_log_has_its_closed_values(radiance, value):
+def test_log_has_the_values_of_its_closed_form(radiance, value):
     assert float(log_forward(torch.tensor(radiance))) == pytest.approx(value, abs=1e-5)
 
 
-def test_background_is_at_depth_zero_and_the_camera_at_one():
+def test_squashed_depth_is_one_at_the_camera_and_zero_for_background():
     depth = torch.tensor([0.0, 1.0, math.inf]).view(1, 1, 1, 3)
     assert squash_depth(depth).flatten().tolist() == [1.0, 0.5, 0.0]

@@ -1,4 +1,4 @@
-"""The U-Net is Open Image Denoise's: sizes, names, shapes; and it learns everywhere."""
+"""The U-Net equals Open Image Denoise's in sizes, names and shapes; gradients, initialization."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ NAMES = [*ENCODER, *DECODER, "dec_conv0"]
         (3, BASE, 914_627),
         (6, BASE, 917_219),
         (7, BASE, 918_083),
-        (9, BASE, 919_811),  # in half precision, the size of OIDN's own file
+        (9, BASE, 919_811),  # in half precision, the size of OIDN's own weights file
         (10, BASE, 920_675),
         (32, BASE, 939_683),
         (32, SMALL, 261_939),
         (9, FAST, 320_035),
     ],
 )
-def test_parameter_counts_are_the_published_ones(inputs, widths, parameters):
+def test_parameter_counts_equal_the_published_ones(inputs, widths, parameters):
     assert sum(p.numel() for p in UNet(inputs, widths=widths).parameters()) == parameters
 
 
@@ -57,7 +57,7 @@ def test_sides_are_halved_four_times_and_doubled_back():
     assert image.shape == (1, 3, 720, 720)
 
 
-def test_decoder_features_are_coarse_to_fine_and_as_wide_as_said():
+def test_decoder_features_are_ordered_coarse_to_fine_with_the_documented_channels():
     net = UNet(9, widths=SMALL)
     shapes = [tuple(x.shape) for x in net.decode(torch.zeros(2, 9, 32, 48))]
     assert shapes == [
@@ -68,13 +68,13 @@ def test_decoder_features_are_coarse_to_fine_and_as_wide_as_said():
     ]
 
 
-def test_the_image_is_the_last_convolution_of_the_finest_features():
+def test_the_output_is_the_last_convolution_of_the_finest_features():
     net, x = UNet(4, widths=SMALL), torch.rand(1, 4, 16, 32)
     torch.testing.assert_close(net(x), net.dec_conv0(net.decode(x)[-1]))
 
 
 def test_the_last_layer_is_linear():
-    """Negative outputs exist, and with a negated last layer they are the negated ones."""
+    """Outputs can be negative, and negating the last layer negates them."""
     net, x = UNet(4, widths=SMALL), torch.rand(1, 4, 16, 16)
     image = net(x)
     with torch.no_grad():
@@ -84,26 +84,26 @@ def test_the_last_layer_is_linear():
 
 
 def test_the_top_skip_is_the_raw_input():
-    """With all features before it cut, the first layer of the top level still sees the input."""
+    """The second input of the first layer of the top level is the input of the network."""
     net = UNet(3, widths=SMALL)
     with torch.no_grad():
         net.dec_conv2b.weight.zero_()
     x = torch.rand(1, 3, 16, 16)
-    seen: list[torch.Tensor] = []
-    net.dec_conv1a.register_forward_hook(lambda _l, inputs, _y: seen.append(inputs[1]))
+    skips: list[torch.Tensor] = []
+    net.dec_conv1a.register_forward_hook(lambda _l, inputs, _y: skips.append(inputs[1]))
     net(x)
-    assert torch.equal(seen[0], x)
+    assert torch.equal(skips[0], x)
 
 
 @pytest.mark.parametrize("side", [16, 32])
 def test_gradients_reach_every_parameter(side):
     net = UNet(9)
     net(torch.rand(1, 9, side, side)).square().sum().backward()
-    without = [k for k, p in net.named_parameters() if p.grad is None or not p.grad.any()]
-    assert without == []
+    missing = [k for k, p in net.named_parameters() if p.grad is None or not p.grad.any()]
+    assert missing == []
 
 
-def test_weights_are_those_of_the_seed_and_no_other():
+def test_weights_depend_on_the_seed_alone():
     torch.manual_seed(1)
     before = torch.random.get_rng_state()
     first = UNet(9, seed=5)
@@ -117,10 +117,10 @@ def test_weights_are_those_of_the_seed_and_no_other():
 
 
 @pytest.mark.parametrize("layer", ["enc_conv2", "dec_conv4a", "dec_conv1b"])
-def test_weights_start_as_he_normal_for_relu(layer):
-    """Against torch's own: same deviation, and nothing beyond a normal's tails."""
+def test_initial_weights_are_he_normal(layer):
+    """The standard deviation equals that of torch's kaiming_normal_."""
     weight = getattr(UNet(9), layer).weight.detach()
     theirs = nn.init.kaiming_normal_(torch.empty_like(weight), nonlinearity="relu").std()
-    # relative error of a deviation from N numbers is about 1 / sqrt(2 N), twice, N >= 13,824
+    # relative error of a deviation of N numbers is about 1 / sqrt(2 N), twice, N >= 13,824
     assert float(weight.std() / theirs) == pytest.approx(1, abs=0.04)
     assert not getattr(UNet(9), layer).bias.any()

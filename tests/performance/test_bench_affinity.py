@@ -1,4 +1,4 @@
-"""Sums over alike neighbours by shifting against the same by unfolding, in the same run."""
+"""Affinity sums by shifting against affinity sums by unfolding, in the same run."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ import pytest
 import torch
 
 from rlbench.ops import affinity
-from tests.ops import unfolded
+from tests.ops import unfolded_affinity
 
 
-@pytest.mark.parametrize("op", [affinity, unfolded], ids=["shift", "unfold"])
+@pytest.mark.parametrize("op", [affinity, unfolded_affinity], ids=["shift", "unfold"])
 @pytest.mark.parametrize(("size", "side"), [(128, 7), (128, 11), (256, 7)])
-@pytest.mark.parametrize("among", ["alike", "alike_in"])
+@pytest.mark.parametrize("name", ["affinity_sum", "cross_affinity_sum"])
 def test_affinity_of_8_features(
-    benchmark: Any, op: ModuleType, size: int, side: int, among: str
+    benchmark: Any, op: ModuleType, size: int, side: int, name: str
 ) -> None:
-    """Forward and backward; 720x720 is left out, where unfolding takes 2 GB for each tensor."""
+    """Forward and backward; not at 720x720, where unfolding needs 2 GB per tensor."""
     generator = torch.Generator().manual_seed(0)
-    features, sharpness, others, source = (
+    features, sharpness, source_features, source = (
         torch.rand(1, channels, size, size, generator=generator, requires_grad=True)
         for channels in (8, 1, 8, 4)
     )
     parts = [features, sharpness, source]
-    if among == "alike_in":
-        parts.insert(2, others)
-    benchmark.group = f"{among}, {side}x{side} taps, {size}x{size}"
+    if name == "cross_affinity_sum":
+        parts.insert(2, source_features)
+    benchmark.group = f"{name}, {side}x{side} taps, {size}x{size}"
     gradients = benchmark.pedantic(
-        lambda: torch.autograd.grad(getattr(op, among)(*parts, side).sum(), parts),
+        lambda: torch.autograd.grad(getattr(op, name)(*parts, side).sum(), parts),
         rounds=5,
         warmup_rounds=1,
     )
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
 
-@pytest.mark.benchmark(group="filter of 720x720, forward")
+@pytest.mark.benchmark(group="affinity sum at 720x720, forward")
 @pytest.mark.parametrize("side", [7, 11])
 def test_affinity_of_a_whole_frame(benchmark: Any, side: int) -> None:
     generator = torch.Generator().manual_seed(0)

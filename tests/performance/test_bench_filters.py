@@ -1,4 +1,4 @@
-"""Classical filters at 720 x 720, beside the same written plainly: pytest --benchmark-only."""
+"""Classical filters at 720 x 720 against plain versions of them: pytest --benchmark-only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WIDTHS = (Config.light, Config.normal, Config.depth)
 
 @pytest.fixture(scope="module")
 def frame() -> Frame:
-    """Of the closed-form world, with one sample a pixel."""
+    """A frame of the procedural world with one sample per pixel."""
     return procedural(1, Size(1, SIDE, SIDE), frames=2, pool_spp=1).frames[1]
 
 
@@ -33,34 +33,34 @@ def frame() -> Frame:
 def test_passes_of_svgf(benchmark: Any, frame: Frame, name: str) -> None:
     light, normal, depth = _guides(frame)
     variance, slope = light[:, :1].square(), gradient(depth, depth > 0)
-    flat = PaddedRows(1, SIDE, SIDE, margin=32)
-    light_row, variance_row = flat.pack(light), flat.pack(variance)
-    edges = Edges(flat.pack(normal), flat.pack(depth), flat.pack(-LOG2E / slope))
+    rows = PaddedRows(1, SIDE, SIDE, margin=32)
+    light_row, variance_row = rows.pack(light), rows.pack(variance)
+    edges = Edges(rows.pack(normal), rows.pack(depth), rows.pack(-LOG2E / slope))
     filters: dict[str, Callable[[], Tensor]] = {
-        "ours": lambda: flat.unpack(wavelet(flat, edges, light_row, variance_row, BASE)[0]),
+        "ours": lambda: rows.unpack(wavelet(rows, edges, light_row, variance_row, BASE)[0]),
         "plain": lambda: plain_filters.svgf_passes(light, variance, normal, depth, slope),
     }
-    _equal(_timed(benchmark, filters[name]), filters["plain"]())
+    _assert_nearly_equal(_timed(benchmark, filters[name]), filters["plain"]())
 
 
 @pytest.mark.parametrize("name", ["ours", "plain"])
 @pytest.mark.benchmark(group="EAW, one pass, 720x720")
 def test_pass_of_eaw(benchmark: Any, frame: Frame, name: str) -> None:
     light, normal, depth = _guides(frame)
-    flat = PaddedRows(1, SIDE, SIDE, margin=32)
-    row, scales = flat.pack(light), [(LOG2E / width) ** 0.5 for width in WIDTHS]
+    rows = PaddedRows(1, SIDE, SIDE, margin=32)
+    row, scales = rows.pack(light), [(LOG2E / width) ** 0.5 for width in WIDTHS]
     guides = (light.log1p() * scales[0], normal * scales[1], depth.log() * scales[2])
-    guide = torch.cat([flat.pack(each, empty=1e4) for each in guides])
+    guide = torch.cat([rows.pack(image, 1e4) for image in guides])
     filters: dict[str, Callable[[], Tensor]] = {
-        "ours": lambda: flat.unpack(smooth(flat, 1, guide, row)),
+        "ours": lambda: rows.unpack(smooth(rows, 1, guide, row)),
         "plain": lambda: plain_filters.eaw_pass(light, normal, depth, 1, WIDTHS),
     }
-    _equal(_timed(benchmark, filters[name]), filters["plain"]())
+    _assert_nearly_equal(_timed(benchmark, filters[name]), filters["plain"]())
 
 
 @pytest.mark.benchmark(group="EAW, one pass, 720x720")
 def test_pass_of_kornia(benchmark: Any, frame: Frame) -> None:
-    """Its joint bilateral filter of 5 x 5 pixels, guided by normals alone."""
+    """Kornia's joint bilateral filter of 5 x 5 pixels, guided by normals alone."""
     light, normal, _ = _guides(frame)
     image = _timed(
         benchmark,
@@ -83,7 +83,7 @@ def test_frame(benchmark: Any, frame: Frame, name: str) -> None:
 
 
 def _guides(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
-    """Irradiance, normal and depth, with a wall instead of sky."""
+    """Irradiance, normal and depth, with the sky replaced by a wall."""
     gbuffer = frame.gbuffer
     radiance = frame.pool.read(frame.pool.empty(), torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
     sky = gbuffer.depth.isinf()
@@ -98,7 +98,7 @@ def _timed(benchmark: Any, run: Callable[[], Tensor]) -> Tensor:
     return image
 
 
-def _equal(found: Tensor, expected: Tensor) -> None:
-    """In all but a few pixels: plain `exp` and powers of 2 differ in their last bit."""
-    apart = (found - expected).abs() > 1e-3 * expected.abs() + 1e-4
-    assert float(apart.float().mean()) < 1e-3
+def _assert_nearly_equal(image: Tensor, expected: Tensor) -> None:
+    """Equal in all but a few pixels: plain `exp` and powers of 2 differ in their last bit."""
+    different = (image - expected).abs() > 1e-3 * expected.abs() + 1e-4
+    assert float(different.float().mean()) < 1e-3

@@ -1,4 +1,4 @@
-"""What tracing costs: prints the table of docs/tracing.md, a row for each scene."""
+"""Cost of path tracing: prints the table of docs/tracing.md, one row per scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
 
 SIDE = 720
-SMALL = 96  # for what is slow without LLVM
+SMALL = 96  # for tracing without LLVM
 ROUNDS = 5
 SCENES = ("temple", "city", "hall", "ripples")
 COLUMNS = (
@@ -27,14 +27,14 @@ COLUMNS = (
     "live, 1 spp / full frame",
     "kernels compiled live",
     "moving [ms]",
-    "view [ms]",
+    "G-buffer [ms]",
     "without LLVM / with",
 )
 
 
 @pytest.fixture(scope="module")
 def table(request):
-    """Cells by scene and column; at the end, what there is of them is printed."""
+    """Cells by scene and column; printed at the end."""
     cells: dict[tuple[str, str], str] = {}
     yield cells
     lines = [f"| scene | {' | '.join(COLUMNS)} |", f"|---|{'---:|' * len(COLUMNS)}"]
@@ -58,15 +58,15 @@ def pool(tracer):
 
 
 def counts(spp):
-    """A map that no pixel order explains; what deciding on it costs is not measured."""
+    """A random map of sample counts; computing it is not measured."""
     random = np.random.default_rng(0)
     chosen = random.integers(0, SIDE * SIDE, round(spp * SIDE * SIDE))
-    found = np.minimum(np.bincount(chosen, minlength=SIDE * SIDE), 8)
-    return torch.from_numpy(found.reshape(1, 1, SIDE, SIDE))
+    limited = np.minimum(np.bincount(chosen, minlength=SIDE * SIDE), 8)
+    return torch.from_numpy(limited.reshape(1, 1, SIDE, SIDE))
 
 
 def median_ms(benchmark, work):
-    """Median time of `work`, after one that does not count."""
+    """Median time of `work` after one warm-up round, and its result."""
     result = benchmark.pedantic(work, rounds=ROUNDS, warmup_rounds=1)
     return 1e3 * benchmark.stats.stats.median, result
 
@@ -82,27 +82,29 @@ def test_full_frame(benchmark, tracer, table, spp):
 @pytest.mark.parametrize("spp", [0.01, 0.1, 1.0, 2.0])
 @pytest.mark.benchmark(group="live")
 def test_live(benchmark, pool, table, spp):
-    wanted = counts(spp)
-    ms, radiance = median_ms(benchmark, lambda: pool.take(pool.empty(), wanted))
+    count_map = counts(spp)
+    ms, radiance = median_ms(benchmark, lambda: pool.read(pool.empty(), count_map))
     if spp == 0.01:
         table[pool.tracer.scene.name, COLUMNS[2]] = f"{ms:.0f}"
-    assert torch.equal(Samples(radiance, wanted).valid_mask.any(1), wanted > 0)
+    assert torch.equal(Samples(radiance, count_map).valid_mask.any(1), count_map > 0)
     assert torch.isfinite(radiance).all()
 
 
 @pytest.mark.benchmark(group="live against a full frame")
 def test_live_against_a_full_frame(benchmark, pool, table):
-    """In turns, so that whatever else the machine does slows both."""
-    wanted, full = counts(1.0), []
+    """Alternating, so that other load on the machine slows both."""
+    count_map, full = counts(1.0), []
 
     def full_frame():
         start = time.perf_counter()
         pool.tracer.stack(1)
         full.append(time.perf_counter() - start)
 
-    pool.take(pool.empty(), wanted)
-    benchmark.pedantic(lambda: pool.take(pool.empty(), wanted), setup=full_frame, rounds=2 * ROUNDS)
-    paths = int(wanted.sum()) / SIDE**2  # a pixel has 8 at most
+    pool.read(pool.empty(), count_map)
+    benchmark.pedantic(
+        lambda: pool.read(pool.empty(), count_map), setup=full_frame, rounds=2 * ROUNDS
+    )
+    paths = int(count_map.sum()) / SIDE**2  # at most 8 per pixel
     ratio = benchmark.stats.stats.median / paths / statistics.median(full)
     benchmark.extra_info["live / full frame"] = ratio
     table[pool.tracer.scene.name, COLUMNS[3]] = f"{ratio:.2f}"
@@ -113,11 +115,11 @@ def test_live_against_a_full_frame(benchmark, pool, table):
 def test_kernels_compiled_live(benchmark, pool, table):
     import drjit as dr
 
-    pool.take(pool.empty(), counts(1.0))
+    pool.read(pool.empty(), counts(1.0))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         for spp in (0.0, 1 / SIDE**2, 0.01, 0.3, 1.0):
-            pool.take(pool.empty(), counts(spp))
+            pool.read(pool.empty(), counts(spp))
         kernels = dr.kernel_history([dr.KernelType.JIT])
     compiled = sum(not kernel["cache_hit"] for kernel in kernels)
     table[pool.tracer.scene.name, COLUMNS[4]] = f"{compiled} of {len(kernels)} launched"
@@ -127,32 +129,33 @@ def test_kernels_compiled_live(benchmark, pool, table):
     assert len(kernels) == 4
 
 
-@pytest.mark.parametrize("what", ["moving", "view"])
+@pytest.mark.parametrize("step", ["moving", "G-buffer"])
 @pytest.mark.benchmark(group="before any path")
-def test_before_any_path(benchmark, tracer, table, what):
+def test_before_any_path(benchmark, tracer, table, step):
     times = iter(range(1, 100))
-    work = {"moving": lambda: tracer.set_time(next(times)), "view": lambda: render_gbuffer(tracer)}[
-        what
-    ]
-    ms, _ = median_ms(benchmark, work)
-    table[tracer.scene.name, f"{what} [ms]"] = f"{ms:.0f}"
+    steps = {
+        "moving": lambda: tracer.set_time(next(times)),
+        "G-buffer": lambda: render_gbuffer(tracer),
+    }
+    ms, _ = median_ms(benchmark, steps[step])
+    table[tracer.scene.name, f"{step} [ms]"] = f"{ms:.0f}"
 
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.benchmark(group="without LLVM")
 def test_without_llvm(benchmark, table, name):
-    """Whole images of 8 spp, as a reference is made of."""
+    """Full images at 8 spp, as references are rendered."""
     fast = open_tracer(scene_of_clip(name), SMALL, SMALL)
     fast.mean(8, "pilot")
     full = []
 
-    def with_it():
+    def with_llvm():
         start = time.perf_counter()
         fast.mean(8, "pilot")
         full.append(time.perf_counter() - start)
 
     for _ in range(ROUNDS):
-        with_it()
+        with_llvm()
     select_variant("scalar_rgb")
     try:
         slow = open_tracer(scene_of_clip(name), SMALL, SMALL)

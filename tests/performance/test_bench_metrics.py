@@ -1,4 +1,4 @@
-"""Speed of the metrics, beside the library that would be the other choice."""
+"""Speed of the metrics against kornia."""
 
 from __future__ import annotations
 

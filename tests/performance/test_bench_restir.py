@@ -1,4 +1,4 @@
-"""A frame of ReSTIR chains beside as many paths: what `restir` pays for a sample."""
+"""Cost of a ReSTIR sample: a frame of sample streams against as many path-traced samples."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ ROUNDS = 5
 @pytest.fixture(scope="module")
 def tracer():
     if select_variant().startswith("scalar"):
-        pytest.skip("chains are traced with LLVM or CUDA alone")
+        pytest.skip("sample streams need LLVM or CUDA")
     return open_tracer(scene_of_clip("hall"), SIDE, SIDE)
 
 
 @pytest.mark.benchmark(group=f"{COUNT} samples per pixel, hall")
-@pytest.mark.parametrize("what", ["chains", "paths"])
-def test_samples(benchmark, tracer, what):
+@pytest.mark.parametrize("kind", ["streams", "paths"])
+def test_samples(benchmark, tracer, kind):
     pool = chains(tracer, POOL, COUNT)
-    frame = pool if what == "chains" else lambda: tracer.stack(COUNT, "pilot")
+    frame = pool if kind == "streams" else lambda: tracer.stack(COUNT, "pilot")
     benchmark.pedantic(frame, rounds=ROUNDS, warmup_rounds=2)

@@ -1,4 +1,4 @@
-"""How long spending a frame's budget takes."""
+"""Speed of sample allocation for a whole frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SIDE = 720
 
 
 @pytest.mark.parametrize("spp", [0.5, 2.0])
-def test_spend_a_frame(benchmark, spp):
+def test_allocate_counts(benchmark, spp):
     generator = torch.Generator().manual_seed(0)
     density = torch.rand(1, 1, SIDE, SIDE, generator=generator).pow(4)
     low = torch.zeros(1, 1, SIDE, SIDE, dtype=torch.int64)

@@ -97,7 +97,7 @@ def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
     assert "motion" not in read_header(tmp_path).buffers
 
 
-EXTRAS = ("object", "albedo_first", "normal_behind", "depth_behind", "object_behind")
+EXTRAS = ("object", "albedo_first", "normal_psr", "depth_psr", "object_psr")
 
 
 def test_view_buffers_that_were_asked_for_are_in_the_clip(llvm, tmp_path):

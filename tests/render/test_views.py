@@ -106,19 +106,19 @@ def test_a_mirror_shows_how_far_behind_it_things_are(variant):
     middle = {name: buffer[2, 2] for name, buffer in found.items()}
     assert middle["depth"] == pytest.approx(4.0, rel=1e-5)
     # Mitsuba starts a reflected ray a little off the mirror
-    assert middle["depth_behind"] == pytest.approx(4.0 + 3.0, rel=1e-4)
+    assert middle["depth_psr"] == pytest.approx(4.0 + 3.0, rel=1e-4)
     np.testing.assert_allclose(middle["normal"], [0.5**0.5, -(0.5**0.5), 0], atol=1e-5)
-    np.testing.assert_allclose(middle["normal_behind"], [-1, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(middle["normal_psr"], [-1, 0, 0], atol=1e-5)
     np.testing.assert_allclose(middle["albedo_first"], [0.6] * 3, atol=1e-5)
     np.testing.assert_allclose(middle["albedo"], np.multiply(0.6, [0.2, 0.4, 0.8]), atol=1e-5)
-    assert (middle["object"], middle["object_behind"]) == (1, 2)
+    assert (middle["object"], middle["object_psr"]) == (1, 2)
 
 
 def test_behind_what_is_not_clear_there_is_itself(variant):
     found = render_gbuffer(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
     for name in ("normal", "object"):
-        np.testing.assert_array_equal(found[f"{name}_behind"], found[name])
-    np.testing.assert_allclose(found["depth_behind"], found["depth"], rtol=1e-5)
+        np.testing.assert_array_equal(found[f"{name}_psr"], found[name])
+    np.testing.assert_allclose(found["depth_psr"], found["depth"], rtol=1e-5)
     np.testing.assert_array_equal(found["albedo_first"], found["albedo"])
 
 
@@ -138,10 +138,10 @@ def test_glass_itself_passes_all_light_on(variant):
 def test_background_behind_is_background(variant):
     tracer = open_tracer(room(), H, W)
     found = render_gbuffer(tracer, VIEWS)
-    sky = np.isinf(found["depth_behind"][..., 0])
+    sky = np.isinf(found["depth_psr"][..., 0])
     assert (sky & np.isfinite(found["depth"][..., 0])).sum() > 0  # seen through the pane
-    assert not found["normal_behind"][sky].any()
-    assert not found["object_behind"][sky].any()
+    assert not found["normal_psr"][sky].any()
+    assert not found["object_psr"][sky].any()
 
 
 def test_depth_runs_along_the_view_axis(variant):

@@ -81,5 +81,5 @@ def _whole(gbuffer: GBuffer) -> GBuffer:
     seen: dict[str, Tensor] = dict(gbuffer.buffers)
     seen["object"] = seen["depth"].isfinite().float()
     seen["albedo_first"] = seen["albedo"]
-    seen |= {f"{name}_behind": seen[name] for name in ("normal", "depth", "object")}
+    seen |= {f"{name}_psr": seen[name] for name in ("normal", "depth", "object")}
     return replace(gbuffer, buffers=seen)

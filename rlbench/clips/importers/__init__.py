@@ -1,1 +1,1 @@
-"""Frames that others rendered, as clips: one module a format, and one that writes them down."""
+"""Import frames of other renderers as clips: one module per format, and one that writes clips."""

@@ -1,4 +1,4 @@
-"""The formats that can be imported; each is a module that turns a folder into sequences."""
+"""Formats that can be imported. A module per format turns a folder into sequences of frames."""
 
 from __future__ import annotations
 
@@ -8,32 +8,41 @@ from pathlib import Path
 
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 
+__all__ = ["FORMATS", "sequences"]
+
 FORMATS = {
     "oidn": "rlbench.clips.importers.oidn",
     "noisebase": "rlbench.clips.importers.noisebase",
-    "paper": "rlbench.clips.importers.rl_path_tracing",
+    "rl-path-tracing": "rlbench.clips.importers.rl_path_tracing",
 }
+ALIASES = {"paper": "rl-path-tracing"}  # old names, still accepted
 
 
 def sequences(
-    source: Path, format_: str, wanted: tuple[int, int] | None = None
+    source: Path, format_: str, frames: tuple[int, int] | None = None
 ) -> list[ImportedSequence]:
-    """What a folder holds in a format: one sequence a clip, by name; `wanted` frames of each.
+    """The sequences in a folder, sorted by name; each becomes one clip.
 
-    A format's module has `sequences(source, wanted)` and `LAYOUT`, the names of its files. Raises
-    SourceError for an unknown format, where nothing is found, and where something is amiss.
+    `frames` selects the frames from its first number to its second, exclusive. A format's module
+    has `find_sequences(source, frames)` and `LAYOUT`, examples of its file names.
+
+    Raises SourceError for an unknown format, for a folder without a sequence, for two sequences of
+    one name, and for files that cannot be imported.
     """
+    format_ = ALIASES.get(format_, format_)
     if format_ not in FORMATS:
         raise SourceError(f"no format '{format_}'; there are: {', '.join(FORMATS)}")
     module = importlib.import_module(FORMATS[format_])
-    found: list[ImportedSequence] = module.sequences(source, wanted)
-    if not found:
-        have = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
+    clips: list[ImportedSequence] = module.find_sequences(source, frames)
+    if not clips:
+        content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
         raise SourceError(
             f"{source} holds nothing of format '{format_}': expected files such as "
-            f"{module.LAYOUT}; it holds: {have}"
+            f"{module.LAYOUT}; it holds: {content}"
         )
-    names = Counter(sequence.name for sequence in found)
-    if twice := [name for name, count in names.items() if count > 1]:
-        raise SourceError(f"{source} holds two clips named '{twice[0]}'; import each by itself")
-    return sorted(found, key=lambda sequence: sequence.name)
+    counts = Counter(sequence.name for sequence in clips)
+    if duplicates := [name for name, count in counts.items() if count > 1]:
+        raise SourceError(
+            f"{source} holds two clips named '{duplicates[0]}'; import their folders separately"
+        )
+    return sorted(clips, key=lambda sequence: sequence.name)

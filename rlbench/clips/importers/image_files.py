@@ -1,4 +1,4 @@
-"""Images by strangers: an OpenEXR or a PNG, whose size is looked at before it is unpacked."""
+"""Untrusted image files, OpenEXR and PNG: the size is checked before pixels are decoded."""
 
 from __future__ import annotations
 
@@ -22,35 +22,36 @@ AXES = ("X", "Y", "Z")
 
 def exr_size(path: Path) -> tuple[int, int]:
     """Height and width of an EXR, pixels. Raises SourceError."""
-    with _understood(path):
+    with _convert_errors(path):
         return _size(path, OpenEXR.InputFile(str(path)).header())
 
 
 def read_exr(path: Path) -> Pixels:
-    """Channels R, G, B, or X, Y, Z, of an EXR of one part, [h w 3], as precise as the file.
+    """Channels R, G, B or X, Y, Z of a single-part EXR, [h w 3], in the precision of the file.
 
-    Names count from the last dot and in either case. Raises SourceError where the file is broken,
-    too large, or has no such channels.
+    Layer names before the last dot are ignored, and so is the case. Raises SourceError where the
+    file is broken, too large, or has no such channels.
     """
-    with _understood(path):
+    with _convert_errors(path):
         file = OpenEXR.InputFile(str(path))
         header = file.header()
         height, width = _size(path, header)
-        names = _three(path, header["channels"])
+        names = _three_channels(path, header["channels"])
         packed = file.channels(names)
-        kinds = [TYPES[str(header["channels"][name].type)] for name in names]
+        dtypes = [TYPES[str(header["channels"][name].type)] for name in names]
         planes = [
-            np.frombuffer(b, k).reshape(height, width) for b, k in zip(packed, kinds, strict=True)
+            np.frombuffer(b, t).reshape(height, width) for b, t in zip(packed, dtypes, strict=True)
         ]
     return np.stack(planes, axis=-1)
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:
-    """A PNG of three colours, [h w 3], of 8 bits; of 16 bits the upper 8. Raises SourceError.
+    """An RGB PNG, [h w 3]; of 16-bit values the upper 8 bits. Raises SourceError.
 
-    Pillow has no three 16-bit colours: this is what a reader with Pillow or torchvision sees.
+    Pillow has no 16-bit RGB mode: these are the values that a reader with Pillow or torchvision
+    gets.
     """
-    with _understood(path), Image.open(path, formats=("PNG",)) as image:
+    with _convert_errors(path), Image.open(path, formats=("PNG",)) as image:
         check_size(path, image.height, image.width)
         if image.mode != "RGB":
             raise SourceError(f"{path} is a PNG of mode {image.mode}, expected RGB")
@@ -59,36 +60,38 @@ def read_png(path: Path) -> NDArray[np.uint8]:
 
 def png_size(path: Path) -> tuple[int, int]:
     """Height and width of a PNG, pixels. Raises SourceError."""
-    with _understood(path), Image.open(path, formats=("PNG",)) as image:
+    with _convert_errors(path), Image.open(path, formats=("PNG",)) as image:
         return check_size(path, image.height, image.width)
 
 
 def _size(path: Path, header: Any) -> tuple[int, int]:
-    window, shown = header["dataWindow"], header["displayWindow"]
-    if str(window) != str(shown):
-        raise SourceError(f"{path} holds the window {window} of {shown}, expected all of it")
-    return check_size(path, window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)
+    data, display = header["dataWindow"], header["displayWindow"]
+    if str(data) != str(display):
+        raise SourceError(
+            f"{path} has the data window {data}, expected the whole display window {display}"
+        )
+    return check_size(path, data.max.y - data.min.y + 1, data.max.x - data.min.x + 1)
 
 
-def _three(path: Path, channels: Any) -> list[str]:
-    """The names of the three channels."""
-    plain = {
+def _three_channels(path: Path, channels: Any) -> list[str]:
+    """The names of the channels R, G, B or X, Y, Z in the file."""
+    by_letter = {
         name.rpartition(".")[2].upper(): name
         for name, channel in channels.items()
         if str(channel.type) in TYPES and channel.xSampling == channel.ySampling == 1
     }
     for letters in (COLOURS, AXES):
-        if plain.keys() >= set(letters):
-            return [plain[letter] for letter in letters]
-    have = ", ".join(channels)
+        if by_letter.keys() >= set(letters):
+            return [by_letter[letter] for letter in letters]
     raise SourceError(
-        f"{path}: expected channels R, G, B or X, Y, Z of half or float; it has: {have}"
+        f"{path}: expected channels R, G, B or X, Y, Z of half or float; "
+        f"it has: {', '.join(channels)}"
     )
 
 
 @contextmanager
-def _understood(path: Path) -> Iterator[None]:
-    """Errors of the decoders become SourceError."""
+def _convert_errors(path: Path) -> Iterator[None]:
+    """Raise errors of the decoders as SourceError."""
     try:
         yield
     except SourceError:

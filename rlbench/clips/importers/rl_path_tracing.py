@@ -1,18 +1,19 @@
-"""The paper authors' own files: 8-bit PNGs from Blender, and motion as torch tensors.
+"""The files of RL_PATH_TRACING: 8-bit PNGs from Blender, and motion as torch tensors.
 
-A folder a scene: `SS-FFFF.png` is sample SS of frame FFFF, `gdFFFF.png` its reference of 1000 spp,
-`addDenoising AlbedoDenoising AlbedoFFFF.png` and the like for `Denoising Normal` and `Denoising
-Depth`, and `motions/FFFFcorr.pt` or `motions/FFFF.pt` (Scardigli, Cavigelli, Muller 2023,
-github.com/AJSVB/RL_PATH_TRACING). As there, all but the upper left 720 x 720 pixels are cut off.
+A folder holds one scene: `SS-FFFF.png` is sample SS of frame FFFF, `gdFFFF.png` its reference with
+1000 spp, `addDenoising AlbedoDenoising AlbedoFFFF.png` its albedo, files with `Denoising Normal`
+and `Denoising Depth` its normals and depth, and `motions/FFFFcorr.pt` or `motions/FFFF.pt` its
+motion (Scardigli, Cavigelli, Muller 2023, github.com/AJSVB/RL_PATH_TRACING). As there, only the
+upper left 720 x 720 pixels are kept.
 
-The files do not hold what a clip should, and the header says so:
-- The PNGs went through Blender's display transform and were clipped. sRGB's curve is taken off, so
-  that metrics, which put it on again, see the PNGs' values: 1.0 is display white, and means of
+The files do not meet all requirements of a clip, and the header lists these limitations:
+- The PNGs went through Blender's display transform and were clipped. The sRGB curve is inverted, so
+  that metrics, which apply it again, see the values of the PNGs: 1.0 is display white, and means of
   samples are means of displayed light.
-- Normals have lost their negative part, depth all beyond 1, albedo may have been transformed.
-  They are value / 255. Differs from the authors: not stretched to [0, 1] frame by frame, which
-  would make a still surface's values jump from frame to frame.
-- Samples have the seeds 0 to 7 in every frame, and one of them is the reference's.
+- Normals have lost their negative part, depth all values above 1, and albedo may have been
+  transformed. They are value / 255. Differs from the authors: not stretched to [0, 1] frame by
+  frame, because the values of a static surface would change from frame to frame.
+- Samples have the seeds 0 to 7 in every frame, and one of them is the seed of the reference.
 """
 
 from __future__ import annotations
@@ -37,80 +38,92 @@ from rlbench.clips.importers.sequence import (
     Pixels,
     SourceError,
     clip_name,
-    consecutive,
+    select_frames,
 )
+from rlbench.ops.color import decode_srgb
 
 LAYOUT = "SCENE/00-0001.png, SCENE/gd0001.png, SCENE/motions/0001corr.pt"
-SIDE = 720  # pixels that are kept of each side, from the upper left
+MAX_SIDE = 720  # pixels: larger images are cropped to their upper left corner
 REFERENCE_SPP = 1000
 FILE = re.compile(
     r"(?P<slot>\d\d)-(?P<sample>\d{4,})\.png|gd(?P<reference>\d{4,})\.png"
-    r"|add(?P<pass>Denoising (?:Albedo|Normal|Depth))(?P=pass)(?P<view>\d{4,})\.png"
+    r"|add(?P<pass>Denoising (?:Albedo|Normal|Depth))(?P=pass)(?P<gbuffer>\d{4,})\.png"
     r"|(?P<motion>\d{4,})(?:corr)?\.pt"
 )
 PASSES = {f"Denoising {name.capitalize()}": name for name in ("albedo", "normal", "depth")}
-Frames = Mapping[int, Mapping[str, Path]]  # by number and by what it is: s0 to s7, reference, ...
+Frames = Mapping[int, Mapping[str, Path]]  # by number and by image: s0 to s7, reference, ...
 
 
-def sequences(source: Path, wanted: tuple[int, int] | None) -> list[ImportedSequence]:
-    """The clips of a scene's folder, or of one that holds such. Raises SourceError."""
-    found: dict[Path, dict[int, dict[str, Path]]] = defaultdict(lambda: defaultdict(dict))
-    for path in limits.files(source):
+def find_sequences(source: Path, selection: tuple[int, int] | None) -> list[ImportedSequence]:
+    """The sequences in a folder and its subfolders. Raises SourceError."""
+    scenes: dict[Path, dict[int, dict[str, Path]]] = defaultdict(lambda: defaultdict(dict))
+    for path in limits.list_files(source):
         if match := FILE.fullmatch(path.name):
-            told = {key: value for key, value in match.groupdict().items() if value}
+            parts = {key: value for key, value in match.groupdict().items() if value}
             folder = path.parent
-            if "motion" in told:
+            if "motion" in parts:
                 if folder.name != "motions":
                     continue
                 folder = folder.parent
-            kind = f"s{int(told.pop('slot'))}" if "slot" in told else next(iter(told))
-            kind = PASSES[told.pop("pass")] if "pass" in told else kind
-            images = found[folder][int(next(iter(told.values())))]
-            if kind not in images or path.name.endswith("corr.pt"):  # as the authors' loader
-                images[kind] = path
-    return [_sequence(folder.resolve().name, frames, wanted) for folder, frames in found.items()]
+            image = f"s{int(parts.pop('slot'))}" if "slot" in parts else next(iter(parts))
+            image = PASSES[parts.pop("pass")] if "pass" in parts else image
+            images = scenes[folder][int(next(iter(parts.values())))]
+            if image not in images or path.name.endswith("corr.pt"):  # as in the authors' loader
+                images[image] = path
+    return [
+        _sequence(folder.resolve().name, frames, selection) for folder, frames in scenes.items()
+    ]
 
 
-def _sequence(name: str, found: Frames, wanted: tuple[int, int] | None) -> ImportedSequence:
+def _sequence(name: str, source: Frames, selection: tuple[int, int] | None) -> ImportedSequence:
     name = clip_name(name)
-    traced = [number for number, images in found.items() if set(images) - {"motion"}]
-    if not traced:
-        raise SourceError(f"'{name}' has motion and no images; expected {LAYOUT}")
-    numbers = consecutive(f"clip '{name}'", traced, wanted)
-    frames = {number: found[number] for number in numbers}
+    rendered = [number for number, images in source.items() if set(images) - {"motion"}]
+    if not rendered:
+        raise SourceError(f"'{name}' has motion but no images; expected {LAYOUT}")
+    numbers = select_frames(f"clip '{name}'", rendered, selection)
+    frames = {number: source[number] for number in numbers}
     _check(name, frames)
-    there = set.union(*(set(images) for images in frames.values()))
-    buffers = tuple(b for b in ("albedo", "normal", "depth", "motion") if b in there)
-    if not buffers:
-        raise SourceError(
-            f"clip '{name}' has neither {', '.join(PASSES)} nor motion; one is needed"
-        )
-    for buffer in buffers:
-        having = [number for number, images in frames.items() if buffer in images]
-        first = numbers[buffer == "motion" and len(numbers) > 1]  # the first needs no motion
-        consecutive(f"clip '{name}', {buffer}", having, (first, numbers[-1] + 1))
-    whole = png_size(frames[numbers[0]]["s0"])
-    lacks = ["halves", "independence", "linear", *(b for b in PASSES.values() if b in buffers)]
+    buffers = _buffers(name, frames)
+    full_size = png_size(frames[numbers[0]]["s0"])
+    limitations = ["halves", "independence", "linear"]
+    limitations += [buffer for buffer in PASSES.values() if buffer in buffers]
     if "motion" in buffers and "motion" not in frames[numbers[0]]:
-        lacks.append("first motion")
+        limitations.append("first motion")
     return ImportedSequence(
         name=name,
         sampler="Cycles, imported from 8-bit PNG",
-        height=min(whole[0], SIDE),
-        width=min(whole[1], SIDE),
+        height=min(full_size[0], MAX_SIDE),
+        width=min(full_size[1], MAX_SIDE),
         numbers=numbers,
-        counts=tuple(_slots(images) for images in frames.values()),
+        counts=tuple(_count_samples(images) for images in frames.values()),
         reference_spp=(REFERENCE_SPP,) * len(numbers),
         buffers=buffers,
-        lacks=tuple(lacks),
+        limitations=tuple(limitations),
         files=tuple(path for images in frames.values() for path in images.values()),
-        read=partial(_read, frames, buffers, whole),
+        read=partial(_read, frames, buffers, full_size),
     )
 
 
+def _buffers(name: str, frames: Frames) -> tuple[str, ...]:
+    """The buffers that every frame has; the first frame needs no motion. Raises SourceError."""
+    numbers = sorted(frames)
+    existing = set.union(*(set(images) for images in frames.values()))
+    buffers = tuple(b for b in ("albedo", "normal", "depth", "motion") if b in existing)
+    if not buffers:
+        raise SourceError(
+            f"clip '{name}' has neither {', '.join(PASSES)} nor motion; it needs at least one"
+        )
+    for buffer in buffers:
+        with_buffer = [number for number, images in frames.items() if buffer in images]
+        first = numbers[buffer == "motion" and len(numbers) > 1]
+        select_frames(f"clip '{name}', {buffer}", with_buffer, (first, numbers[-1] + 1))
+    return buffers
+
+
 def _check(name: str, frames: Frames) -> None:
+    """Raise SourceError where a frame has no sample or no reference."""
     for number, images in frames.items():
-        if not _slots(images):
+        if not _count_samples(images):
             raise SourceError(f"clip '{name}', frame {number} has no sample 00-{number:04d}.png")
         if "reference" not in images:
             raise SourceError(
@@ -119,51 +132,51 @@ def _check(name: str, frames: Frames) -> None:
             )
 
 
-def _slots(images: Mapping[str, Path]) -> int:
-    """How many samples there are, up to the first that is missing."""
+def _count_samples(images: Mapping[str, Path]) -> int:
+    """Number of samples before the first that is missing."""
     return next(slot for slot in range(len(images) + 1) if f"s{slot}" not in images)
 
 
 def _read(
-    frames: Frames, buffers: tuple[str, ...], whole: tuple[int, int], number: int, samples: int
+    frames: Frames, buffers: tuple[str, ...], full_size: tuple[int, int], number: int, samples: int
 ) -> ImportedFrame:
     images = frames[number]
-    h, w = min(whole[0], SIDE), min(whole[1], SIDE)
+    h, w = min(full_size[0], MAX_SIDE), min(full_size[1], MAX_SIDE)
     gbuffer: dict[str, Pixels] = {}
     for buffer in buffers:
         if buffer == "motion":
-            there = "motion" in images
-            gbuffer[buffer] = _motion(images[buffer], h, w) if there else np.zeros((h, w, 2))
+            path = images.get("motion")
+            gbuffer[buffer] = np.zeros((h, w, 2)) if path is None else _read_motion(path, h, w)
         else:
-            value = _png(images[buffer], whole) / 255
+            value = _read_cropped(images[buffer], full_size) / 255
             gbuffer[buffer] = value[..., :1] if buffer == "depth" else value
-    pool = np.stack([_light(images[f"s{slot}"], whole) for slot in range(samples)])
-    reference = _light(images["reference"], whole)
+    pool = np.stack([_read_radiance(images[f"s{slot}"], full_size) for slot in range(samples)])
+    reference = _read_radiance(images["reference"], full_size)
     return ImportedFrame(gbuffer, pool, reference, reference)
 
 
-def _light(path: Path, whole: tuple[int, int]) -> Pixels:
-    """Light of a display that shows the image, [h w 3] in [0, 1]: sRGB's curve is taken off."""
-    value = _png(path, whole) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+def _read_radiance(path: Path, full_size: tuple[int, int]) -> Pixels:
+    """Linear radiance of a PNG, [h w 3] in [0, 1]: the sRGB curve is inverted."""
+    display = torch.from_numpy(_read_cropped(path, full_size) / 255)
+    return decode_srgb(display).numpy()
 
 
-def _png(path: Path, whole: tuple[int, int]) -> NDArray[np.uint8]:
-    """The pixels of an image that are kept."""
+def _read_cropped(path: Path, full_size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The pixels of a PNG inside the crop."""
     pixels = read_png(path)
-    if pixels.shape[:2] == (720, 1280) and whole == (1080, 1920):  # as the authors' loader
-        shown = Image.fromarray(pixels).resize((1920, 1080), Image.Resampling.BILINEAR)
-        pixels = np.asarray(shown)
-    limits.same_size(path, pixels.shape[:2], whole)
-    return pixels[:SIDE, :SIDE]
+    if pixels.shape[:2] == (720, 1280) and full_size == (1080, 1920):  # as in the authors' loader
+        resized = Image.fromarray(pixels).resize((1920, 1080), Image.Resampling.BILINEAR)
+        pixels = np.asarray(resized)
+    limits.check_same_size(path, pixels.shape[:2], full_size)
+    return pixels[:MAX_SIDE, :MAX_SIDE]
 
 
-def _motion(path: Path, h: int, w: int) -> Pixels:
-    """Pixels to the previous position, x right and y down, [h w 2], from `grid_sample` coordinates.
+def _read_motion(path: Path, h: int, w: int) -> Pixels:
+    """Motion [h w 2] to the previous position, pixels, x right and y down, from a tensor file.
 
-    They are those of align_corners=False, (2 x + 1) / w - 1, at the previous position x. The file
-    is a pickle in a zip; nothing but tensors is unpickled, after the zip's sizes were looked at.
-    Raises SourceError.
+    The file holds coordinates for `grid_sample` with align_corners=False, (2 x + 1) / w - 1, at the
+    previous position x. It is a pickle in a zip: only tensors are unpickled, and only after the
+    sizes in the zip were checked. Raises SourceError.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -173,7 +186,7 @@ def _motion(path: Path, h: int, w: int) -> Pixels:
         grid = torch.load(path, map_location="cpu", weights_only=True)
     except SourceError:
         raise
-    except Exception as error:  # the unpickler raises whatever a broken file makes it do
+    except Exception as error:  # a broken file can make the unpickler raise anything
         raise SourceError(
             f"{path} is not a tensor of float32 that torch.save wrote, and nothing else is read: "
             f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"

@@ -1,4 +1,4 @@
-"""What every format hands over: a run of frames, what is known of it, and how one is read."""
+"""The interface of the importers: a sequence of frames, and how one of its frames is read."""
 
 from __future__ import annotations
 
@@ -13,11 +13,21 @@ from numpy.typing import NDArray
 
 from rlbench.errors import RlbenchError
 
+__all__ = [
+    "ImportedFrame",
+    "ImportedSequence",
+    "Pixels",
+    "SourceError",
+    "clip_name",
+    "select_frames",
+    "span",
+]
+
 Pixels = NDArray[np.floating]
 
 
 class SourceError(RlbenchError, ValueError):
-    """Files that cannot be imported as asked, or that are not safe to read."""
+    """Files that cannot be imported, or that are not safe to read."""
 
 
 class ImportedFrame(NamedTuple):
@@ -31,51 +41,58 @@ class ImportedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedSequence:
-    """Consecutive frames of one source. `lacks` names what it has not, in the header's words."""
+    """Consecutive frames of one source, which become one clip."""
 
-    name: str  # of the clip, and of the folder it goes to
-    sampler: str  # what traced it, as far as that is known
+    name: str  # of the clip and of its folder
+    sampler: str  # what traced the samples, as far as that is known
     height: int  # pixels
     width: int  # pixels
-    numbers: tuple[int, ...]  # of the frames, as the source counts them
-    counts: tuple[int, ...]  # 1-spp images that each of them has
+    numbers: tuple[int, ...]  # frame numbers in the source
+    counts: tuple[int, ...]  # 1-spp images of each frame
     reference_spp: tuple[int, ...]  # samples per pixel of each reference; 0 where unknown
-    buffers: tuple[str, ...]  # of the view
-    lacks: tuple[str, ...]
-    files: tuple[Path, ...]  # all that is read
-    read: Callable[[int, int], ImportedFrame]  # a frame's number, and how many samples of it
-    fps: float = 24.0
+    buffers: tuple[str, ...]  # of the G-buffer
+    limitations: tuple[str, ...]  # keys of `rlbench.clips.header.LIMITATIONS`
+    files: tuple[Path, ...]  # all files that are read
+    read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
+    fps: float = 24.0  # frames per second
 
 
 def span(text: str) -> tuple[int, int]:
-    """The frames FIRST:END, END excluded, as numbers. Raises SourceError."""
+    """The first frame and the end, exclusive, of a range FIRST:END. Raises SourceError.
+
+    >>> span("0:20")
+    (0, 20)
+    """
     match = re.fullmatch(r"(\d+):(\d+)", text)
     if not match or int(match[1]) >= int(match[2]):
-        raise SourceError(f"--frames takes FIRST:END such as 0:20 and was given '{text}'")
+        raise SourceError(
+            f"'{text}' is not a range of frames; --frames takes FIRST:END, for example 0:20"
+        )
     return int(match[1]), int(match[2])
 
 
-def consecutive(
-    what: str, numbers: Iterable[int], wanted: tuple[int, int] | None
+def select_frames(
+    label: str, numbers: Iterable[int], frames: tuple[int, int] | None
 ) -> tuple[int, ...]:
-    """The frames that are wanted, or all; SourceError where one between first and last is missing.
+    """The frame numbers in the range `frames`, or all of them.
 
-    `what` names the sequence, or the images of which one is missing.
+    Raises SourceError where a frame between first and last is missing. `label` names the sequence
+    in the message.
     """
-    there = set(numbers)
-    first, end = wanted or (min(there), max(there) + 1)
-    if missing := [number for number in range(first, end) if number not in there]:
-        told = ", ".join(map(str, missing[:8])) + (" ..." if len(missing) > 8 else "")
+    existing = set(numbers)
+    first, end = frames or (min(existing), max(existing) + 1)
+    if missing := [number for number in range(first, end) if number not in existing]:
+        listed = ", ".join(map(str, missing[:8])) + (" ..." if len(missing) > 8 else "")
         raise SourceError(
-            f"{what}: frames {first} to {end - 1} are wanted and {len(missing)} of them are "
-            f"missing: {told}; there are {len(there)} between {min(there)} and {max(there)}. "
-            "Take a part without gaps with --frames FIRST:END"
+            f"{label}: frames {first} to {end - 1} are required and {len(missing)} of them are "
+            f"missing: {listed}; there are {len(existing)} between {min(existing)} and "
+            f"{max(existing)}. Select a range without gaps with --frames FIRST:END"
         )
     return tuple(range(first, end))
 
 
 def clip_name(*parts: str) -> str:
-    """A name from the source's own, safe as a folder's. Raises SourceError where it is not."""
+    """A clip name from names in the source, safe as a folder name. Raises SourceError."""
     name = "-".join(part for part in parts if part)
     if not re.fullmatch(r"\w[\w .+-]*", name):
         raise SourceError(f"'{name}' cannot be a clip's name; rename the files or their folder")

@@ -1,1 +1,1 @@
-"""Clips that are computed when they are read."""
+"""A procedural clip: a small animated scene in closed form, computed when it is read."""

@@ -1,4 +1,4 @@
-"""Clips of a closed-form world: exact truth, heavy-tailed samples, any size, from a seed."""
+"""Procedural clips: exact reference, heavy-tailed samples, any size, from a seed."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural import raycast, world
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 
-FIREFLY = 0.003  # chance that a sample is one
-FIREFLY_SCALE = 60.0  # times the truth that a firefly is
-NORMAL_SCALE = (1 - FIREFLY * FIREFLY_SCALE) / (
-    1 - FIREFLY
-)  # of the other samples, so that the mean stays 1
-CALM, ROUGH = 0.3, 0.9  # sigma of the logarithm in full light, and what shade adds
+FIREFLY_PROBABILITY = 0.003  # per sample
+FIREFLY_SCALE = 60.0  # factor on the noise of a firefly
+# factor on the noise of all other samples, so that the mean stays 1
+NORMAL_SCALE = (1 - FIREFLY_PROBABILITY * FIREFLY_SCALE) / (1 - FIREFLY_PROBABILITY)
+LIT_SIGMA = 0.3  # standard deviation of the noise's logarithm in full light
+SHADE_SIGMA = 0.9  # added to it in full shade
 
 
-def procedural(
+def procedural_clip(
     seed: int = 0,
     size: Size = Size(1, 96, 128),  # noqa: B008  (a tuple)
     frames: int = 8,
@@ -35,25 +35,42 @@ def procedural(
     static: bool = False,
     device: torch.device | str = "cpu",
 ) -> InMemoryClip:
-    """A clip of `size.n` worlds, of the seeds `seed`, `seed + 1`, ...
+    """A batch of `size.n` procedural clips with the seeds `seed`, `seed + 1`, ...
 
-    Both halves of the reference are the truth itself. A sample is the truth times noise whose mean
-    is exactly 1 (log-normal, wilder in shade, with rare fireflies); the sky has no noise. `speed`
-    scales all movement; 1 moves about 2 pixels per frame at a width of 128. From frame `cut` on
-    another world is shown, whose motion is still its own: as after an editor's cut, the history is
-    wrong and no buffer says so, while at a cut of rendered clips all motion leads outside. `static`
-    stops all movement; the noise goes on. Motion leads far outside the image where a point was
-    behind the previous camera; in frame 0 it leads to the frame that would have come before.
+    Both halves of the reference are the noise-free image. A sample is this image times noise with a
+    mean of exactly 1: log-normal, stronger in shade, with rare fireflies. The sky has no noise.
+    Motion points far outside the image where a point was behind the previous camera. In frame 0 it
+    points to where the frame before it would have been. Frames are computed whenever they are read,
+    with equal results.
 
-    Frames are computed anew whenever they are read, and equal whenever they are read.
+    >>> clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=2, pool_spp=4)
+    >>> frame = clip.frames[0]
+    >>> frame.gbuffer.albedo.shape  # n c h w
+    torch.Size([1, 3, 32, 48])
+    >>> frame.pool.radiance.shape  # n s c h w: 4 samples per pixel
+    torch.Size([1, 4, 3, 32, 48])
+    >>> frame.reference.mean.shape
+    torch.Size([1, 3, 32, 48])
+
+    Args:
+        seed: seed of the first clip: scene and noise.
+        size: number of clips in the batch, height and width in pixels.
+        frames: number of frames.
+        pool_spp: samples per pixel in the pool.
+        speed: factor on all movement; 1 moves about 2 pixels per frame at a width of 128.
+        cut: first frame of a second scene. Its motion is the second scene's own, as after an
+            editor's cut: the history is wrong and no buffer says so. At a cut of rendered clips,
+            all motion points outside the image.
+        static: nothing moves, and there is no motion buffer; the noise still changes.
+        device: device of the tensors; the numbers are the same on every device.
     """
-    told = f"{seed} {tuple(size)} {frames} {pool_spp} {speed} {cut} {static}".encode()
+    content = f"{seed} {tuple(size)} {frames} {pool_spp} {speed} {cut} {static}".encode()
     for module in (raycast.__file__, world.__file__, __file__):
-        told += Path(module).read_bytes()
+        content += Path(module).read_bytes()
     return InMemoryClip(
         name=f"procedural-{seed}",
         scene="procedural",
-        digest=hashlib.sha256(told).hexdigest()[:32],
+        digest=hashlib.sha256(content).hexdigest()[:32],
         frames=_Frames(
             seed, size, frames, pool_spp, 0.0 if static else speed, cut, torch.device(device)
         ),
@@ -62,13 +79,13 @@ def procedural(
 
 @dataclass(frozen=True)
 class _Frames(Sequence[Frame]):
-    """Frames by formula."""
+    """Frames that are computed when they are indexed."""
 
     seed: int
     size: Size
     length: int
     pool_spp: int
-    speed: float  # 0 is a static clip
+    speed: float  # 0 for a static clip
     cut: int | None
     device: torch.device
 
@@ -87,7 +104,7 @@ class _Frames(Sequence[Frame]):
 
     @cached_property
     def worlds(self) -> tuple[world.World, world.World]:
-        """Before the cut, and from the cut on."""
+        """The worlds before the cut, and from the cut on."""
         first, second = (
             world.random_world([f"{s}/{shot}" for s in self._seeds], self.device) for shot in (0, 1)
         )
@@ -100,33 +117,37 @@ class _Frames(Sequence[Frame]):
     def _frame(self, index: int) -> Frame:
         shot = self.cut is not None and index >= self.cut
         time = index * self.speed
-        seen = raycast.raycast(self.worlds[shot], time, time - self.speed, self.size.h, self.size.w)
-        buffers = {"albedo": seen.albedo, "normal": seen.normal, "depth": seen.depth}
+        h, w = self.size.h, self.size.w
+        camera = raycast.raycast(self.worlds[shot], time, time - self.speed, h, w)
+        buffers = {"albedo": camera.albedo, "normal": camera.normal, "depth": camera.depth}
         if self.speed:
-            buffers["motion"] = seen.motion
-        truth = seen.radiance.float()
+            buffers["motion"] = camera.motion
+        truth = camera.radiance.float()
         return Frame(
             index,
             GBuffer({k: v.float() for k, v in buffers.items()}, static=not self.speed),
-            StoredPool(truth[:, None] * self._noise(index, seen), self._keys(index)),
+            StoredPool(truth[:, None] * self._noise(index, camera), self._frame_seeds(index)),
             Reference(truth, truth),
         )
 
-    def _noise(self, index: int, seen: raycast.CameraBuffers) -> Float[Tensor, "n s 1 h w"]:
-        """Factors of mean 1: exp(sigma z - sigma^2 / 2), times a flash or its lack."""
+    def _noise(self, index: int, camera: raycast.CameraBuffers) -> Float[Tensor, "n s 1 h w"]:
+        """Factors of mean 1: exp(sigma z - sigma^2 / 2), times the scale of fireflies or others."""
         shape = (self.pool_spp, 1, self.size.h, self.size.w)
-        drawn = []
-        for key in self._keys(index):  # on the host, so that every device gets the same numbers
-            source = torch.Generator().manual_seed(key)
-            pair = (torch.randn(shape, generator=source), torch.rand(shape, generator=source))
-            drawn.append(pair)
-        z, chance = (torch.stack(part).to(self.device) for part in zip(*drawn, strict=True))
-        sigma = (CALM + ROUGH * seen.shade.float())[:, None]
-        flash = torch.where(chance < FIREFLY, FIREFLY_SCALE, NORMAL_SCALE)
-        noise = torch.exp(sigma * z - sigma.square() / 2) * flash
-        return noise.where(seen.depth[:, None].isfinite(), 1.0)
+        draws = []
+        for seed in self._frame_seeds(index):  # on the CPU, so that all devices get equal numbers
+            generator = torch.Generator().manual_seed(seed)
+            pair = (torch.randn(shape, generator=generator), torch.rand(shape, generator=generator))
+            draws.append(pair)
+        z, uniform = (torch.stack(part).to(self.device) for part in zip(*draws, strict=True))
+        sigma = (LIT_SIGMA + SHADE_SIGMA * camera.shade.float())[:, None]
+        scale = torch.where(uniform < FIREFLY_PROBABILITY, FIREFLY_SCALE, NORMAL_SCALE)
+        noise = torch.exp(sigma * z - sigma.square() / 2) * scale
+        return noise.where(camera.depth[:, None].isfinite(), 1.0)
 
-    def _keys(self, index: int) -> tuple[int, ...]:
-        """One number a world, from its seed and the frame."""
-        told = (f"{seed}/{index}".encode() for seed in self._seeds)
-        return tuple(int.from_bytes(hashlib.blake2b(t, digest_size=4).digest()) >> 1 for t in told)
+    def _frame_seeds(self, index: int) -> tuple[int, ...]:
+        """One seed per clip in the batch, from the clip's seed and the frame number."""
+        keys = (f"{seed}/{index}".encode() for seed in self._seeds)
+        return tuple(int.from_bytes(hashlib.blake2b(k, digest_size=4).digest()) >> 1 for k in keys)
+
+
+procedural = procedural_clip  # former name

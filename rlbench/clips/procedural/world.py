@@ -1,7 +1,7 @@
-"""A small animated world in closed form: its numbers, from a seed, and where all is at any time.
+"""The procedural world: random parameters, and the positions of objects and camera at any time.
 
-Three spinning, wandering spheres on a square floor before a wall, under a sky; the camera drifts
-and turns. Lengths are metres, z is up, the camera looks along +y.
+Three spinning, moving spheres on a square floor in front of a wall, under a sky; the camera moves
+and turns. Lengths are in metres, times in frames, z is up, and the camera looks along +y.
 """
 
 from __future__ import annotations
@@ -20,61 +20,61 @@ OBJECTS = SPHERES + 2  # spheres, floor, wall
 
 @dataclass(frozen=True)
 class World:
-    """The numbers that make one world an individual; n worlds side by side."""
+    """Parameters of n worlds with k spheres and o objects each."""
 
-    centre: Float[Tensor, "n k 3"]  # of the spheres' paths, metres
-    swing: Float[Tensor, "n k 3"]  # amplitude of the paths, metres
-    phase: Float[Tensor, "n k"]  # radians
+    centre: Float[Tensor, "n k 3"]  # centres of the spheres' paths, metres
+    swing: Float[Tensor, "n k 3"]  # amplitudes of the paths, metres
+    phase: Float[Tensor, "n k"]  # phases of the paths, radians
     radius: Float[Tensor, "n k"]  # metres
-    spin: Float[Tensor, "n o"]  # about the vertical axis, radians per frame; floor and wall 0
+    spin: Float[Tensor, "n o"]  # about the vertical axis, radians per frame; 0 for floor and wall
     colour: Float[Tensor, "n o 2 3"]  # the two albedos of each object
-    gain: Float[Tensor, "n o"]  # of the light that each object receives; one sphere is bright
-    camera: Float[Tensor, " n"]  # phase of its path, radians
+    gain: Float[Tensor, "n o"]  # factor on the light on each object; one sphere is bright
+    camera: Float[Tensor, " n"]  # phase of the camera's path, radians
 
 
 def random_world(seeds: list[str], device: torch.device) -> World:
-    """One world for each seed."""
-    rolls = [random.Random(seed) for seed in seeds]
+    """One random world for each seed."""
+    generators = [random.Random(seed) for seed in seeds]
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
-        values = [[roll.uniform(low, high) for _ in range(math.prod(shape))] for roll in rolls]
+        values = [[g.uniform(low, high) for _ in range(math.prod(shape))] for g in generators]
         return torch.tensor(values, dtype=torch.float64, device=device).reshape(-1, *shape)
 
     radius = uniform(0.5, 0.8, SPHERES)
-    slots = torch.tensor([-1.7, 0.0, 1.7], dtype=torch.float64, device=device)
-    place = torch.stack((slots.expand_as(radius), torch.zeros_like(radius), radius + 0.15), -1)
-    rise = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64, device=device)
-    still = torch.tensor([1.0] * SPHERES + [0.0, 0.0], dtype=torch.float64, device=device)
+    columns = torch.tensor([-1.7, 0.0, 1.7], dtype=torch.float64, device=device)
+    centre = torch.stack((columns.expand_as(radius), torch.zeros_like(radius), radius + 0.15), -1)
+    horizontal = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64, device=device)
+    is_sphere = torch.tensor([1.0] * SPHERES + [0.0, 0.0], dtype=torch.float64, device=device)
     gain = uniform(0.8, 1.2, OBJECTS)
     gain[:, 0] *= 5
     return World(
-        centre=place + uniform(-0.25, 0.25, SPHERES, 3) * rise,
-        swing=uniform(0.2, 0.5, SPHERES, 3) * (rise + 0.25),
+        centre=centre + uniform(-0.25, 0.25, SPHERES, 3) * horizontal,
+        swing=uniform(0.2, 0.5, SPHERES, 3) * (horizontal + 0.25),
         phase=uniform(0, 2 * math.pi, SPHERES),
         radius=radius,
-        spin=uniform(-0.06, 0.06, OBJECTS) * still,
+        spin=uniform(-0.06, 0.06, OBJECTS) * is_sphere,
         colour=uniform(0.05, 0.95, OBJECTS, 2, 3),
         gain=gain,
         camera=uniform(0, 2 * math.pi),
     )
 
 
-def centres(world: World, time: float) -> Float[Tensor, "n o 3"]:
-    """Where each object's own origin is; floor and wall stay at the world's."""
-    turn = world.phase[..., None] + 0.2 * time * torch.tensor([1.0, 0.8, 1.3]).to(world.phase)
-    lift = torch.tensor([0.0, 0.0, 1.0]).to(world.phase)
-    moved = world.centre + world.swing * (turn.sin() + lift)  # never below the floor
-    return torch.cat((moved, moved.new_zeros(moved.shape[0], 2, 3)), 1)
+def object_centres(world: World, time: float) -> Float[Tensor, "n o 3"]:
+    """The origins of the objects, metres; those of floor and wall are the world's."""
+    angle = world.phase[..., None] + 0.2 * time * torch.tensor([1.0, 0.8, 1.3]).to(world.phase)
+    up = torch.tensor([0.0, 0.0, 1.0]).to(world.phase)
+    spheres = world.centre + world.swing * (angle.sin() + up)  # never below the floor
+    return torch.cat((spheres, spheres.new_zeros(spheres.shape[0], 2, 3)), 1)
 
 
-def pose(world: World, time: float) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3 3"]]:
-    """The camera's origin, and its axes as rows: right, down, forward."""
-    turn = world.camera + 0.12 * time
-    origin = torch.stack((0.9 * turn.sin(), -5 + 0.6 * (0.7 * turn).cos(), 1.6 + 0 * turn), -1)
-    yaw, pitch = 0.18 * (0.9 * turn).cos(), 0.12
+def camera_pose(world: World, time: float) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3 3"]]:
+    """The origin of the camera, metres, and its axes right, down and forward as rows."""
+    phase = world.camera + 0.12 * time
+    origin = torch.stack((0.9 * phase.sin(), -5 + 0.6 * (0.7 * phase).cos(), 1.6 + 0 * phase), -1)
+    yaw, pitch = 0.18 * (0.9 * phase).cos(), 0.12
     c, s, zero = yaw.cos(), yaw.sin(), torch.zeros_like(yaw)
-    flat = torch.stack((s, c, zero), -1)  # forward, before tilting down
+    level = torch.stack((s, c, zero), -1)  # forward without pitch
     up = torch.tensor([0.0, 0.0, 1.0]).to(yaw)
     right = torch.stack((c, -s, zero), -1)
-    forward = math.cos(pitch) * flat - math.sin(pitch) * up
-    return origin, torch.stack((right, -math.sin(pitch) * flat - math.cos(pitch) * up, forward), 1)
+    forward = math.cos(pitch) * level - math.sin(pitch) * up
+    return origin, torch.stack((right, -math.sin(pitch) * level - math.cos(pitch) * up, forward), 1)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench.clips.header import FILE, Header
+from rlbench.clips.header import FILE, Header, version_1_names
 from rlbench.clips.stored import ClipError, has_frame
 from rlbench.frames import BUFFERS
 from rlbench.render.fingerprint import fingerprint
@@ -60,7 +60,7 @@ class Job:
             plan.max_reference_rounds > 1
         )
         samples += f", cap {plan.cap:g}" * (plan.cap < math.inf)
-        samples += f", with {' '.join(plan.extras)}" * bool(plan.extras)
+        samples += f", with {' '.join(version_1_names(plan.extras))}" * bool(plan.extras)
         return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
 
     @property

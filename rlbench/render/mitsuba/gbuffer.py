@@ -23,7 +23,7 @@ from rlbench.render.pose import Pose
 
 OUTSIDE = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
 HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of a first look
-BEHIND = {"hit_behind": 1, "mesh_behind": 1, "normal_behind": 3, "length_behind": 1}
+BEHIND = {"hit_psr": 1, "mesh_psr": 1, "normal_psr": 3, "length_psr": 1}
 
 
 def render_gbuffer(
@@ -60,11 +60,11 @@ def render_gbuffer(
     cut = any(tracer.time - 1 < first <= tracer.time for first in tracer.scene.cuts)
     found["motion"] = np.full_like(here, OUTSIDE) * (width, height) if cut else there - here
     found["object"] = np.where(hit > 0, mesh + 1, 0)[:, None]
-    if "hit_behind" in found:
-        ends = found["hit_behind"] > 0
+    if "hit_psr" in found:
+        ends = found["hit_psr"] > 0
         ahead = tracer.pose.directions(film, height, width) @ tracer.pose.axes()[2]
-        found["depth_behind"] = np.where(ends, found["length_behind"] * ahead[:, None], np.inf)
-        found["object_behind"] = np.where(ends, found["mesh_behind"] + 1, 0)
+        found["depth_psr"] = np.where(ends, found["length_psr"] * ahead[:, None], np.inf)
+        found["object_psr"] = np.where(ends, found["mesh_psr"] + 1, 0)
     return {
         name: found[name].reshape(height, width, -1).astype(np.float32)
         for name in VIEWS
@@ -75,7 +75,7 @@ def render_gbuffer(
 def _channels(tracer: Tracer, needs: Collection[str]) -> dict[str, int]:
     """What has to be looked at along each ray, and how many numbers it is."""
     more = {name: 3 for name in ("albedo", "albedo_first") if name in needs}
-    behind = BEHIND if any(name.endswith("_behind") for name in needs) else {}
+    behind = BEHIND if any(name.endswith("_psr") for name in needs) else {}
     return HIT | more | behind | ({"point": 3} if tracer.scene.document else {})
 
 
@@ -98,11 +98,11 @@ def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, .
     if "albedo_first" in channels:
         share = dr.clip(reflectance(surface, ray, valid), 0, 1)
         found["albedo_first"] = dr.select(valid, share, mi.Color3f(0))
-    if "albedo" in channels or "hit_behind" in channels:
+    if "albedo" in channels or "hit_psr" in channels:
         last, tint, length, bounces = follow_specular_chain(tracer, ray)
         if "albedo" in channels:
             found["albedo"] = albedo(tracer, last, tint, bounces)
-        if "hit_behind" in channels:
+        if "hit_psr" in channels:
             found |= _behind(tracer, last, length)
     return tuple(number for name in channels for number in found[name])
 
@@ -128,8 +128,8 @@ def _behind(tracer: Tracer, last: Any, length: Any) -> dict[str, Any]:
         return {name: (0.0,) * count for name, count in BEHIND.items()}
     surface = hit.compute_surface_interaction(last, active=valid)
     met = _met(tracer, hit, surface, last, valid)
-    found = {f"{name}_behind": numbers for name, numbers in met.items()}
-    return found | {"length_behind": (length + hit.t,)}
+    found = {f"{name}_psr": numbers for name, numbers in met.items()}
+    return found | {"length_psr": (length + hit.t,)}
 
 
 def _points(

@@ -117,7 +117,7 @@ def camera_space(footage: ClipArrays) -> ClipArrays:
 
     seed = footage.header.name.rsplit("-", 1)[1]
     own = world.random_world([f"{seed}/0"], torch.device("cpu"))
-    axes = torch.cat([world.pose(own, 1.5 * t)[1] for t in range(len(footage))]).float()
+    axes = torch.cat([world.camera_pose(own, 1.5 * t)[1] for t in range(len(footage))]).float()
     return change_buffer("normal", lambda n: torch.einsum("tkc,tchw->tkhw", axes, n))(footage)
 
 

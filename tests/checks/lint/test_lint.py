@@ -124,9 +124,9 @@ def test_what_fails_says_what_would_do(footage, tmp_path):
 def test_nothing_behind_a_pane_is_background_too(footage):
     behind = footage.gbuffer["depth"].clone()
     behind[0, 0, 3, 4] = torch.inf
-    more = replace(footage, gbuffer={**footage.gbuffer, "depth_behind": behind})
+    more = replace(footage, gbuffer={**footage.gbuffer, "depth_psr": behind})
     assert finite(more).verdict is Verdict.PASS
-    assert more.sound.gbuffer["depth_behind"][0, 0, 3, 4] == torch.inf
+    assert more.sound.gbuffer["depth_psr"][0, 0, 3, 4] == torch.inf
 
 
 def test_a_number_of_samples_that_is_not_known_predicts_nothing(footage):

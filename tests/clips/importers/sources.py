@@ -1,4 +1,4 @@
-"""Tiny sources in each format, by writers that share nothing with the readers."""
+"""Tiny sources in each format, written by code that shares nothing with the readers."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ H, W = 12, 16  # at least the window of SSIM
 ROWS, COLUMNS = np.mgrid[:H, :W]
 
 
-def imported(source: Path, format_: str, out: Path, **wanted: object) -> StoredClip:
-    """The one clip that a source becomes."""
-    (sequence,) = formats.sequences(source, format_, wanted.get("frames"))
-    header = writer.clip_header(sequence, wanted.get("samples"))
+def imported(source: Path, format_: str, out: Path, **options: object) -> StoredClip:
+    """Import the only clip of a source and open it."""
+    (sequence,) = formats.sequences(source, format_, options.get("frames"))
+    header = writer.clip_header(sequence, options.get("samples"))
     writer.store(sequence, header, out / sequence.name)
     return open_clip(out / sequence.name, frozenset(sequence.buffers), max_samples=64)
 
 
 def stored(clip: StoredClip, index: int, buffer: str) -> np.ndarray:
-    """A view buffer, [h w c]."""
+    """A buffer of the G-buffer, [h w c]."""
     return clip.frame(index).gbuffer.buffers[buffer][0].permute(1, 2, 0).numpy()
 
 
 def pool(clip: StoredClip, index: int) -> np.ndarray:
-    """The samples of a frame in order of their values at the first pixel, [s h w 3]."""
-    found = clip.frame(index).pool.radiance[0].permute(0, 2, 3, 1).numpy()
-    return found[np.argsort(found[:, 0, 0, 0])]
+    """The samples of a frame, sorted by their value at the first pixel, [s h w 3]."""
+    samples = clip.frame(index).pool.radiance[0].permute(0, 2, 3, 1).numpy()
+    return samples[np.argsort(samples[:, 0, 0, 0])]
 
 
 # OIDN
@@ -54,7 +54,7 @@ def radiance(frame: int, seed: int) -> np.ndarray:
     return ((ROWS + COLUMNS + 2 * frame + seed)[..., None] + [0, 0.5, 8]).astype(np.float32) / 8
 
 
-def oidn(folder: Path, frames: int = 3, seeds: int = 2, halves: bool = False) -> Path:
+def write_oidn(folder: Path, frames: int = 3, seeds: int = 2, halves: bool = False) -> Path:
     """walk_0000_seed0_0001spp.hdr.exr and so on, with albedo and normal, and a reference."""
     for frame in range(frames):
         for seed in range(seeds):
@@ -95,16 +95,19 @@ def plane() -> tuple[np.ndarray, np.ndarray]:
 def noisebase_arrays(
     frame: int, samples: int = 6, step: float = 0.1, yaw: float = 0.0
 ) -> dict[str, np.ndarray]:
-    """A wall FAR ahead that faces the camera; row 0 is sky, the lower half moves down by 0.05."""
+    """A wall at distance FAR that faces the camera.
+
+    Row 0 is sky; the lower half moves down by 0.05.
+    """
     position, right, up, forward = camera(frame, step, yaw)
     x, y = plane()
     wall = position + FAR * (x[..., None] * right + y[..., None] * up + forward)
-    moved = np.zeros((H, W, 3))
-    moved[H // 2 :, :, 1] = 0.05
+    displacement = np.zeros((H, W, 3))
+    displacement[H // 2 :, :, 1] = 0.05
     normal = np.broadcast_to(-forward, (H, W, 3)).copy()
     normal[0], wall[0] = 0, 0
-    gbuffer = np.eye(4)
-    gbuffer[:3, :3] = right, up, forward
+    rotation = np.eye(4)
+    rotation[:3, :3] = right, up, forward
     shift = np.eye(4)
     shift[:3, 3] = -position
     projection = np.zeros((4, 4))
@@ -123,13 +126,13 @@ def noisebase_arrays(
         "exposure": np.log([0.125, 2.0]).astype(np.float32),
         "reference": np.full((3, H, W), 1 / 3 + frame, np.float32),
         "position": sampled(wall, np.float32),
-        "motion": sampled(moved, np.float32),
+        "motion": sampled(displacement, np.float32),
         "normal": sampled(normal, np.float16),
         "diffuse": sampled(np.full((H, W, 3), (0.25, 0.5, 1.5)), np.float16),
         "camera_position": position.astype(np.float32),
         "camera_target": (position + 3 * forward).astype(np.float32),
         "camera_up": up.astype(np.float32),
-        "view_proj_mat": (projection @ gbuffer @ shift).T.astype(np.float32),
+        "view_proj_mat": (projection @ rotation @ shift).T.astype(np.float32),
         "proj_mat": projection.astype(np.float32),
         "crop_offset": np.zeros(2, np.int32),
     }
@@ -138,7 +141,7 @@ def noisebase_arrays(
 def zarr_zip(path: Path, arrays: dict[str, np.ndarray], **change: object) -> None:
     """Format zarr 2 by hand: chunks of four along the last axis of images, LZ4.
 
-    `change` replaces what is said of "color".
+    `change` replaces metadata of "color".
     """
     from numcodecs import LZ4
 
@@ -148,7 +151,7 @@ def zarr_zip(path: Path, arrays: dict[str, np.ndarray], **change: object) -> Non
         for key, values in arrays.items():
             chunks = [*values.shape[:-1], min(4, values.shape[-1])] if values.ndim > 3 else None
             chunks = chunks or list(values.shape)
-            told = {
+            metadata = {
                 "zarr_format": 2,
                 "shape": values.shape,
                 "chunks": chunks,
@@ -158,17 +161,17 @@ def zarr_zip(path: Path, arrays: dict[str, np.ndarray], **change: object) -> Non
                 "filters": None,
                 "order": "C",
             }
-            told |= change if key == "color" else {}
-            archive.writestr(f"{key}/.zarray", json.dumps(told))
+            metadata |= change if key == "color" else {}
+            archive.writestr(f"{key}/.zarray", json.dumps(metadata))
             for number, start in enumerate(range(0, values.shape[-1], chunks[-1])):
                 part = np.zeros(chunks, values.dtype)
-                taken = values[..., start : start + chunks[-1]]
-                part[..., : taken.shape[-1]] = taken
+                elements = values[..., start : start + chunks[-1]]
+                part[..., : elements.shape[-1]] = elements
                 name = ".".join([*"0" * (values.ndim - 1), str(number)])
                 archive.writestr(f"{key}/{name}", bytes(LZ4().encode(part)))
 
 
-def noisebase(folder: Path, frames: int = 3, samples: int = 6, **motion: float) -> Path:
+def write_noisebase(folder: Path, frames: int = 3, samples: int = 6, **motion: float) -> Path:
     """frame0000.zip and so on, in a folder `corridor`."""
     for frame in range(frames):
         arrays = noisebase_arrays(frame, samples, **motion)
@@ -176,7 +179,7 @@ def noisebase(folder: Path, frames: int = 3, samples: int = 6, **motion: float) 
     return folder
 
 
-# The paper's authors
+# RL_PATH_TRACING
 
 DRIFT = (1.5, -0.75)  # Blender's vector: previous minus current position, x right, y up
 
@@ -203,13 +206,15 @@ def display(frame: int, slot: int) -> np.ndarray:
 
 
 def grid() -> torch.Tensor:
-    """Where the authors' script says that each pixel was, for grid_sample."""
+    """Previous positions of the pixels for grid_sample, as the authors' script writes them."""
     x = (DRIFT[0] * 2 + COLUMNS * 2 - W + 1) / W
     y = (-DRIFT[1] * 2 + ROWS * 2 - H + 1) / H
     return torch.from_numpy(np.stack((x, y), -1)).float()[None]
 
 
-def paper(folder: Path, frames: int = 3, samples: int = 8, corr: str = "corr") -> Path:
+def write_rl_path_tracing(
+    folder: Path, frames: int = 3, samples: int = 8, corr: str = "corr"
+) -> Path:
     """One scene, `suntemple`, whose first frame is 1 and has no motion file."""
     scene = folder / "suntemple"
     (scene / "motions").mkdir(parents=True)

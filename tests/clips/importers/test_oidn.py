@@ -1,4 +1,4 @@
-"""OIDN's naming: what is read, and what cannot be."""
+"""OIDN's training images: values, file names, and messages about sources that are not read."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rlbench.clips.importers.sequence import SourceError
-from tests.clips.importers.sources import H, W, exr, imported, oidn, pool, radiance, stored
+from tests.clips.importers.sources import H, W, exr, imported, pool, radiance, stored, write_oidn
 
 
 @pytest.fixture
 def clip(tmp_path):
-    return imported(oidn(tmp_path / "source"), "oidn", tmp_path / "out")
+    return imported(write_oidn(tmp_path / "source"), "oidn", tmp_path / "out")
 
 
 @pytest.mark.parametrize("index", range(3))
@@ -23,9 +23,9 @@ def test_samples_are_the_1_spp_images(clip, index):
 
 
 @pytest.mark.parametrize("half", ["a", "b"])
-def test_the_one_reference_stands_for_both_halves(clip, half):
-    found = getattr(clip.frame(1).reference, half)[0].permute(1, 2, 0).numpy()
-    np.testing.assert_array_equal(found, radiance(1, 8) + np.float32(1 / 3))
+def test_a_single_reference_is_both_halves(clip, half):
+    image = getattr(clip.frame(1).reference, f"half_{half}")[0].permute(1, 2, 0).numpy()
+    np.testing.assert_array_equal(image, radiance(1, 8) + np.float32(1 / 3))
 
 
 def test_albedo_is_that_of_the_first_sample_clipped(clip):
@@ -40,32 +40,32 @@ def test_normals_are_unit_vectors_and_zero_stays_zero(clip):
     np.testing.assert_allclose(stored(clip, 0, "normal"), expected, atol=5e-4, rtol=0)
 
 
-def test_the_header_says_what_there_is_and_what_is_lacking(clip):
-    told = clip.header
-    assert (told.height, told.width, told.frames, told.pool_spp) == (H, W, 3, 2)
-    assert told.buffers == ("albedo", "normal")
-    assert told.reference_spp == (1024,) * 3
-    assert told.lacks == ("halves", "normal")
+def test_the_header_lists_the_content_and_the_limitations(clip):
+    header = clip.header
+    assert (header.height, header.width, header.frames, header.pool_spp) == (H, W, 3, 2)
+    assert header.buffers == ("albedo", "normal")
+    assert header.reference_spp == (1024,) * 3
+    assert header.limitations == ("halves", "normal")
 
 
 def test_two_references_of_one_spp_are_two_halves(tmp_path):
-    clip = imported(oidn(tmp_path / "source", halves=True), "oidn", tmp_path / "out")
+    clip = imported(write_oidn(tmp_path / "source", halves=True), "oidn", tmp_path / "out")
     b = clip.frame(2).reference.half_b[0].permute(1, 2, 0).numpy()
     np.testing.assert_array_equal(b, radiance(2, 9) + np.float32(1 / 3))
-    assert (clip.header.lacks, clip.header.reference_spp) == (("normal",), (2048,) * 3)
+    assert (clip.header.limitations, clip.header.reference_spp) == (("normal",), (2048,) * 3)
 
 
-def test_a_reference_may_be_named_so_and_then_its_spp_is_unknown(tmp_path):
-    source = oidn(tmp_path / "source", frames=1)
+def test_the_spp_of_a_file_named_ref_is_unknown(tmp_path):
+    source = write_oidn(tmp_path / "source", frames=1)
     exr(source / "walk_0000_ref.hdr.exr", radiance(0, 5))
     clip = imported(source, "oidn", tmp_path / "out")
-    found = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
-    np.testing.assert_array_equal(found, radiance(0, 5))
+    image = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
+    np.testing.assert_array_equal(image, radiance(0, 5))
     assert clip.header.reference_spp == (0,)
 
 
-def test_frames_are_taken_as_they_are_numbered(tmp_path):
-    clip = imported(oidn(tmp_path / "source"), "oidn", tmp_path / "out", frames=(1, 3))
+def test_frames_are_selected_by_their_numbers(tmp_path):
+    clip = imported(write_oidn(tmp_path / "source"), "oidn", tmp_path / "out", frames=(1, 3))
     assert len(clip) == 2
     np.testing.assert_array_equal(pool(clip, 0)[0], radiance(1, 0))
 
@@ -88,7 +88,7 @@ ONE = "walk_0001_seed1_0001spp.hdr.exr"
 BROKEN = {
     "a frame is missing": (
         lambda f: _drop(f, "walk_0001*"),
-        r"clip 'walk': frames 0 to 2 are wanted and 1 of them are missing: 1;.*--frames",
+        r"clip 'walk': frames 0 to 2 are required and 1 of them are missing: 1;.*--frames",
     ),
     "no reference": (
         lambda f: _drop(f, "walk_0001*1024spp*"),
@@ -96,7 +96,7 @@ BROKEN = {
     ),
     "no 1-spp image": (
         lambda f: [p.rename(str(p).replace("_0001spp", "_4spp")) for p in f.glob("*_0001spp*")],
-        r"frame 0 has no image of 1 spp, and a mean of more cannot be taken apart",
+        r"frame 0 has no image of 1 spp, and a mean of more cannot be separated",
     ),
     "only ldr": (
         lambda f: [p.rename(str(p).replace(".hdr", ".ldr")) for p in f.glob("*.hdr.exr")],
@@ -134,17 +134,17 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_a_source_that_will_not_do_says_why(tmp_path, kind):
+def test_a_source_that_cannot_be_imported_is_explained(tmp_path, kind):
     break_it, message = BROKEN[kind]
-    source = oidn(tmp_path / "source")
+    source = write_oidn(tmp_path / "source")
     break_it(source)
     with pytest.raises(SourceError, match=message):
         imported(source, "oidn", tmp_path / "out")
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_a_source_that_will_not_do_leaves_no_finished_clip(tmp_path, kind):
-    source = oidn(tmp_path / "source")
+def test_a_source_that_cannot_be_imported_leaves_no_finished_clip(tmp_path, kind):
+    source = write_oidn(tmp_path / "source")
     BROKEN[kind][0](source)
     with pytest.raises(SourceError):
         imported(source, "oidn", tmp_path / "out")

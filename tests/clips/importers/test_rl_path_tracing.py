@@ -1,4 +1,4 @@
-"""The paper's own files: PNGs as display light, motion from grids, and files that are not safe."""
+"""RL_PATH_TRACING: radiance from PNGs, motion from grids, and files that are not safe."""
 
 from __future__ import annotations
 
@@ -13,38 +13,48 @@ from PIL import Image
 
 from metrics.image import psnr
 from rlbench.clips.importers.sequence import SourceError
-from tests.clips.importers.sources import DRIFT, H, W, display, grid, imported, paper, pool, stored
+from tests.clips.importers.sources import (
+    DRIFT,
+    H,
+    W,
+    display,
+    grid,
+    imported,
+    pool,
+    stored,
+    write_rl_path_tracing,
+)
 
 
 @pytest.fixture
 def clip(tmp_path):
-    return imported(paper(tmp_path / "source"), "paper", tmp_path / "out")
+    return imported(write_rl_path_tracing(tmp_path / "source"), "rl-path-tracing", tmp_path / "out")
 
 
-def shown(light: np.ndarray) -> np.ndarray:
-    """The byte that a display's light comes from (IEC 61966-2-1)."""
+def display_bytes(light: np.ndarray) -> np.ndarray:
+    """Bytes of a PNG from linear light (sRGB, IEC 61966-2-1)."""
     curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.rint(255 * curve).astype(np.uint8)
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_samples_show_the_bytes_of_their_png(clip, index):
+def test_samples_have_the_display_values_of_their_png(clip, index):
     expected = np.stack([display(index + 1, slot) for slot in range(8)])
-    np.testing.assert_array_equal(shown(pool(clip, index)), expected)
+    np.testing.assert_array_equal(display_bytes(pool(clip, index)), expected)
 
 
-def test_the_reference_shows_the_bytes_of_its_png(clip):
-    found = clip.frame(1).reference.a[0].permute(1, 2, 0).numpy()
-    np.testing.assert_array_equal(shown(found), display(2, 3))
+def test_the_reference_has_the_display_values_of_its_png(clip):
+    image = clip.frame(1).reference.half_a[0].permute(1, 2, 0).numpy()
+    np.testing.assert_array_equal(display_bytes(image), display(2, 3))
 
 
 def test_psnr_is_that_of_the_png_values(clip):
     reference = clip.frame(0).reference.mean
     image = torch.from_numpy(pool(clip, 0)[0]).permute(2, 0, 1)[None]
-    apart = (display(1, 0).astype(float) - display(1, 3)) / 255
+    difference = (display(1, 0).astype(float) - display(1, 3)) / 255
     # samples are stored in half precision
     assert psnr(image, reference).item() == pytest.approx(
-        -10 * np.log10((apart**2).mean()), abs=0.02
+        -10 * np.log10((difference**2).mean()), abs=0.02
     )
 
 
@@ -54,7 +64,7 @@ def test_motion_is_blenders_vector_with_y_down(clip):
     np.testing.assert_allclose(stored(clip, 1, "motion"), expected, atol=1e-5, rtol=0)
 
 
-def test_motion_leads_where_grid_sample_reads(clip):
+def test_motion_points_to_where_grid_sample_reads(clip):
     ramps = np.stack(np.meshgrid(np.arange(W), np.arange(H))).astype(np.float32)
     read = torch.nn.functional.grid_sample(
         torch.from_numpy(ramps)[None], grid(), align_corners=False
@@ -64,35 +74,37 @@ def test_motion_leads_where_grid_sample_reads(clip):
     np.testing.assert_allclose(stored(clip, 2, "motion")[inner], moved[inner], atol=1e-5, rtol=0)
 
 
-def test_a_first_frame_without_motion_is_recorded(clip):
+def test_a_first_frame_without_motion_is_a_limitation(clip):
     assert not stored(clip, 0, "motion").any()
-    assert "first motion" in clip.header.lacks
+    assert "first motion" in clip.header.limitations
 
 
 @pytest.mark.parametrize(("buffer", "step"), [("normal", 0), ("albedo", 1), ("depth", 2)])
-def test_a_view_buffer_is_the_png_value(clip, buffer, step):
+def test_a_buffer_is_the_png_value(clip, buffer, step):
     # half precision
     np.testing.assert_allclose(stored(clip, 1, buffer), (20 * step + 2) / 255, rtol=5e-4)
 
 
-def test_the_header_says_what_the_files_do_not_hold(clip):
+def test_the_header_lists_the_limitations_of_the_files(clip):
     buffers = {"albedo", "normal", "depth"}
-    assert set(clip.header.lacks) == {
+    assert set(clip.header.limitations) == {
         *("halves", "independence", "linear", "first motion"),
         *buffers,
     }
 
 
 def test_motion_files_may_have_the_name_that_the_script_writes(tmp_path):
-    clip = imported(paper(tmp_path / "source", corr=""), "paper", tmp_path / "out")
+    clip = imported(
+        write_rl_path_tracing(tmp_path / "source", corr=""), "rl-path-tracing", tmp_path / "out"
+    )
     assert stored(clip, 1, "motion")[0, 0, 0] == pytest.approx(DRIFT[0], abs=1e-5)
 
 
 def test_a_source_without_motion_is_a_clip_without_motion(tmp_path):
-    source = paper(tmp_path / "source")
+    source = write_rl_path_tracing(tmp_path / "source")
     for path in source.rglob("*.pt"):
         path.unlink()
-    clip = imported(source, "paper", tmp_path / "out")
+    clip = imported(source, "rl-path-tracing", tmp_path / "out")
     assert clip.header.buffers == ("albedo", "normal", "depth")
     assert not clip.header.static
 
@@ -104,12 +116,12 @@ def test_only_the_upper_left_720_are_kept(tmp_path):
     wide[719, 719], wide[720:], wide[:, 720:] = 128, 255, 255
     for name in ("00-0000", "gd0000", f"add{'Denoising Albedo' * 2}0000"):
         Image.fromarray(wide).save(source / f"{name}.png")
-    clip = imported(source, "paper", tmp_path / "out")
+    clip = imported(source, "rl-path-tracing", tmp_path / "out")
     assert stored(clip, 0, "albedo").shape == (720, 720, 3)
-    assert shown(pool(clip, 0)).max() == 128
+    assert display_bytes(pool(clip, 0)).max() == 128
 
 
-# What will not do
+# Sources that cannot be imported
 
 
 class _Evil:
@@ -164,7 +176,7 @@ BROKEN = {
     "no zip": (lambda s: _motion(s).write_bytes(b"\x80\x04N."), r"is not a tensor .* BadZipFile"),
     "motion missing": (
         lambda s: _motion(s).unlink(),
-        r"clip 'suntemple', motion: frames 2 to 3 are wanted and 1 of them are missing: 2;",
+        r"clip 'suntemple', motion: frames 2 to 3 are required and 1 of them are missing: 2;",
     ),
     "no reference": (
         lambda s: (s / "gd0002.png").unlink(),
@@ -176,7 +188,7 @@ BROKEN = {
     ),
     "a missing sample": (
         lambda s: (s / "05-0002.png").unlink(),
-        r"frame 2 has 5 images of 1 spp, others up to 8; take as many of each with --samples 5",
+        r"frame 2 has 5 images of 1 spp, others up to 8; import as many of each with --samples 5",
     ),
     "another size": (
         lambda s: Image.new("RGB", (W, H + 1)).save(s / "03-0002.png"),
@@ -198,21 +210,21 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("kind", BROKEN)
-def test_files_that_will_not_do_say_why(tmp_path, kind):
+def test_files_that_cannot_be_imported_are_explained(tmp_path, kind):
     break_it, message = BROKEN[kind]
-    source = paper(tmp_path / "source")
+    source = write_rl_path_tracing(tmp_path / "source")
     break_it(source / "suntemple")
     with pytest.raises(SourceError, match=message):
-        imported(source, "paper", tmp_path / "out")
+        imported(source, "rl-path-tracing", tmp_path / "out")
     assert list(tmp_path.glob("out/*/clip.toml")) == []
 
 
-def test_nothing_is_run_that_a_pickle_asks_for(tmp_path):
-    source = paper(tmp_path / "source") / "suntemple"
+def test_no_code_in_a_pickle_is_run(tmp_path):
+    source = write_rl_path_tracing(tmp_path / "source") / "suntemple"
     torch.save(_Evil(source / "touched"), _motion(source))
     torch.load(_motion(source), weights_only=False)
-    assert (source / "touched").exists()  # so it would be run
+    assert (source / "touched").exists()  # torch runs it if it is allowed to
     (source / "touched").unlink()
     with pytest.raises(SourceError):
-        imported(source, "paper", tmp_path / "out")
+        imported(source, "rl-path-tracing", tmp_path / "out")
     assert not (source / "touched").exists()

@@ -1,4 +1,4 @@
-"""The closed-form world is what it says: an independent ray caster and point tracker agree."""
+"""Procedural clips agree with an independent ray caster and point tracker, and are unbiased."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from torch.testing import assert_close
 
 from rlbench.clips.procedural import world
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size
 from rlbench.ops.reprojection import reproject
 
@@ -24,7 +24,7 @@ def tensors(frame: Frame) -> dict[str, torch.Tensor]:
     return {**frame.gbuffer.buffers, **reference, "pool": frame.pool.radiance}
 
 
-# A slow, obvious ray caster: one pixel at a time, one object at a time, in plain numbers
+# A slow, obvious ray caster: one pixel and one object at a time, in plain numbers
 
 
 def camera(numbers: dict[str, np.ndarray], time: float):
@@ -76,12 +76,12 @@ def cast(numbers: dict[str, np.ndarray], time: float, x: int, y: int, h: int, w:
 
 
 def numbers_of(seed: int) -> dict[str, np.ndarray]:
-    drawn = world.random_world([f"{seed}/0"], torch.device("cpu"))
-    return {f.name: getattr(drawn, f.name)[0].numpy() for f in fields(drawn)}
+    random_world = world.random_world([f"{seed}/0"], torch.device("cpu"))
+    return {f.name: getattr(random_world, f.name)[0].numpy() for f in fields(random_world)}
 
 
 def every_pixel(seed: int, time: float):
-    """Slow casts of a whole small image, in rows."""
+    """The slow ray caster for all pixels of a small image, in rows."""
     numbers = numbers_of(seed)
     _, h, w = SMALL
     return [[cast(numbers, time, x, y, h, w) for x in range(w)] for y in range(h)]
@@ -90,23 +90,23 @@ def every_pixel(seed: int, time: float):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_depth_is_that_of_a_slow_ray_caster(seed):
     slow = torch.tensor([[float(p[0]) for p in row] for row in every_pixel(seed, 3.0)])
-    fast = procedural(seed, SMALL).frames[3].gbuffer.depth[0, 0]
+    fast = procedural_clip(seed, SMALL).frames[3].gbuffer.depth[0, 0]
     assert_close(fast, slow, atol=0, rtol=1e-5)  # float32 keeps 7 digits
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_normals_are_those_of_a_slow_ray_caster(seed):
     slow = torch.tensor(np.array([[p[3] for p in row] for row in every_pixel(seed, 3.0)]))
-    fast = procedural(seed, SMALL).frames[3].gbuffer.normal[0].permute(1, 2, 0)
+    fast = procedural_clip(seed, SMALL).frames[3].gbuffer.normal[0].permute(1, 2, 0)
     assert_close(fast, slow.float(), atol=1e-5, rtol=0)
 
 
 def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: int, w: int):
-    """Where in the image the seen point was: carried by its object, then projected."""
-    _, thing, point, _ = hit
-    if thing < 3:  # undo the object's turn and place since then
-        angle = (before - time) * numbers["spin"][thing]
-        arm = point - centre(numbers, thing, time)
+    """Image position of the visible point at `before`: moved with its object, then projected."""
+    _, obj, point, _ = hit
+    if obj < 3:  # undo the rotation and movement of the sphere
+        angle = (before - time) * numbers["spin"][obj]
+        arm = point - centre(numbers, obj, time)
         turn = np.array(
             [
                 [math.cos(angle), -math.sin(angle), 0],
@@ -114,7 +114,7 @@ def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: in
                 [0, 0, 1],
             ]
         )
-        point = centre(numbers, thing, before) + turn @ arm
+        point = centre(numbers, obj, before) + turn @ arm
     origin, right, down, forward = camera(numbers, before)
     focal = (w / 2) / math.tan(math.radians(30))
     arm = point - origin
@@ -125,160 +125,164 @@ def track(numbers: dict[str, np.ndarray], hit, time: float, before: float, h: in
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_motion_leads_to_where_the_point_was(seed):
+def test_motion_points_to_the_previous_position(seed):
     _, h, w = SMALL
-    numbers, motion = numbers_of(seed), procedural(seed, SMALL).frames[3].gbuffer.motion[0].numpy()
+    numbers = numbers_of(seed)
+    motion = procedural_clip(seed, SMALL).frames[3].gbuffer.motion[0].numpy()
     hits = every_pixel(seed, 3.0)
-    seen = [(x, y) for y in range(h) for x in range(w) if hits[y][x][1] >= 0]
-    tracked = np.array([track(numbers, hits[y][x], 3.0, 2.0, h, w) - (x, y) for x, y in seen])
-    found = np.array([motion[:, y, x] for x, y in seen])
-    assert len(seen) > 50
-    np.testing.assert_allclose(found, tracked, atol=1e-5)  # pixels; motion is float32
+    pixels = [(x, y) for y in range(h) for x in range(w) if hits[y][x][1] >= 0]
+    tracked = np.array([track(numbers, hits[y][x], 3.0, 2.0, h, w) - (x, y) for x, y in pixels])
+    assert len(pixels) > 50
+    # pixels; motion is float32
+    np.testing.assert_allclose([motion[:, y, x] for x, y in pixels], tracked, atol=1e-5)
 
 
 def test_the_sky_moves_as_the_camera_turns():
-    """A direction at infinity, seen again by the previous camera, by a rotation matrix."""
+    """A direction at infinity, projected by the previous camera with a rotation matrix."""
     _, h, w = size = Size(1, 24, 32)
-    frame = procedural(0, size).frames[3]
+    frame = procedural_clip(0, size).frames[3]
     y, x = np.argwhere(frame.gbuffer.depth[0, 0].isinf().numpy())[0]
     focal = (w / 2) / math.tan(math.radians(30))
     now, then = (np.stack(camera(numbers_of(0), t)[1:]) for t in (3.0, 2.0))
     ray = np.array([(x + 0.5 - w / 2) / focal, (y + 0.5 - h / 2) / focal, 1.0])
     right, down, forward = then @ now.T @ ray
-    place = np.array([right, down]) / forward * focal + [w / 2 - 0.5, h / 2 - 0.5]
+    position = np.array([right, down]) / forward * focal + [w / 2 - 0.5, h / 2 - 0.5]
     motion = frame.gbuffer.motion[0, :, y, x].numpy()
-    np.testing.assert_allclose(motion, place - (x, y), atol=1e-5)
+    np.testing.assert_allclose(motion, position - (x, y), atol=1e-5)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_albedo_moved_by_motion_is_the_albedo(seed):
-    """Textures stay on their surfaces; only edges and what was hidden differ."""
-    before, now = procedural(seed, Size(1, 192, 256)).frames[3:5]
+    """Textures are fixed to their surfaces; only edges and disoccluded pixels differ."""
+    before, now = procedural_clip(seed, Size(1, 192, 256)).frames[3:5]
     moved, valid = reproject(before.gbuffer.albedo, now.gbuffer.motion)
     error = (moved - now.gbuffer.albedo).abs().amax(1, keepdim=True)[valid]
     unmoved = (before.gbuffer.albedo - now.gbuffer.albedo).abs().amax(1, keepdim=True)[valid]
     assert error.median() < 2e-3  # bilinear taps on a smooth texture
-    assert (error > 0.02).float().mean() < 0.04  # silhouettes and what was hidden
+    assert (error > 0.02).float().mean() < 0.04  # silhouettes and disoccluded pixels
     assert (error > 0.02).float().mean() < 0.25 * (unmoved > 0.02).float().mean()
 
 
-# Truth and samples
+# Reference and samples
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_background_has_infinite_depth_and_no_normal(seed):
-    gbuffer = procedural(seed, SMALL).frames[0].gbuffer
+    gbuffer = procedural_clip(seed, SMALL).frames[0].gbuffer
     sky = gbuffer.depth.isinf()
     assert sky.any()
     assert torch.equal(gbuffer.normal.norm(dim=1, keepdim=True) == 0, sky)
 
 
 def test_radiance_on_a_surface_is_albedo_times_one_light():
-    """Where all is white, the radiance is grey: the light has no colour of its own."""
-    frame = procedural(1, SMALL).frames[0]
+    """Radiance divided by albedo is grey, because the light has no colour."""
+    frame = procedural_clip(1, SMALL).frames[0]
     light = frame.reference.half_a / frame.gbuffer.albedo
     spread = light.amax(1) - light.amin(1)
     assert spread[frame.gbuffer.depth[:, 0].isfinite()].max() < 1e-5
 
 
-def test_both_halves_are_the_truth():
-    frame = procedural(size=SMALL).frames[1]
+def test_both_halves_are_the_noise_free_image():
+    frame = procedural_clip(size=SMALL).frames[1]
     assert torch.equal(frame.reference.half_a, frame.reference.half_b)
 
 
 def factors(frame: Frame) -> torch.Tensor:
-    """[s pixels] Samples over truth, of every pixel that is not sky; the noise is colourless."""
+    """[s pixels] Samples divided by the reference, without the sky; the noise has no colour."""
     ratio = frame.pool.radiance[0, :, 0] / frame.reference.half_a[0, 0]
     return ratio[:, frame.gbuffer.depth[0, 0].isfinite()].double()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_mean_of_samples_converges_to_the_truth(seed):
-    noise = factors(procedural(seed, Size(1, 24, 32), pool_spp=2000).frames[0])
+def test_the_mean_of_samples_converges_to_the_reference(seed):
+    noise = factors(procedural_clip(seed, Size(1, 24, 32), pool_spp=2000).frames[0])
     assert abs(noise.mean() - 1) < 4 * noise.std() / math.sqrt(noise.numel())
 
 
 @pytest.mark.parametrize("part", ["calm", "rough"])
 def test_calm_and_rough_pixels_are_both_unbiased(part):
-    noise = factors(procedural(1, Size(1, 24, 32), pool_spp=2000).frames[0])
-    first, second = noise.split(1000)  # one half chooses the pixels, the other is judged
+    noise = factors(procedural_clip(1, Size(1, 24, 32), pool_spp=2000).frames[0])
+    first, second = noise.split(1000)  # one half selects the pixels, the other is tested
     spread = first.std(0)
-    chosen = second[:, (spread > spread.median()) == (part == "rough")]
-    assert abs(chosen.mean() - 1) < 4 * chosen.std() / math.sqrt(chosen.numel())
+    selected = second[:, (spread > spread.median()) == (part == "rough")]
+    assert abs(selected.mean() - 1) < 4 * selected.std() / math.sqrt(selected.numel())
 
 
 def test_colours_share_their_noise():
-    frame = procedural(size=SMALL).frames[0]
+    frame = procedural_clip(size=SMALL).frames[0]
     ratio = frame.pool.radiance / frame.reference.half_a[:, None]
     assert_close(ratio[:, :, 0], ratio[:, :, 2], atol=0, rtol=1e-5)  # float32
 
 
 def test_the_noise_varies_in_space():
-    spread = factors(procedural(size=Size(1, 24, 32), pool_spp=500).frames[0]).std(0)
+    spread = factors(procedural_clip(size=Size(1, 24, 32), pool_spp=500).frames[0]).std(0)
     low, high = torch.quantile(spread, torch.tensor([0.05, 0.95], dtype=torch.float64))
     assert high > 1.5 * low
 
 
 def test_the_sky_has_no_noise():
-    frame = procedural(size=Size(1, 24, 32)).frames[0]
+    frame = procedural_clip(size=Size(1, 24, 32)).frames[0]
     noise = frame.pool.radiance - frame.reference.half_a[:, None]
     assert (noise.where(frame.gbuffer.depth[:, None].isinf(), 0.0) == 0).all()
 
 
 def test_fireflies_are_as_rare_as_they_should_be():
-    noise = factors(procedural(size=Size(1, 48, 64), pool_spp=64).frames[0])
-    # a firefly is 60 times a log-normal; what is above 25 can hardly be anything else
+    noise = factors(procedural_clip(size=Size(1, 48, 64), pool_spp=64).frames[0])
+    # a firefly is 60 times a log-normal; values above 25 are hardly ever anything else
     assert (noise > 25).double().mean().item() == pytest.approx(0.003, rel=0.3)
 
 
-# One seed, one clip
+# Seeds
 
 
 def test_the_same_seed_gives_the_same_clip():
-    first, second = (tensors(procedural(4, SMALL).frames[2]) for _ in range(2))
+    first, second = (tensors(procedural_clip(4, SMALL).frames[2]) for _ in range(2))
     assert all(torch.equal(first[k], second[k]) for k in first)
 
 
 @pytest.mark.parametrize("name", ["albedo", "depth", "a", "pool"])
 def test_another_seed_gives_another_clip(name):
-    first, second = (tensors(procedural(seed, SMALL).frames[2])[name] for seed in (4, 5))
+    first, second = (tensors(procedural_clip(seed, SMALL).frames[2])[name] for seed in (4, 5))
     assert not torch.equal(first, second)
 
 
 def test_a_batch_of_two_is_two_clips():
-    both = procedural(7, Size(2, 12, 16)).frames[1]
-    alone = [procedural(seed, SMALL).frames[1] for seed in (7, 8)]
+    both = procedural_clip(7, Size(2, 12, 16)).frames[1]
+    alone = [procedural_clip(seed, SMALL).frames[1] for seed in (7, 8)]
     joined = {k: torch.cat([tensors(f)[k] for f in alone]) for k in tensors(both)}
     assert all(torch.equal(tensors(both)[k], joined[k]) for k in joined)
     assert both.pool.rounding_seeds == alone[0].pool.rounding_seeds + alone[1].pool.rounding_seeds
 
 
-def test_noise_and_ties_differ_from_frame_to_frame():
-    first, second = procedural(size=SMALL, static=True).frames[:2]
+def test_noise_and_rounding_seeds_differ_between_frames():
+    first, second = procedural_clip(size=SMALL, static=True).frames[:2]
     assert torch.equal(first.reference.half_a, second.reference.half_a)
     assert not torch.equal(first.pool.radiance, second.pool.radiance)
     assert first.pool.rounding_seeds != second.pool.rounding_seeds
 
 
 def test_a_static_clip_has_no_motion():
-    assert procedural(size=SMALL, static=True).frames[3].gbuffer.motion is None
+    assert procedural_clip(size=SMALL, static=True).frames[3].gbuffer.motion is None
 
 
 def test_a_cut_shows_another_world_from_its_frame_on():
-    cut, whole = (procedural(size=SMALL, cut=at, frames=4) for at in (2, None))
-    same = [torch.equal(a.gbuffer.depth, b.gbuffer.depth) for a, b in zip(cut, whole, strict=True)]
+    with_cut, without = (procedural_clip(size=SMALL, cut=at, frames=4) for at in (2, None))
+    same = [
+        torch.equal(a.gbuffer.depth, b.gbuffer.depth)
+        for a, b in zip(with_cut, without, strict=True)
+    ]
     assert same == [True, True, False, False]
 
 
 @pytest.mark.parametrize("change", [{"seed": 1}, {"cut": 2}, {"speed": 2.0}, {"pool_spp": 4}])
-def test_the_digest_tells_clips_apart(change):
-    assert procedural(size=SMALL, **change).digest != procedural(size=SMALL).digest
+def test_the_digest_differs_between_clips(change):
+    assert procedural_clip(size=SMALL, **change).digest != procedural_clip(size=SMALL).digest
 
 
 @pytest.mark.parametrize("size", [Size(1, 1, 1), Size(1, 7, 13), Size(3, 33, 2)])
 def test_any_size_has_the_shapes_of_the_contract(size):
     n, h, w = size
-    frame = procedural(size=size, pool_spp=2).frames[0]
+    frame = procedural_clip(size=size, pool_spp=2).frames[0]
     channels = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2, "a": 3, "b": 3}
     shapes = {k: (n, c, h, w) for k, c in channels.items()} | {"pool": (n, 2, 3, h, w)}
     assert {k: tuple(v.shape) for k, v in tensors(frame).items()} == shapes
@@ -286,13 +290,13 @@ def test_any_size_has_the_shapes_of_the_contract(size):
 
 
 @pytest.mark.parametrize("time", [0, 50, 400, 5000])
-def test_all_but_depth_is_finite_at_any_time(time):
-    clip = procedural(size=SMALL, frames=time + 1, speed=3.0)
-    found = tensors(clip.frames[time])
-    assert all(v.isfinite().all() for k, v in found.items() if k != "depth")
+def test_all_buffers_but_depth_are_finite_at_any_time(time):
+    clip = procedural_clip(size=SMALL, frames=time + 1, speed=3.0)
+    frame = tensors(clip.frames[time])
+    assert all(v.isfinite().all() for k, v in frame.items() if k != "depth")
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_world_moves_by_pixels_not_by_images(seed):
-    motion = procedural(seed).frames[4].gbuffer.motion
+def test_motion_is_a_few_pixels_per_frame(seed):
+    motion = procedural_clip(seed).frames[4].gbuffer.motion
     assert 0.3 < motion.norm(dim=1).median() < 6  # at a width of 128

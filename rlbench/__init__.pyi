@@ -1,0 +1,43 @@
+from .benchmark.api import list_installed, render, report, run
+from .clips.in_memory import InMemoryClip
+from .clips.procedural.clip import procedural_clip
+from .clips.stored import open_clip
+from .errors import RlbenchError
+from .family import Family, Traits, Variant
+from .frames import Clip, Frame, GBuffer, Pool, Reference, Samples, Size
+from .method import Method, State
+from .registry.lookup import load_method
+from .registry.discovery import use_plugin
+from .run import FrameResult, run_clip, unroll
+from .weights import load_for_inference
+from .wrappers import MethodWrapper
+
+__all__ = [
+    "Clip",
+    "Family",
+    "Frame",
+    "FrameResult",
+    "GBuffer",
+    "InMemoryClip",
+    "Method",
+    "MethodWrapper",
+    "Pool",
+    "Reference",
+    "RlbenchError",
+    "Samples",
+    "Size",
+    "State",
+    "Traits",
+    "Variant",
+    "list_installed",
+    "load_for_inference",
+    "load_method",
+    "open_clip",
+    "procedural_clip",
+    "render",
+    "report",
+    "run",
+    "run_clip",
+    "unroll",
+    "use_plugin",
+]

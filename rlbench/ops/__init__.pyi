@@ -1,0 +1,67 @@
+# ruff: noqa: TID252 (lazy_loader reads relative imports only)
+from .affinity import affinity_sum, cross_affinity_sum
+from .color import OIDN_LUMINANCE, REC709_LUMINANCE, decode_srgb, encode_srgb, luminance
+from .demodulation import (
+    demodulation_albedo,
+    filtered_albedo,
+    reflectance,
+    sanitize_radiance,
+    surface_mask,
+)
+from .density import bounded_exp_density
+from .dither import systematic_sample
+from .exposure import autoexposure
+from .init import kaiming_init
+from .kernels import apply_kernels
+from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
+from .memory_format import to_channels_last, to_contiguous_float32
+from .padded_rows import PaddedRows
+from .padding import crop, pad
+from .reprojection import reproject, reproject_bicubic, reproject_or_fill
+from .stencils import Tap, atrous_taps
+from .transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
+from .unet import UNet
+from .upsample import UpsampleConcatConv
+
+__all__ = [
+    "OIDN_LUMINANCE",
+    "REC709_LUMINANCE",
+    "PaddedRows",
+    "Tap",
+    "UNet",
+    "UpsampleConcatConv",
+    "affinity_sum",
+    "apply_kernels",
+    "atrous_taps",
+    "autoexposure",
+    "bounded_exp_density",
+    "crop",
+    "cross_affinity_sum",
+    "decode_srgb",
+    "demodulation_albedo",
+    "encode_srgb",
+    "filtered_albedo",
+    "kaiming_init",
+    "l1",
+    "l1_ms_ssim_loss",
+    "log_forward",
+    "log_inverse",
+    "log_loss",
+    "luminance",
+    "ms_ssim",
+    "pad",
+    "pu_forward",
+    "pu_inverse",
+    "reflectance",
+    "reproject",
+    "reproject_bicubic",
+    "reproject_or_fill",
+    "sanitize_radiance",
+    "smape",
+    "squash_depth",
+    "surface_mask",
+    "systematic_sample",
+    "temporal_l1",
+    "to_channels_last",
+    "to_contiguous_float32",
+]

@@ -1,0 +1,173 @@
+"""`rlbench import`: writing and resuming clips, and measuring a method on an imported clip."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from rlbench.benchmark import results
+from rlbench.cli.app import app
+from rlbench.clips.importers import formats, writer
+from rlbench.clips.stored import ClipError, open_clip, read_header, verify
+from tests.clips.importers.sources import exr, radiance, write_oidn, write_rl_path_tracing
+
+
+def rlbench(*words: object, code: int = 0) -> str:
+    """The output of a command, errors included."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == code, result.output
+    return " ".join(result.output.split())
+
+
+def test_a_method_runs_on_an_imported_clip(source, tmp_path):
+    out = tmp_path / "clips"
+    output = rlbench("import", source, "--format", "oidn", "--out", out)
+    assert "imported, 3 frames of 16 x 12" in output
+    assert "2 samples" in output
+    rlbench("run", "-m", "mean", "--clips", out, "--spp", "2", "--out", tmp_path / "results")
+    rows = results.read(tmp_path / "results")
+    scores = rows[rows["metric"] == "relmse"].sort_values("frame")["value"].to_numpy()
+    for frame, score in enumerate(scores):
+        image = (radiance(frame, 0) + radiance(frame, 1)) / 2
+        reference = radiance(frame, 8) + 1 / 3
+        expected = ((image - reference) ** 2 / (reference**2 + 0.01)).mean()
+        assert score == pytest.approx(expected, rel=1e-5)  # float
+    assert len(scores) == 3
+
+
+def test_a_metric_that_needs_two_halves_is_not_scored_on_a_single_reference(source, tmp_path):
+    rlbench("import", source, "--format", "oidn", "--out", tmp_path / "clips")
+    rlbench("run", "-m", "mean", "--clips", tmp_path / "clips", "--out", tmp_path / "r")
+    rows = results.read(tmp_path / "r")
+    debiased = rows[rows["metric"] == "mse_debiased"]
+    assert debiased["value"].isna().all()
+    assert set(debiased["note"].str.partition(",")[0]) == {
+        "referenceA and referenceB are one image"
+    }
+
+
+def test_a_metric_that_needs_two_halves_is_scored_on_two(tmp_path):
+    source = write_oidn(tmp_path / "source", halves=True)
+    rlbench("import", source, "--format", "oidn", "--out", tmp_path / "clips")
+    rlbench("run", "-m", "mean", "--clips", tmp_path / "clips", "--out", tmp_path / "r")
+    rows = results.read(tmp_path / "r")
+    assert rows[rows["metric"] == "mse_debiased"]["value"].notna().all()
+
+
+def test_an_import_lists_limitations_and_the_methods_that_can_run(source, tmp_path):
+    output = rlbench("import", source, "--format", "oidn", "--out", tmp_path)
+    assert "halves: referenceA and referenceB are one image" in output
+    assert "budgets up to 2 spp can be measured with: " in output
+    assert "ours (needs buffers depth, motion, the clip has: albedo, normal)" in output
+
+
+def test_a_message_about_too_few_samples_lists_the_methods_that_can_run(tmp_path):
+    source = write_oidn(tmp_path / "source", seeds=1)
+    words = ("import", source, "--format", "oidn", "--out", tmp_path / "out")
+    output = rlbench(*words, "--samples", 8, code=2)
+    assert "8 samples per pixel requested, frame 0 has 1 image of 1 spp" in output
+    assert "With --samples 1 budgets up to 1 spp can be measured with: " in output
+    assert "mean" in output.partition("measured with:")[2].partition(";")[0]
+    assert "an adaptive method can only leave pixels out" in output
+
+
+def test_the_former_name_of_a_format_is_accepted_and_the_clip_is_valid(tmp_path):
+    rlbench(
+        "import",
+        write_rl_path_tracing(tmp_path / "s"),
+        "--format",
+        "paper",
+        "--out",
+        tmp_path / "out",
+    )
+    assert verify(tmp_path / "out" / "suntemple") == []
+
+
+def test_exposure_is_written_to_the_header(source, tmp_path):
+    words = ("import", source, "--format", "oidn", "--out", tmp_path, "--exposure", 2.5)
+    rlbench(*words)
+    assert read_header(tmp_path / "walk").exposure == 2.5
+
+
+def test_each_clip_has_a_folder_of_its_own(tmp_path):
+    for name in ("day", "night"):
+        write_oidn(tmp_path / "source" / name)
+    rlbench("import", tmp_path / "source", "--format", "oidn", "--out", tmp_path / "out")
+    names = {path.parent.name for path in (tmp_path / "out").glob("*/clip.toml")}
+    assert names == {"day-walk", "night-walk"}
+
+
+# Resuming
+
+
+def _interrupt_after(source, folder, frames: int) -> None:
+    (sequence,) = formats.sequences(source, "oidn")
+    remaining = iter(range(frames))
+
+    def interrupt() -> None:
+        if next(remaining, None) is None:
+            raise KeyboardInterrupt
+
+    writer.store(sequence, writer.clip_header(sequence, None), folder, interrupt)
+
+
+def test_an_interrupted_import_is_unfinished(source, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        _interrupt_after(source, tmp_path / "out" / "walk", 1)
+    with pytest.raises(ClipError, match=r"unfinished.*rlbench import"):
+        open_clip(tmp_path / "out" / "walk")
+
+
+def test_an_interrupted_import_resumes_and_gives_the_same_clip(source, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        _interrupt_after(source, tmp_path / "out" / "walk", 1)
+    first = tmp_path / "out" / "walk" / "referenceB.0000.exr"
+    before = first.stat().st_mtime_ns
+    for out in ("out", "again"):
+        rlbench("import", source, "--format", "oidn", "--out", tmp_path / out)
+    resumed, again = (open_clip(tmp_path / out / "walk", frozenset()) for out in ("out", "again"))
+    assert (first.stat().st_mtime_ns, resumed.digest) == (before, again.digest)
+
+
+def test_a_second_import_writes_nothing(source, tmp_path):
+    words = ("import", source, "--format", "oidn", "--out", tmp_path / "out")
+    rlbench(*words)
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out" / "walk").iterdir()}
+    assert "walk: known before, 3 frames" in rlbench(*words)
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out" / "walk").iterdir()} == before
+
+
+@pytest.mark.parametrize("changed", [("--samples", 1), ("--frames", "0:2")])
+def test_another_import_does_not_write_into_an_existing_clip(source, tmp_path, changed):
+    words = ("import", source, "--format", "oidn", "--out", tmp_path / "out")
+    rlbench(*words)
+    assert "holds a clip from elsewhere" in rlbench(*words, *changed, code=2)
+
+
+def test_a_rendered_clip_is_not_overwritten(source, clip_folder):
+    clip_folder.rename(clip_folder.with_name("walk"))
+    words = ("import", source, "--format", "oidn", "--out", clip_folder.parent)
+    assert "holds a clip from elsewhere" in rlbench(*words, code=2)
+
+
+def test_an_image_that_is_not_finite_is_not_imported(tmp_path):
+    source = write_oidn(tmp_path / "source")
+    image = radiance(1, 0)
+    image[2, 3, 1] = math.nan
+    exr(source / "walk_0001_seed0_0001spp.hdr.exr", image)
+    (sequence,) = formats.sequences(source, "oidn")
+    with pytest.raises(ClipError, match=r"frame 1: 1 values of pool\.path are not finite"):
+        writer.store(sequence, writer.clip_header(sequence, None), tmp_path / "out")
+
+
+def test_fireflies_are_not_clipped(tmp_path):
+    source = write_oidn(tmp_path / "source", frames=1)
+    image = radiance(0, 0)
+    image[1, 1] = 3e6
+    exr(source / "walk_0000_seed0_0001spp.hdr.exr", image)
+    rlbench("import", source, "--format", "oidn", "--out", tmp_path / "out")
+    clip = open_clip(tmp_path / "out" / "walk", frozenset())
+    assert np.float32(clip.frame(0).pool.radiance.max()) == 3e6

@@ -1,0 +1,196 @@
+"""clip.toml: round trip, checks, and clips in format version 1.
+
+`data/version_1` is a clip of 8 x 8 pixels and 2 frames that was written by commit a26c6ed. Its
+images are `version_1_images`, in this order.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rlbench.clips import ClipError, open_clip, read_header, verify, write_frame, write_header
+from rlbench.clips.header import LIMITATIONS, VIEWS
+from rlbench.render.jobs.job import Job
+from rlbench.render.presets import Preset
+from tests.clips.clip_folders import FRAMES, HEADER
+from tests.render.worlds import room
+
+VERSION_1 = Path(__file__).parent / "data" / "version_1"
+DIGESTS = {  # as commit a26c6ed computed them
+    "path": "6ba522402952e14cec451455db740d86",
+    "restir": "c1c7b4f2f049edb8074ed09a3d0ff6be",
+}
+
+
+def version_1_images(index: int) -> dict[str, np.ndarray]:
+    """The images of a frame of the version-1 clip; all are exact in half precision."""
+    rng = np.random.default_rng(index)
+    images = {name: rng.integers(0, 9, (8, 8, channels)) / 8 for name, channels in VIEWS.items()}
+    images |= {pool: rng.integers(0, 33, (2, 8, 8, 3)) / 8 for pool in DIGESTS}
+    return images | {half: rng.integers(0, 33, (8, 8, 3)) / 8 for half in "ab"}
+
+
+@pytest.fixture
+def old_clip(tmp_path):
+    """A copy of the version-1 clip."""
+    return Path(shutil.copytree(VERSION_1, tmp_path / "old"))
+
+
+def _edit(folder: Path, old: str, new: str) -> None:
+    text = (folder / "clip.toml").read_text("utf-8")
+    assert old in text
+    (folder / "clip.toml").write_text(text.replace(old, new), "utf-8")
+
+
+# Round trip
+
+
+def test_a_header_comes_back(tmp_path):
+    header = replace(HEADER, licence='CC0 "1.0"\n\\ ü 🙂', sample_ms=12.5, static=True, fps=1e-5)
+    write_header(tmp_path, header)
+    assert read_header(tmp_path) == header
+
+
+@settings(deadline=None)
+@given(text=st.text(st.characters(exclude_categories=["Cs"])))
+def test_any_text_survives_in_toml(text, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("toml")
+    write_header(folder, replace(HEADER, licence=text))
+    assert tomllib.loads((folder / "clip.toml").read_text("utf-8"))["licence"] == text
+
+
+def test_cuts_come_back(tmp_path):
+    write_header(tmp_path, replace(HEADER, cuts=(1,)))
+    assert read_header(tmp_path).cuts == (1,)
+
+
+def test_an_unknown_sample_time_is_nan(folder):
+    assert math.isnan(read_header(folder).sample_ms)
+
+
+def test_keys_that_the_format_does_not_have_are_ignored(folder):
+    _edit(folder, "version = 2", "version = 2\nartist = 'someone'")
+    assert read_header(folder).name == HEADER.name
+
+
+def test_an_integer_is_read_as_a_float_where_the_field_is_one(folder):
+    _edit(folder, "exposure = 0.5", "exposure = 2")
+    assert isinstance(read_header(folder).exposure, float)
+
+
+# Invalid headers
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"cuts": (0,)}, {"cuts": (FRAMES,)}, {"cuts": (1,), "static": True}]
+)
+def test_a_cut_at_frame_0_or_beyond_the_end_or_in_a_static_clip_is_an_error(wrong):
+    with pytest.raises(ClipError, match="expected frames from 1 to 1, and none in a static clip"):
+        replace(HEADER, **wrong)
+
+
+def test_an_unknown_limitation_is_an_error():
+    with pytest.raises(ClipError, match=r"limitations lists colour; .* has: halves, independence"):
+        replace(HEADER, limitations=("colour",))
+
+
+def test_an_unknown_buffer_is_an_error():
+    with pytest.raises(ClipError, match=r"buffers lists colour; .* has: albedo, normal"):
+        replace(HEADER, buffers=("depth", "colour"))
+
+
+def test_a_contradiction_in_clip_toml_is_reported_as_it_is_from_python(folder):
+    _edit(folder, "exposure = 0.5", "exposure = -1")
+    with pytest.raises(ClipError, match="^clip 'street/mini': exposure is -1.0, must be above 0$"):
+        read_header(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "street/mini"', "name = 3", r"Expected `str`, got `int` - at `\$\.name`.*is 3;"),
+        ("static = false", "static = 0", r"at `\$\.static`, which is 0;"),
+        ("cuts = []", 'cuts = ["1"]', r"at `\$\.cuts\[0\]`, which is \['1'\];"),
+        ("cuts = []", "cuts = 1", r"at `\$\.cuts`, which is 1;"),
+        ("frames = 2", "frames = true", r"at `\$\.frames`, which is True;"),
+        ("pools = [", "pools = [[],", r"at `\$\.pools\[0\]`"),
+    ],
+)
+def test_a_value_of_another_type_is_reported_with_its_key_and_value(folder, old, new, message):
+    _edit(folder, old, new)
+    with pytest.raises(ClipError, match=message):
+        read_header(folder)
+
+
+# Format version 1
+
+
+def test_a_clip_of_version_1_has_the_fields_that_were_written():
+    header = read_header(VERSION_1)
+    assert (header.name, header.exposure, header.reference_spp) == ("old/clip", 0.5, (64, 32))
+    assert (header.pools, header.pools_ms, header.cuts) == (("path", "restir"), (1.5, 2.5), (1,))
+    assert header.radiance_cap == 64.0
+
+
+def test_a_clip_of_version_1_has_todays_names_of_buffers_and_limitations():
+    header = read_header(VERSION_1)
+    assert header.buffers == tuple(VIEWS)
+    assert header.limitations == ("independence", "depth_psr")
+    assert set(header.limitations) <= set(LIMITATIONS)
+
+
+@pytest.mark.parametrize("pool", DIGESTS)
+def test_a_clip_of_version_1_keeps_its_digest(pool):
+    assert open_clip(VERSION_1, pool=pool).digest == DIGESTS[pool]
+
+
+def test_a_clip_of_version_1_keeps_its_digest_when_its_header_is_written_again(old_clip):
+    write_header(old_clip, replace(read_header(old_clip), sample_ms=9.0))
+    assert open_clip(old_clip, pool="restir").digest == DIGESTS["restir"]
+    document = tomllib.loads((old_clip / "clip.toml").read_text("utf-8"))
+    assert (document["version"], document["limitations"]) == (2, ["independence", "depth_psr"])
+    assert "lacks" not in document
+    assert document["buffers"][-3:] == ["normal_psr", "depth_psr", "object_psr"]
+
+
+@pytest.mark.parametrize("buffer", VIEWS)
+def test_a_buffer_of_version_1_is_read_by_todays_name(buffer):
+    tensor = open_clip(VERSION_1, inputs=frozenset({buffer})).frame(1).gbuffer.extra(buffer)
+    expected = version_1_images(1)[buffer]
+    np.testing.assert_array_equal(tensor[0].permute(1, 2, 0).numpy(), expected)
+
+
+def test_a_clip_of_version_1_is_valid():
+    assert verify(VERSION_1) == []
+
+
+def test_a_buffer_that_neither_version_has_is_reported_by_todays_name(old_clip):
+    (old_clip / "view.0001.exr").write_bytes((old_clip / "referenceA.0001.exr").read_bytes())
+    with pytest.raises(ClipError, match=r"view\.0001\.exr has no channel depth_psr\.Z; it has: B"):
+        open_clip(old_clip, inputs=frozenset({"depth_psr"})).frame(1)
+
+
+def test_a_clip_written_today_names_its_channels_by_todays_names(tmp_path):
+    images = version_1_images(0)
+    gbuffer = {name: images[name] for name in VIEWS}
+    write_frame(tmp_path, 0, gbuffer, {"path": images["path"]}, images["a"], images["b"])
+    header = replace(HEADER, height=8, width=8, frames=1, pool_spp=2, reference_spp=(1,))
+    write_header(tmp_path, replace(header, buffers=tuple(VIEWS)))
+    assert verify(tmp_path) == []
+    assert b"depth_psr.Z" in (tmp_path / "view.0000.exr").read_bytes()
+
+
+def test_a_clip_rendered_with_the_buffers_of_version_1_is_not_rendered_again(tmp_path):
+    plan = Preset("test", "tests", (8, 8), frames=2, reference_spp=2)
+    plan = plan.with_buffers(("object", "depth_psr"))
+    key = Job("room", room(), plan, tmp_path).content_key
+    assert key.endswith("with object depth_behind\n")  # as commit a26c6ed wrote it

@@ -1,0 +1,122 @@
+"""The sRGB curve against kornia and published values; luminance against a loop."""
+
+from __future__ import annotations
+
+import kornia
+import pytest
+import torch
+from torch import Tensor
+
+from rlbench.ops.color import (
+    OIDN_LUMINANCE,
+    REC709_LUMINANCE,
+    SRGB_KNEE,
+    decode_srgb,
+    encode_srgb,
+    luminance,
+)
+
+UNIT = torch.linspace(0, 1, 3 * 64 * 64).view(1, 3, 64, 64)
+
+
+def scalar(value: float) -> Tensor:
+    return torch.tensor(value, dtype=torch.float64)
+
+
+def test_encoding_equals_kornia():
+    expected = kornia.color.linear_rgb_to_rgb(UNIT)
+    torch.testing.assert_close(encode_srgb(UNIT), expected, atol=1e-6, rtol=0)  # float32 powers
+
+
+def test_decoding_equals_kornia():
+    expected = kornia.color.rgb_to_linear_rgb(UNIT)
+    torch.testing.assert_close(decode_srgb(UNIT), expected, atol=1e-6, rtol=0)  # float32 powers
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_decoding_inverts_encoding_also_outside_the_unit_interval(dtype):
+    linear = torch.linspace(-0.5, 20, 2001, dtype=dtype)
+    tolerance = 1e-5 if dtype == torch.float32 else 1e-12  # relative error of two powers
+    inverse = decode_srgb(encode_srgb(linear))
+    torch.testing.assert_close(inverse, linear, rtol=tolerance, atol=1e-9)
+
+
+def test_encoding_inverts_decoding():
+    display = torch.linspace(-0.5, 3, 2001, dtype=torch.float64)
+    inverse = encode_srgb(decode_srgb(display))
+    torch.testing.assert_close(inverse, display, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("linear", "display"),
+    [(0.0, 0.0), (1.0, 1.0), (0.18, 0.461356), (0.214041, 0.5)],
+    ids=["black", "white", "middle grey", "half of the display range"],
+)
+def test_known_values(linear, display):
+    assert float(encode_srgb(scalar(linear))) == pytest.approx(display, abs=1e-6)
+    assert float(decode_srgb(scalar(display))) == pytest.approx(linear, abs=1e-6)
+
+
+def test_zero_is_exact():
+    zero = torch.zeros(2)
+    assert torch.equal(encode_srgb(zero), zero)
+    assert torch.equal(decode_srgb(zero), zero)
+
+
+@pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])
+def test_the_curve_has_no_step_at_the_knee(curve):
+    knee = SRGB_KNEE if curve is encode_srgb else 12.92 * SRGB_KNEE
+    below, above = curve(scalar(knee * (1 - 1e-9))), curve(scalar(knee * (1 + 1e-9)))
+    # IEC 61966-2-1 rounds the constants, so that the pieces meet to about 1e-8
+    assert abs(float(above - below)) < 1e-7
+
+
+def test_the_knee_itself_is_on_the_straight_line():
+    assert float(encode_srgb(scalar(SRGB_KNEE))) == 12.92 * SRGB_KNEE
+    assert float(decode_srgb(scalar(12.92 * SRGB_KNEE))) == pytest.approx(SRGB_KNEE, rel=1e-15)
+
+
+def test_negative_values_stay_on_the_straight_line():
+    negative = torch.linspace(-5, 0, 11, dtype=torch.float64)
+    assert torch.equal(encode_srgb(negative), 12.92 * negative)
+    assert torch.equal(decode_srgb(negative), negative / 12.92)
+
+
+@pytest.mark.parametrize("value", [1.5, 4.0, 1e4])
+def test_values_above_one_are_not_clipped(value):
+    assert float(encode_srgb(scalar(value))) == pytest.approx(1.055 * value ** (1 / 2.4) - 0.055)
+    assert float(decode_srgb(scalar(value))) == pytest.approx(((value + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])
+def test_the_curve_increases_everywhere(curve):
+    assert (curve(torch.linspace(-1, 3, 4001, dtype=torch.float64)).diff() > 0).all()
+
+
+@pytest.mark.parametrize("curve", [encode_srgb, decode_srgb])
+def test_gradients_are_finite_and_positive(curve):
+    x = torch.tensor([-1.0, 0.0, 1e-6, SRGB_KNEE, 0.5, 1.0, 10.0], requires_grad=True)
+    curve(x).sum().backward()
+    assert (torch.isfinite(x.grad) & (x.grad > 0)).all()
+
+
+@pytest.mark.parametrize("weights", [REC709_LUMINANCE, OIDN_LUMINANCE])
+@pytest.mark.parametrize("shape", [(3, 4, 5), (2, 3, 4, 5), (2, 4, 3, 4, 5)])
+def test_luminance_equals_a_loop(weights, shape):
+    radiance = 4 * torch.rand(shape, generator=torch.Generator().manual_seed(0))
+    expected = torch.zeros(*shape[:-3], 1, *shape[-2:])
+    for channel, weight in enumerate(weights):
+        expected[..., 0, :, :] += weight * radiance[..., channel, :, :]
+    torch.testing.assert_close(luminance(radiance, weights), expected)
+
+
+@pytest.mark.parametrize("weights", [REC709_LUMINANCE, OIDN_LUMINANCE])
+def test_luminance_of_grey_is_its_value(weights):
+    grey = torch.full((1, 3, 2, 2), 0.7, dtype=torch.float64)
+    torch.testing.assert_close(luminance(grey, weights), grey[:, :1])  # the weights sum to one
+
+
+def test_luminance_uses_the_six_digit_weights_by_default():
+    radiance = torch.rand(1, 3, 4, 5, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(luminance(radiance), luminance(radiance, OIDN_LUMINANCE))
+    assert not torch.equal(luminance(radiance), luminance(radiance, REC709_LUMINANCE))

@@ -1,0 +1,88 @@
+"""Padded rows: packing, margins, neighbours at fixed offsets, chunks; and filter stencils."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rlbench.ops import padded_rows
+from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.stencils import atrous_taps, box
+
+SIZES = [(1, 1, 1, 3), (1, 5, 7, 3), (2, 4, 6, 5), (3, 9, 2, 8)]
+every_size = pytest.mark.parametrize("size", SIZES, ids=str)
+
+
+def numbered_images(rows: PaddedRows) -> torch.Tensor:
+    """Images whose pixels are 1, 2, 3 and so on."""
+    count = rows.n * rows.h * rows.w
+    return torch.arange(1.0, count + 1).view(rows.n, 1, rows.h, rows.w)
+
+
+@every_size
+def test_unpacking_undoes_packing(size):
+    rows = PaddedRows(*size)
+    images = torch.cat((numbered_images(rows), -numbered_images(rows)), 1)
+    assert torch.equal(rows.unpack(rows.pack(images)), images)
+
+
+@every_size
+def test_margins_hold_the_fill_value(size):
+    rows = PaddedRows(*size)
+    row = rows.pack(numbered_images(rows), -7.0)
+    assert int((row != -7).sum()) == rows.n * rows.h * rows.w
+
+
+@every_size
+def test_neighbours_within_the_margin_are_at_fixed_offsets(size):
+    rows = PaddedRows(*size)
+    row, m = rows.pack(numbered_images(rows)), rows.margin
+    wide = torch.nn.functional.pad(numbered_images(rows), (m, m, m, m))
+    for down in range(-m, m + 1):
+        for right in range(-m, m + 1):
+            shifted = wide[:, :, m + down : m + down + rows.h, m + right : m + right + rows.w]
+            rolled = torch.roll(row, -rows.offset(down, right), 1)
+            assert torch.equal(rows.unpack(rolled), shifted)
+
+
+@every_size
+def test_indices_point_to_pixels_or_outside_to_empty_elements(size):
+    rows = PaddedRows(*size)
+    row, images = rows.pack(numbered_images(rows))[0], numbered_images(rows)[:, 0]
+    for y in range(-9, rows.h + 9):
+        for x in range(-9, rows.w + 9):
+            position = (torch.full((rows.n, 1, 1), float(value)) for value in (x, y))
+            values = row[rows.places(*position)][:, 0, 0]
+            inside = 0 <= y < rows.h and 0 <= x < rows.w
+            assert torch.equal(values, images[:, y, x] if inside else torch.zeros(rows.n))
+
+
+@every_size
+@pytest.mark.parametrize("chunk", [1, 10, 1000])
+def test_chunks_cover_every_pixel_once_within_the_margin(size, chunk, monkeypatch):
+    monkeypatch.setattr(padded_rows, "CHUNK_PIXELS", chunk)
+    rows = PaddedRows(*size)
+    row = rows.pack(numbered_images(rows))
+    visits = torch.zeros_like(row)
+    for start, stop in rows.pieces(row):
+        visits[:, start:stop] += 1
+        assert stop + rows.offset(rows.margin, rows.margin) <= row.shape[1]
+    assert (visits[row > 0] == 1).all()
+    assert visits.max() == 1
+
+
+@pytest.mark.parametrize(
+    ("taps", "count"), [(box(3), 49), (box(1), 9), (atrous_taps(1), 25), (atrous_taps(8), 25)]
+)
+def test_taps_their_opposites_and_the_centre_make_the_whole_kernel(taps, count):
+    offsets = {(t.down, t.right) for t in taps} | {(-t.down, -t.right) for t in taps} | {(0, 0)}
+    assert len(offsets) == count == 2 * len(taps) + 1
+
+
+def test_the_spline_sums_to_one_over_its_centre():
+    assert 1 + 2 * sum(tap.weight for tap in atrous_taps(4)) == pytest.approx(64 / 9)
+
+
+def test_the_spline_is_the_square_of_1_4_6_4_1():
+    corner = next(tap for tap in atrous_taps(2) if (tap.down, tap.right) == (4, -4))
+    assert corner.weight == pytest.approx((1 / 16) ** 2 / (6 / 16) ** 2)
