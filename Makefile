@@ -13,7 +13,7 @@ BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 # the nearest rivals, on many clips
 RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
 
-APPENDIX := ppo C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
+APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
 # $(call page,REPORT,RESULTS,NAME): write a report as the page docs/results/NAME.md
 define page
@@ -22,7 +22,7 @@ mv docs/made/$(1).md docs/results/$(3).md && rm -r docs/made
 endef
 
 FROM1 := 1,2,4,6
-TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/ppo:ours-ppo-1+2+4+6spp/ppo ours/A2:ours-A2-1+2+4+6spp/A2
+TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/reinforce:ours-reinforce-1+2+4+6spp/reinforce ours/A2:ours-A2-1+2+4+6spp/A2
 SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
@@ -59,7 +59,7 @@ unseen: .venv/dev.stamp
 
 # ours and its nearest rivals where none has learned budgets below 1 spp, as ours/A1 cannot: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
-	$(BIN)/rlbench train -m ours,ours/ppo,ours/A2 --frames 6000 --half --budget $(FROM1)
+	$(BIN)/rlbench train -m ours,ours/reinforce,ours/A2 --frames 6000 --half --budget $(FROM1)
 	$(BIN)/rlbench run -m ours/A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
 	set -e; for row in $(TRAINED_FROM1); do \
 	  $(BIN)/rlbench run -m $${row%:*} --weights from1=runs/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 __all__ = ["Family", "Traits", "Variant"]
 
@@ -90,6 +90,7 @@ class Family:
     variants: Mapping[str, Variant]
     build: str
     train: str = ""
+    aliases: Mapping[str, str] = field(default_factory=dict)  # former variant name -> current one
 
     def names(self) -> list[str]:
         """Names of all variants as on the command line: `family` or `family/variant`."""

@@ -10,6 +10,7 @@ from rlbench.registry.discovery import (
 )
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.lookup import (
+    current_name,
     family,
     import_error,
     load,
@@ -33,6 +34,7 @@ __all__ = [
     "PluginEntry",
     "PluginError",
     "clear_plugins",
+    "current_name",
     "entries",
     "expand",
     "family",

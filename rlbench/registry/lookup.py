@@ -10,7 +10,16 @@ from rlbench.family import Family, Variant
 from rlbench.registry.discovery import entries
 from rlbench.registry.entry import PluginEntry
 
-__all__ = ["family", "import_error", "load", "load_or_explain", "metrics", "names", "variant"]
+__all__ = [
+    "current_name",
+    "family",
+    "import_error",
+    "load",
+    "load_or_explain",
+    "metrics",
+    "names",
+    "variant",
+]
 
 
 def names(group: str) -> list[str]:
@@ -75,12 +84,19 @@ def family(name: str) -> Family:
     return plugin
 
 
+def current_name(name: str) -> str:
+    """The name with a former variant name (`Family.aliases`) replaced by the current one."""
+    key, _, former = name.partition("/")
+    current = family(name).aliases.get(former)
+    return name if current is None else f"{key}/{current}"
+
+
 def variant(name: str) -> Variant:
     """The declared properties of a method, given as `family` or `family/variant`.
 
     Raises PluginError if its family has no such variant.
     """
-    parent = family(name)
+    parent, name = family(name), current_name(name)
     key = name.partition("/")[2]
     if key not in parent.variants or name not in parent.names():
         known = ", ".join(parent.names())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.discovery import module_file, resolve
-from rlbench.registry.lookup import family, import_error, names, variant
+from rlbench.registry.lookup import current_name, family, import_error, names, variant
 from rlbench.system import provenance
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def method(name: str, device: torch.device | str = "cpu", weights: str | None = 
 
     from rlbench.method import Method
 
+    name = current_name(name)
     declared = variant(name)
     if missing := " ".join(provenance.missing(declared.requires)):
         raise PluginError(
@@ -62,7 +63,7 @@ def shipped_weights(name: str) -> Path:
 
     Raises PluginError if there is no such module.
     """
-    parent = family(name)
+    parent, name = family(name), current_name(name)
     return module_file(parent.build).parent / "cards" / parent.weights(name.partition("/")[2])
 
 
@@ -73,6 +74,7 @@ def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) 
     """
     import torch
 
+    name = current_name(name)
     if not is_trainable(name):
         raise PluginError(f"'{name}' has nothing to train")
     return resolve(family(name).train)(name.partition("/")[2], torch.device(device), seed)
@@ -103,7 +105,7 @@ def expand(
         key, _, rest = pattern.partition("/")
         for parent in _families(on_skip) if key == "all" else [key]:
             exact = f"{parent}/{rest}" if rest else parent
-            for name in family(parent).names() if rest == "*" else [exact]:
+            for name in family(parent).names() if rest == "*" else [current_name(exact)]:
                 if variant(name).pretrained or not trained or rest != "*":
                     selected[name] = None
     return list(selected)

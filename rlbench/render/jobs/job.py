@@ -65,7 +65,9 @@ class Job:
             f", up to {preset.max_reference_rounds} rounds to {preset.min_noise_ceiling_db:g} dB"
         ) * (preset.max_reference_rounds > 1)
         samples += f", cap {preset.radiance_cap:g}" * (preset.radiance_cap < math.inf)
-        samples += f", with {' '.join(version_1_names(preset.extra_buffers))}" * bool(preset.extra_buffers)
+        samples += f", with {' '.join(version_1_names(preset.extra_buffers))}" * bool(
+            preset.extra_buffers
+        )
         return f"{fingerprint(self.scene, preset.frames)} {size} {preset.frames} frames {samples}\n"
 
     @property
