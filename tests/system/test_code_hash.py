@@ -190,10 +190,10 @@ def test_a_folder_without_an_init_file_is_followed(plugin, line):
 
 def test_a_plugin_file_is_followed_into_rlbench_and_its_folder(plugin):
     file = plugin.parent / "my_method.py"
-    file.write_text("import torch\nfrom stranger.net import WIDTH\nimport rlbench.ops.pad\n")
+    file.write_text("import torch\nfrom stranger.net import WIDTH\nimport rlbench.errors\n")
     (plugin.parent / "unused.py").write_text("")
     importlib.invalidate_caches()
-    assert closure_of_file(file, ()) == {"stranger.net", "rlbench.ops.pad"}
+    assert closure_of_file(file, ()) == {"stranger.net", "rlbench.errors"}
 
 
 def test_a_method_counts_with_the_operations_that_it_imports_and_with_no_others():
