@@ -63,7 +63,7 @@ class CellId:
         """A file name without suffix: readable, unique, and never parsed."""
         key = self.key
         words = f"{key.method} {key.clip} {key.target_spp:g}spp seed{key.seed}"
-        readable = re.sub(r"[^\w+@= -]", "-", words, flags=re.ASCII)[:MAX_STEM_LENGTH]
+        readable = re.sub(r"^\.|[^\w.+@= -]", "-", words, flags=re.ASCII)[:MAX_STEM_LENGTH]
         content = json.dumps(asdict(self), sort_keys=True)
         return f"{readable} {sha256(content.encode()).hexdigest()[:16]}"
 

@@ -203,8 +203,8 @@ def test_rows_of_named_weights_are_no_variants(tmp_path):
 
 def test_results_of_two_weights_are_not_mixed(tmp_path):
     made = configured()
-    made += [replace(r, weights="new", clip="other") for r in made]
-    with pytest.raises(ReportError, match="2 weights values"):
+    made += [replace(r, weights_hash="new", clip="other") for r in made]
+    with pytest.raises(ReportError, match="2 weights_hash values"):
         ablation.write(to_dataframe(made), tmp_path)
 
 

@@ -182,7 +182,7 @@ def test_wobbles_of_the_made_up_table_have_mean_zero():
 def crossvalidated(**weights):
     """Rows of ours, whose weights differ by scene; `weights` are those of single clips."""
     made = [
-        replace(r, method="ours@crossval", weights=f"without {r.scene} {len(r.scene)}")
+        replace(r, method="ours@crossval", weights_hash=f"without {r.scene} {len(r.scene)}")
         for r in rows(["ours"])
         if r.metric == "psnr"
     ]

@@ -147,7 +147,7 @@ def test_a_table_without_two_trainings_is_refused(made, tmp_path):
 
 
 def test_equal_weights_under_two_names_are_refused(tmp_path):
-    made = [replace(r, weights="same") for r in trained()]
+    made = [replace(r, weights_hash="same") for r in trained()]
     with pytest.raises(aggregate.ReportError, match="ours@seed0 and .* ran with the same weights"):
         written(made, tmp_path)
 
