@@ -112,7 +112,7 @@ def _panel(
         look, curve = looks[str(method)], curve.sort_values("target_spp")
         axes.plot(curve["frame_ms"], curve["value"], c=look.color, ls=look.dash, lw=1.8, zorder=2)
         axes.scatter(
-            curve["frame_ms"], curve["value"], s=[sizes[spp] for spp in curve["target_spp"]], zorder=3,
+            curve["frame_ms"], curve["value"], s=curve["target_spp"].map(sizes).tolist(), zorder=3,
             color=look.face, marker=look.marker, edgecolors=look.edge, linewidths=look.rim,
         )  # fmt: skip
 
