@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import torch
 
 from rlbench.family import Family, Traits, Variant
-from rlbench.ops.init import kaiming_init as initialise
+from rlbench.ops.init import initialise
 from rlbench.run import unroll
-from rlbench.training.task import TrainingTask as Trainer
-from rlbench.weights import load_for_inference as equip
+from rlbench.training.task import Trainer
+from rlbench.weights import equip
 
-TRAITS = Traits(spp_range=(1.0, 4.0))
+TRAITS = Traits(spp=(1.0, 4.0))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
 from rlbench.ops.unet import SMALL, UNet
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision
-from tests.benchmark.test_runner import run_plan
+from tests.benchmark.test_runner import request
 
 CPU = torch.device("cpu")
 
@@ -37,25 +37,25 @@ def test_images_are_nearly_the_same_and_in_single_precision():
 
 
 def test_rows_in_half_precision_stand_beside_the_others(clip_folder, tmp_path):
-    asked = run_plan(clip_folder, "ours/A2", "mean", limit_frames=1)
+    asked = request(clip_folder, "ours/A2", "mean", frames=1)
     measure(asked, tmp_path / "r")
-    halved = dataclasses.replace(asked, bf16=True)
+    halved = dataclasses.replace(asked, half=True)
     assert measure(halved, tmp_path / "r") == RunSummary(
         measured=1, cached=1
     )  # `mean` has no networks
     rows = results.read(tmp_path / "r").groupby("method")["dtype"].unique().explode()
-    assert dict(rows) == {"ours/A2": "float32", "ours/A2@bf16": "bfloat16", "mean": "float32"}
-    measure(dataclasses.replace(halved, weights_label="seed0"), tmp_path / "r")
-    assert "ours/A2@bf16-seed0" in set(results.read(tmp_path / "r")["method"])
+    assert dict(rows) == {"ours/A2": "float32", "ours/A2@half": "bfloat16", "mean": "float32"}
+    measure(dataclasses.replace(halved, called="seed0"), tmp_path / "r")
+    assert "ours/A2@half-seed0" in set(results.read(tmp_path / "r")["method"])
 
 
 def test_what_run_prints_of_half_precision_is_of_half_precision(clip_folder, tmp_path, capsys):
     asked = dataclasses.replace(
-        run_plan(clip_folder, "ours/A2", weights="random", limit_frames=1), bf16=True
+        request(clip_folder, "ours/A2", weights="random", frames=1), half=True
     )
     measure(asked, tmp_path / "r")
     console.table(asked, tmp_path / "r")
-    assert "ours/A2@bf16" in capsys.readouterr().out
+    assert "ours/A2@half" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("shape", [(2, 5, 16, 32), (1, 5, 16, 32), (1, 5, 32, 16)])

@@ -61,8 +61,8 @@ def test_a_clip_that_cannot_be_read_takes_no_other_with_it(tmp_path):
     """Though times are taken before cells are handed out, and both would have the same."""
     folders = [write_noise(tmp_path / name) for name in ("aaa", "bbb")]
     (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
-    asked = RunPlan(("mean",), tuple(map(StoredSource, folders)), (1.0,), repeats=2)
-    done = measure(asked, tmp_path / "r", executor=replace(LOCAL, alone=False))
+    asked = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,), repeats=2)
+    done = measure(asked, tmp_path / "r", engine=replace(LOCAL, alone=False))
     assert done == RunSummary(measured=1, skipped=1)
     rows = table.read(tmp_path / "r")
     assert set(rows[rows["value"].isna() & (rows["metric"] == "psnr")]["clip"]) == {"aaa"}
@@ -132,16 +132,16 @@ def test_scores_from_ray_are_those_from_here_bit_for_bit(workers, tmp_path, monk
     monkeypatch.setenv(VARIABLE, "far=faraway:FAMILY")
     clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
     asked = RunPlan(
-        ("mean", "ours", "loose", "far"), clips, (0.5, 2.0), repeats=2, cost="paper-2080ti"
+        ("mean", "ours", "loose", "far"), clips, spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
     )
     here = measure(asked, tmp_path / "here")
-    there = measure(asked, tmp_path / "there", executor=workers)
+    there = measure(asked, tmp_path / "there", engine=workers)
     assert here == there == RunSummary(measured=12, skipped=4)
     # as words, for no nan equals another
     assert repr(scores(tmp_path / "here")) == repr(scores(tmp_path / "there"))
     assert rows(tmp_path / "here") == rows(tmp_path / "there")
     assert table.cells(tmp_path / "here") == table.cells(tmp_path / "there")
-    assert measure(asked, tmp_path / "there", executor=workers).cached == 12
+    assert measure(asked, tmp_path / "there", engine=workers).cached == 12
 
 
 @pytest.mark.slow
@@ -149,8 +149,8 @@ def test_a_method_that_kills_its_process_is_a_row_with_the_reason(workers, clip_
     body = "import os; os.kill(os.getpid(), 9)"
     use_plugin(write_plugin(tmp_path / "deadly.py", "deadly", body=body))
     clips = (StoredSource(clip_folder),)
-    asked = RunPlan(("deadly", "mean"), clips, (1.0,), repeats=2, cost="paper-2080ti")
-    done = measure(asked, tmp_path / "r", executor=workers)
+    asked = RunPlan(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
+    done = measure(asked, tmp_path / "r", engine=workers)
     assert done == RunSummary(measured=1, skipped=1)
     found = table.read(tmp_path / "r")
     (why,) = found[found["method"] == "deadly"]["note"]
