@@ -65,7 +65,7 @@ def _variant(variant: Variant) -> dict[str, Any]:
 
 def _metrics() -> list[dict[str, Any]]:
     return [
-        {**row, **_fields(row["name"], "metrics", ("unit", "better", "convention"))}
+        {**row, **_fields(row["name"], "metrics", ("unit", "direction", "convention"))}
         for row in _plain("metrics")
     ]
 

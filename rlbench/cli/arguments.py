@@ -108,7 +108,7 @@ def minutes(number: float | None) -> float:
 
 def weights(text: str | None) -> tuple[str, str | None]:
     """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
-    from rlbench.benchmark.results import CROSSVAL, HALF
+    from rlbench.benchmark.row_name import RESERVED_LABELS
 
     if text is None or text == "random":
         return "", text
@@ -117,7 +117,7 @@ def weights(text: str | None) -> tuple[str, str | None]:
         called, file = "", text
     elif not re.fullmatch(r"[\w+-]+", called, re.ASCII):
         raise OptionError(f"--weights {text}: the name before = is of letters, digits, _, + and -")
-    elif (kind := called.partition("-")[0]) in (HALF, CROSSVAL):
+    elif (kind := called.partition("-")[0]) in RESERVED_LABELS:
         raise OptionError(
             f"--weights {text}: METHOD@{kind} is what rows of another kind are called"
         )

@@ -18,7 +18,7 @@ from rlbench.errors import OptionError, RlbenchError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rlbench.benchmark.regression import Baseline
+    from rlbench.benchmark.baseline import Baseline
 
 Results = Annotated[Path, typer.Option(help="folder of the results table")]
 
@@ -43,10 +43,10 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
     Raises AskedError where a single name has none, and PluginError for one that is in neither.
     """
     from rlbench import registry
-    from rlbench.benchmark.results import AT, select_methods
+    from rlbench.benchmark.results import RowName, select_methods
 
     known = set(table["method"])  # of plugins too, which need not be here
-    exact = [name for name in methods if AT in name or name in known]
+    exact = [name for name in methods if RowName.parse(name).label or name in known]
     patterns = [name for name in methods if name not in exact]
     wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
     found = table[select_methods(table, wanted)]
@@ -83,7 +83,7 @@ def run(
         typer.Option(help="NAME=FILE (rows METHOD@NAME), a file, or random; default the shipped"),
     ] = None,
     half: Annotated[
-        bool, typer.Option("--half", help="networks in bfloat16 (rows METHOD@half)")
+        bool, typer.Option("--half", help="networks in bfloat16 (rows METHOD@bf16)")
     ] = False,
     plugin: Plugins = None,
     limit_frames: Annotated[
@@ -130,17 +130,17 @@ def run(
         request = RunPlan(
             methods=names,
             clips=arguments.clips(clips, scenes, preset, pool, workers, kinds, takes),
-            spp=arguments.numbers("--spp", spp, float),
+            target_spp=arguments.numbers("--spp", spp, float),
             seeds=arguments.numbers("--seed", seed, int),
             device=arguments.device(device),
             cost=cost,
             weights=weights,
-            half=half,
+            bf16=half,
             weights_label=called,
-            frames=limit_frames,
+            limit_frames=limit_frames,
         )
         with console.progress(request) as bar:
-            done = measure(request, out, bar.tell, workers, bar.timed)
+            done = measure(request, out, bar.on_cell, workers, bar.on_timing)
     console.done(done, out)
     if not console.table(request, out):
         raise typer.Exit(1)
@@ -211,16 +211,17 @@ def regress(
     """
     from rlbench.benchmark import regression
     from rlbench.benchmark import results as table
+    from rlbench.benchmark.baseline import load_baseline
 
     wanted = arguments.split(only or [])
     if update and wanted:
         raise errors.OptionError("--update writes the whole baseline anew; run it without --only")
     rows = table.read(results)
     if update:
-        written = regression.update(rows, baseline)
+        written = regression.update_baseline(rows, baseline)
         typer.echo(f"{baseline}: {len(written.entries)} entries")
         return
-    known = regression.load(baseline)
+    known = load_baseline(baseline)
     if wanted:
         rows, known = benchmark.part(rows, known, wanted)
     outcome = regression.compare(rows, known, subset=bool(wanted))

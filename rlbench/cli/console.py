@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rlbench.benchmark import results
-from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.run_plan import Cell, RunPlan, cells
+from rlbench.benchmark import latency, results
+from rlbench.benchmark.resolve import ResolvedCell, resolve_cells, resolve_method
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.runner import ProgressCallbacks
 
 if TYPE_CHECKING:
     from rlbench.benchmark.runner import RunSummary
@@ -21,30 +22,23 @@ if TYPE_CHECKING:
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
 COLUMNS = {  # of `rlbench list`, in their order
     "methods": ("name", "question", "needs", "spp", "adapts", "weights"),
-    "metrics": ("name", "unit", "better", "convention"),
+    "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }
-
-
-class ProgressCallbacks(NamedTuple):
-    """What shows how far a run is."""
-
-    tell: Callable[[Cell], None]  # of a cell that is done
-    timed: Callable[[Cell], None]  # of one whose times were taken first
 
 
 @contextmanager
 def progress(request: RunPlan) -> Iterator[ProgressCallbacks]:
     """A bar over the cells of a request, on the error stream."""
     with _bar() as bar:
-        task = bar.add_task("measuring", total=len(cells(request)))
+        task = bar.add_task("measuring", total=len(resolve_cells(request)))
 
-        def tell(cell: Cell) -> None:
-            told = f"{cell.method} on {cell.clip.header.name}, {cell.spp:g} spp"
+        def tell(cell: ResolvedCell) -> None:
+            told = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
             bar.update(task, advance=1, description=told)
 
-        def timed(cell: Cell) -> None:
-            bar.update(task, description=f"timed {cell.method}, {cell.spp:g} spp")
+        def timed(cell: ResolvedCell) -> None:
+            bar.update(task, description=f"timed {cell.method.name}, {cell.target_spp:g} spp")
 
         yield ProgressCallbacks(tell, timed)
 
@@ -89,17 +83,16 @@ def table(request: RunPlan, out: Path, methods: Iterable[str] = ()) -> bool:
     """
     rows = results.read(out)
     names = [clip.header.name for clip in request.clips]
-    told = CellIds(request)
-    called = methods or [told.method(name) for name in request.methods]
+    called = methods or [resolve_method(request, name).row_name for name in request.methods]
     rows = rows[rows["method"].isin(called) & rows["clip"].isin(names)]
-    rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
-    rows = rows[rows["device"] == told.device]
+    rows = rows[rows["target_spp"].isin(request.target_spp) & rows["seed"].isin(request.seeds)]
+    rows = rows[rows["device"] == latency.device_name(request.device)]
     shown = Table(title=f"mean over {len(names)} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
         shown.add_column(column, justify="left" if column == "method" else "right")
-    for (method, spp), group in rows.groupby(["method", "spp"]):
+    for (method, spp), group in rows.groupby(["method", "target_spp"]):
         means = group.groupby("metric")["value"].mean()
-        figures = [means.get(name) for name in ("psnr", "inference_ms", "total_ms")]
+        figures = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
         some = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
         of = f" ({some} of them)" if 0 < some < len(names) else ""
         shown.add_row(f"{method}{of}", f"{spp:g}", *(_figure(value) for value in figures))

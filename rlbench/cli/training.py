@@ -183,9 +183,9 @@ def crossval(
     folds = leaving.folds(preset, arguments.split(scenes or []), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)
     budgets = arguments.numbers("--spp", spp, float)
-    request = RunPlan(names, clips, budgets, (seed,), where, cost, frames=limit_frames)
+    request = RunPlan(names, clips, budgets, (seed,), where, cost, limit_frames=limit_frames)
     results = out / "results"
-    done = leaving.crossval(folds, lessons, request, results, lambda words: typer.echo(words))
+    done = leaving.crossval(folds, lessons, request, results, typer.echo, console.progress)
     console.done(done, results)
     console.table(request, results, leaving.row_names(request))
 
