@@ -79,7 +79,7 @@ def measure(
     `on_cell` is called with each finished cell, `on_timing` with each cell whose times are measured
     before. Raises, before anything is measured: PluginError for an unknown method, CostError for an
     unknown cost profile, CellsError for clips with the same name, or where scores of whole clips or
-    of another preset would be lost. Raises EngineError where no cell can be run.
+    of another preset would be lost. Raises ExecutorError where no cell can be run.
     """
     plan.check_unique_names()
     cells, ids = resolve_cells(plan), CellIds(plan)

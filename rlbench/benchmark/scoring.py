@@ -16,7 +16,7 @@ from rlbench.benchmark.cost import Cost
 from rlbench.benchmark.latency import Timing
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import WHOLE_CLIP, Row
-from rlbench.clips.header import LACKS, Header
+from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.run import FrameResult
 
 __all__ = ["refusal_row", "row_template", "score_frame", "timing_rows"]
@@ -67,9 +67,9 @@ def score_frame(
         if metric.temporal and previous is None:
             continue
         scored = _paired(_images(previous), images) if metric.temporal and previous else images
-        undefined = metric.needs_reference_halves and "halves" in header.lacks
+        undefined = metric.needs_reference_halves and "halves" in header.limitations
         score = math.nan if undefined else float(metric.score(*scored)[0])
-        note = LACKS["halves"] if undefined else ""
+        note = LIMITATIONS["halves"] if undefined else ""
         if math.isnan(score) and not undefined:
             note = f"the value is nan: {metric.convention}"
         row = replace(frame, unit=metric.unit, direction=metric.direction)

@@ -67,8 +67,8 @@ def _check_path_tracer() -> Iterator[CheckResult]:
 
     report = llvm.report().removeprefix("path tracer: ")
     if "scalar" in report.splitlines()[0]:
-        found = report.removesuffix(llvm.ADVICE).rstrip()
-        yield warning("path tracer", found, llvm.ADVICE)
+        found = report.removesuffix(llvm.INSTALL_HINT).rstrip()
+        yield warning("path tracer", found, llvm.INSTALL_HINT)
     else:
         yield passed("path tracer", report)
 
