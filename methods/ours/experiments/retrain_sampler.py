@@ -211,14 +211,14 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"examples:\n  {PROGRAM} --by reinforce\n"
         f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x",
     )
-    known = [*LEARNERS, RLLIB_APPO]
+    learners = [*LEARNERS, RLLIB_APPO]
     clips, out = paths.clips() / "train", Path("runs/samplers")
     parser.add_argument(
         "--by",
         default="reinforce",
-        choices=[*known, *FORMER_NAMES],
+        choices=[*learners, *FORMER_NAMES],
         metavar="LEARNER",
-        help=f"one of: {', '.join(known)} (default: reinforce)",
+        help=f"one of: {', '.join(learners)} (default: reinforce)",
     )
     parser.add_argument(
         "--frames", type=int, default=2000, help="crops to train on (default: 2000)"

@@ -50,8 +50,8 @@ def make_learner(name: str, channels: int) -> SamplerLearner:
 
     Raises LearnerError for an unknown name, and for `rllib-appo`.
 
-    >>> make_learner("ppo-pixel", 39)  # a former name  # doctest: +ELLIPSIS
-    BlockReinforce(policy=BlockPolicyGradient(...), min_samples=0, network=None)
+    >>> make_learner("ppo-pixel", 39) == make_learner("reinforce", 39)  # a former name
+    True
     """
     name = FORMER_NAMES.get(name, name)
     if name == RLLIB_APPO:
