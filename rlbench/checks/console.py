@@ -33,7 +33,7 @@ def print_results(results: Iterable[CheckResult], console: Console, title: str =
         console.print(_format_line(result), highlight=False, soft_wrap=True)
         counts[result.verdict] += 1
     summary = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict)
-    console.print(f"  {summary}", highlight=False)
+    console.print(f"  {summary}", highlight=False, soft_wrap=True)
     return not counts[Verdict.FAILED]
 
 

@@ -9,6 +9,7 @@ import textwrap
 
 import pytest
 
+from rlbench import registry
 from rlbench.checks import conformance, result
 from rlbench.checks.conformance import suite
 from rlbench.checks.lint import motion_conventions
@@ -33,12 +34,10 @@ class Outcomes:
             self.outcomes.append((report.outcome, report.longreprtext))
 
 
-def run_documented_test(tmp_path, **plugin: str) -> list[tuple[str, str]]:
-    from rlbench import registry
-
-    registry.use_plugin(write_plugin(tmp_path / "mine.py", "mine", **plugin))
-    file = tmp_path / "test_documented.py"
-    file.write_text(documented_test("mine"))
+def run_documented_test(tmp_path, method: str, **plugin: str) -> list[tuple[str, str]]:
+    registry.use_plugin(write_plugin(tmp_path / f"{method}.py", method, **plugin))
+    file = tmp_path / f"test_{method}.py"  # pytest imports each file name only once
+    file.write_text(documented_test(method))
     outcomes = Outcomes()
     options = ["-q", "-p", "no:cacheprovider", "--import-mode=importlib", f"--rootdir={tmp_path}"]
     pytest.main([str(file), *options], [outcomes])
@@ -46,12 +45,12 @@ def run_documented_test(tmp_path, **plugin: str) -> list[tuple[str, str]]:
 
 
 def test_the_documented_lines_run_one_test_per_check(tmp_path):
-    outcomes = run_documented_test(tmp_path)
+    outcomes = run_documented_test(tmp_path, "correct")
     assert [outcome for outcome, _ in outcomes] == ["passed"] * len(conformance.CHECKS)
 
 
 def test_the_documented_lines_fail_with_what_was_found_and_how_to_fix_it(tmp_path):
-    outcomes = run_documented_test(tmp_path, body="return samples.mean.double(), None")
+    outcomes = run_documented_test(tmp_path, "double", body="return samples.mean.double(), None")
     (text,) = [text for outcome, text in outcomes if outcome == "failed"]
     assert "found torch.float64" in text
     assert "-> end with .float()" in text

@@ -176,8 +176,8 @@ def same_seed(arrays: ClipArrays) -> ClipArrays:
 
 def shared_seeds(arrays: ClipArrays) -> ClipArrays:
     """Half A contains the samples of the pool."""
-    kept = arrays.half_a * (HALF - POOL) + arrays.pools["path"].sum(1)
-    return replace(arrays, half_a=kept / HALF)
+    total = arrays.half_a * (HALF - POOL) + arrays.pools["path"].sum(1)
+    return replace(arrays, half_a=total / HALF)
 
 
 def overlapping_halves(arrays: ClipArrays) -> ClipArrays:

@@ -16,13 +16,15 @@ from tests.checks.lint.broken_fixtures import correct_clip, store
 
 def cut_at(arrays: ClipArrays, index: int, outside: bool) -> ClipArrays:
     """The arrays with another clip from frame `index` on, as in the header."""
-    other, kept = correct_clip(7), slice(None, index)
-    gbuffer = {k: torch.cat((v[kept], other.gbuffer[k][index:])) for k, v in arrays.gbuffer.items()}
+    other, before = correct_clip(7), slice(None, index)
+    gbuffer = {
+        k: torch.cat((v[before], other.gbuffer[k][index:])) for k, v in arrays.gbuffer.items()
+    }
     if outside:
         away = torch.tensor([-2.0 * arrays.header.width, -2.0 * arrays.header.height])
         gbuffer["motion"][index] = away.view(2, 1, 1)
-    a, b = (torch.cat((one[kept], two[index:])) for one, two in _halves(arrays, other))
-    pool = torch.cat((arrays.pools["path"][kept], other.pools["path"][index:]))
+    a, b = (torch.cat((one[before], two[index:])) for one, two in _halves(arrays, other))
+    pool = torch.cat((arrays.pools["path"][before], other.pools["path"][index:]))
     return ClipArrays(replace(arrays.header, cuts=(index,)), gbuffer, {"path": pool}, a, b)
 
 

@@ -20,8 +20,10 @@ from tests.checks.lint.broken_fixtures import correct_clip
 
 def test_an_unknown_reference_spp_predicts_no_noise(arrays):
     header = replace(arrays.header, reference_spp=(0,) * len(arrays))
-    told = [check(replace(arrays, header=header)) for check in (check_halves, check_noise_ceiling)]
-    assert all("reference_spp is not known" in finding.found for finding in told)
+    results = [
+        check(replace(arrays, header=header)) for check in (check_halves, check_noise_ceiling)
+    ]
+    assert all("reference_spp is not known" in result.found for result in results)
 
 
 def test_the_noise_ceiling_is_the_psnr_of_noise_of_that_size():

@@ -9,11 +9,11 @@ from tests.checks.lint.broken_fixtures import FAULTS, store
 
 
 def test_the_command_passes_and_writes_a_figure(folder, tmp_path):
-    words = ["lint", str(folder), "--picture", str(tmp_path / "seen.png"), "--frames", "3"]
+    words = ["lint", str(folder), "--picture", str(tmp_path / "figure.png"), "--frames", "3"]
     found = CliRunner().invoke(app, words)
     assert found.exit_code == 0, found.output
     assert "failed: 0" in found.output
-    assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_command_fails_where_a_check_does(arrays, tmp_path):
