@@ -9,9 +9,9 @@ import pytest
 
 from rlbench.scenes.city import car, office, square, trees
 from rlbench.scenes.city import scene as city
-from rlbench.scenes.city.windows import CELLS, behind
+from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
 from rlbench.scenes.parts import glassware
-from rlbench.scenes.parts.shapes import ball
+from rlbench.scenes.parts.shapes import icosphere
 from rlbench.scenes.ripples import bath, lilies
 from rlbench.scenes.ripples import scene as ripples
 
@@ -38,7 +38,7 @@ def _gap(point, corners):
 
 
 def test_the_gap_to_a_ball_is_the_distance_to_its_surface():
-    sphere = ball(4)
+    sphere = icosphere(4)
     corners = sphere.vertices[sphere.faces]
     assert _gap(np.array([0.3, 0.0, 2.0]), corners) == pytest.approx(np.hypot(0.3, 2) - 1, abs=3e-3)
 
@@ -70,9 +70,9 @@ def _volume(shape):
 
 
 GLASS = {
-    "vase": glassware.vase(),
-    "crystal": glassware.crystal(),
-    "all": glassware.on_plinths(bath.PLINTHS),
+    "vase": glassware.build_vase(),
+    "crystal": glassware.build_crystal(),
+    "all": glassware.build_glass_on_plinths(bath.PLINTHS),
 }
 
 
@@ -92,7 +92,7 @@ def test_glass_faces_outside(name):
 
 def test_a_vase_is_hollow():
     solid = np.pi * 0.24**2 * 0.75  # about its outside
-    assert 0.03 * solid < _volume(glassware.vase()) < 0.4 * solid
+    assert 0.03 * solid < _volume(glassware.build_vase()) < 0.4 * solid
 
 
 def test_glass_stands_clear_of_water_and_stone():
@@ -107,8 +107,10 @@ def test_glass_stands_clear_of_water_and_stone():
 
 @pytest.mark.parametrize("time", PATH)
 def test_pads_lie_on_the_water_and_not_in_it(time):
-    pads = lilies.afloat(ripples._height, time).vertices[: len(lilies._pads().vertices)]
-    sheet = next(mesh for mesh in ripples._movers(time) if mesh.name == "water").vertices
+    pads = lilies.build_floating(ripples._water_height, time).vertices[
+        : len(lilies._build_pads().vertices)
+    ]
+    sheet = next(mesh for mesh in ripples._moving_meshes(time) if mesh.name == "water").vertices
     side = round(len(sheet) ** 0.5)
     width = 2 * bath.HALF + 0.1
     place = (pads[:, :2] + width / 2) / width * (side - 1)  # in cells
@@ -121,17 +123,17 @@ def test_pads_lie_on_the_water_and_not_in_it(time):
 
 
 def test_cars_stand_on_their_wheels():
-    assert abs(car.car(0).vertices[:, 2].min()) < 0.01  # metres
+    assert abs(car.build_car(0).vertices[:, 2].min()) < 0.01  # metres
 
 
 @pytest.mark.parametrize("coat", range(4))
 def test_cars_are_as_wide_left_as_right(coat):
-    y = car.car(coat).vertices[:, 1]
+    y = car.build_car(coat).vertices[:, 1]
     assert y.max() == pytest.approx(-y.min(), abs=0.02)
 
 
 def test_the_hull_of_a_car_faces_outside():
-    hull = car._hull(0)[:2]  # what is not lids and floor
+    hull = car._build_hull(0)[:2]  # what is not lids and floor
     for part in hull:
         a, b, c = np.moveaxis(part.vertices[part.faces].astype(np.float64), 1, 0)
         outward = (np.cross(b - a, c - a) * ((a + b + c) / 3 - (0, 0, 0.6))).sum(-1)
@@ -140,10 +142,10 @@ def test_the_hull_of_a_car_faces_outside():
 
 THINGS = {
     "tree": [(tree.x, tree.y) for tree in city.TREES],
-    "post": square.POSTS,
-    "table": square.TABLES,
-    "parked": [place[:2] for place in square.PARKED],
-    "bench": [place[:2] for place in square.SEATS],
+    "post": square.LAMP_POSTS,
+    "table": square.CAFE_TABLES,
+    "parked": [place[:2] for place in square.PARKED_CARS],
+    "bench": [place[:2] for place in square.BENCHES],
     "planter": square.PLANTERS,
 }
 
@@ -151,27 +153,27 @@ THINGS = {
 @pytest.mark.parametrize("kind", THINGS)
 def test_nothing_stands_in_the_road(kind):
     away = np.linalg.norm(np.array(THINGS[kind], float), axis=1)
-    assert (np.abs(away - square.ORBIT) > 1.6).all()  # half the road, metres
+    assert (np.abs(away - square.ROAD_RADIUS) > 1.6).all()  # half the road, metres
 
 
 def test_leaves_keep_to_their_tree_and_off_the_ground():
     tree = trees.Tree(3.0, -2.0)
-    shape = trees.leaves([tree], 6)
-    assert len(shape.faces) == 2 * tree.leaves
+    shape = trees.build_leaves([tree], 6)
+    assert len(shape.faces) == 2 * tree.leaf_count
     away = np.hypot(shape.vertices[:, 0] - tree.x, shape.vertices[:, 1] - tree.y)
-    assert away.max() < 2 * tree.spread
+    assert away.max() < 2 * tree.crown_radius
     assert 1.2 < shape.vertices[:, 2].min() < shape.vertices[:, 2].max() < 1.3 * tree.height
 
 
 def test_a_pane_shows_one_cell_of_the_atlas():
-    panes = office.panes(np.random.default_rng(0), 0.0, 0.0)
-    cells = np.arange(len(panes.vertices) // 4) % CELLS**2
-    uv = behind(panes, cells).uv.reshape(-1, 4, 2) * CELLS
-    assert np.array_equal(np.floor(uv[..., 0]), (cells % CELLS)[:, None] * np.ones(4))
-    assert np.array_equal(np.floor(uv[..., 1]), (cells // CELLS)[:, None] * np.ones(4))
+    panes = office.build_panes(np.random.default_rng(0), 0.0, 0.0)
+    cells = np.arange(len(panes.vertices) // 4) % ATLAS_CELLS**2
+    uv = show_atlas_cells(panes, cells).uv.reshape(-1, 4, 2) * ATLAS_CELLS
+    assert np.array_equal(np.floor(uv[..., 0]), (cells % ATLAS_CELLS)[:, None] * np.ones(4))
+    assert np.array_equal(np.floor(uv[..., 1]), (cells // ATLAS_CELLS)[:, None] * np.ones(4))
 
 
 def test_panes_face_away_from_the_tower():
-    panes = office.panes(np.random.default_rng(0), 0.0, 0.0)
+    panes = office.build_panes(np.random.default_rng(0), 0.0, 0.0)
     a, b, c = np.moveaxis(panes.vertices[panes.faces].astype(np.float64), 1, 0)
     assert ((np.cross(b - a, c - a)[:, :2] * (a + b + c)[:, :2]).sum(-1) > 0).all()

@@ -264,7 +264,7 @@ def test_the_tubes_of_the_hall_shine_down():
     [
         (shapes.boxes((0, 0, 0), (1, 2, 3)), 6.0, 1e-6),
         (shapes.boxes([(0, 0, 0), (5, 5, 5)], [(1, 1, 1), (7, 6, 6)]), 3.0, 1e-6),
-        (shapes.ball(4), 4 / 3 * np.pi, 0.01),  # the facets lie inside the ball
+        (shapes.icosphere(4), 4 / 3 * np.pi, 0.01),  # the facets lie inside the ball
         (shapes.cylinder(0.5, 1.0, 3.0, 64), np.pi / 2, 0.01),
     ],
     ids=["box", "two boxes", "ball", "cylinder"],
@@ -279,16 +279,16 @@ def test_a_quad_faces_along_across_x_up():
 
 
 def test_merge_keeps_every_triangle_where_it_was():
-    parts = [shapes.ball(1), shapes.placed(shapes.ball(0), (3, 0, 0), scale=2.0)]
+    parts = [shapes.icosphere(1), shapes.transform(shapes.icosphere(0), (3, 0, 0), scale=2.0)]
     merged = shapes.merge(*parts)
     apart = np.concatenate([part.vertices[part.faces] for part in parts])
     assert np.array_equal(merged.vertices[merged.faces], apart)
 
 
 def test_a_turn_about_the_vertical_takes_x_to_y():
-    assert np.allclose(shapes.yaw(np.pi / 2) @ (1, 0, 0), (0, 1, 0), atol=1e-6)
+    assert np.allclose(shapes.yaw_matrix(np.pi / 2) @ (1, 0, 0), (0, 1, 0), atol=1e-6)
 
 
 def test_painted_hits_the_middle_of_its_texel():
-    uv = shapes.painted(shapes.ball(0), 2, 8).uv
+    uv = shapes.paint(shapes.icosphere(0), 2, 8).uv
     assert np.allclose(uv, (2.5 / 8, 0.5))

@@ -7,9 +7,18 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import Shape, boxes, disc, lathe, merge, painted, placed, rotation
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    boxes,
+    disc,
+    lathe,
+    merge,
+    paint,
+    rotation_matrix,
+    transform,
+)
 
-BODY = (
+CAR_COLOURS = (
     (0.42, 0.02, 0.02),  # coats
     (0.02, 0.09, 0.14),
     (0.55, 0.52, 0.43),
@@ -47,10 +56,10 @@ STATIONS = np.array(
 
 
 @lru_cache(maxsize=8)
-def car(coat: int = 0) -> Shape:
+def build_car(body_colour: int = 0) -> Shape:
     """The car about the origin, on the ground, facing +x; `coat` is a slot of BODY, 0..3."""
-    of = len(BODY)
-    parts = [*_hull(coat), *_wheels()]
+    of = len(CAR_COLOURS)
+    parts = [*_build_hull(body_colour), *_build_wheels()]
     fittings = [
         (BRIGHT, (1.92, -0.72, 0.36), (2.06, 0.72, 0.45)),
         (BRIGHT, (-2.05, -0.72, 0.40), (-1.92, 0.72, 0.49)),
@@ -59,19 +68,19 @@ def car(coat: int = 0) -> Shape:
         (TAIL, (-1.975, 0.46, 0.58), (-1.90, 0.70, 0.72)),
         (BRIGHT, (-1.99, -0.2, 0.54), (-1.9, 0.2, 0.64)),
     ]
-    parts += [painted(boxes(low, high), slot, of) for slot, low, high in fittings]
-    ahead = rotation((0, 1, 0), np.pi / 2)
+    parts += [paint(boxes(low, high), slot, of) for slot, low, high in fittings]
+    ahead = rotation_matrix((0, 1, 0), np.pi / 2)
     for y in (-0.54, 0.54):
         lamp = merge(disc(0.09, 0.03, 20), lathe([(0.12, 0), (0.12, 0.02), (0.09, 0.03)], 20))
-        parts.append(painted(placed(lamp, (1.97, y, 0.56), ahead), HEAD, of))
+        parts.append(paint(transform(lamp, (1.97, y, 0.56), ahead), HEAD, of))
     for y in (-0.93, 0.82):
-        parts.append(painted(boxes((0.42, y, 0.93), (0.54, y + 0.11, 1.05)), coat, of))
+        parts.append(paint(boxes((0.42, y, 0.93), (0.54, y + 0.11, 1.05)), body_colour, of))
     return merge(*parts)
 
 
-def _hull(coat: int) -> list[Shape]:
+def _build_hull(body_colour: int) -> list[Shape]:
     """The body as a sheet over stations and a section, cut apart by colour."""
-    fine = _between(STATIONS, 73)
+    fine = _resample_stations(STATIONS, 73)
     x, sill, belt, top, half = fine.T
     arch = [np.sqrt(np.clip((WHEEL + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES]
     sill = np.maximum(sill, np.max(arch, 0) + WHEEL)
@@ -102,13 +111,13 @@ def _hull(coat: int) -> list[Shape]:
     side[np.ix_(panes & (middle < 0.62) & (middle > -1.2), [5, bands - 6])] = True
     screens = (slope > 0.42) & (top[:-1] > 0.98) & (top[1:] > 0.98)
     side[np.ix_(screens, list(range(8, bands - 8)))] = True
-    slots = np.where(side, GLASS, coat)
-    ends = [_lid(sheet[0], coat), _lid(sheet[-1][::-1], coat)]
+    slots = np.where(side, GLASS, body_colour)
+    ends = [_build_end_cap(sheet[0], body_colour), _build_end_cap(sheet[-1][::-1], body_colour)]
     under = boxes((-1.85, -0.7, 0.24), (1.85, 0.7, 0.62))  # hides the ground through the arches
-    return [*_cut(sheet, slots), *ends, painted(under, TYRE, len(BODY))]
+    return [*_split_by_colour(sheet, slots), *ends, paint(under, TYRE, len(CAR_COLOURS))]
 
 
-def _wheels() -> list[Shape]:
+def _build_wheels() -> list[Shape]:
     tyre = lathe(
         [(0.19, 0.0), (0.27, -0.012), (0.30, 0.01), (WHEEL, 0.04), (WHEEL, 0.14), (0.29, 0.19)], 32
     )
@@ -117,20 +126,22 @@ def _wheels() -> list[Shape]:
         lathe([(0.05, -0.015), (0.10, -0.012), (0.19, 0.012)], 24),
         lathe([(0.19, 0.0), (0.20, -0.01), (0.21, 0.0)], 24),
     )
-    rim = merge(hub, placed(disc(0.052, 0.016, 16), (0, 0, 0), rotation((1, 0, 0), np.pi)))
+    rim = merge(
+        hub, transform(disc(0.052, 0.016, 16), (0, 0, 0), rotation_matrix((1, 0, 0), np.pi))
+    )
     parts = []
     for axle in AXLES:
         for mirror in (0.0, np.pi):
-            turn = rotation((0, 0, 1), mirror) @ rotation((1, 0, 0), -np.pi / 2)
+            turn = rotation_matrix((0, 0, 1), mirror) @ rotation_matrix((1, 0, 0), -np.pi / 2)
             at = (axle, 0.80 if mirror else -0.80, WHEEL)
             parts += [
-                painted(placed(merge(tyre, back), at, turn), TYRE, len(BODY)),
-                painted(placed(rim, at, turn), BRIGHT, len(BODY)),
+                paint(transform(merge(tyre, back), at, turn), TYRE, len(CAR_COLOURS)),
+                paint(transform(rim, at, turn), BRIGHT, len(CAR_COLOURS)),
             ]
     return parts
 
 
-def _between(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _resample_stations(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """`count` stations, evenly along the car, with their corners rounded off."""
     x = np.linspace(stations[0, 0], stations[-1, 0], count)
     columns = [np.interp(x, stations[:, 0], column) for column in stations.T[1:]]
@@ -139,7 +150,7 @@ def _between(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     return np.stack([x, *rounded], -1)
 
 
-def _cut(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:
+def _split_by_colour(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:
     """The cells of a sheet [rows columns 3] in shapes of one colour each."""
     rows, columns = sheet.shape[:2]
     first = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
@@ -151,15 +162,17 @@ def _cut(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:
         used, faces = np.unique(faces, return_inverse=True)
         vertices = sheet.reshape(-1, 3)[used].astype(np.float32)
         shape = Shape(vertices, faces.reshape(-1, 3).astype(np.uint32), vertices[:, :2])
-        shapes.append(painted(shape, int(slot), len(BODY)))
+        shapes.append(paint(shape, int(slot), len(CAR_COLOURS)))
     return shapes
 
 
-def _lid(outline: NDArray[np.float64], coat: int) -> Shape:
+def _build_end_cap(outline: NDArray[np.float64], body_colour: int) -> Shape:
     """A flat end of the hull."""
     middle = outline.mean(0, keepdims=True)
     vertices = np.concatenate([outline, middle]).astype(np.float32)
     first = np.arange(len(outline))
     faces = np.stack([first, np.roll(first, -1), np.full(len(outline), len(outline))], -1)
     faces = faces[:, ::-1]
-    return painted(Shape(vertices, faces.astype(np.uint32), vertices[:, :2]), coat, len(BODY))
+    return paint(
+        Shape(vertices, faces.astype(np.uint32), vertices[:, :2]), body_colour, len(CAR_COLOURS)
+    )

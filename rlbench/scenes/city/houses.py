@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.city.windows import CELLS, behind
-from rlbench.scenes.parts.shapes import Floats, Shape, boxes, merge, painted, quads
+from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
+from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, paint, quads
 
 FLOOR, BAY = 3.1, 2.4  # metres: height of a storey, width of a window bay
-PAINTS = (
+HOUSE_COLOURS = (
     (0.06, 0.16, 0.12),  # 0 shutters
     (0.05, 0.10, 0.22),
     (0.30, 0.05, 0.04),
@@ -25,12 +25,12 @@ PAINTS = (
 )
 
 
-def house(random: np.random.Generator, bays: int, floors: int) -> dict[str, Shape]:
+def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[str, Shape]:
     """A house front from x = 0 that faces -y: shop, storeys of windows, cornice and slate roof."""
     width, shop, depth = bays * BAY, 3.9, 0.32
-    top = shop + floors * FLOOR
+    top = shop + storeys * FLOOR
     middles = BAY * (np.arange(bays) + 0.5)
-    x, z = (grid.ravel() for grid in np.meshgrid(middles, shop + FLOOR * np.arange(floors)))
+    x, z = (grid.ravel() for grid in np.meshgrid(middles, shop + FLOOR * np.arange(storeys)))
     half = 0.55  # of a window, metres
     level, wall_z = np.zeros_like(x), np.zeros(bays + 1)
 
@@ -38,18 +38,20 @@ def house(random: np.random.Generator, bays: int, floors: int) -> dict[str, Shap
     piers = boxes(
         np.stack([edges[0], wall_z, wall_z + shop], -1),
         np.stack([edges[1], wall_z + depth, wall_z + top], -1),
-        tile=2.0,
+        tile_size=2.0,
     )
     sill, head = z + 0.75, z + 2.55
     below = boxes(
-        np.stack([x - half, level, z], -1), np.stack([x + half, level + depth, sill], -1), tile=2.0
+        np.stack([x - half, level, z], -1),
+        np.stack([x + half, level + depth, sill], -1),
+        tile_size=2.0,
     )
     above = boxes(
         np.stack([x - half, level, head], -1),
         np.stack([x + half, level + depth, z + FLOOR], -1),
-        tile=2.0,
+        tile_size=2.0,
     )
-    body = boxes((0, depth + 0.1, 0), (width, 9, top), tile=2.0)
+    body = boxes((0, depth + 0.1, 0), (width, 9, top), tile_size=2.0)
 
     sills = boxes(
         np.stack([x - 0.72, level - 0.14, sill - 0.1], -1),
@@ -70,17 +72,22 @@ def house(random: np.random.Generator, bays: int, floors: int) -> dict[str, Shap
             None, (width, 9, 99)
         ),
     )
-    glass = _panes(random, x, sill, head, middles, depth)
+    glass = _build_panes(random, x, sill, head, middles, depth)
     return {
         "wall": merge(piers, below, above, body),
         "trim": merge(sills, bars, bands, posts),
         "glass": glass,
-        "paint": merge(*_dressing(random, x, sill, head, width, top)),
+        "paint": merge(*_build_facade_details(random, x, sill, head, width, top)),
     }
 
 
-def _panes(
-    random: np.random.Generator, x: Floats, sill: Floats, head: Floats, doors: Floats, depth: float
+def _build_panes(
+    random: np.random.Generator,
+    x: Float32Array,
+    sill: Float32Array,
+    head: Float32Array,
+    doors: Float32Array,
+    depth: float,
 ) -> Shape:
     """Windows and shop fronts, each with a cell of the atlas `windows` behind its glass."""
     half = 0.55
@@ -88,20 +95,28 @@ def _panes(
     tall = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
     upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), tall, 0)
     front = np.stack([doors - BAY / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
-    lower = quads(front, (BAY, 0, 0), (0, 0, 3.6), tile=0)
+    lower = quads(front, (BAY, 0, 0), (0, 0, 3.6), tile_size=0)
     cells = np.concatenate(
-        [random.integers(0, CELLS * (CELLS - 2), len(x)), random.integers(CELLS, size=len(doors))]
+        [
+            random.integers(0, ATLAS_CELLS * (ATLAS_CELLS - 2), len(x)),
+            random.integers(ATLAS_CELLS, size=len(doors)),
+        ]
     )
-    cells[len(x) :] += CELLS * (CELLS - 1)  # shops have the last row
-    return behind(merge(upper, lower), cells)
+    cells[len(x) :] += ATLAS_CELLS * (ATLAS_CELLS - 1)  # shops have the last row
+    return show_atlas_cells(merge(upper, lower), cells)
 
 
-def _dressing(
-    random: np.random.Generator, x: Floats, sill: Floats, head: Floats, width: float, top: float
+def _build_facade_details(
+    random: np.random.Generator,
+    x: Float32Array,
+    sill: Float32Array,
+    head: Float32Array,
+    width: float,
+    top: float,
 ) -> list[Shape]:
     """Shutters, an awning above each shop window, the roof and its chimneys."""
     shut = random.integers(3)
-    of = len(PAINTS)
+    of = len(HOUSE_COLOURS)
     left = np.stack([x - 1.05, np.full_like(x, -0.07), sill], -1)
     leaf = np.stack([np.full_like(x, 0.48), np.full_like(x, 0.06), head - sill], -1)
     shutters = boxes(
@@ -116,8 +131,8 @@ def _dressing(
     pots = random.uniform(0.8, width - 1.2, 3)
     low = np.stack([pots, np.full(3, 1.6), np.full(3, top)], -1)
     return [
-        painted(shutters, shut, of),
-        painted(awning, colour, of),
-        painted(roof, 3, of),
-        painted(boxes(low, low + (0.8, 0.6, 3.6)), 2, of),
+        paint(shutters, shut, of),
+        paint(awning, colour, of),
+        paint(roof, 3, of),
+        paint(boxes(low, low + (0.8, 0.6, 3.6)), 2, of),
     ]

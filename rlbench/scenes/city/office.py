@@ -4,34 +4,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import Shape, lathe, merge, placed, quads
+from rlbench.scenes.parts.shapes import Shape, lathe, merge, quads, transform
 
 RADIUS, STOREY, STOREYS = 7.5, 3.4, 7  # metres, metres, count
-PANES = 44  # around
-LOBBY = 4.4  # metres: height of the ground floor
+PANES_PER_STOREY = 44  # around
+LOBBY_HEIGHT = 4.4  # metres: height of the ground floor
 
 
-def panes(random: np.random.Generator, x: float, y: float) -> Shape:
+def build_panes(random: np.random.Generator, x: float, y: float) -> Shape:
     """Glass quads about the tower's axis, each tilted by a fraction of a degree; uv stretched."""
-    angle = np.arange(PANES) * (2 * np.pi / PANES)
-    low = np.concatenate([[0.15], LOBBY + STOREY * np.arange(STOREYS)])
-    high = np.concatenate([[LOBBY], LOBBY + STOREY * (np.arange(STOREYS) + 1)])
+    angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
+    low = np.concatenate([[0.15], LOBBY_HEIGHT + STOREY * np.arange(STOREYS)])
+    high = np.concatenate([[LOBBY_HEIGHT], LOBBY_HEIGHT + STOREY * (np.arange(STOREYS) + 1)])
     a, bottom = (grid.ravel() for grid in np.meshgrid(angle, low))
     _, top = (grid.ravel() for grid in np.meshgrid(angle, high))
     start = np.stack([x + RADIUS * np.cos(a), y + RADIUS * np.sin(a), bottom], -1)
-    b = a + 2 * np.pi / PANES
+    b = a + 2 * np.pi / PANES_PER_STOREY
     end = np.stack([x + RADIUS * np.cos(b), y + RADIUS * np.sin(b), bottom], -1)
     up = np.stack([np.zeros_like(a), np.zeros_like(a), top - bottom], -1)
-    out = np.stack([np.cos(a + np.pi / PANES), np.sin(a + np.pi / PANES), 0 * a], -1)
+    out = np.stack(
+        [np.cos(a + np.pi / PANES_PER_STOREY), np.sin(a + np.pi / PANES_PER_STOREY), 0 * a], -1
+    )
     lean = random.normal(0, 0.005, (len(a), 1)) * out  # metres per metre
     skew = random.normal(0, 0.008, (len(a), 1)) * out
-    return quads(start, end - start + skew, up + lean * up[:, 2:], tile=0)
+    return quads(start, end - start + skew, up + lean * up[:, 2:], tile_size=0)
 
 
-def frame(x: float, y: float) -> Shape:
+def build_frame(x: float, y: float) -> Shape:
     """Mullions between the panes, a band at each floor, and a crown."""
-    angle = np.arange(PANES) * (2 * np.pi / PANES)
-    top = LOBBY + STOREY * STOREYS
+    angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
+    top = LOBBY_HEIGHT + STOREY * STOREYS
     width, depth = 0.05, 0.16
     out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], -1)
@@ -50,12 +52,13 @@ def frame(x: float, y: float) -> Shape:
                 (RADIUS + 0.12, z + 0.16),
                 (RADIUS, z + 0.16),
             ],
-            PANES,
+            PANES_PER_STOREY,
         )
-        for z in LOBBY + STOREY * np.arange(STOREYS + 1)
+        for z in LOBBY_HEIGHT + STOREY * np.arange(STOREYS + 1)
     ]
     eaves = RADIUS + 0.9
     crown = lathe(
-        [(RADIUS + 0.1, top), (eaves, top + 0.35), (eaves, top + 0.6), (0.5, top + 0.8)], PANES
+        [(RADIUS + 0.1, top), (eaves, top + 0.35), (eaves, top + 0.6), (0.5, top + 0.8)],
+        PANES_PER_STOREY,
     )
-    return merge(*spokes, *(placed(part, (x, y, 0)) for part in (*bands, crown)))
+    return merge(*spokes, *(transform(part, (x, y, 0)) for part in (*bands, crown)))

@@ -8,12 +8,20 @@ import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.city import trees
-from rlbench.scenes.city.car import car
-from rlbench.scenes.city.square import ORBIT, buildings, coating, paving
-from rlbench.scenes.city.trees import GREENS, Tree
-from rlbench.scenes.parts.shapes import Floats, Shape, merge, painted, placed, quads, yaw
-from rlbench.scenes.parts.takes import cut, static
-from rlbench.scenes.parts.textures import palette
+from rlbench.scenes.city.car import build_car
+from rlbench.scenes.city.square import ROAD_RADIUS, building_meshes, car_paint_bsdf, paving_meshes
+from rlbench.scenes.city.trees import LEAF_COLOURS, Tree
+from rlbench.scenes.parts.shapes import (
+    Float32Array,
+    Shape,
+    merge,
+    paint,
+    quads,
+    transform,
+    yaw_matrix,
+)
+from rlbench.scenes.parts.takes import cut_take, static_camera_take
+from rlbench.scenes.parts.textures import palette_texture
 
 TREES = (
     Tree(-5.0, -6.9, 6.8, 2.3, 3200),
@@ -25,7 +33,7 @@ TREES = (
     Tree(-14.8, 2.6, 7.6, 2.6),
     Tree(-15.4, 11.0, 8.8, 2.8, 2400),
 )
-FLAGS = ((0.62, 0.10, 0.07), (0.78, 0.52, 0.10), (0.08, 0.26, 0.46), (0.76, 0.74, 0.68))
+FLAG_COLOURS = ((0.62, 0.10, 0.07), (0.78, 0.52, 0.10), (0.08, 0.26, 0.46), (0.76, 0.74, 0.68))
 
 
 def scene() -> Scene:
@@ -34,7 +42,7 @@ def scene() -> Scene:
     return Scene(
         name="city",
         title="City: a square with trees in the sun",
-        meshes=(*paving(random), *buildings(random, TREES), *_movers(0.0)),
+        meshes=(*paving_meshes(random), *building_meshes(random, TREES), *_moving_meshes(0.0)),
         camera=_camera,
         sky=(
             {
@@ -45,9 +53,12 @@ def scene() -> Scene:
                 "sky_scale": 1.0,
             },
         ),
-        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
+        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _moving_meshes(time)},
         exposure=5.0,
-        takes=(static(_camera, 40.0), cut(_camera, _balcony, "sky0", 1.0, 0.3)),  # a cloud
+        takes=(
+            static_camera_take(_camera, 40.0),
+            cut_take(_camera, _balcony_camera, "sky0", 1.0, 0.3),
+        ),  # a cloud
     )
 
 
@@ -57,17 +68,17 @@ def _camera(time: float) -> Camera:
     return Camera(origin, (1.2 * np.sin(time / 27), 3.0, 4.0), fov=66)
 
 
-def _balcony(time: float) -> Camera:
+def _balcony_camera(time: float) -> Camera:
     """From above, at a corner of the square, moving along it."""
     return Camera((10.8 - 0.08 * time, -12.5, 7.0), (-3.0, 2.5 + 0.05 * time, 2.5), fov=66)
 
 
-def _movers(time: float) -> tuple[Mesh, ...]:
+def _moving_meshes(time: float) -> tuple[Mesh, ...]:
     """The leaves and flags in the wind, and the car."""
-    return (_foliage(time), _car(time))
+    return (_foliage_mesh(time), _car_mesh(time))
 
 
-def _foliage(time: float) -> Mesh:
+def _foliage_mesh(time: float) -> Mesh:
     rest, softness = _foliage_at_rest()
     wind = 2 * np.pi * time / 46 + 0.35 * rest.vertices[:, 0] + 0.2 * rest.vertices[:, 1]
     flutter = 2 * np.pi * time / 11 + 12.9 * rest.vertices[:, 0] + 7.3 * rest.vertices[:, 2]
@@ -76,7 +87,7 @@ def _foliage(time: float) -> Mesh:
     vertices = (rest.vertices + shift).astype(np.float32)
     thin = {
         "type": "principledthin",
-        "base_color": palette(GREENS + FLAGS),
+        "base_color": palette_texture(LEAF_COLOURS + FLAG_COLOURS),
         "roughness": 0.6,
         "diff_trans": 0.8,
     }
@@ -84,36 +95,39 @@ def _foliage(time: float) -> Mesh:
 
 
 @cache
-def _foliage_at_rest() -> tuple[Shape, Floats]:
+def _foliage_at_rest() -> tuple[Shape, Float32Array]:
     """Leaves and flags without wind, and for each vertex how far the wind may push it, 0..1."""
-    of = len(GREENS + FLAGS)
-    green = trees.leaves(TREES, of)
+    of = len(LEAF_COLOURS + FLAG_COLOURS)
+    green = trees.build_leaves(TREES, of)
     flags = [
-        _bunting(a, b) for a, b in (((-14, 2, 9), (13, 14, 10)), ((-13, 13, 10.5), (14, 1, 9)))
+        _build_bunting(a, b)
+        for a, b in (((-14, 2, 9), (13, 14, 10)), ((-13, 13, 10.5), (14, 1, 9)))
     ]
     rest = merge(green, *flags)
     soft = np.concatenate(
         [
-            trees.softness(green),
+            trees.wind_response(green),
             *(np.tile([0.2, 0.2, 2.0, 2.0], len(flag.vertices) // 4) for flag in flags),
         ]
     )
     return rest, soft.astype(np.float32)
 
 
-def _bunting(start: tuple[float, float, float], end: tuple[float, float, float]) -> Shape:
+def _build_bunting(start: tuple[float, float, float], end: tuple[float, float, float]) -> Shape:
     """A sagging line of flags, each a quad that hangs from its first two corners."""
     share = np.linspace(0, 1, 40)[:, None]
     line = np.array(start) * (1 - share) + np.array(end) * share
     line[:, 2] -= 4 * 1.8 * share[:, 0] * (1 - share[:, 0])
     across = np.diff(line, axis=0) * 0.75
     flags = quads(line[:-1], across, (0.0, 0.0, -0.55))
-    slots = len(GREENS) + np.arange(len(across)) % len(FLAGS)
-    return painted(flags, slots.repeat(4), len(GREENS + FLAGS))
+    slots = len(LEAF_COLOURS) + np.arange(len(across)) % len(FLAG_COLOURS)
+    return paint(flags, slots.repeat(4), len(LEAF_COLOURS + FLAG_COLOURS))
 
 
-def _car(time: float) -> Mesh:
+def _car_mesh(time: float) -> Mesh:
     """The car at a time, on its circle about the fountain."""
     angle = 2 * np.pi * time / 190 - 2.3
-    at = (ORBIT * np.cos(angle), ORBIT * np.sin(angle), 0.02)
-    return placed(car(), at, yaw(angle + np.pi / 2)).mesh("car", coating(), smooth=True)
+    at = (ROAD_RADIUS * np.cos(angle), ROAD_RADIUS * np.sin(angle), 0.02)
+    return transform(build_car(), at, yaw_matrix(angle + np.pi / 2)).to_mesh(
+        "car", car_paint_bsdf(), smooth=True
+    )

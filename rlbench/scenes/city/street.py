@@ -9,33 +9,36 @@ from numpy.typing import NDArray
 
 from rlbench.scenes.parts.shapes import (
     Shape,
-    ball,
     boxes,
     disc,
+    icosphere,
     lathe,
     merge,
-    painted,
-    placed,
+    paint,
     quads,
-    rotation,
-    yaw,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
 )
 
-Spots = tuple[tuple[float, float], ...]
+Positions = tuple[tuple[float, float], ...]
 
 
-def posts(spots: Spots) -> Shape:
+def build_lamp_posts(spots: Positions) -> Shape:
     """Cast-iron lamp posts with two arms, each with a glass globe's cage."""
-    arm = [placed(_arc(0.5, 0.032), (0, 0, 3.55), yaw(turn)) for turn in (0.0, np.pi)]
+    arm = [
+        transform(_build_lamp_arm(0.5, 0.032), (0, 0, 3.55), yaw_matrix(turn))
+        for turn in (0.0, np.pi)
+    ]
     lantern = lathe([(0.05, -0.30), (0.10, -0.28), (0.17, 0.06), (0.20, 0.08), (0.03, 0.25)], 6)
-    hung = [placed(lantern, (x, 0, 3.52)) for x in (-1.0, 1.0)]
+    hung = [transform(lantern, (x, 0, 3.52)) for x in (-1.0, 1.0)]
     base = [(0.24, 0), (0.24, 0.08), (0.15, 0.14), (0.15, 0.6), (0.10, 0.68), (0.065, 0.8)]
     shaft = [(0.05, 3.3), (0.09, 3.34), (0.09, 3.42), (0.05, 3.46), (0.04, 4.1), (0.005, 4.3)]
     post = merge(lathe(base + shaft, 14), *arm, *hung)
-    return merge(*(placed(post, (x, y, 0), yaw(0.4 * x)) for x, y in spots))
+    return merge(*(transform(post, (x, y, 0), yaw_matrix(0.4 * x)) for x, y in spots))
 
 
-def _arc(radius: float, thick: float) -> Shape:
+def _build_lamp_arm(radius: float, thick: float) -> Shape:
     """A pipe that rises from the origin and bends over to x = 2 radius, in the plane y = 0."""
     angle = np.linspace(np.pi, 0.0, 13)
     middle = np.stack([radius + radius * np.cos(angle), 0 * angle, 0.6 * np.sin(angle)], -1)
@@ -52,7 +55,9 @@ def _arc(radius: float, thick: float) -> Shape:
     )
 
 
-def benches(places: tuple[tuple[float, float, float], ...], slot: int, iron: int, of: int) -> Shape:
+def build_benches(
+    places: tuple[tuple[float, float, float], ...], slot: int, iron: int, of: int
+) -> Shape:
     """Slatted benches at (x, y, yaw), which face their own -y."""
     slats = boxes(
         [(-0.9, y, 0.43) for y in (-0.22, -0.07, 0.08)]
@@ -64,41 +69,45 @@ def benches(places: tuple[tuple[float, float, float], ...], slot: int, iron: int
         [(x, y, 0) for x in (-0.75, 0.7) for y in (-0.2, 0.2)],
         [(x + 0.05, y + 0.05, 0.43 if y < 0 else 0.9) for x in (-0.75, 0.7) for y in (-0.2, 0.2)],
     )
-    bench = merge(painted(slats, slot, of), painted(legs, iron, of))
-    return merge(*(placed(bench, (x, y, 0), yaw(turn)) for x, y, turn in places))
+    bench = merge(paint(slats, slot, of), paint(legs, iron, of))
+    return merge(*(transform(bench, (x, y, 0), yaw_matrix(turn)) for x, y, turn in places))
 
 
-def bollards(spots: Spots) -> Shape:
+def build_bollards(spots: Positions) -> Shape:
     """Low iron posts with a round head."""
     foot, head = [(0.08, 0), (0.08, 0.1), (0.05, 0.15)], [(0.06, 0.68), (0.05, 0.76), (0.01, 0.8)]
     bollard = lathe([*foot, (0.04, 0.64), *head], 12)
-    return merge(*(placed(bollard, (x, y, 0)) for x, y in spots))
+    return merge(*(transform(bollard, (x, y, 0)) for x, y in spots))
 
 
-def terrace(spots: Spots, cloth: tuple[int, int], wood: int, iron: int, of: int) -> Shape:
+def build_cafe_tables(
+    spots: Positions, cloth: tuple[int, int], wood: int, iron: int, of: int
+) -> Shape:
     """Round tables with three chairs under a striped parasol; slots of a palette of `of`."""
     top = merge(
-        placed(disc(0.42, 0, 24), (0, 0, 0.74)),
+        transform(disc(0.42, 0, 24), (0, 0, 0.74)),
         lathe([(0.42, 0.70), (0.42, 0.74)], 24),
     )
     pole = lathe([(0.26, 0.0), (0.25, 0.06), (0.03, 0.08), (0.024, 2.5)], 10)
-    parts = [painted(top, wood, of), painted(pole, iron, of), _parasol(cloth, of)]
-    chair = _chair(wood, iron, of)
+    parts = [paint(top, wood, of), paint(pole, iron, of), _build_parasol(cloth, of)]
+    chair = _build_chair(wood, iron, of)
     for turn in (0.3, 2.5, 4.4):
-        parts.append(placed(chair, (-0.75 * np.sin(turn), 0.75 * np.cos(turn), 0), yaw(turn)))
+        parts.append(
+            transform(chair, (-0.75 * np.sin(turn), 0.75 * np.cos(turn), 0), yaw_matrix(turn))
+        )
     table = merge(*parts)
-    return merge(*(placed(table, (x, y, 0), yaw(x + y)) for x, y in spots))
+    return merge(*(transform(table, (x, y, 0), yaw_matrix(x + y)) for x, y in spots))
 
 
-def _chair(wood: int, iron: int, of: int) -> Shape:
+def _build_chair(wood: int, iron: int, of: int) -> Shape:
     seat = boxes([(-0.2, -0.2, 0.43), (-0.2, 0.17, 0.6)], [(0.2, 0.2, 0.46), (0.2, 0.2, 0.86)])
     feet = np.array([(x, y, 0) for x in (-0.2, 0.17) for y in (-0.2, 0.17)])
     tall = np.where(feet[:, 1] > 0, 0.86, 0.44)
     legs = boxes(feet, feet + np.stack([0 * tall + 0.03, 0 * tall + 0.03, tall], -1))
-    return merge(painted(seat, wood, of), painted(legs, iron, of))
+    return merge(paint(seat, wood, of), paint(legs, iron, of))
 
 
-def _parasol(cloth: tuple[int, int], of: int) -> Shape:
+def _build_parasol(cloth: tuple[int, int], of: int) -> Shape:
     """Eight gores of two colours and a hanging rim."""
     sides = 16
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
@@ -114,21 +123,21 @@ def _parasol(cloth: tuple[int, int], of: int) -> Shape:
         gore = quads(lower[:-1], lower[1:] - lower[:-1], upper[:-1] - lower[:-1])
         gore.vertices.reshape(-1, 4, 3)[:, 2] = upper[1:]
         slots = np.array(cloth)[np.arange(sides) // 2 % 2].repeat(4)
-        parts.append(painted(gore, slots, of))
+        parts.append(paint(gore, slots, of))
     return merge(*parts)
 
 
-def planters(
-    random: np.random.Generator, spots: Spots, box: int, blooms: tuple[int, ...], of: int
+def build_planters(
+    random: np.random.Generator, spots: Positions, box: int, blooms: tuple[int, ...], of: int
 ) -> Shape:
     """Wooden boxes full of small flowers."""
     parts = []
     for x, y in spots:
         crate = boxes((x - 0.6, y - 0.25, 0), (x + 0.6, y + 0.25, 0.5))
-        parts.append(painted(crate, box, of))
+        parts.append(paint(crate, box, of))
         for _ in range(90):
             at = random.uniform((x - 0.58, y - 0.23, 0.48), (x + 0.58, y + 0.23, 0.75))
-            turn = rotation(random.normal(size=3), random.uniform(0, 3))
-            flower = placed(ball(0), at, turn, random.uniform(0.03, 0.07))
-            parts.append(painted(flower, random.choice(blooms), of))
+            turn = rotation_matrix(random.normal(size=3), random.uniform(0, 3))
+            flower = transform(icosphere(0), at, turn, random.uniform(0.03, 0.07))
+            parts.append(paint(flower, random.choice(blooms), of))
     return merge(*parts)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import Floats, Shape, merge, painted
+from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, paint
 
-GREENS = (
+LEAF_COLOURS = (
     (0.05, 0.14, 0.025),
     (0.07, 0.18, 0.03),
     (0.10, 0.23, 0.035),
@@ -26,41 +26,46 @@ class Tree(NamedTuple):
     x: float
     y: float
     height: float = 6.5
-    spread: float = 2.3  # radius of the crown
-    leaves: int = 2600
+    crown_radius: float = 2.3  # radius of the crown
+    leaf_count: int = 2600
 
 
-class _Twig(NamedTuple):
+class _Branch(NamedTuple):
     """A tapered piece of wood between two points."""
 
     start: NDArray[np.float64]
     end: NDArray[np.float64]
-    thick: float  # metres: radius at the start
-    thin: float
+    start_radius: float  # metres: radius at the start
+    end_radius: float
 
 
-def wood(trees: Sequence[Tree], seed: int = 5) -> Shape:
+def build_trunks(trees: Sequence[Tree], seed: int = 5) -> Shape:
     """The trunks and boughs of `trees`, open tubes; texture runs along them."""
     return merge(
         *(
-            _tube(twig, 9 if twig.thick > 0.09 else 5)
+            _build_tube(twig, 9 if twig.start_radius > 0.09 else 5)
             for number, tree in enumerate(trees)
-            for twig in _skeleton(tree, np.random.default_rng((seed, number)))
+            for twig in _grow_branches(tree, np.random.default_rng((seed, number)))
         )
     )
 
 
-def leaves(trees: Sequence[Tree], of: int, seed: int = 5) -> Shape:
+def build_leaves(trees: Sequence[Tree], palette_size: int, seed: int = 5) -> Shape:
     """The leaves of `trees`, each two triangles folded along its rib, in slots 0 .. 5 of `of`."""
     return merge(
         *(
-            _leaves(tree, _skeleton(tree, np.random.default_rng((seed, n))), of, (seed, n, 1))
+            _grow_leaves(
+                tree,
+                _grow_branches(tree, np.random.default_rng((seed, n))),
+                palette_size,
+                (seed, n, 1),
+            )
             for n, tree in enumerate(trees)
         )
     )
 
 
-def _skeleton(tree: Tree, random: np.random.Generator) -> list[_Twig]:
+def _grow_branches(tree: Tree, random: np.random.Generator) -> list[_Branch]:
     """Trunk, boughs and twigs of a tree; the twigs, which carry the leaves, come last."""
     fork = 0.36 * tree.height
     foot = np.array([tree.x, tree.y, 0.0])
@@ -69,31 +74,35 @@ def _skeleton(tree: Tree, random: np.random.Generator) -> list[_Twig]:
     crotch = foot + lean * 0.3 + (0, 0, fork)
     girth = 0.026 * tree.height
     parts = [
-        _Twig(foot, knee, 1.6 * girth, 1.05 * girth),
-        _Twig(knee, crotch, 1.05 * girth, 0.85 * girth),
+        _Branch(foot, knee, 1.6 * girth, 1.05 * girth),
+        _Branch(knee, crotch, 1.05 * girth, 0.85 * girth),
     ]
     boughs, twigs = [], []
     for number in range(7):
         turn = 2.4 * number + random.uniform(-0.3, 0.3)
         rise = random.uniform(0.35, 0.75) if number else 1.3
         ahead = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
-        reach = (0.62 if number else 0.8) * np.array([tree.spread, tree.spread, tree.height - fork])
+        reach = (0.62 if number else 0.8) * np.array(
+            [tree.crown_radius, tree.crown_radius, tree.height - fork]
+        )
         end = crotch + ahead * reach * random.uniform(0.85, 1.1)
-        boughs.append(_Twig(crotch, end, 0.55 * girth, 0.22 * girth))
+        boughs.append(_Branch(crotch, end, 0.55 * girth, 0.22 * girth))
         for _ in range(6):
             share = random.uniform(0.45, 1.0)
             start = crotch + share * (end - crotch)
             out = ahead + random.normal(0, 0.75, 3) + (0, 0, 0.25)
-            length = random.uniform(0.25, 0.45) * tree.spread
+            length = random.uniform(0.25, 0.45) * tree.crown_radius
             tip = start + out / np.linalg.norm(out) * length
             tip[2] = max(tip[2], 0.8 * fork)
-            twigs.append(_Twig(start, tip, 0.16 * girth, 0.05 * girth))
+            twigs.append(_Branch(start, tip, 0.16 * girth, 0.05 * girth))
     return parts + boughs + twigs
 
 
-def _leaves(tree: Tree, twigs: list[_Twig], of: int, seed: tuple[int, ...]) -> Shape:
+def _grow_leaves(
+    tree: Tree, twigs: list[_Branch], palette_size: int, seed: tuple[int, ...]
+) -> Shape:
     random = np.random.default_rng(seed)
-    count = tree.leaves
+    count = tree.leaf_count
     chosen = random.integers(len(twigs) - 42, len(twigs), count)  # the last 42 are twigs
     start = np.array([twig.start for twig in twigs])[chosen]
     end = np.array([twig.end for twig in twigs])[chosen]
@@ -101,7 +110,7 @@ def _leaves(tree: Tree, twigs: list[_Twig], of: int, seed: tuple[int, ...]) -> S
     away = random.normal(size=(count, 3))
     away *= (
         0.17
-        * tree.spread
+        * tree.crown_radius
         * random.uniform(0.1, 1, (count, 1))
         / np.linalg.norm(away, axis=1, keepdims=True)
     )
@@ -132,15 +141,17 @@ def _leaves(tree: Tree, twigs: list[_Twig], of: int, seed: tuple[int, ...]) -> S
     slot = np.clip(np.round(lightness + 1), 0, 3).astype(int)
     odd = random.uniform(size=count)
     slot = np.where(odd < 0.12, 4, np.where(odd > 0.94, 5, slot))
-    return painted(shape, slot.repeat(4), of)
+    return paint(shape, slot.repeat(4), palette_size)
 
 
-def softness(shape: Shape, low: float = 2.0, range_: float = 4.0) -> Floats:
+def wind_response(shape: Shape, base_height: float = 2.0, ramp_height: float = 4.0) -> Float32Array:
     """How far the wind may push each vertex of leaves, 0.2..1: more with height."""
-    return np.asarray(np.clip((shape.vertices[:, 2] - low) / range_, 0.2, 1), np.float32)
+    return np.asarray(
+        np.clip((shape.vertices[:, 2] - base_height) / ramp_height, 0.2, 1), np.float32
+    )
 
 
-def _tube(twig: _Twig, sides: int) -> Shape:
+def _build_tube(twig: _Branch, sides: int) -> Shape:
     """An open, tapered tube; faces outward."""
     axis = twig.end - twig.start
     length = float(np.linalg.norm(axis))
@@ -149,7 +160,9 @@ def _tube(twig: _Twig, sides: int) -> Shape:
     other = np.cross(axis / length, across)
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
-    vertices = np.concatenate([twig.start + twig.thick * ring, twig.end + twig.thin * ring])
+    vertices = np.concatenate(
+        [twig.start + twig.start_radius * ring, twig.end + twig.end_radius * ring]
+    )
     first = np.arange(sides)
     up = first + sides + 1
     faces = np.concatenate(

@@ -8,54 +8,54 @@ from numpy.typing import NDArray
 from rlbench.scenes.parts.shapes import Shape
 from rlbench.scenes.parts.textures import Pixels
 
-Floats = NDArray[np.float64]
-CELLS = 6  # of the atlas, along each side
-CLOTHS = ((0.60, 0.57, 0.50), (0.50, 0.30, 0.22), (0.35, 0.40, 0.42))
-FRONTS = ((0.05, 0.14, 0.12), (0.20, 0.05, 0.05), (0.06, 0.08, 0.16), (0.16, 0.11, 0.05))
+Float64Array = NDArray[np.float64]
+ATLAS_CELLS = 6  # of the atlas, along each side
+CURTAIN_COLOURS = ((0.60, 0.57, 0.50), (0.50, 0.30, 0.22), (0.35, 0.40, 0.42))
+SHOP_COLOURS = ((0.05, 0.14, 0.12), (0.20, 0.05, 0.05), (0.06, 0.08, 0.16), (0.16, 0.11, 0.05))
 
 
-def behind(glass: Shape, cells: NDArray[np.int64]) -> Shape:
+def show_atlas_cells(glass: Shape, cells: NDArray[np.int64]) -> Shape:
     """Panes, four vertices each, before cells of the atlas `windows`, which count row by row."""
-    corner = np.stack([cells % CELLS, cells // CELLS], -1).repeat(4, 0)
-    return glass._replace(uv=((corner + 0.02 + 0.96 * glass.uv) / CELLS).astype(np.float32))
+    corner = np.stack([cells % ATLAS_CELLS, cells // ATLAS_CELLS], -1).repeat(4, 0)
+    return glass._replace(uv=((corner + 0.02 + 0.96 * glass.uv) / ATLAS_CELLS).astype(np.float32))
 
 
-def windows(random: np.random.Generator, size: int = 64) -> Pixels:
+def window_atlas(random: np.random.Generator, size: int = 64) -> Pixels:
     """What is seen behind glass: CELLS x CELLS cells; the last rows are offices and shops."""
     rows = []
     at = (np.arange(size) + 0.5) / size
     v, u = np.meshgrid(at, at, indexing="ij")
-    kinds = [_room] * (CELLS - 2) + [_desk, _shop]
+    kinds = [_room_cell] * (ATLAS_CELLS - 2) + [_office_cell, _shop_cell]
     for kind in kinds:
-        rows.append(np.concatenate([kind(random, u, v) for _ in range(CELLS)], 1))
+        rows.append(np.concatenate([kind(random, u, v) for _ in range(ATLAS_CELLS)], 1))
     return np.concatenate(rows).astype(np.float32)
 
 
-def _room(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
+def _room_cell(random: np.random.Generator, u: Float64Array, v: Float64Array) -> Float64Array:
     """Curtains to both sides, perhaps a blind, before a dark room; v goes up."""
     room = np.full((*u.shape, 3), 0.012) + 0.02 * v[..., None]
-    cloth = np.array(CLOTHS)[random.integers(len(CLOTHS))]
+    cloth = np.array(CURTAIN_COLOURS)[random.integers(len(CURTAIN_COLOURS))]
     drawn = random.uniform(0.0, 0.42) + 0.06 * (1 - v) ** 2
     fold = 0.75 + 0.25 * np.sin(2 * np.pi * (14 * u + random.uniform()))
     curtain = (np.abs(u - 0.5) > 0.5 - drawn)[..., None]
     shaded = cloth * fold[..., None] * 0.7
     blind = (v > random.uniform(0.45, 1.6))[..., None]
-    slats = _slats(v) * np.array((0.50, 0.48, 0.43))
+    slats = _blind_slats(v) * np.array((0.50, 0.48, 0.43))
     return np.where(blind, slats, np.where(curtain, shaded, room))
 
 
-def _desk(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
+def _office_cell(random: np.random.Generator, u: Float64Array, v: Float64Array) -> Float64Array:
     """An office: a ceiling with lamps above a dark blue depth, and perhaps a blind."""
     depth = np.array((0.012, 0.022, 0.028)) * (1 + v[..., None])
     lamps = (v > 0.86) & (np.abs(u * 2 % 1 - 0.5) < 0.3)
     ceiling = np.where(lamps[..., None], 0.5, np.where((v > 0.8)[..., None], 0.12, depth))
     blind = (v > random.uniform(0.55, 2.2))[..., None]
-    return np.where(blind, 0.30 * _slats(v), ceiling)
+    return np.where(blind, 0.30 * _blind_slats(v), ceiling)
 
 
-def _shop(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
+def _shop_cell(random: np.random.Generator, u: Float64Array, v: Float64Array) -> Float64Array:
     """A door frame, shelves of goods, and a sign above."""
-    hue = np.array(FRONTS)[random.integers(len(FRONTS))]
+    hue = np.array(SHOP_COLOURS)[random.integers(len(SHOP_COLOURS))]
     image = np.array((0.24, 0.18, 0.12)) * (0.4 + 0.8 * v[..., None])
     shelf, column = np.floor(v * 11).astype(int), np.floor(u * 13).astype(int)
     goods = random.uniform(0.1, 0.9, (11, 13, 3)) * random.uniform(0.4, 1, (11, 13, 1))
@@ -68,5 +68,5 @@ def _shop(random: np.random.Generator, u: Floats, v: Floats) -> Floats:
     return np.where((letters & (np.abs(u - 0.5) < 0.35))[..., None], (0.75, 0.62, 0.32), image)
 
 
-def _slats(v: Floats) -> Floats:
+def _blind_slats(v: Float64Array) -> Float64Array:
     return (0.7 + 0.3 * np.sin(2 * np.pi * 24 * v))[..., None]

@@ -9,7 +9,7 @@ from numpy.random import Generator
 
 from rlbench.render.scene import Mesh, Plugin
 from rlbench.scenes.generator.places import Floats, Place
-from rlbench.scenes.parts.shapes import Shape, merge, placed, quads, rotation
+from rlbench.scenes.parts.shapes import Shape, merge, quads, rotation_matrix, transform
 
 BRIGHTNESS = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709 luminance of linear RGB
 GREY = 0.45  # mean albedo that the light estimate assumes
@@ -171,9 +171,11 @@ def _lamps(rng: Generator, place: Place, scale: float) -> Mesh:
     for k in range(int(rng.integers(1, 5) * place.lamp)):
         x, y = rng.uniform(0.5, 1.4, 2) * place.lamp
         down = quads([-x / 2, y / 2, 0], [x, 0, 0], [0, -y, 0])
-        slant = rotation(np.eye(3)[rng.integers(2)], 0 if place.roof else rng.uniform(-0.6, 0.6))
+        slant = rotation_matrix(
+            np.eye(3)[rng.integers(2)], 0 if place.roof else rng.uniform(-0.6, 0.6)
+        )
         drop = 0.02 + 0.01 * k if place.roof else rng.uniform(0, 1)
-        lamps.append(placed(down, [*rng.uniform(-spread, spread), place.top - drop], slant))
+        lamps.append(transform(down, [*rng.uniform(-spread, spread), place.top - drop], slant))
     power = rng.uniform(4, 12) * scale / place.lamp**2
     return _emissive("lamps", merge(*lamps), rgb(_white(rng) * power))
 

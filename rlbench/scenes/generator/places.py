@@ -16,11 +16,11 @@ from rlbench.scenes.parts.shapes import (
     cylinder,
     grid,
     lathe,
-    leaves,
+    leaf_cloud,
     merge,
-    placed,
-    rotation,
-    yaw,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
 )
 
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ def hall(rng: Generator, kind: str) -> Place:
     column = _column(rng, girth, height)
     rows = np.arange(-half[1] + 1.2, half[1] - 0.8, rng.uniform(1.8, 3.2))
     spots = tuple((side * aisle, float(y), 2.2 * girth) for y in rows for side in (-1, 1))
-    shell["column"] = merge(*(placed(column, [x, y, 0]) for x, y, _ in spots))
+    shell["column"] = merge(*(transform(column, [x, y, 0]) for x, y, _ in spots))
     walk = (aisle - 2 * girth - 0.3, half[1] - 0.5)
     place = Place(half, walk, (1.2, 2.6), (0.8, 0.4 * height), height, shell, spots, holes, True)
     return replace(place, near=1.6, size=1.4)
@@ -104,12 +104,12 @@ def field(rng: Generator, kind: str) -> Place:
         way = np.array([np.cos(angle), np.sin(angle)])
         if rng.random() < 0.5:
             spot = np.append(way * rng.uniform(10, 14), -0.3)  # with its foot in the ground
-            parts["block"].append(placed(stack(rng, 3 * size), spot, yaw(angle)))
+            parts["block"].append(transform(stack(rng, 3 * size), spot, yaw_matrix(angle)))
         elif rng.random() < 0.8:
             x, y = way * rng.uniform(7.5, 11)
             crown, trunk = _tree(rng, size)
-            parts["leaf"].append(placed(crown, [x, y, 0]))
-            parts["wood"].append(placed(trunk, [x, y, -0.3]))
+            parts["leaf"].append(transform(crown, [x, y, 0]))
+            parts["wood"].append(transform(trunk, [x, y, -0.3]))
             taken.append((float(x), float(y), 0.5))
     parts["ground"] = [_ground(rng)]
     shell = {name: merge(*part) for name, part in parts.items() if part}
@@ -127,7 +127,7 @@ def water(rng: Generator, kind: str) -> Place:
         holes[0] = _row(rng, 2 * half[0] - 0.5, rng.uniform(1.2, 2), 0.4, height)
         holes[4] = _row(rng, 2 * half[0] - 0.5, rng.uniform(1.2, 2), 0.3, 2 * half[1])
     walls, gaps = _walls(half, height, 0.25, holes, roof)
-    shell = {name: placed(shape, [0, 0, -deep]) for name, shape in walls.items()}
+    shell = {name: transform(shape, [0, 0, -deep]) for name, shape in walls.items()}
     shell["water"] = grid(2 * half[0] + 0.1, 2 * half[1] + 0.1, (80, 80))
     walk = (half[0] - 0.35, half[1] - 0.35)
     place = Place(half, walk, (0.8, 1.9), (-0.3, 0.4), height - deep, shell, (), gaps, roof, -deep)
@@ -142,10 +142,10 @@ def thing(rng: Generator, size: float) -> tuple[str, Shape]:
     if name == "leaf":
         radii = size * rng.uniform(0.25, 0.6, 3)
         bush = bushy(rng, int(rng.integers(150, 500)), radii, size * rng.uniform(0.08, 0.25))
-        return name, placed(bush, [0, 0, radii[2] + 0.2 * size])
+        return name, transform(bush, [0, 0, radii[2] + 0.2 * size])
     makers = (ball, ring, crate, vase) if name == "glass" else (*SOLIDS, _rods, _table)
     item = makers[rng.integers(len(makers))](rng, size)
-    return name, placed(item, [0, 0, 0], yaw(rng.uniform(0, 2 * np.pi)))
+    return name, transform(item, [0, 0, 0], yaw_matrix(rng.uniform(0, 2 * np.pi)))
 
 
 def ball(rng: Generator, size: float) -> Shape:
@@ -168,7 +168,7 @@ def ring(rng: Generator, size: float) -> Shape:
     flat = _turned(np.stack([wide + thick * np.cos(angle), thick * (1 + np.sin(angle))], -1), 36)
     if rng.random() < 0.5:
         return flat
-    return placed(flat, [0, thick, wide + thick], rotation((1, 0, 0), np.pi / 2))
+    return transform(flat, [0, thick, wide + thick], rotation_matrix((1, 0, 0), np.pi / 2))
 
 
 def crate(rng: Generator, size: float) -> Shape:
@@ -191,14 +191,14 @@ def stack(rng: Generator, size: float) -> Shape:
     for _ in range(int(rng.integers(2, 6))):
         x, y, rise = size * rng.uniform([0.3, 0.3, 0.15], [0.8, 0.8, 0.5])
         a, b, angle = rng.uniform(-1, 1, 3) * [0.06 * size, 0.06 * size, 0.5]
-        blocks.append(placed(_box(x, y, rise), [a, b, z], yaw(angle)))
+        blocks.append(transform(_box(x, y, rise), [a, b, z], yaw_matrix(angle)))
         z += rise
     return merge(*blocks)
 
 
 def bushy(rng: Generator, count: int, radii: Floats, size: float) -> Shape:
     """Loose leaves of side about `size` in an ellipsoid about the origin."""
-    foliage = leaves(rng, np.zeros((count, 3)), 1.0, size / float(radii.mean()))
+    foliage = leaf_cloud(rng, np.zeros((count, 3)), 1.0, size / float(radii.mean()))
     return foliage._replace(vertices=foliage.vertices * radii.astype(np.float32))
 
 
@@ -222,14 +222,16 @@ def _walls(
     walls = []
     for k in range(4):
         wall = _wall((x, 2 * half[1])[k % 2], height, thick, openings.get(k, []))
-        walls.append(placed(placed(wall, [0, half[1 - k % 2], 0]), 0, yaw(k * np.pi / 2)))
+        walls.append(
+            transform(transform(wall, [0, half[1 - k % 2], 0]), 0, yaw_matrix(k * np.pi / 2))
+        )
     if roof:
         flat = _wall(x, y, 0.2, openings.get(4, []))
-        walls.append(placed(flat, [0, y / 2, height], rotation((1, 0, 0), np.pi / 2)))
+        walls.append(transform(flat, [0, y / 2, height], rotation_matrix((1, 0, 0), np.pi / 2)))
     holes = []
     for k, row in openings.items():
         area = sum((o.right - o.left) * (o.high - o.low) for o in row)
-        x_out, y_out = (0.0, 0.0) if k == 4 else yaw(k * np.pi / 2)[:2, 1]
+        x_out, y_out = (0.0, 0.0) if k == 4 else yaw_matrix(k * np.pi / 2)[:2, 1]
         holes.append(Hole((float(x_out), float(y_out), float(k == 4)), float(area)))
     floor = boxes([-x / 2, -y / 2, -0.2], [x / 2, y / 2, 0])
     return {"floor": floor, "wall": merge(*walls)}, tuple(holes)
@@ -260,14 +262,14 @@ def _column(rng: Generator, girth: float, height: float) -> Shape:
     """A round or square column with foot and head."""
     foot = _box(3 * girth, 3 * girth, 0.25)
     shaft = cylinder(girth, 0, height) if rng.random() < 0.6 else _box(2 * girth, girth, height)
-    return merge(foot, shaft, placed(foot, [0, 0, height - 0.25]))
+    return merge(foot, shaft, transform(foot, [0, 0, height - 0.25]))
 
 
 def _tree(rng: Generator, size: float) -> tuple[Shape, Shape]:
     """Crown of leaves and trunk."""
     height, radii = 1.8 + size * rng.uniform(0.5, 1), size * rng.uniform(0.65, 1.2, 3)
     crown = bushy(rng, int(rng.integers(400, 1100)), radii, rng.uniform(0.12, 0.3))
-    return placed(crown, [0, 0, height + radii[2] / 2]), cylinder(0.08 * size, 0, height + 0.5)
+    return transform(crown, [0, 0, height + radii[2] / 2]), cylinder(0.08 * size, 0, height + 0.5)
 
 
 def _rods(rng: Generator, size: float) -> Shape:
@@ -276,7 +278,7 @@ def _rods(rng: Generator, size: float) -> Shape:
     for _ in range(int(rng.integers(3, 14))):
         bar = cylinder(rng.uniform(0.008, 0.03), 0, size * rng.uniform(0.8, 2), sides=6)
         shear[:2, 2] = rng.uniform(-0.2, 0.2, 2)
-        rods.append(placed(bar, [*rng.uniform(-0.4, 0.4, 2) * size, 0], shear))
+        rods.append(transform(bar, [*rng.uniform(-0.4, 0.4, 2) * size, 0], shear))
     return merge(*rods)
 
 
@@ -284,7 +286,8 @@ def _table(rng: Generator, size: float) -> Shape:
     x, y, z = size * rng.uniform([0.7, 0.5, 0.4], [1.2, 0.9, 0.8])
     feet = 0.45 * np.array([[x, y, 0], [-x, y, 0], [x, -y, 0], [-x, -y, 0]])
     return merge(
-        boxes(feet - [0.03, 0.03, 0], feet + [0.03, 0.03, z]), placed(_box(x, y, 0.05), [0, 0, z])
+        boxes(feet - [0.03, 0.03, 0], feet + [0.03, 0.03, z]),
+        transform(_box(x, y, 0.05), [0, 0, z]),
     )
 
 

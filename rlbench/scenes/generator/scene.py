@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from rlbench.render.scene import Camera, Mesh, Plugin, Scene
 from rlbench.scenes.generator import materials
 from rlbench.scenes.generator.places import PLACES, SOLIDS, Floats, Place, thing
-from rlbench.scenes.parts.shapes import Shape, boxes, grid, merge, placed, rotation, yaw
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    boxes,
+    grid,
+    merge,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
+)
 
 FAMILIES = ("room", "hall", "open", "water")
 LIGHTS = ("lamps", "bulbs", "sky", "sun", "sunsky")
@@ -115,8 +123,8 @@ def _track(rng: Generator, place: Place, move: str) -> Track:
             step = heading * swing * away
             return start + step, focus + share * step
         if move == "orbit":
-            return focus + yaw(swing) @ (start - focus), focus
-        return start, start + yaw(swing) @ (focus - start)
+            return focus + yaw_matrix(swing) @ (start - focus), focus
+        return start, start + yaw_matrix(swing) @ (focus - start)
 
     reach = min(0.35, 16 * speed) if move in ("dolly", "orbit", "pan") else 0.0
     swings = np.linspace(-1, 1, 9)
@@ -167,7 +175,7 @@ def _sliding(rng: Generator, size: float, speed: float) -> Mover:
     shape = SOLIDS[rng.integers(len(SOLIDS))](rng, 0.8 * size)
     reach = min(size * rng.uniform(0.2, 0.8), 12 * speed)
     pace, phase = min(speed / reach, 0.5), rng.uniform(0, 2 * np.pi)
-    heading = yaw(rng.uniform(0, 2 * np.pi))[0]
+    heading = yaw_matrix(rng.uniform(0, 2 * np.pi))[0]
     spin = rng.choice([0, -1, 1]) * min(2 * speed / size, 0.15)
     hover = rng.uniform(0, 0.8) * size
     bob = rng.uniform(0, 0.9) * min(hover, reach)
@@ -175,7 +183,7 @@ def _sliding(rng: Generator, size: float, speed: float) -> Mover:
     def pose(time: float) -> NDArray[np.float32]:
         swing = np.sin(pace * time + phase)
         rise = np.array([0, 0, hover + bob * np.cos(pace * time)])
-        return placed(shape, reach * swing * heading + rise, yaw(spin * time)).vertices
+        return transform(shape, reach * swing * heading + rise, yaw_matrix(spin * time)).vertices
 
     radius = reach + float(np.hypot(*shape.vertices[:, :2].T).max())
     return Mover(shape, pose, (0.0, 0.0, radius))
@@ -183,8 +191,8 @@ def _sliding(rng: Generator, size: float, speed: float) -> Mover:
 
 def _hanging(rng: Generator, size: float, speed: float) -> Mover:
     """A cloth that hangs and waves; the crests move at about `speed` metres a frame."""
-    cloth = placed(grid(size, 1.4 * size, (28, 28)), 0, rotation((1, 0, 0), np.pi / 2))
-    face = yaw(rng.uniform(0, 2 * np.pi))
+    cloth = transform(grid(size, 1.4 * size, (28, 28)), 0, rotation_matrix((1, 0, 0), np.pi / 2))
+    face = yaw_matrix(rng.uniform(0, 2 * np.pi))
     waves = _ripple(rng, 3, 0.8 * size, 0.12 * size)
     waves[:, 3] = np.hypot(*waves[:, :2].T) * speed / 2
     rise = [0, 0, (0.7 + rng.uniform(0, 0.4)) * size]
@@ -193,7 +201,7 @@ def _hanging(rng: Generator, size: float, speed: float) -> Mover:
     def pose(time: float) -> NDArray[np.float32]:
         blow = loose * _lift(waves, cloth.vertices[:, ::2], time)
         waving = cloth.vertices + blow[:, None] * np.array([0, 1, 0], np.float32)
-        return placed(cloth._replace(vertices=waving), rise, face).vertices
+        return transform(cloth._replace(vertices=waving), rise, face).vertices
 
     return Mover(cloth, pose, (0.0, 0.0, 0.65 * size))
 
@@ -221,7 +229,7 @@ def _clutter(
         if _blocked(spot, radius, taken, track, place.near):
             continue
         taken.append((float(spot[0]), float(spot[1]), radius))
-        found.setdefault(name, []).append(placed(item, [*spot, place.floor + 0.003]))
+        found.setdefault(name, []).append(transform(item, [*spot, place.floor + 0.003]))
         if sum(map(len, found.values())) == wanted:
             break
     if "leaf" in place.shell:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.parts.shapes import Floats, Shape, merge, quads, yaw
+from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, quads, yaw_matrix
 
 WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
 RING_AT, RING_HIGH = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it
@@ -26,23 +26,31 @@ class Lamps(NamedTuple):
     colour: NDArray[np.int64]  # n, into RADIANCE
 
 
-def fixed(random: np.random.Generator) -> Lamps:
+def fixed_lamps(random: np.random.Generator) -> Lamps:
     """All lamps that are part of the building."""
-    return joined([_strips(random), _signs(random), _consoles(random), _gate(), _guides()])
+    return concatenate_lamps(
+        [
+            _strip_lamps(random),
+            _sign_lamps(random),
+            _console_lamps(random),
+            _gate_lamps(),
+            _floor_lamps(),
+        ]
+    )
 
 
-def joined(groups: Sequence[Lamps]) -> Lamps:
+def concatenate_lamps(groups: Sequence[Lamps]) -> Lamps:
     """One table of lamps out of many."""
     return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
 
 
-def moved(lamps: Lamps, at: ArrayLike, turn: Floats) -> Lamps:
+def transform_lamps(lamps: Lamps, translation: ArrayLike, rotation: Float32Array) -> Lamps:
     """The lamps turned, then shifted."""
-    corner, across, up = (v @ turn.T.astype(float) for v in lamps[:3])
-    return Lamps(corner + np.asarray(at, float), across, up, lamps.colour)
+    corner, across, up = (v @ rotation.T.astype(float) for v in lamps[:3])
+    return Lamps(corner + np.asarray(translation, float), across, up, lamps.colour)
 
 
-def circle(count: int, radius: float, size: tuple[float, float], colour: int) -> Lamps:
+def lamp_circle(count: int, radius: float, size: tuple[float, float], colour: int) -> Lamps:
     """Lamps round the origin in the plane of x and z that shine towards -y."""
     angle = np.arange(count) * (2 * np.pi / count)
     outward = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
@@ -52,7 +60,7 @@ def circle(count: int, radius: float, size: tuple[float, float], colour: int) ->
     return Lamps(corner, size[0] * along, size[1] * outward, np.full(count, colour))
 
 
-def tubes() -> Shape:
+def build_tubes() -> Shape:
     """Tubes on the slopes and panels in the ceiling, bay by bay: most of the light is theirs."""
     bays = np.arange(-1.0, LENGTH, 4.0)
     places = [(side, y) for y in bays for side in (-1.0, 1.0)]
@@ -60,13 +68,13 @@ def tubes() -> Shape:
         [(side * 5.72, y + 1.5 * side, 5.72) for side, y in places],
         [(0, -3.0 * side, 0) for side, _ in places],
         [(-0.2 * side, 0, 0.2) for side, _ in places],
-        tile=0,
+        tile_size=0,
     )
     corner = [(2.35 * side - 0.3, y - 1.3, HEIGHT - 0.02) for side, y in places]
-    return merge(slopes, quads(corner, (0, 2.6, 0), (0.6, 0, 0), tile=0))
+    return merge(slopes, quads(corner, (0, 2.6, 0), (0.6, 0, 0), tile_size=0))
 
 
-def _strips(random: np.random.Generator) -> Lamps:
+def _strip_lamps(random: np.random.Generator) -> Lamps:
     """Two broken lines of small lamps along each long wall, cyan below and rose or amber above."""
     y = np.arange(-3.5, LENGTH - 0.5, 0.3)
     groups = []
@@ -80,27 +88,32 @@ def _strips(random: np.random.Generator) -> Lamps:
             up = np.array([[0, 0, 0.12]]).repeat(len(keep), 0)
             across = length * (0, -side, 0)
             groups.append(Lamps(corner, across, up, np.full(len(keep), colour)))
-    return joined(groups)
+    return concatenate_lamps(groups)
 
 
-def _signs(random: np.random.Generator) -> Lamps:
+def _sign_lamps(random: np.random.Generator) -> Lamps:
     """Panels of tiny lamps on the walls, in random colours and sizes."""
     groups = []
     for number, y in enumerate((7.0, 11.0, 19.0)):
         side = 1.0 if number % 2 else -1.0
-        lamps = _matrix(random, (6, 12), 0.2)
-        groups.append(moved(lamps, (side * (WIDTH - 0.3), y, 1.5), yaw(-side * np.pi / 2)))
-    return joined(groups)
+        lamps = _lamp_matrix(random, (6, 12), 0.2)
+        groups.append(
+            transform_lamps(lamps, (side * (WIDTH - 0.3), y, 1.5), yaw_matrix(-side * np.pi / 2))
+        )
+    return concatenate_lamps(groups)
 
 
-def _consoles(random: np.random.Generator) -> Lamps:
+def _console_lamps(random: np.random.Generator) -> Lamps:
     """The buttons and screens of the desks."""
-    return joined(
-        [moved(_matrix(random, (5, 10), 0.13), (x, y, 1.02), yaw(turn)) for x, y, turn in CONSOLES]
+    return concatenate_lamps(
+        [
+            transform_lamps(_lamp_matrix(random, (5, 10), 0.13), (x, y, 1.02), yaw_matrix(turn))
+            for x, y, turn in CONSOLES
+        ]
     )
 
 
-def _matrix(random: np.random.Generator, count: tuple[int, int], pitch: float) -> Lamps:
+def _lamp_matrix(random: np.random.Generator, count: tuple[int, int], pitch: float) -> Lamps:
     """Rows and columns of lamps that stand on z = 0 about x = 0 and shine towards -y."""
     rows, columns = np.indices(count).reshape(2, -1)
     size = pitch * random.choice([0.2, 0.4, 0.7, 0.85], (rows.size, 1))
@@ -110,13 +123,13 @@ def _matrix(random: np.random.Generator, count: tuple[int, int], pitch: float) -
     return Lamps(corner, size * (1.1, 0, 0), size * (0, 0, 1.0), colour)
 
 
-def _gate() -> Lamps:
+def _gate_lamps() -> Lamps:
     """A ring of lamps about the round gate at the far end."""
-    ring = circle(48, 2.2, (0.24, 0.22), WHITE)
-    return moved(ring, (0, LENGTH - 1.35, RING_HIGH), np.eye(3, dtype=np.float32))
+    ring = lamp_circle(48, 2.2, (0.24, 0.22), WHITE)
+    return transform_lamps(ring, (0, LENGTH - 1.35, RING_HIGH), np.eye(3, dtype=np.float32))
 
 
-def _guides() -> Lamps:
+def _floor_lamps() -> Lamps:
     """Two dashed lines let into the floor that lead to the gate."""
     y = np.arange(-1.0, LENGTH - 3, 1.1)
     x = np.repeat([-1.75, 1.65], len(y))

@@ -13,55 +13,58 @@ from rlbench.scenes.hall.lamps import (
     ROSE,
     WHITE,
     Lamps,
-    circle,
-    joined,
-    moved,
+    concatenate_lamps,
+    lamp_circle,
+    transform_lamps,
 )
 from rlbench.scenes.parts.shapes import (
-    Floats,
+    Float32Array,
     Shape,
-    ball,
     boxes,
     cylinder,
+    icosphere,
     lathe,
     merge,
-    placed,
-    yaw,
+    transform,
+    yaw_matrix,
 )
-from rlbench.scenes.parts.shapes import rotation as about
-from rlbench.scenes.parts.sheets import ring
+from rlbench.scenes.parts.shapes import rotation_matrix as about
+from rlbench.scenes.parts.sheets import torus
 
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 11.0, 3.6), (0.2, 21.0, 2.2), (-3.2, 14.0, 4.4))
-HUB = np.array([0, RING_AT, RING_HIGH])  # metres: the middle of the rings
+RING_CENTRE = np.array([0, RING_AT, RING_HIGH])  # metres: the middle of the rings
 
 
-def machines(time: float) -> Shape:
+def build_machines(time: float) -> Shape:
     """All of them, as they are at a time."""
     hull = merge(
-        placed(ball(3), (0, 0, 0), scale=0.3),
+        transform(icosphere(3), (0, 0, 0), scale=0.3),
         lathe([(0.34, -0.05), (0.62, -0.02), (0.62, 0.04), (0.34, 0.08)], 40),
-        ring(0.62, 0.05, 40, 8),
+        torus(0.62, 0.05, 40, 8),
         boxes((-0.04, -0.04, 0.2), (0.04, 0.04, 0.62)),
     )
-    drones = [placed(hull, *_drone(index, time)) for index in range(len(DRONES))]
+    drones = [transform(hull, *_drone_pose(index, time)) for index in range(len(DRONES))]
     wheels = [
-        placed(_wheel(radius, teeth), HUB, _turn(number, time))
+        transform(_build_wheel(radius, teeth), RING_CENTRE, _wheel_rotation(number, time))
         for number, (radius, teeth) in enumerate(((2.15, 24), (1.5, 16)))
     ]
-    return merge(*drones, *wheels, _crane(time))
+    return merge(*drones, *wheels, _build_crane(time))
 
 
-def lamps(time: float) -> Lamps:
+def machine_lamps(time: float) -> Lamps:
     """The lamps that they carry."""
     drones = [_drone_lamps(index, time) for index in range(len(DRONES))]
-    outer = circle(36, 2.12, (0.2, 0.12), AMBER)
-    inner = circle(24, 1.46, (0.2, 0.1), CYAN)
+    outer = lamp_circle(36, 2.12, (0.2, 0.12), AMBER)
+    inner = lamp_circle(24, 1.46, (0.2, 0.1), CYAN)
     lift = np.array([0, -0.29, 0])
-    wheels = [moved(one, HUB + lift, _turn(k, time)) for k, one in enumerate((outer, inner))]
-    return joined([*drones, *wheels])
+    wheels = [
+        transform_lamps(one, RING_CENTRE + lift, _wheel_rotation(k, time))
+        for k, one in enumerate((outer, inner))
+    ]
+    return concatenate_lamps([*drones, *wheels])
 
 
-def _wheel(radius: float, teeth: int) -> Shape:
+def _build_wheel(radius: float, teeth: int) -> Shape:
     """A ring in the plane of x and z with teeth inside and a tube along its rim."""
     face = about((1, 0, 0), -np.pi / 2)
     band = lathe([(radius, -0.26), (radius + 0.2, -0.28), (radius + 0.2, 0.28), (radius, 0.26)], 64)
@@ -69,17 +72,17 @@ def _wheel(radius: float, teeth: int) -> Shape:
     tooth = boxes((-0.09, -0.2, radius - 0.16), (0.09, 0.2, radius + 0.02))
     turns = [about((0, 1, 0), 2 * np.pi * k / teeth) for k in range(teeth)]
     return merge(
-        placed(merge(band, inside), (0, 0, 0), face),
-        *(placed(tooth, (0, 0, 0), turn) for turn in turns),
-        placed(ring(radius + 0.1, 0.07, 64, 8), (0, 0.26, 0), face),
+        transform(merge(band, inside), (0, 0, 0), face),
+        *(transform(tooth, (0, 0, 0), turn) for turn in turns),
+        transform(torus(radius + 0.1, 0.07, 64, 8), (0, 0.26, 0), face),
     )
 
 
-def _turn(number: int, time: float) -> Floats:
+def _wheel_rotation(number: int, time: float) -> Float32Array:
     return about((0, 1, 0), 2 * np.pi * time / (300.0, -190.0)[number])
 
 
-def _crane(time: float) -> Shape:
+def _build_crane(time: float) -> Shape:
     """A bridge that runs below the ceiling, with a trolley, its rope and a grab."""
     y = 11.5 + 2.0 * np.sin(2 * np.pi * time / 160)
     x = 2.6 + 1.2 * np.sin(2 * np.pi * time / 90 + 1)
@@ -89,25 +92,25 @@ def _crane(time: float) -> Shape:
         [(4.6, y - 0.2, 5.95), (4.6, y + 0.35, 5.95)],
     )
     trolley = boxes((x - 0.4, y - 0.45, 5.5), (x + 0.4, y + 0.45, 5.8))
-    rope = placed(cylinder(0.025, drop, 5.5, 8), (x, y, 0))
+    rope = transform(cylinder(0.025, drop, 5.5, 8), (x, y, 0))
     claw = boxes([(-0.3, -0.06, -0.5), (0.2, -0.06, -0.5)], [(-0.2, 0.06, 0.1), (0.3, 0.06, 0.1)])
     grab = merge(claw, boxes((-0.35, -0.2, 0.0), (0.35, 0.2, 0.22)))
-    return merge(bridge, trolley, rope, placed(grab, (x, y, drop), yaw(time / 40)))
+    return merge(bridge, trolley, rope, transform(grab, (x, y, drop), yaw_matrix(time / 40)))
 
 
-def _drone(index: int, time: float) -> tuple[NDArray[np.float64], Floats]:
+def _drone_pose(index: int, time: float) -> tuple[NDArray[np.float64], Float32Array]:
     """Where a drone is and how it is turned."""
     phase, period = 1.7 * index, 90 + 17 * index
     angle = 2 * np.pi * time / period + phase
     drift = np.array([1.3 * np.sin(angle), 0.9 * np.cos(angle), 0.35 * np.sin(2 * angle)])
-    return np.array(DRONES[index]) + drift, yaw(2 * angle)
+    return np.array(DRONES[index]) + drift, yaw_matrix(2 * angle)
 
 
 def _drone_lamps(index: int, time: float) -> Lamps:
     """Four lamps below a drone, facing down."""
-    at, turn = _drone(index, time)
+    at, turn = _drone_pose(index, time)
     corner = np.array([(x, y, -0.06) for x in (-0.45, 0.33) for y in (-0.06, 0.06)])
     one = np.ones((4, 1))
     colour = (WHITE, CYAN, AMBER, ROSE)[index]
     still = Lamps(corner, one * (0, 0.1, 0), one * (0.12, 0, 0), np.full(4, colour))
-    return moved(still, at, turn)
+    return transform_lamps(still, at, turn)

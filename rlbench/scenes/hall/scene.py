@@ -8,25 +8,25 @@ import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.hall import structure
-from rlbench.scenes.hall.lamps import RADIANCE, Lamps, fixed, joined, tubes
-from rlbench.scenes.hall.machines import lamps as carried
-from rlbench.scenes.hall.machines import machines
-from rlbench.scenes.parts.shapes import Shape, boxes, merge, painted, placed, quads, yaw
-from rlbench.scenes.parts.takes import cut, static, still
+from rlbench.scenes.hall.lamps import RADIANCE, Lamps, build_tubes, concatenate_lamps, fixed_lamps
+from rlbench.scenes.hall.machines import build_machines
+from rlbench.scenes.hall.machines import machine_lamps as carried
+from rlbench.scenes.parts.shapes import Shape, boxes, merge, paint, quads, transform, yaw_matrix
+from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
 from rlbench.scenes.parts.textures import (
-    bitmap,
-    diffuse,
-    glossy,
-    metal,
-    mix,
-    noise,
-    palette,
-    polished,
+    bitmap_texture,
+    diffuse_bsdf,
+    glossy_bsdf,
+    metal_bsdf,
+    mix_colours,
+    noise_pixels,
+    palette_texture,
+    polished_bsdf,
     rgb,
-    tiles,
+    tile_pixels,
 )
 
-TUBE = (0.95, 1.15, 1.36)  # radiance
+TUBE_RADIANCE = (0.95, 1.15, 1.36)  # radiance
 
 
 def scene() -> Scene:
@@ -36,19 +36,19 @@ def scene() -> Scene:
         name="hall",
         title="Hall: tubes and a thousand small lamps",
         meshes=(
-            *_building(random),
-            _crates(random),
-            _shining("tubes", tubes(), TUBE, 4.0),
-            *_movers(0.0),
+            *_building_meshes(random),
+            _crate_mesh(random),
+            _emissive_mesh("tubes", build_tubes(), TUBE_RADIANCE, 4.0),
+            *_moving_meshes(0.0),
         ),
         camera=_camera,
-        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
+        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _moving_meshes(time)},
         exposure=6.0,
         depth=4,
         takes=(
-            static(_camera, 20.0),
-            cut(_camera, _from_gallery, "tubes", 1.0, 0.0),
-            still(_camera, 45.0),
+            static_camera_take(_camera, 20.0),
+            cut_take(_camera, _gallery_camera, "tubes", 1.0, 0.0),
+            frozen_take(_camera, 45.0),
         ),
     )
 
@@ -59,41 +59,43 @@ def _camera(time: float) -> Camera:
     return Camera((x, y, 1.7), (0.5 + 1.2 * glide, y + 11, 2.7), fov=66)
 
 
-def _from_gallery(time: float) -> Camera:
+def _gallery_camera(time: float) -> Camera:
     """From above and the other end, moving along the hall."""
     y = 27.0 - 0.1 * time
     return Camera((4.4, y, 4.6), (-1.5, y - 10, 1.8), fov=66)
 
 
-def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
-    slabs = tiles(
+def _building_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
+    slabs = tile_pixels(
         random,
         [(0.050, 0.054, 0.062), (0.040, 0.043, 0.050), (0.065, 0.067, 0.072)],
         (0.012, 0.012, 0.014),
         (4, 4),
-        gap=0.02,
+        joint_width=0.02,
     )
-    linings = tiles(
+    linings = tile_pixels(
         random,
         [(0.16, 0.18, 0.23), (0.20, 0.22, 0.27), (0.27, 0.28, 0.31)],
         (0.02, 0.02, 0.03),
         (4, 3),
         0.5,
-        gap=0.05,
+        joint_width=0.05,
     )
-    worn = mix((0.42, 0.43, 0.46), (0.68, 0.68, 0.70), noise(random, 256, 0.2))
-    dark = mix((0.22, 0.25, 0.29), (0.44, 0.45, 0.48), noise(random, 256, 0.2))
-    copper = mix((0.48, 0.26, 0.15), (0.72, 0.45, 0.29), noise(random, 128, 0.2))
+    worn = mix_colours((0.42, 0.43, 0.46), (0.68, 0.68, 0.70), noise_pixels(random, 256, 0.2))
+    dark = mix_colours((0.22, 0.25, 0.29), (0.44, 0.45, 0.48), noise_pixels(random, 256, 0.2))
+    copper = mix_colours((0.48, 0.26, 0.15), (0.72, 0.45, 0.29), noise_pixels(random, 128, 0.2))
     return (
-        structure.floor().mesh("floor", polished(bitmap(slabs))),
-        structure.shell().mesh("shell", diffuse(bitmap(linings))),
-        structure.frames().mesh("ribs", metal(bitmap(worn), 0.32)),
-        structure.panels(random).mesh("panels", diffuse(bitmap(dark))),
-        structure.pipes().mesh("pipes", metal(bitmap(copper), 0.24), smooth=True),
+        structure.build_floor().to_mesh("floor", polished_bsdf(bitmap_texture(slabs))),
+        structure.build_shell().to_mesh("shell", diffuse_bsdf(bitmap_texture(linings))),
+        structure.build_frames().to_mesh("ribs", metal_bsdf(bitmap_texture(worn), 0.32)),
+        structure.build_panels(random).to_mesh("panels", diffuse_bsdf(bitmap_texture(dark))),
+        structure.build_pipes().to_mesh(
+            "pipes", metal_bsdf(bitmap_texture(copper), 0.24), smooth=True
+        ),
     )
 
 
-def _crates(random: np.random.Generator) -> Mesh:
+def _crate_mesh(random: np.random.Generator) -> Mesh:
     stacks = [
         (-4.8, 8.4, 1.3),
         (-4.6, 9.9, 1.1),
@@ -110,22 +112,27 @@ def _crates(random: np.random.Generator) -> Mesh:
     ]
     parts = []
     for x, y, size in stacks:
-        crate = merge(*_crate(random))
-        turn = yaw(random.uniform(-0.5, 0.5))
-        parts.append(placed(crate, (x, y, 0), turn, size))
+        crate = merge(*_build_crate(random))
+        turn = yaw_matrix(random.uniform(-0.5, 0.5))
+        parts.append(transform(crate, (x, y, 0), turn, size))
         if random.random() < 0.7:
             at = (x + random.uniform(-0.1, 0.1), y, size)
             parts.append(
-                placed(merge(*_crate(random)), at, yaw(random.uniform(-0.6, 0.6)), 0.65 * size)
+                transform(
+                    merge(*_build_crate(random)),
+                    at,
+                    yaw_matrix(random.uniform(-0.6, 0.6)),
+                    0.65 * size,
+                )
             )
     shape = merge(*parts)
     colours = [(0.55, 0.16, 0.03), (0.05, 0.20, 0.24), (0.35, 0.33, 0.28), (0.06, 0.06, 0.07)]
-    return shape.mesh("crates", glossy(palette(colours), 0.2))
+    return shape.to_mesh("crates", glossy_bsdf(palette_texture(colours), 0.2))
 
 
-def _crate(random: np.random.Generator) -> tuple[Shape, Shape]:
+def _build_crate(random: np.random.Generator) -> tuple[Shape, Shape]:
     """A unit crate in one of three colours with dark edges."""
-    body = painted(boxes((-0.47, -0.47, 0.03), (0.47, 0.47, 0.97)), random.integers(3), 4)
+    body = paint(boxes((-0.47, -0.47, 0.03), (0.47, 0.47, 0.97)), random.integers(3), 4)
     low, high = [], []
     for axis in range(3):
         for a in (0.0, 0.9):
@@ -135,14 +142,16 @@ def _crate(random: np.random.Generator) -> tuple[Shape, Shape]:
                 low.append(np.roll(corner, axis))
                 high.append(np.roll(corner + extent, axis))
     edges = boxes(np.array(low) - (0.5, 0.5, 0), np.array(high) - (0.5, 0.5, 0))
-    return body, painted(edges, 3, 4)
+    return body, paint(edges, 3, 4)
 
 
-def _movers(time: float) -> tuple[Mesh, ...]:
+def _moving_meshes(time: float) -> tuple[Mesh, ...]:
     """The machines, and all lamps, for the machines carry some."""
-    lamps = joined([fixed(np.random.default_rng(5)), carried(time)])
+    lamps = concatenate_lamps([fixed_lamps(np.random.default_rng(5)), carried(time)])
     return (
-        machines(time).mesh("machines", metal(rgb(0.70, 0.71, 0.75), 0.2), smooth=True),
+        build_machines(time).to_mesh(
+            "machines", metal_bsdf(rgb(0.70, 0.71, 0.75), 0.2), smooth=True
+        ),
         *(_lamp_mesh(lamps, colour) for colour in range(len(RADIANCE))),
     )
 
@@ -150,11 +159,13 @@ def _movers(time: float) -> tuple[Mesh, ...]:
 def _lamp_mesh(lamps: Lamps, colour: int) -> Mesh:
     """All lamps of one colour; one radiance a mesh, as a texture makes every path dearer."""
     mine = lamps.colour == colour
-    shape = quads(lamps.corner[mine], lamps.across[mine], lamps.up[mine], tile=0)
-    return _shining(f"lamps{colour}", shape, RADIANCE[colour], 0.5)
+    shape = quads(lamps.corner[mine], lamps.across[mine], lamps.up[mine], tile_size=0)
+    return _emissive_mesh(f"lamps{colour}", shape, RADIANCE[colour], 0.5)
 
 
-def _shining(name: str, shape: Shape, colour: tuple[float, float, float], weight: float) -> Mesh:
+def _emissive_mesh(
+    name: str, shape: Shape, colour: tuple[float, float, float], weight: float
+) -> Mesh:
     shine = {"type": "area", "radiance": rgb(*colour), "sampling_weight": weight}
     black = {"type": "diffuse", "reflectance": rgb(0.05, 0.05, 0.05)}
-    return replace(shape.mesh(name, black), emission=shine)
+    return replace(shape.to_mesh(name, black), emission=shine)

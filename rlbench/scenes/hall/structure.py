@@ -5,75 +5,103 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.scenes.hall.lamps import CONSOLES, HEIGHT, LENGTH, RING_AT, RING_HIGH, WIDTH
-from rlbench.scenes.parts.shapes import Shape, boxes, cylinder, lathe, merge, placed, rotation, yaw
-from rlbench.scenes.parts.sheets import ring, sheet
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    boxes,
+    cylinder,
+    lathe,
+    merge,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
+)
+from rlbench.scenes.parts.sheets import sheet, torus
 
-UPRIGHT = rotation((1, 0, 0), np.pi / 2)  # what stands on z = 0 faces the viewer instead
-ALONG = rotation((1, 0, 0), -np.pi / 2)  # upright to along the hall
-FRAMES = np.arange(1.0, LENGTH, 4.0)
-BEND = 2.3  # metres: of wall and ceiling that the slope between them takes
+Z_TO_MINUS_Y = rotation_matrix(
+    (1, 0, 0), np.pi / 2
+)  # what stands on z = 0 faces the viewer instead
+Z_TO_Y = rotation_matrix((1, 0, 0), -np.pi / 2)  # upright to along the hall
+FRAME_Y = np.arange(1.0, LENGTH, 4.0)
+SLOPE_WIDTH = 2.3  # metres: of wall and ceiling that the slope between them takes
 
 
-def floor() -> Shape:
+def build_floor() -> Shape:
     """The floor."""
-    return boxes((-WIDTH, -4, -0.3), (WIDTH, LENGTH, 0), tile=4.0)
+    return boxes((-WIDTH, -4, -0.3), (WIDTH, LENGTH, 0), tile_size=4.0)
 
 
-def shell() -> Shape:
+def build_shell() -> Shape:
     """Walls, slopes and ceiling, and the two ends."""
     x, z = WIDTH, HEIGHT
-    corners = [(x, 0), (x, z - BEND), (x - BEND, z), (BEND - x, z), (-x, z - BEND), (-x, 0)]
+    corners = [
+        (x, 0),
+        (x, z - SLOPE_WIDTH),
+        (x - SLOPE_WIDTH, z),
+        (SLOPE_WIDTH - x, z),
+        (-x, z - SLOPE_WIDTH),
+        (-x, 0),
+    ]
     outline = np.array(corners, float)
     deep = [np.insert(outline, 1, y, axis=1) for y in (-4.2, LENGTH + 0.2)]
-    ends = boxes([(-x, LENGTH, 0), (-x, -4.5, 0)], [(x, LENGTH + 0.5, z), (x, -4, z)], tile=4.0)
+    ends = boxes(
+        [(-x, LENGTH, 0), (-x, -4.5, 0)], [(x, LENGTH + 0.5, z), (x, -4, z)], tile_size=4.0
+    )
     return merge(sheet(np.stack(deep), 4.0), ends)
 
 
-def frames() -> Shape:
+def build_frames() -> Shape:
     """Portals across the hall, plinths and galleries along it, the gate and the rings' cradle."""
-    parts = [placed(_portal(0.55, 0.3), (0, y, 0)) for y in FRAMES]
-    parts += [placed(_portal(0.8, 0.1), (0, y + d, 0)) for y in FRAMES for d in (-0.45, 0.45)]
+    parts = [transform(_build_portal(0.55, 0.3), (0, y, 0)) for y in FRAME_Y]
+    parts += [
+        transform(_build_portal(0.8, 0.1), (0, y + d, 0)) for y in FRAME_Y for d in (-0.45, 0.45)
+    ]
     low = [(-WIDTH, -4, 3.25), (WIDTH - 0.9, -4, 3.25), (-WIDTH, -4, 0), (WIDTH - 1.3, -4, 0)]
     high = [(0.9 - WIDTH, LENGTH, 3.5), (WIDTH, LENGTH, 3.5)]
     high += [(1.3 - WIDTH, LENGTH, 0.9), (WIDTH, LENGTH, 0.9)]
     profile = [(2.45, 0.3), (2.45, 1.2), (2.15, 1.3), (2.15, 0.6), (0.5, 0.3), (0.05, 0.9)]
     gate = lathe(profile, 48)
-    parts += [boxes(low, high), placed(gate, (0, LENGTH, RING_HIGH), UPRIGHT), _cradle()]
+    parts += [
+        boxes(low, high),
+        transform(gate, (0, LENGTH, RING_HIGH), Z_TO_MINUS_Y),
+        _build_cradle(),
+    ]
     return merge(*parts)
 
 
-def _portal(deep: float, half: float) -> Shape:
+def _build_portal(deep: float, half: float) -> Shape:
     """A frame along walls, slopes and ceiling, `deep` metres inwards and 2 `half` thick."""
     outlines = []
     for inset, y in ((0.0, -half), (deep, -half), (deep, half), (0.0, half)):
-        x, z, bend = WIDTH - inset, HEIGHT - inset, BEND - 0.586 * inset
+        x, z, bend = WIDTH - inset, HEIGHT - inset, SLOPE_WIDTH - 0.586 * inset
         path = [(-x, 0), (-x, z - bend), (bend - x, z), (x - bend, z), (x, z - bend), (x, 0)]
         outlines.append([(a, y, b) for a, b in path])
     return sheet(outlines, 2.0)
 
 
-def _cradle() -> Shape:
+def _build_cradle() -> Shape:
     """What holds the great rings: a fixed outer ring of blocks, and its feet."""
     block = boxes((-0.26, -0.5, 2.5), (0.26, 0.5, 2.95))
-    turns = [rotation((0, 1, 0), a) for a in np.arange(16) * (np.pi / 8) + np.pi / 16]
-    blocks = [placed(block, (0, 0, 0), turn) for turn in turns]
-    band = placed(lathe([(2.5, -0.3), (2.75, -0.3), (2.75, 0.3), (2.5, 0.3)], 64), (0, 0, 0), ALONG)
+    turns = [rotation_matrix((0, 1, 0), a) for a in np.arange(16) * (np.pi / 8) + np.pi / 16]
+    blocks = [transform(block, (0, 0, 0), turn) for turn in turns]
+    band = transform(
+        lathe([(2.5, -0.3), (2.75, -0.3), (2.75, 0.3), (2.5, 0.3)], 64), (0, 0, 0), Z_TO_Y
+    )
     feet = boxes(
         [(-3.0, -0.7, -RING_HIGH), (1.2, -0.7, -RING_HIGH)],
         [(-1.2, 0.7, 0.75 - RING_HIGH), (3.0, 0.7, 0.75 - RING_HIGH)],
     )
-    return placed(merge(*blocks, band, feet), (0, RING_AT, RING_HIGH))
+    return transform(merge(*blocks, band, feet), (0, RING_AT, RING_HIGH))
 
 
-def panels(random: np.random.Generator) -> Shape:
+def build_panels(random: np.random.Generator) -> Shape:
     """Plates, grilles and housings on the walls, and ducts under the ceiling."""
     low, high = [], []
     for side in (-1.0, 1.0):
-        for y in FRAMES[:-1] + 0.6:
+        for y in FRAME_Y[:-1] + 0.6:
             for column in range(3):
                 for z, tall in ((1.0, 1.05), (2.1, 1.05), (3.6, 0.95)):
                     a = y + 0.94 * column
-                    cut = _plate(random, a, z, tall)
+                    cut = _panel_boxes(random, a, z, tall)
                     depth = WIDTH - cut[:, 4]
                     low.append(np.stack([side * WIDTH + 0 * depth, cut[:, 0], cut[:, 1]], -1))
                     high.append(np.stack([side * depth, cut[:, 2], cut[:, 3]], -1))
@@ -81,15 +109,15 @@ def panels(random: np.random.Generator) -> Shape:
     ducts = boxes(
         [(-1.9, -4, 6.15), (0.5, -4, 6.35), (-0.3, -4, 6.0)],
         [(-0.9, LENGTH, 6.8), (1.6, LENGTH, 6.8), (0.2, LENGTH, 6.3)],
-        tile=2.0,
+        tile_size=2.0,
     )
     collars = boxes(
-        [(-2.0, y, 6.1) for y in FRAMES[:-1] + 2], [(1.7, y + 0.18, 6.9) for y in FRAMES[:-1] + 2]
+        [(-2.0, y, 6.1) for y in FRAME_Y[:-1] + 2], [(1.7, y + 0.18, 6.9) for y in FRAME_Y[:-1] + 2]
     )
-    return merge(boxes(ends[0], ends[1], tile=2.0), ducts, collars, *_desks())
+    return merge(boxes(ends[0], ends[1], tile_size=2.0), ducts, collars, *_build_desks())
 
 
-def _plate(random: np.random.Generator, y: float, z: float, tall: float) -> np.ndarray:
+def _panel_boxes(random: np.random.Generator, y: float, z: float, tall: float) -> np.ndarray:
     """One field of a wall as boxes (y, z, y, z, depth): a plate, a grille, or small housings."""
     kind = random.integers(4)
     wide = 0.86
@@ -108,23 +136,25 @@ def _plate(random: np.random.Generator, y: float, z: float, tall: float) -> np.n
     return np.array(frame)
 
 
-def _desks() -> list[Shape]:
+def _build_desks() -> list[Shape]:
     """Desks with an upright board behind the lamps of the consoles."""
     desk = boxes(
         [(-0.8, 0.02, 0.0), (-0.85, -0.55, 0.0), (-0.8, 0.02, 0.95)],
         [(0.8, 0.5, 0.95), (0.85, 0.02, 0.9), (0.8, 0.14, 1.75)],
     )
-    return [placed(desk, (x, y, 0), yaw(turn)) for x, y, turn in CONSOLES]
+    return [transform(desk, (x, y, 0), yaw_matrix(turn)) for x, y, turn in CONSOLES]
 
 
-def pipes() -> Shape:
+def build_pipes() -> Shape:
     """Pipes along the hall with flanges, and bundles that climb the walls beside the frames."""
     runs = [(-3.9, 6.1, 0.24), (-3.3, 6.3, 0.14), (3.7, 6.1, 0.3), (2.9, 6.35, 0.12)]
     runs += [(-6.45, 3.75, 0.14), (6.45, 3.75, 0.14), (-6.75, 4.05, 0.1), (6.75, 4.05, 0.1)]
-    parts = [placed(cylinder(r, -4, LENGTH, 20), (x, 0, z), ALONG) for x, z, r in runs]
-    for y in FRAMES[:-1] + 3.1:
+    parts = [transform(cylinder(r, -4, LENGTH, 20), (x, 0, z), Z_TO_Y) for x, z, r in runs]
+    for y in FRAME_Y[:-1] + 3.1:
         parts += [
-            placed(ring(r + 0.03, 0.05, 20, 6), (x, y, z), ALONG) for x, z, r in runs if r > 0.13
+            transform(torus(r + 0.03, 0.05, 20, 6), (x, y, z), Z_TO_Y)
+            for x, z, r in runs
+            if r > 0.13
         ]
-        parts += [placed(cylinder(0.08, 0.9, 4.6, 12), (x, y + 0.1, 0)) for x in (-6.8, 6.8)]
+        parts += [transform(cylinder(0.08, 0.9, 4.6, 12), (x, y + 0.1, 0)) for x in (-6.8, 6.8)]
     return merge(*parts)

@@ -6,59 +6,72 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import Shape, ball, disc, lathe, merge, placed, rotation, yaw
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    disc,
+    icosphere,
+    lathe,
+    merge,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
+)
 
-TIP = 0.002  # metres: radius at which a turned profile is closed by a lid
+AXIS_RADIUS = 0.002  # metres: radius at which a turned profile is closed by a lid
 
 
-def turned(profile: Sequence[tuple[float, float]], sides: int = 64) -> Shape:
+def closed_lathe(profile: Sequence[tuple[float, float]], sides: int = 64) -> Shape:
     """A closed body from a profile of (radius, height) that starts and ends on the axis.
 
     It goes from the lower end outward and up; where it comes back down, the body is hollow.
     """
     first, last = profile[0], profile[-1]
-    ring = lathe([(max(r, TIP), z) for r, z in profile], sides)
-    lid, bottom = disc(TIP, last[1], sides), disc(TIP, first[1], sides)
+    ring = lathe([(max(r, AXIS_RADIUS), z) for r, z in profile], sides)
+    lid, bottom = disc(AXIS_RADIUS, last[1], sides), disc(AXIS_RADIUS, first[1], sides)
     return merge(ring, lid, bottom._replace(faces=bottom.faces[:, ::-1]))
 
 
-def faceted(shape: Shape) -> Shape:
+def unmerge_vertices(shape: Shape) -> Shape:
     """The same faces without shared corners, so that smooth shading leaves them flat."""
     order = shape.faces.reshape(-1)
     faces = np.arange(len(order), dtype=np.uint32).reshape(-1, 3)
     return Shape(shape.vertices[order], faces, shape.uv[order])
 
 
-def vase(height: float = 0.75, wall: float = 0.022) -> Shape:
+def build_vase(height: float = 0.75, thickness: float = 0.022) -> Shape:
     """A bellied vase with a thick foot, open above, hollow."""
     share = np.linspace(0, 1, 40)
     belly = 0.11 + 0.13 * np.sin(np.pi * np.clip(share * 1.25, 0, 1)) ** 1.3
     belly = belly + 0.09 * np.clip(share - 0.72, 0, 1) ** 1.5 * 4
     outside = list(zip(belly, share * height, strict=True))
-    inside = [(r - wall, z) for r, z in outside if z > 0.09][::-1]
-    lip = [(belly[-1] - wall / 2, height + wall / 3)]
+    inside = [(r - thickness, z) for r, z in outside if z > 0.09][::-1]
+    lip = [(belly[-1] - thickness / 2, height + thickness / 3)]
     foot = [(0.0, 0.0), (0.06, 0.0)]
-    return turned(foot + outside + lip + inside + [(0.06, 0.075), (0.0, 0.07)])
+    return closed_lathe(foot + outside + lip + inside + [(0.06, 0.075), (0.0, 0.07)])
 
 
-def crystal(height: float = 0.9, radius: float = 0.2) -> Shape:
+def build_crystal(height: float = 0.9, radius: float = 0.2) -> Shape:
     """A six-sided crystal with pointed ends, flat faces."""
     outline = [(0.5 * radius, 0.0), (radius, 0.14 * height), (0.9 * radius, 0.7 * height)]
-    body = turned([(0.0, 0.0), *outline, (0.0, height)], 6)
-    return faceted(body)
+    body = closed_lathe([(0.0, 0.0), *outline, (0.0, height)], 6)
+    return unmerge_vertices(body)
 
 
-def on_plinths(plinths: Sequence[tuple[float, float, float, float]]) -> Shape:
+def build_glass_on_plinths(plinths: Sequence[tuple[float, float, float, float]]) -> Shape:
     """Glass on three plinths given as (x, y, radius, height of the top), in metres."""
     one, two, three = plinths
     clear = 0.002  # metres above the stone
     crystals = merge(
-        placed(crystal(), (0.0, 0.05, 0.0), yaw(0.4)),
-        placed(crystal(0.62, 0.14), (0.27, -0.07, 0.01), rotation((0.3, 1, 0), 0.16)),
-        placed(crystal(0.45, 0.11), (-0.23, -0.12, 0.01), rotation((0.2, -1, 0), 0.2)),
+        transform(build_crystal(), (0.0, 0.05, 0.0), yaw_matrix(0.4)),
+        transform(
+            build_crystal(0.62, 0.14), (0.27, -0.07, 0.01), rotation_matrix((0.3, 1, 0), 0.16)
+        ),
+        transform(
+            build_crystal(0.45, 0.11), (-0.23, -0.12, 0.01), rotation_matrix((0.2, -1, 0), 0.2)
+        ),
     )
     return merge(
-        placed(ball(5), (one[0], one[1], one[3] + 0.38 + clear), scale=0.38),
-        placed(crystals, (two[0], two[1], two[3] + 0.05), scale=1.35),
-        placed(vase(1.05, 0.03), (three[0], three[1], three[3] + clear)),
+        transform(icosphere(5), (one[0], one[1], one[3] + 0.38 + clear), scale=0.38),
+        transform(crystals, (two[0], two[1], two[3] + 0.05), scale=1.35),
+        transform(build_vase(1.05, 0.03), (three[0], three[1], three[3] + clear)),
     )

@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from rlbench.render.scene import Mesh, Plugin
 
-Floats = NDArray[np.float32]
+Float32Array = NDArray[np.float32]
 
 
 class Shape(NamedTuple):
     """Triangles without a material; faces turn counter-clockwise seen from outside."""
 
-    vertices: Floats  # v 3, metres, z up
+    vertices: Float32Array  # v 3, metres, z up
     faces: NDArray[np.uint32]  # f 3
-    uv: Floats  # v 2, in repeats of the texture
+    uv: Float32Array  # v 2, in repeats of the texture
 
-    def mesh(self, name: str, material: Plugin, smooth: bool = False) -> Mesh:
+    def to_mesh(self, name: str, material: Plugin, smooth: bool = False) -> Mesh:
         """The shape as a mesh of one material."""
         return Mesh(name, self.vertices, self.faces, material, uv=self.uv, smooth=smooth)
 
@@ -37,7 +37,7 @@ def merge(*shapes: Shape) -> Shape:
     )
 
 
-def rotation(axis: ArrayLike, angle: float) -> Floats:
+def rotation_matrix(axis: ArrayLike, angle: float) -> Float32Array:
     """The 3x3 matrix that turns by `angle` radians about `axis` (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, np.float64) / np.linalg.norm(np.asarray(axis, np.float64))
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -45,26 +45,28 @@ def rotation(axis: ArrayLike, angle: float) -> Floats:
     return np.asarray(turn, np.float32)
 
 
-def yaw(angle: float) -> Floats:
+def yaw_matrix(angle: float) -> Float32Array:
     """The matrix that turns by `angle` radians about the vertical axis."""
-    return rotation((0, 0, 1), angle)
+    return rotation_matrix((0, 0, 1), angle)
 
 
-def placed(shape: Shape, at: ArrayLike, turn: Floats | None = None, scale: float = 1.0) -> Shape:
+def transform(
+    shape: Shape, translation: ArrayLike, rotation: Float32Array | None = None, scale: float = 1.0
+) -> Shape:
     """The shape scaled, then turned, then shifted."""
     vertices = shape.vertices * np.float32(scale)
-    if turn is not None:
-        vertices = vertices @ turn.T
-    return shape._replace(vertices=vertices + np.asarray(at, np.float32))
+    if rotation is not None:
+        vertices = vertices @ rotation.T
+    return shape._replace(vertices=vertices + np.asarray(translation, np.float32))
 
 
-def painted(shape: Shape, slot: ArrayLike, of: int) -> Shape:
+def paint(shape: Shape, colour_index: ArrayLike, palette_size: int) -> Shape:
     """The shape in colour number `slot` of a palette of `of` colours; or one slot a vertex."""
-    column = (np.broadcast_to(np.asarray(slot), len(shape.vertices)) + 0.5) / of
+    column = (np.broadcast_to(np.asarray(colour_index), len(shape.vertices)) + 0.5) / palette_size
     return shape._replace(uv=np.stack([column, np.full_like(column, 0.5)], -1).astype(np.float32))
 
 
-def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile: float = 1.0) -> Shape:
+def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile_size: float = 1.0) -> Shape:
     """Parallelograms from arrays [n 3] (or single vectors); they face along across x up.
 
     A repeat of the texture is `tile` metres wide and starts at each corner; with tile = 0 the
@@ -75,13 +77,13 @@ def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile: float = 1.0
     )
     vertices = np.stack([c, c + a, c + a + u, c + u], 1)
     extent = np.stack([np.linalg.norm(a, axis=1), np.linalg.norm(u, axis=1)], -1)  # n 2
-    repeats = extent / tile if tile else np.ones_like(extent)
+    repeats = extent / tile_size if tile_size else np.ones_like(extent)
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     faces = np.arange(len(c))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
-    return _shape(vertices, faces, unit * repeats[:, None, :])
+    return _to_shape(vertices, faces, unit * repeats[:, None, :])
 
 
-def boxes(low: ArrayLike, high: ArrayLike, tile: float = 1.0) -> Shape:
+def boxes(low: ArrayLike, high: ArrayLike, tile_size: float = 1.0) -> Shape:
     """Axis-aligned boxes between two corners, arrays [n 3] or single vectors.
 
     The texture follows the world, one repeat each `tile` metres, so that neighbours line up.
@@ -98,7 +100,7 @@ def boxes(low: ArrayLike, high: ArrayLike, tile: float = 1.0) -> Shape:
         flat = (b, a) if axis == 1 else (a, b)  # the texture stands upright on every wall
         for side in (corners[:, ::-1], far):
             faces = np.arange(len(low))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
-            sides.append(_shape(side, faces, side[..., flat] / tile))
+            sides.append(_to_shape(side, faces, side[..., flat] / tile_size))
     return merge(*sides)
 
 
@@ -117,7 +119,7 @@ def lathe(profile: Sequence[tuple[float, float]], sides: int = 32, flutes: int =
     )
     around = angle * radius.max()  # metres
     uv = np.stack(np.broadcast_arrays(around[None], height[:, None]), -1)
-    return _shape(vertices, _cells(len(radius), sides + 1), uv)
+    return _to_shape(vertices, grid_faces(len(radius), sides + 1), uv)
 
 
 def disc(radius: float, height: float, sides: int = 32) -> Shape:
@@ -127,7 +129,7 @@ def disc(radius: float, height: float, sides: int = 32) -> Shape:
     vertices = np.concatenate([rim, [[0, 0, height]]])
     first = np.arange(sides)
     faces = np.stack([first, (first + 1) % sides, np.full(sides, sides)], -1)
-    return _shape(vertices, faces, vertices[:, :2])
+    return _to_shape(vertices, faces, vertices[:, :2])
 
 
 def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
@@ -141,7 +143,7 @@ def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
     )
 
 
-def column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> Shape:
+def fluted_column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> Shape:
     """A fluted column with base and capital, standing on the origin."""
     foot, head = 0.9 * radius, height - 1.1 * radius
     shaft = [(radius * (1 - 0.16 * s**1.6), foot + (head - foot) * s) for s in np.linspace(0, 1, 7)]
@@ -162,7 +164,7 @@ def column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> S
 
 
 @cache
-def ball(levels: int = 3) -> Shape:
+def icosphere(subdivisions: int = 3) -> Shape:
     """A ball of radius one without seam or poles: an icosahedron, split `levels` times."""
     g = (1 + 5**0.5) / 2
     corners: list[tuple[float, float, float]] = [
@@ -181,7 +183,7 @@ def ball(levels: int = 3) -> Shape:
         + [(3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9)]
         + [(4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
     )
-    for _ in range(levels):
+    for _ in range(subdivisions):
         edges = np.sort(np.stack([faces, np.roll(faces, -1, 1)], -1), -1).reshape(-1, 2)
         unique, index = np.unique(edges, axis=0, return_inverse=True)
         middle = index.reshape(-1, 3) + len(vertices)  # between corners 01, 12, 20
@@ -190,42 +192,44 @@ def ball(levels: int = 3) -> Shape:
         split = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         faces = np.concatenate([np.stack(corner, -1) for corner in split])
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    return _shape(vertices, faces, np.zeros((len(vertices), 2)))
+    return _to_shape(vertices, faces, np.zeros((len(vertices), 2)))
 
 
-def grid(width: float, length: float, cells: tuple[int, int], tile: float = 1.0) -> Shape:
+def grid(width: float, length: float, cells: tuple[int, int], tile_size: float = 1.0) -> Shape:
     """A level sheet about the origin, cut into cells, facing up."""
     x = np.linspace(-width / 2, width / 2, cells[0] + 1)
     y = np.linspace(-length / 2, length / 2, cells[1] + 1)
     at = np.stack(np.meshgrid(x, y), -1)  # y x 2
     vertices = np.concatenate([at, np.zeros((*at.shape[:2], 1))], -1)
-    return _shape(vertices, _cells(cells[1] + 1, cells[0] + 1), at / tile)
+    return _to_shape(vertices, grid_faces(cells[1] + 1, cells[0] + 1), at / tile_size)
 
 
-def leaves(random: np.random.Generator, centres: ArrayLike, radius: float, size: float) -> Shape:
+def leaf_cloud(
+    random: np.random.Generator, centres: ArrayLike, radius: float, size: float
+) -> Shape:
     """Small quads turned at random, each within `radius` of its centre, denser towards the rim."""
     centres = np.asarray(centres, float)
-    out = _directions(random, len(centres))
-    across = _directions(random, len(centres))
-    up = np.cross(across, out + 0.6 * _directions(random, len(centres)))
+    out = _random_directions(random, len(centres))
+    across = _random_directions(random, len(centres))
+    up = np.cross(across, out + 0.6 * _random_directions(random, len(centres)))
     up /= np.linalg.norm(up, axis=1, keepdims=True).clip(1e-6)
     scale = size * random.uniform(0.7, 1.3, (len(centres), 1))
     middle = centres + out * radius * random.uniform(0.1, 1, (len(centres), 1)) ** 0.4
-    return quads(middle - scale * (across + up) / 2, across * scale, up * scale * 0.8, tile=0)
+    return quads(middle - scale * (across + up) / 2, across * scale, up * scale * 0.8, tile_size=0)
 
 
-def _directions(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+def _random_directions(random: np.random.Generator, count: int) -> NDArray[np.float64]:
     vectors = random.normal(size=(count, 3))
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _cells(rows: int, columns: int) -> NDArray[np.int64]:
+def grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
     a, b, c, d = first, first + 1, first + columns + 1, first + columns
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
 
 
-def _shape(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike) -> Shape:
+def _to_shape(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike) -> Shape:
     return Shape(
         np.asarray(vertices, np.float32).reshape(-1, 3),
         np.asarray(faces, np.uint32).reshape(-1, 3),

@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rlbench.scenes.parts.shapes import Shape, merge, quads
 
-Points = NDArray[np.float64]
+Float64Array = NDArray[np.float64]
 
 
-def sheet(points: ArrayLike, tile: float = 1.0) -> Shape:
+def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:
     """A grid of points [rows columns 3] as a sheet that faces along (to the right) x (upwards).
 
     A repeat of the texture is `tile` metres, measured along the first column and the first row.
@@ -19,7 +19,7 @@ def sheet(points: ArrayLike, tile: float = 1.0) -> Shape:
     rows, columns, _ = at.shape
     up = np.linalg.norm(np.diff(at[:, 0], axis=0, prepend=at[:1, 0]), axis=-1).cumsum()
     along = np.linalg.norm(np.diff(at[0], axis=0, prepend=at[0, :1]), axis=-1).cumsum()
-    uv = np.stack(np.broadcast_arrays(along[None], up[:, None]), -1) / tile
+    uv = np.stack(np.broadcast_arrays(along[None], up[:, None]), -1) / tile_size
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
     a, b, c, d = first, first + 1, first + columns + 1, first + columns
     faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
@@ -30,37 +30,39 @@ def sheet(points: ArrayLike, tile: float = 1.0) -> Shape:
     )
 
 
-def ring(radius: float, thick: float, sides: int = 64, around: int = 10) -> Shape:
+def torus(radius: float, tube_radius: float, sides: int = 64, tube_sides: int = 10) -> Shape:
     """A level torus about the origin; `thick` is the radius of its tube."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
-    turn = np.linspace(0, 2 * np.pi, around + 1)[:, None]
-    wide = radius + thick * np.cos(turn)
-    height = np.broadcast_to(thick * np.sin(turn), (around + 1, sides + 1))
+    turn = np.linspace(0, 2 * np.pi, tube_sides + 1)[:, None]
+    wide = radius + tube_radius * np.cos(turn)
+    height = np.broadcast_to(tube_radius * np.sin(turn), (tube_sides + 1, sides + 1))
     return sheet(np.stack([wide * np.cos(angle), wide * np.sin(angle), height], -1))
 
 
-def arch(radius: float, half: float, spring: float, top: float, thick: float) -> Shape:
+def arch_wall(
+    radius: float, half_width: float, spring_height: float, top: float, thickness: float
+) -> Shape:
     """A wall from `spring` to `top` with a round arch cut out, `half` metres to either side.
 
     It stands in the plane of x and z, `thick` metres deep about y = 0; its ends stay open.
     """
-    a = _arc(radius, spring)
-    low = np.concatenate([[(-half, spring)], a, [(half, spring)]])
+    a = _semicircle(radius, spring_height)
+    low = np.concatenate([[(-half_width, spring_height)], a, [(half_width, spring_height)]])
     high = np.stack([low[:, 0], np.full(len(low), top)], -1)
-    front = sheet(_raised([low, high], [-thick / 2] * 2), 3.0)
-    back = sheet(_raised([low[::-1], high[::-1]], [thick / 2] * 2), 3.0)
-    soffit = sheet(_raised([low, low], [thick / 2, -thick / 2]), 3.0)
+    front = sheet(_at_depths([low, high], [-thickness / 2] * 2), 3.0)
+    back = sheet(_at_depths([low[::-1], high[::-1]], [thickness / 2] * 2), 3.0)
+    soffit = sheet(_at_depths([low, low], [thickness / 2, -thickness / 2]), 3.0)
     return merge(front, back, soffit)
 
 
-def moulding(radius: float, wide: float, spring: float, thick: float) -> Shape:
+def moulding(radius: float, width: float, spring_height: float, thickness: float) -> Shape:
     """The raised band about an arch of that radius, through a wall whose faces it overhangs."""
-    inner, outer = _arc(radius, spring), _arc(radius + wide, spring)
-    deep = [-thick / 2, -thick / 2, thick / 2, thick / 2, -thick / 2]
-    return sheet(_raised([inner, outer, outer, inner, inner], deep), 3.0)
+    inner, outer = _semicircle(radius, spring_height), _semicircle(radius + width, spring_height)
+    deep = [-thickness / 2, -thickness / 2, thickness / 2, thickness / 2, -thickness / 2]
+    return sheet(_at_depths([inner, outer, outer, inner, inner], deep), 3.0)
 
 
-def blade(
+def leaf_blade(
     length: float, width: float, rise: float, curl: float, steps: int = 7, cup: float = 0.2
 ) -> Shape:
     """A leaf from the origin that leaves towards +x at the angle `rise` and bends down by `curl`.
@@ -79,7 +81,9 @@ def blade(
     return sheet(np.stack([x, half[:, None] * side, z], -1))
 
 
-def pierced(cells: tuple[int, int], size: float, hole: float, thick: float) -> Shape:
+def pierced_screen(
+    cells: tuple[int, int], cell_size: float, hole_radius: float, thickness: float
+) -> Shape:
     """A screen of rows x columns square cells, each with a round hole, from the origin to +x, +z.
 
     `size` is the width of a cell, `hole` the radius of its hole; it is `thick` deep about y = 0,
@@ -88,10 +92,12 @@ def pierced(cells: tuple[int, int], size: float, hole: float, thick: float) -> S
     angle = np.linspace(0, 2 * np.pi, 17)
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     square = circle / np.abs(circle).max(1, keepdims=True)
-    inside, outside = hole * circle, size / 2 * square
-    one = sheet(_raised([outside, inside, inside], [-thick / 2, -thick / 2, thick / 2]))
+    inside, outside = hole_radius * circle, cell_size / 2 * square
+    one = sheet(
+        _at_depths([outside, inside, inside], [-thickness / 2, -thickness / 2, thickness / 2])
+    )
     rows, columns = np.indices(cells).reshape(2, -1)
-    at = np.stack([(columns + 0.5) * size, 0 * rows, (rows + 0.5) * size], -1)
+    at = np.stack([(columns + 0.5) * cell_size, 0 * rows, (rows + 0.5) * cell_size], -1)
     count = len(one.vertices)
     return Shape(
         (one.vertices + at[:, None].astype(np.float32)).reshape(-1, 3),
@@ -100,7 +106,7 @@ def pierced(cells: tuple[int, int], size: float, hole: float, thick: float) -> S
     )
 
 
-def blocks(
+def block_wall(
     random: np.random.Generator,
     low: tuple[float, float],
     high: tuple[float, float],
@@ -122,18 +128,18 @@ def blocks(
     wide, tall, none = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
     near = np.stack([x0 + gap / 2, face, z0 + gap / 2], -1)
     across, up = np.stack([wide, none, none], -1), np.stack([none, none, tall], -1)
-    wall = quads(near, across, up, tile=3.0)
+    wall = quads(near, across, up, tile_size=3.0)
     shift = random.uniform(0, 1, (len(x0), 1, 2)).astype(np.float32)
     return wall._replace(uv=(wall.uv.reshape(-1, 4, 2) + shift).reshape(-1, 2))
 
 
-def _arc(radius: float, spring: float, steps: int = 21) -> Points:
+def _semicircle(radius: float, spring_height: float, steps: int = 21) -> Float64Array:
     """Half a circle from left to right [steps 2]."""
     angle = np.linspace(np.pi, 0, steps)
-    return np.stack([radius * np.cos(angle), spring + radius * np.sin(angle)], -1)
+    return np.stack([radius * np.cos(angle), spring_height + radius * np.sin(angle)], -1)
 
 
-def _raised(outlines: list[Points], deep: ArrayLike) -> Points:
+def _at_depths(outlines: list[Float64Array], depths: ArrayLike) -> Float64Array:
     """Outlines in x and z, each at its own y [outlines n 3]."""
-    rows = zip(outlines, np.asarray(deep, float), strict=True)
+    rows = zip(outlines, np.asarray(depths, float), strict=True)
     return np.stack([np.stack([o[:, 0], np.full(len(o), y), o[:, 1]], -1) for o, y in rows])

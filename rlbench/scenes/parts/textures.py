@@ -12,15 +12,15 @@ Pixels = NDArray[np.float32]  # h w 3, linear reflectance or radiance
 Colour = tuple[float, float, float]
 
 
-def bitmap(pixels: ArrayLike, filter_type: str = "bilinear") -> dict[str, Any]:
+def bitmap_texture(pixels: ArrayLike, filter_type: str = "bilinear") -> dict[str, Any]:
     """A bitmap plugin of linear values that repeats; the loader makes a tensor of the array."""
     values = np.ascontiguousarray(pixels, np.float32)
     return {"type": "bitmap", "data": values, "raw": True, "filter_type": filter_type}
 
 
-def palette(colours: Sequence[Colour]) -> dict[str, Any]:
+def palette_texture(colours: Sequence[Colour]) -> dict[str, Any]:
     """One texel a colour: shapes pick theirs with `painted`."""
-    return bitmap(np.array(colours, np.float32)[None], "nearest")
+    return bitmap_texture(np.array(colours, np.float32)[None], "nearest")
 
 
 def rgb(red: float, green: float, blue: float) -> dict[str, Any]:
@@ -28,29 +28,29 @@ def rgb(red: float, green: float, blue: float) -> dict[str, Any]:
     return {"type": "rgb", "value": [red, green, blue]}
 
 
-def diffuse(reflectance: dict[str, Any]) -> dict[str, Any]:
+def diffuse_bsdf(reflectance: dict[str, Any]) -> dict[str, Any]:
     """Matte on both sides."""
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
 
 
-def glossy(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
+def glossy_bsdf(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
     """A coloured base under a clear coat of roughness alpha, on both sides."""
     coat = {"type": "roughplastic", "diffuse_reflectance": reflectance, "alpha": alpha}
     return {"type": "twosided", "bsdf": coat}
 
 
-def metal(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
+def metal_bsdf(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
     """A conductor tinted by `reflectance`, with roughness alpha, on both sides."""
     plain = {"type": "roughconductor", "specular_reflectance": reflectance, "alpha": alpha}
     return {"type": "twosided", "bsdf": plain}
 
 
-def noise(random: np.random.Generator, size: int, rough: float = 1.0) -> Pixels:
+def noise_pixels(random: np.random.Generator, size: int, falloff: float = 1.0) -> Pixels:
     """Cloudy noise [size size 1] in 0..1 that repeats: white noise times 1 / f^(1 + rough)."""
     ring = np.fft.fftfreq(size)
     frequency = np.hypot(ring[:, None], ring[None]) * size
     spectrum = np.fft.fft2(random.normal(size=(size, size))) / np.maximum(frequency, 1) ** (
-        1 + rough
+        1 + falloff
     )
     spectrum[0, 0] = 0
     cloud = np.fft.ifft2(spectrum).real
@@ -58,19 +58,19 @@ def noise(random: np.random.Generator, size: int, rough: float = 1.0) -> Pixels:
     return np.asarray(np.clip(cloud, 0, 1)[..., None], np.float32)
 
 
-def mix(a: Colour, b: Colour, share: Pixels) -> Pixels:
+def mix_colours(a: Colour, b: Colour, weight: Pixels) -> Pixels:
     """From colour a to colour b as `share` [h w 1] goes from 0 to 1."""
-    return np.asarray(np.array(a) * (1 - share) + np.array(b) * share, np.float32)
+    return np.asarray(np.array(a) * (1 - weight) + np.array(b) * weight, np.float32)
 
 
-def tiles(
+def tile_pixels(
     random: np.random.Generator,
     colours: Sequence[Colour],
-    joint: Colour,
+    joint_colour: Colour,
     count: tuple[int, int] = (8, 8),
-    bond: float = 0.0,
+    row_offset: float = 0.0,
     size: int = 256,
-    gap: float = 0.08,
+    joint_width: float = 0.08,
 ) -> Pixels:
     """Rows of tiles or bricks [size size 3], `count` = (rows, columns), a texture that repeats.
 
@@ -81,17 +81,17 @@ def tiles(
     at = (np.arange(size) + 0.5) / size
     y = np.broadcast_to(at[:, None] * rows, (size, size))
     row = np.floor(y).astype(int)
-    x = at[None] * columns + bond * (row % 2)
+    x = at[None] * columns + row_offset * (row % 2)
     column = np.floor(x).astype(int) % columns
     pick = random.integers(len(colours), size=(rows, columns))
     shade = random.uniform(0.85, 1.1, (rows, columns, 1))
     face = (np.array(colours)[pick] * shade)[row, column]
-    wide = gap * columns / rows
-    inside = (np.abs(y % 1 - 0.5) < 0.5 - gap / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
-    grain = 0.85 + 0.3 * noise(random, size, 0.3)
-    return np.asarray(np.where(inside[..., None], face, np.array(joint)) * grain, np.float32)
+    wide = joint_width * columns / rows
+    inside = (np.abs(y % 1 - 0.5) < 0.5 - joint_width / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
+    grain = 0.85 + 0.3 * noise_pixels(random, size, 0.3)
+    return np.asarray(np.where(inside[..., None], face, np.array(joint_colour)) * grain, np.float32)
 
 
-def polished(reflectance: dict[str, Any]) -> dict[str, Any]:
+def polished_bsdf(reflectance: dict[str, Any]) -> dict[str, Any]:
     """A coloured base under a clear coat as smooth as a mirror, on both sides."""
     return {"type": "twosided", "bsdf": {"type": "plastic", "diffuse_reflectance": reflectance}}

@@ -8,10 +8,19 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import Shape, ball, merge, painted, placed, quads, rotation, yaw
+from rlbench.scenes.parts.shapes import (
+    Shape,
+    icosphere,
+    merge,
+    paint,
+    quads,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
+)
 
-Height = Callable[[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.float64]]
-COLOURS = (
+HeightField = Callable[[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.float64]]
+FLOATING_COLOURS = (
     (0.09, 0.22, 0.05),  # 0 pads, from the middle to the rim
     (0.13, 0.28, 0.07),
     (0.10, 0.20, 0.05),
@@ -25,24 +34,31 @@ COLOURS = (
 )
 FLOWERS = ((-1.55, -0.95, 0.2), (-0.62, -2.05, 0.16), (2.2, -1.95, 0.18))  # x, y, radius
 BALLS = ((0.35, -1.2, 0.24, 7), (1.0, -1.75, 0.15, 9))  # x, y, radius, colour
-LIFT = 0.008  # metres of a pad above the water, more than the sheet's facets depart from it
+PAD_LIFT = 0.008  # metres of a pad above the water, more than the sheet's facets depart from it
 
 
-def afloat(height: Height, time: float) -> Shape:
+def build_floating(height: HeightField, time: float) -> Shape:
     """All that floats, on water of `height` (x, y, time), in colours of `COLOURS`."""
-    pads = _pads()
+    pads = _build_pads()
     x, y = pads.vertices[:, 0].astype(float), pads.vertices[:, 1].astype(float)
-    level = height(x, y, time) + LIFT + pads.vertices[:, 2]
+    level = height(x, y, time) + PAD_LIFT + pads.vertices[:, 2]
     lying = pads._replace(vertices=np.stack([x, y, level], -1).astype(np.float32))
     flowers = [
-        placed(_flower(), (x, y, float(height(np.array(x), np.array(y), time)) + 0.02), yaw(x), r)
+        transform(
+            _build_flower(),
+            (x, y, float(height(np.array(x), np.array(y), time)) + 0.02),
+            yaw_matrix(x),
+            r,
+        )
         for x, y, r in FLOWERS
     ]
-    return merge(lying, *flowers, *(_ball(number, height, time) for number in range(len(BALLS))))
+    return merge(
+        lying, *flowers, *(_build_ball(number, height, time) for number in range(len(BALLS)))
+    )
 
 
 @cache
-def _pads() -> Shape:
+def _build_pads() -> Shape:
     """Round leaves with a notch, in drifts about the flowers; z is the height over the water."""
     random = np.random.default_rng(12)
     placed_at: list[tuple[float, float, float]] = []
@@ -54,10 +70,12 @@ def _pads() -> Shape:
         clear = all(np.hypot(x - a, y - b) > radius + r for a, b, r, _ in BALLS)
         if apart and clear and max(abs(x), abs(y)) + radius < 2.95:
             placed_at.append((x, y, radius))
-    return merge(*(_pad(x, y, r, random.uniform(0, 6)) for x, y, r in placed_at))
+    return merge(*(_build_pad(x, y, r, random.uniform(0, 6)) for x, y, r in placed_at))
 
 
-def _pad(x: float, y: float, radius: float, turn: float, rings: int = 4, sides: int = 26) -> Shape:
+def _build_pad(
+    x: float, y: float, radius: float, turn: float, rings: int = 4, sides: int = 26
+) -> Shape:
     angle = turn + np.linspace(0.16, 2 * np.pi - 0.16, sides + 1)
     away = radius * np.linspace(0.02, 1, rings + 1)
     wavy = 1 + 0.03 * np.sin(7 * angle)
@@ -76,11 +94,13 @@ def _pad(x: float, y: float, radius: float, turn: float, rings: int = 4, sides: 
     shape = Shape(
         at.reshape(-1, 3).astype(np.float32), faces, np.zeros((at[..., 0].size, 2), np.float32)
     )
-    return painted(shape, np.array([0, 1, 2, 1, 3])[: rings + 1].repeat(sides + 1), len(COLOURS))
+    return paint(
+        shape, np.array([0, 1, 2, 1, 3])[: rings + 1].repeat(sides + 1), len(FLOATING_COLOURS)
+    )
 
 
 @cache
-def _flower() -> Shape:
+def _build_flower() -> Shape:
     """Three whorls of pointed petals about a yellow heart, of radius one."""
     petals = []
     for whorl, (count, rise, length) in enumerate(((9, 0.35, 1.0), (8, 0.75, 0.85), (6, 1.1, 0.7))):
@@ -94,19 +114,19 @@ def _flower() -> Shape:
             tip = root + length * (np.cos(rise) * ahead + np.sin(rise + 0.25) * lift)
             petal = quads(root, waist + 0.22 * side - root, waist - 0.22 * side - root)
             petal.vertices[2] = tip
-            petals.append(painted(petal, 5 if whorl == 2 else 4, len(COLOURS)))
-    heart = painted(placed(ball(2), (0, 0, 0.25), scale=0.2), 6, len(COLOURS))
+            petals.append(paint(petal, 5 if whorl == 2 else 4, len(FLOATING_COLOURS)))
+    heart = paint(transform(icosphere(2), (0, 0, 0.25), scale=0.2), 6, len(FLOATING_COLOURS))
     return merge(*petals, heart)
 
 
-def _ball(number: int, height: Height, time: float) -> Shape:
+def _build_ball(number: int, height: HeightField, time: float) -> Shape:
     """A ball with a pale belt that bobs with the water."""
     x, y, radius, slot = BALLS[number]
     level = float(height(np.array(x), np.array(y), time))
-    sphere = ball(4)
+    sphere = icosphere(4)
     slots = np.where(np.abs(sphere.vertices[:, 2]) < 0.2, 8, slot)
-    tilt = rotation(
+    tilt = rotation_matrix(
         (np.cos(number), np.sin(number), 0), 0.5 + 0.2 * np.sin(2 * np.pi * time / 40 + number)
     )
     at = (x, y, 1.6 * level + 0.35 * radius)
-    return placed(painted(sphere, slots, len(COLOURS)), at, tilt, radius)
+    return transform(paint(sphere, slots, len(FLOATING_COLOURS)), at, tilt, radius)

@@ -8,15 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes.parts.glassware import on_plinths
-from rlbench.scenes.parts.shapes import Shape, ball, grid, placed
-from rlbench.scenes.parts.takes import cut, static
-from rlbench.scenes.parts.textures import glossy, palette, rgb
-from rlbench.scenes.ripples.bath import HALF, PLINTHS, clutter, fittings, room
-from rlbench.scenes.ripples.lilies import COLOURS, afloat
+from rlbench.scenes.parts.glassware import build_glass_on_plinths
+from rlbench.scenes.parts.shapes import Shape, grid, icosphere, transform
+from rlbench.scenes.parts.takes import cut_take, static_camera_take
+from rlbench.scenes.parts.textures import glossy_bsdf, palette_texture, rgb
+from rlbench.scenes.ripples.bath import (
+    HALF,
+    PLINTHS,
+    clutter_mesh,
+    mirror_and_lamp_meshes,
+    room_meshes,
+)
+from rlbench.scenes.ripples.lilies import FLOATING_COLOURS, build_floating
 
 DROPS = ((-1.1, 0.4, 0.0), (1.3, -0.9, 21.0), (0.5, 1.7, 43.0))  # x, y, first frame
-GLASS = {"type": "dielectric", "int_ior": 1.5}
+GLASS_BSDF = {"type": "dielectric", "int_ior": 1.5}
 
 
 def scene() -> Scene:
@@ -25,13 +31,19 @@ def scene() -> Scene:
     return Scene(
         name="ripples",
         title="Ripples: caustics, glass and a mirror",
-        meshes=(*room(random), clutter(random), *fittings(), _glassware(), *_movers(0.0)),
+        meshes=(
+            *room_meshes(random),
+            clutter_mesh(random),
+            *mirror_and_lamp_meshes(),
+            _glassware_mesh(),
+            *_moving_meshes(0.0),
+        ),
         camera=_camera,
         sky=({"type": "constant", "radiance": rgb(0.15, 0.24, 0.39)},),
-        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _movers(time)},
+        vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _moving_meshes(time)},
         exposure=1.8,
         depth=8,
-        takes=(static(_camera, 25.0), cut(_camera, _low, "lamp", 0.2, 1.0)),
+        takes=(static_camera_take(_camera, 25.0), cut_take(_camera, _low_camera, "lamp", 0.2, 1.0)),
     )
 
 
@@ -41,17 +53,19 @@ def _camera(time: float) -> Camera:
     return Camera((4.9 * np.sin(angle), -4.9 * np.cos(angle), lift), (0.1, 0.7, 0.1), fov=58)
 
 
-def _low(time: float) -> Camera:
+def _low_camera(time: float) -> Camera:
     """From near the water, at a corner of the pool, moving around it."""
     angle = 0.62 + 0.012 * time
     return Camera((4.6 * np.sin(angle), -4.6 * np.cos(angle), 1.2), (0.3, 1.2, 0.1), fov=58)
 
 
-def _glassware() -> Mesh:
-    return on_plinths(PLINTHS).mesh("glassware", GLASS, smooth=True)
+def _glassware_mesh() -> Mesh:
+    return build_glass_on_plinths(PLINTHS).to_mesh("glassware", GLASS_BSDF, smooth=True)
 
 
-def _height(x: NDArray[np.float64], y: NDArray[np.float64], time: float) -> NDArray[np.float64]:
+def _water_height(
+    x: NDArray[np.float64], y: NDArray[np.float64], time: float
+) -> NDArray[np.float64]:
     """Height of the water: rings that spread from drops, on a slow swell, in metres."""
     level = 0.012 * np.sin(2.1 * x + 1.3 * y + 0.11 * time) + 0.009 * np.sin(
         2.9 * y - 1.7 * x - 0.13 * time
@@ -63,24 +77,28 @@ def _height(x: NDArray[np.float64], y: NDArray[np.float64], time: float) -> NDAr
     return level
 
 
-def _movers(time: float) -> tuple[Mesh, ...]:
+def _moving_meshes(time: float) -> tuple[Mesh, ...]:
     """The water, what floats on it, and the glass ball above it."""
-    sheet = _sheet()
+    sheet = _water_grid()
     x, y = sheet.vertices[:, 0].astype(float), sheet.vertices[:, 1].astype(float)
-    water = sheet._replace(vertices=np.stack([x, y, _height(x, y, time)], -1).astype(np.float32))
+    water = sheet._replace(
+        vertices=np.stack([x, y, _water_height(x, y, time)], -1).astype(np.float32)
+    )
     hover = (
         -0.35 + 0.5 * np.sin(2 * np.pi * time / 120),
         0.55,
         0.85 + 0.15 * np.sin(2 * np.pi * time / 70),
     )
-    orb = placed(ball(5), hover, scale=0.5)
+    orb = transform(icosphere(5), hover, scale=0.5)
     return (
-        water.mesh("water", {"type": "dielectric", "int_ior": 1.33}, smooth=True),
-        afloat(_height, time).mesh("floats", glossy(palette(COLOURS), 0.12), smooth=True),
-        orb.mesh("orb", GLASS, smooth=True),
+        water.to_mesh("water", {"type": "dielectric", "int_ior": 1.33}, smooth=True),
+        build_floating(_water_height, time).to_mesh(
+            "floats", glossy_bsdf(palette_texture(FLOATING_COLOURS), 0.12), smooth=True
+        ),
+        orb.to_mesh("orb", GLASS_BSDF, smooth=True),
     )
 
 
 @cache
-def _sheet() -> Shape:
+def _water_grid() -> Shape:
     return grid(2 * HALF + 0.1, 2 * HALF + 0.1, (110, 110))

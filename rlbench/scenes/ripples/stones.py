@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.textures import Pixels, mix, noise, tiles
+from rlbench.scenes.parts.textures import Pixels, mix_colours, noise_pixels, tile_pixels
 
 
-def mosaic(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:
+def mosaic_pixels(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:
     """Rings of waves in small stones [size size 3], pale enough to show what light falls on it."""
     colours = np.array(
         [(0.50, 0.64, 0.60), (0.37, 0.58, 0.58), (0.21, 0.46, 0.51), (0.06, 0.23, 0.34)]
@@ -25,12 +25,12 @@ def mosaic(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pi
     return np.asarray(np.where(joint[..., None], np.array([0.42, 0.46, 0.44]), full), np.float32)
 
 
-def travertine(random: np.random.Generator) -> Pixels:
+def travertine_pixels(random: np.random.Generator) -> Pixels:
     """Slabs of warm stone [512 512 3] with veins along the rows."""
-    slabs = tiles(
+    slabs = tile_pixels(
         random, [(0.54, 0.46, 0.36), (0.60, 0.52, 0.42)], (0.22, 0.18, 0.14), (3, 2), 0.5, 512, 0.02
     )
-    cloud = noise(random, 512, 0.7)
+    cloud = noise_pixels(random, 512, 0.7)
     across = (np.arange(512) / 512)[:, None, None]
     vein = 0.5 + 0.5 * np.sin(2 * np.pi * (9 * across + 2.6 * cloud))
-    return slabs * mix((0.80, 0.76, 0.70), (1.08, 1.06, 1.04), np.asarray(vein, np.float32))
+    return slabs * mix_colours((0.80, 0.76, 0.70), (1.08, 1.06, 1.04), np.asarray(vein, np.float32))

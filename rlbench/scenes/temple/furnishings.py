@@ -6,51 +6,53 @@ import numpy as np
 
 from rlbench.scenes.parts.shapes import (
     Shape,
-    ball,
     boxes,
     cylinder,
+    icosphere,
     lathe,
     merge,
-    placed,
-    rotation,
-    yaw,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
 )
-from rlbench.scenes.parts.sheets import blade, ring, sheet
+from rlbench.scenes.parts.sheets import leaf_blade, sheet, torus
 from rlbench.scenes.temple.stone import HEIGHT
 
-PIVOT = np.array([-1.9, 6.5, HEIGHT])  # where the lamp hangs from
-SPHERE = np.array([0.0, 12.5, 2.4])  # the middle of the rings
+LAMP_PIVOT = np.array([-1.9, 6.5, HEIGHT])  # where the lamp hangs from
+RING_CENTRE = np.array([0.0, 12.5, 2.4])  # the middle of the rings
 POTS = ((2.25, 6.0), (-2.2, 8.4), (2.2, 17.2), (-2.2, 19.0), (-2.3, 3.4))
 BANNERS = ((-1.9, 9.0), (1.9, 9.0), (-1.9, 17.0), (1.9, 17.0))  # from beams, facing the door
 
 
-def pots() -> Shape:
+def build_pots() -> Shape:
     """Glazed pots in the nave."""
     belly = [(0.24, 0.0), (0.27, 0.04), (0.36, 0.22), (0.44, 0.45), (0.43, 0.62), (0.33, 0.76)]
     pot = lathe([*belly, (0.31, 0.82), (0.38, 0.88), (0.37, 0.92), (0.31, 0.9), (0.27, 0.7)], 40)
-    return merge(*(placed(pot, (x, y, 0.0)) for x, y in POTS))
+    return merge(*(transform(pot, (x, y, 0.0)) for x, y in POTS))
 
 
-def plants(random: np.random.Generator) -> Shape:
+def build_plants(random: np.random.Generator) -> Shape:
     """A tuft of long leaves in each pot."""
-    leaf = blade(1.15, 0.15, 1.35, 1.5, steps=10, cup=0.5)
+    leaf = leaf_blade(1.15, 0.15, 1.35, 1.5, steps=10, cup=0.5)
     parts = []
     for x, y in POTS:
         for number in range(26):
-            turn = yaw(2.4 * number) @ rotation((0, 1, 0), random.uniform(-0.15, 0.55))
-            parts.append(placed(leaf, (x, y, 0.72), turn, random.uniform(0.65, 1.1)))
+            turn = yaw_matrix(2.4 * number) @ rotation_matrix(
+                (0, 1, 0), random.uniform(-0.15, 0.55)
+            )
+            parts.append(transform(leaf, (x, y, 0.72), turn, random.uniform(0.65, 1.1)))
     return merge(*parts)
 
 
-def pedestal() -> Shape:
+def build_pedestal_and_altar() -> Shape:
     """The round foot below the rings, and the altar."""
     low = [(0.95, 0.0), (0.95, 0.16), (0.75, 0.18), (0.75, 0.34), (0.5, 0.37), (0.4, 0.44)]
     foot = lathe([*low, (0.3, 0.7), (0.28, 0.95), (0.36, 1.1), (0.4, 1.15), (0.01, 1.17)], 64)
     altar = boxes([(-0.9, 29.0, 0.6), (-1.0, 28.9, 1.4)], [(0.9, 29.9, 1.4), (1.0, 30.0, 1.6)])
-    return merge(placed(foot, (SPHERE[0], SPHERE[1], 0)), altar)
+    return merge(transform(foot, (RING_CENTRE[0], RING_CENTRE[1], 0)), altar)
 
 
-def cloth(time: float) -> Shape:
+def build_banners(time: float) -> Shape:
     """Banners that hang from the beams and sway, more so at their lower ends."""
     across, down = np.meshgrid(np.linspace(-0.5, 0.5, 11), np.linspace(1, 0, 21))
     parts = []
@@ -67,22 +69,28 @@ def cloth(time: float) -> Shape:
     return merge(*parts)
 
 
-def brass(time: float) -> Shape:
+def build_lamp_and_rings(time: float) -> Shape:
     """The swinging lamp, and three rings that turn within one another."""
-    swing = rotation((0.25, 1, 0), 0.2 * np.sin(2 * np.pi * time / 70 + 0.4))
-    lamp = [cylinder(0.02, -4.6, 0.0, 8), placed(ball(2), (0, 0, -4.75), scale=0.14)]
-    lamp += [placed(ring(0.42, 0.035, 40), (0, 0, -5.35))]
-    lamp += [placed(ring(0.42, 0.03, 32, 8), (0, 0, -5.0), rotation((0, 1, 0), np.pi / 2))]
-    lamp += [placed(ring(0.42, 0.03, 32, 8), (0, 0, -5.0), rotation((1, 0, 0), np.pi / 2))]
+    swing = rotation_matrix((0.25, 1, 0), 0.2 * np.sin(2 * np.pi * time / 70 + 0.4))
+    lamp = [cylinder(0.02, -4.6, 0.0, 8), transform(icosphere(2), (0, 0, -4.75), scale=0.14)]
+    lamp += [transform(torus(0.42, 0.035, 40), (0, 0, -5.35))]
+    lamp += [
+        transform(torus(0.42, 0.03, 32, 8), (0, 0, -5.0), rotation_matrix((0, 1, 0), np.pi / 2))
+    ]
+    lamp += [
+        transform(torus(0.42, 0.03, 32, 8), (0, 0, -5.0), rotation_matrix((1, 0, 0), np.pi / 2))
+    ]
     rings = []
     for radius, tilt, period in ((1.15, 1.45, 150.0), (0.98, 0.9, -95.0), (0.82, 0.4, 60.0)):
-        turn = yaw(2 * np.pi * time / period + radius * 7) @ rotation((1, 0, 0), tilt)
+        turn = yaw_matrix(2 * np.pi * time / period + radius * 7) @ rotation_matrix((1, 0, 0), tilt)
         rim = [(radius, -0.09), (radius + 0.06, -0.09), (radius + 0.06, 0.09), (radius, 0.09)]
-        rings.append(placed(lathe([*rim, rim[0]], 56), SPHERE, turn))
-    return merge(placed(merge(*lamp), PIVOT, swing), *rings)
+        rings.append(transform(lathe([*rim, rim[0]], 56), RING_CENTRE, turn))
+    return merge(transform(merge(*lamp), LAMP_PIVOT, swing), *rings)
 
 
-def crystal(time: float) -> Shape:
+def build_glass_ball(time: float) -> Shape:
     """A ball of glass within the rings, which drifts about."""
     angle = 2 * np.pi * time / 60
-    return placed(ball(4), SPHERE + (0.1 * np.cos(angle), 0, 0.1 * np.sin(angle)), scale=0.5)
+    return transform(
+        icosphere(4), RING_CENTRE + (0.1 * np.cos(angle), 0, 0.1 * np.sin(angle)), scale=0.5
+    )

@@ -6,27 +6,27 @@ from typing import Any
 
 import numpy as np
 
-from rlbench.scenes.parts.textures import Pixels, bitmap, mix, noise
+from rlbench.scenes.parts.textures import Pixels, bitmap_texture, mix_colours, noise_pixels
 
 CREAM, ROSE = (0.66, 0.58, 0.45), (0.50, 0.24, 0.16)
 GREEN, DARK = (0.07, 0.14, 0.10), (0.05, 0.04, 0.04)
 
 
-def marble(random: np.random.Generator, size: int = 256) -> Pixels:
+def marble_pixels(random: np.random.Generator, size: int = 256) -> Pixels:
     """Dark stone with pale veins [size size 3], a texture that repeats."""
-    vein = np.abs(noise(random, size, 0.8) - 0.5) * 2
-    body = mix((0.16, 0.04, 0.03), (0.30, 0.09, 0.07), noise(random, size, 0.2))
+    vein = np.abs(noise_pixels(random, size, 0.8) - 0.5) * 2
+    body = mix_colours((0.16, 0.04, 0.03), (0.30, 0.09, 0.07), noise_pixels(random, size, 0.2))
     return np.asarray(body + 0.25 * np.exp(-((vein / 0.035) ** 2)), np.float32)
 
 
-def wood(random: np.random.Generator, size: int = 256) -> Pixels:
+def wood_pixels(random: np.random.Generator, size: int = 256) -> Pixels:
     """Dark timber with cloudy grain [size size 3], a texture that repeats."""
-    grain = noise(random, size, 0.6)
-    fine = np.repeat(noise(random, size, -0.6)[::1, :1], size, axis=1)
-    return mix((0.15, 0.075, 0.035), (0.36, 0.20, 0.10), 0.6 * grain + 0.4 * fine)
+    grain = noise_pixels(random, size, 0.6)
+    fine = np.repeat(noise_pixels(random, size, -0.6)[::1, :1], size, axis=1)
+    return mix_colours((0.15, 0.075, 0.035), (0.36, 0.20, 0.10), 0.6 * grain + 0.4 * fine)
 
 
-def pavement(random: np.random.Generator) -> Pixels:
+def pavement_pixels(random: np.random.Generator) -> Pixels:
     """One bay of floor, 13 metres wide and 4 long [256 832 3]: slabs, bands and a great round."""
     y, x = np.indices((256, 832)) + 0.5
     x, y = np.abs(x / 64 - 6.5), np.abs(y / 64 - 2)
@@ -44,11 +44,11 @@ def pavement(random: np.random.Generator) -> Pixels:
     flat[(x > 2.7) & (x < 3.9)] = GREEN
     flat[(np.abs(x - 2.75) < 0.05) | (np.abs(x - 3.85) < 0.05)] = CREAM
     flat[(np.abs(x - 2.62) < 0.05) | (np.abs(x - 3.98) < 0.05)] = DARK
-    cloud = np.concatenate([noise(random, 256, 0.3) for _ in range(4)], 1)[:, :832]
+    cloud = np.concatenate([noise_pixels(random, 256, 0.3) for _ in range(4)], 1)[:, :832]
     return np.asarray(flat * (0.7 + 0.6 * cloud), np.float32)
 
 
-def woven() -> dict[str, Any]:
+def banner_texture() -> dict[str, Any]:
     """A red banner with gold bands and a sun, as a texture that is stretched over it."""
     y, x = (np.indices((256, 128)) + 0.5) / 128
     x, y = np.abs(x - 0.5) * 1.05, 2.5 * (1 - y / 2)
@@ -60,4 +60,4 @@ def woven() -> dict[str, Any]:
     cloth[(far < 0.30 + 0.05 * np.cos(12 * angle)) & (far > 0.2)] = gold
     cloth[far < 0.13] = gold
     cloth *= 0.9 + 0.1 * np.indices((256, 128)).sum(0)[..., None] % 2
-    return bitmap(cloth)
+    return bitmap_texture(cloth)

@@ -7,17 +7,26 @@ from dataclasses import replace
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes.parts.shapes import Floats, Shape, boxes, merge, quads
-from rlbench.scenes.parts.takes import cut, static, still
-from rlbench.scenes.parts.textures import bitmap, diffuse, metal, mix, noise, polished, rgb, tiles
+from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, quads
+from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
+from rlbench.scenes.parts.textures import (
+    bitmap_texture,
+    diffuse_bsdf,
+    metal_bsdf,
+    mix_colours,
+    noise_pixels,
+    polished_bsdf,
+    rgb,
+    tile_pixels,
+)
 from rlbench.scenes.temple import furnishings, stone
-from rlbench.scenes.temple.paint import marble, pavement, wood, woven
+from rlbench.scenes.temple.paint import banner_texture, marble_pixels, pavement_pixels, wood_pixels
 from rlbench.scenes.temple.stone import HEIGHT, LENGTH, THICK, WIDTH
 
 Point = tuple[float, float, float]
 
-GLOW = (3.4, 2.8, 2.0)  # radiance of alabaster in the sun
-DAY = (2.4, 3.0, 3.8)  # radiance of the sky through the door
+ALABASTER_RADIANCE = (3.4, 2.8, 2.0)  # radiance of alabaster in the sun
+DOOR_RADIANCE = (2.4, 3.0, 3.8)  # radiance of the sky through the door
 
 
 def scene() -> Scene:
@@ -26,7 +35,12 @@ def scene() -> Scene:
     return Scene(
         name="temple",
         title="Temple: arcades, sun and alabaster",
-        meshes=(*_building(random), *_furniture(random), *_panes(), *_movers()),
+        meshes=(
+            *_building_meshes(random),
+            *_furniture_meshes(random),
+            *_daylight_meshes(),
+            *_moving_meshes(),
+        ),
         camera=_camera,
         sky=(
             {"type": "constant", "radiance": rgb(0.75, 0.95, 1.2), "sampling_weight": 0.04},
@@ -37,13 +51,13 @@ def scene() -> Scene:
                 "irradiance": rgb(20.0, 16.0, 10.5),
             },
         ),
-        vertex_animation=_moving,
+        vertex_animation=_vertex_animation,
         exposure=0.95,
         depth=4,
         takes=(
-            static(_below_lamp, 0.0),
-            cut(_camera, _from_altar, "sky1", 1.0, 0.05),  # the sun goes
-            still(_camera, 55.0),
+            static_camera_take(_below_lamp_camera, 0.0),
+            cut_take(_camera, _altar_camera, "sky1", 1.0, 0.05),  # the sun goes
+            frozen_take(_camera, 55.0),
         ),
     )
 
@@ -55,48 +69,54 @@ def _camera(time: float) -> Camera:
     return Camera((x, y, 1.9), (-0.9 + 1.2 * sway, y + 12, 3.1), fov=68)
 
 
-def _below_lamp(time: float) -> Camera:
+def _below_lamp_camera(time: float) -> Camera:
     """Near the swinging lamp, which moves little in the picture from elsewhere."""
     return Camera((1.2, 8.4, 2.0), (-0.2, 14.0, 3.4), fov=68)
 
 
-def _from_altar(time: float) -> Camera:
+def _altar_camera(time: float) -> Camera:
     """Back towards the door, moving across the hall."""
     x = 2.0 - 0.06 * time
     return Camera((x, 23.5, 2.6), (x - 2.2, 8.0, 3.0), fov=68)
 
 
-def _moving(time: float) -> dict[str, Floats]:
-    return {mesh.name: mesh.vertices for mesh in _movers(time)}
+def _vertex_animation(time: float) -> dict[str, Float32Array]:
+    return {mesh.name: mesh.vertices for mesh in _moving_meshes(time)}
 
 
-def _building(random: np.random.Generator) -> tuple[Mesh, ...]:
-    pale = mix((0.56, 0.49, 0.39), (0.74, 0.68, 0.58), noise(random, 256, 0.4))
-    warm = mix((0.44, 0.36, 0.26), (0.66, 0.57, 0.44), noise(random, 256, 0.4))
-    mosaic = tiles(random, [(0.95, 0.70, 0.30), (0.9, 0.62, 0.25)], (0.5, 0.3, 0.1), (12, 12))
+def _building_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
+    pale = mix_colours((0.56, 0.49, 0.39), (0.74, 0.68, 0.58), noise_pixels(random, 256, 0.4))
+    warm = mix_colours((0.44, 0.36, 0.26), (0.66, 0.57, 0.44), noise_pixels(random, 256, 0.4))
+    mosaic = tile_pixels(random, [(0.95, 0.70, 0.30), (0.9, 0.62, 0.25)], (0.5, 0.3, 0.1), (12, 12))
     return (
-        stone.walls(random).mesh("walls", diffuse(bitmap(warm)), smooth=False),
-        stone.arcades().mesh("columns", diffuse(bitmap(pale)), smooth=True),
-        _ceiling().mesh("ceiling", diffuse(bitmap(wood(random)))),
-        _floor().mesh("floor", polished(bitmap(pavement(random)))),
-        stone.shell().mesh("gold", metal(bitmap(mosaic), 0.3), smooth=True),
+        stone.build_walls(random).to_mesh(
+            "walls", diffuse_bsdf(bitmap_texture(warm)), smooth=False
+        ),
+        stone.build_arcades().to_mesh("columns", diffuse_bsdf(bitmap_texture(pale)), smooth=True),
+        _build_ceiling().to_mesh("ceiling", diffuse_bsdf(bitmap_texture(wood_pixels(random)))),
+        _build_floor().to_mesh("floor", polished_bsdf(bitmap_texture(pavement_pixels(random)))),
+        stone.build_apse_dome().to_mesh(
+            "gold", metal_bsdf(bitmap_texture(mosaic), 0.3), smooth=True
+        ),
     )
 
 
-def _panes() -> tuple[Mesh, ...]:
+def _daylight_meshes() -> tuple[Mesh, ...]:
     """Alabaster that shines behind the screens, and the open door behind the viewer."""
     door = quads((3, -3.98, 0.5), (-6, 0, 0), (0, 0, 6))
-    return _shining("panes", stone.windows(), GLOW, 1.0), _shining("door", door, DAY, 0.35)
+    return _emissive_mesh(
+        "panes", stone.build_window_panes(), ALABASTER_RADIANCE, 1.0
+    ), _emissive_mesh("door", door, DOOR_RADIANCE, 0.35)
 
 
-def _shining(name: str, shape: Shape, colour: Point, weight: float) -> Mesh:
+def _emissive_mesh(name: str, shape: Shape, colour: Point, weight: float) -> Mesh:
     shine = {"type": "area", "radiance": rgb(*colour), "sampling_weight": weight}
     return replace(
-        shape.mesh(name, {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}), emission=shine
+        shape.to_mesh(name, {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}), emission=shine
     )
 
 
-def _ceiling() -> Shape:
+def _build_ceiling() -> Shape:
     """A slab, beams across and joists along, so that it is coffered."""
     slab = boxes((-WIDTH - THICK, -4.7, HEIGHT), (WIDTH + THICK, LENGTH + 4.2, HEIGHT + 0.5))
     beams: list[tuple[Point, Point]] = [
@@ -108,7 +128,7 @@ def _ceiling() -> Shape:
     return merge(slab, boxes(low, high))
 
 
-def _floor() -> Shape:
+def _build_floor() -> Shape:
     """The pavement, whose texture is as wide as the hall and repeats with each bay."""
     wide = WIDTH + THICK
     flat = boxes((-wide, -4.7, -0.4), (wide, LENGTH + 4.2, 0))
@@ -116,21 +136,29 @@ def _floor() -> Shape:
     return flat._replace(uv=uv.astype(np.float32))
 
 
-def _furniture(random: np.random.Generator) -> tuple[Mesh, ...]:
-    green = mix((0.02, 0.07, 0.08), (0.06, 0.24, 0.22), noise(random, 128, 0.2))
-    leaf = mix((0.05, 0.15, 0.03), (0.13, 0.28, 0.06), noise(random, 64, 0.2))
+def _furniture_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
+    green = mix_colours((0.02, 0.07, 0.08), (0.06, 0.24, 0.22), noise_pixels(random, 128, 0.2))
+    leaf = mix_colours((0.05, 0.15, 0.03), (0.13, 0.28, 0.06), noise_pixels(random, 64, 0.2))
     return (
-        furnishings.pedestal().mesh("pedestal", polished(bitmap(marble(random))), smooth=True),
-        furnishings.pots().mesh("pots", polished(bitmap(green)), smooth=True),
-        furnishings.plants(random).mesh("plants", diffuse(bitmap(leaf)), smooth=True),
+        furnishings.build_pedestal_and_altar().to_mesh(
+            "pedestal", polished_bsdf(bitmap_texture(marble_pixels(random))), smooth=True
+        ),
+        furnishings.build_pots().to_mesh("pots", polished_bsdf(bitmap_texture(green)), smooth=True),
+        furnishings.build_plants(random).to_mesh(
+            "plants", diffuse_bsdf(bitmap_texture(leaf)), smooth=True
+        ),
     )
 
 
-def _movers(time: float = 0.0) -> tuple[Mesh, ...]:
+def _moving_meshes(time: float = 0.0) -> tuple[Mesh, ...]:
     """Banners, the lamp with the rings, and the crystal, as they are at a time."""
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     return (
-        furnishings.cloth(time).mesh("banners", diffuse(woven()), smooth=True),
-        furnishings.brass(time).mesh("brass", metal(rgb(0.90, 0.66, 0.32), 0.25), smooth=True),
-        furnishings.crystal(time).mesh("crystal", glass, smooth=True),
+        furnishings.build_banners(time).to_mesh(
+            "banners", diffuse_bsdf(banner_texture()), smooth=True
+        ),
+        furnishings.build_lamp_and_rings(time).to_mesh(
+            "brass", metal_bsdf(rgb(0.90, 0.66, 0.32), 0.25), smooth=True
+        ),
+        furnishings.build_glass_ball(time).to_mesh("crystal", glass, smooth=True),
     )

@@ -7,159 +7,199 @@ import numpy as np
 from rlbench.scenes.parts.shapes import (
     Shape,
     boxes,
-    column,
+    fluted_column,
     lathe,
     merge,
-    placed,
     quads,
-    rotation,
-    yaw,
+    rotation_matrix,
+    transform,
+    yaw_matrix,
 )
-from rlbench.scenes.parts.sheets import arch, blade, blocks, moulding, pierced, sheet
+from rlbench.scenes.parts.sheets import (
+    arch_wall,
+    block_wall,
+    leaf_blade,
+    moulding,
+    pierced_screen,
+    sheet,
+)
 
 WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
-NAVE = 3.3  # metres from the middle to a row of columns
-SPRING = 5.3  # metres: where columns end and arches begin
-BAYS = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
-CELL = 0.55  # metres: of the pierced screens
-SLITS, HALF_SLIT = (BAYS[:-1] + BAYS[1:]) / 2, 1.5 * CELL  # in the middle of each bay; metres
-SILL = {-1.0: 3.4, 1.0: 1.75}  # metres: where the slits of each side begin
-HEAD = 7.8  # metres: where slits end, whole cells above both sills
-TRANSOM = SILL[1.0] + 8 * CELL  # metres: above it, the slits of the sunny side are glazed
-APSE = 2.9  # metres: radius; its middle is at the end of the hall
+NAVE_HALF_WIDTH = 3.3  # metres from the middle to a row of columns
+SPRING_HEIGHT = 5.3  # metres: where columns end and arches begin
+COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
+SCREEN_CELL = 0.55  # metres: of the pierced screens
+SLITS, HALF_SLIT = (
+    (COLUMN_Y[:-1] + COLUMN_Y[1:]) / 2,
+    1.5 * SCREEN_CELL,
+)  # in the middle of each bay; metres
+SILL_HEIGHT = {-1.0: 3.4, 1.0: 1.75}  # metres: where the slits of each side begin
+HEAD_HEIGHT = 7.8  # metres: where slits end, whole cells above both sills
+TRANSOM_HEIGHT = (
+    SILL_HEIGHT[1.0] + 8 * SCREEN_CELL
+)  # metres: above it, the slits of the sunny side are glazed
+APSE_RADIUS = 2.9  # metres: radius; its middle is at the end of the hall
 Point = tuple[float, float, float]
 
 
-def walls(random: np.random.Generator) -> Shape:
+def build_walls(random: np.random.Generator) -> Shape:
     """The outer walls with their slits, the screens in them, and the two ends."""
-    return merge(*(_wall(random, side) for side in (-1.0, 1.0)), *_ends(), _apse(), *_steps())
+    return merge(
+        *(_build_long_wall(random, side) for side in (-1.0, 1.0)),
+        *_build_end_walls(),
+        _build_apse(),
+        *_build_altar_steps(),
+    )
 
 
-def _wall(random: np.random.Generator, side: float) -> Shape:
+def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
     """One long wall: a plain core, blocks in front of it, screens in its slits."""
     x0, x1 = sorted((side * (WIDTH + 0.03), side * (WIDTH + THICK)))
     starts = np.concatenate([[-4.0], SLITS + HALF_SLIT])
     ends = np.concatenate([SLITS - HALF_SLIT, [LENGTH]])
-    low = SILL[side]
-    parts = [((-4.0, 0.0), (LENGTH, low)), ((-4.0, HEAD), (LENGTH, HEIGHT))]
-    parts += [((a, low), (b, HEAD)) for a, b in zip(starts, ends, strict=True)]
+    low = SILL_HEIGHT[side]
+    parts = [((-4.0, 0.0), (LENGTH, low)), ((-4.0, HEAD_HEIGHT), (LENGTH, HEIGHT))]
+    parts += [((a, low), (b, HEAD_HEIGHT)) for a, b in zip(starts, ends, strict=True)]
     core = boxes([(x0, a[0], a[1]) for a, _ in parts], [(x1, b[0], b[1]) for _, b in parts], 3.0)
-    flat = merge(*(blocks(random, *_seen_from_inside(a, b, side)) for a, b in parts))
-    rows = int((HEAD - low) / CELL + 0.01)
-    screen = pierced((rows, 3), CELL, 0.245, 0.1) if side > 0 else _bars(rows)
-    turn = yaw(-side * np.pi / 2)
+    flat = merge(*(block_wall(random, *_to_wall_plane(a, b, side)) for a, b in parts))
+    rows = int((HEAD_HEIGHT - low) / SCREEN_CELL + 0.01)
+    screen = (
+        pierced_screen((rows, 3), SCREEN_CELL, 0.245, 0.1) if side > 0 else _build_lattice(rows)
+    )
+    turn = yaw_matrix(-side * np.pi / 2)
     screens = [
-        placed(screen, (side * (WIDTH + 0.16), y + side * HALF_SLIT, low), turn) for y in SLITS
+        transform(screen, (side * (WIDTH + 0.16), y + side * HALF_SLIT, low), turn) for y in SLITS
     ]
-    return merge(core, placed(flat, (side * WIDTH, 0, 0), turn), *screens)
+    return merge(core, transform(flat, (side * WIDTH, 0, 0), turn), *screens)
 
 
-def _bars(rows: int) -> Shape:
+def _build_lattice(rows: int) -> Shape:
     """A lattice of plain bars as large as a pierced screen: no sun shines through it."""
-    x, z = CELL * np.arange(4), CELL * np.arange(rows + 1)
+    x, z = SCREEN_CELL * np.arange(4), SCREEN_CELL * np.arange(rows + 1)
     return boxes(
         [(a - 0.04, -0.05, 0) for a in x] + [(0, -0.04, b - 0.04) for b in z],
-        [(a + 0.04, 0.05, rows * CELL) for a in x] + [(3 * CELL, 0.04, b + 0.04) for b in z],
+        [(a + 0.04, 0.05, rows * SCREEN_CELL) for a in x]
+        + [(3 * SCREEN_CELL, 0.04, b + 0.04) for b in z],
     )
 
 
-def _seen_from_inside(
+def _to_wall_plane(
     low: tuple[float, float], high: tuple[float, float], side: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """A rectangle of y and z as the plane of the blocks has it: the right wall runs backwards."""
     return (low, high) if side < 0 else ((-high[0], low[1]), (-low[0], high[1]))
 
 
-def _ends() -> tuple[Shape, ...]:
+def _build_end_walls() -> tuple[Shape, ...]:
     """The wall behind the viewer, and the one with the great arch before the apse."""
     wide, top = WIDTH + THICK, HEIGHT + 0.5
     plain = boxes(
-        [(-wide, -4.7, 0), (-wide, LENGTH, 0), (APSE - 0.15, LENGTH, 0)]
-        + [(-wide, LENGTH, SPRING), (NAVE, LENGTH, SPRING)],
-        [(wide, -4, top), (0.15 - APSE, LENGTH + 0.6, SPRING), (wide, LENGTH + 0.6, SPRING)]
-        + [(-NAVE, LENGTH + 0.6, top), (wide, LENGTH + 0.6, top)],
-        tile=3.0,
+        [(-wide, -4.7, 0), (-wide, LENGTH, 0), (APSE_RADIUS - 0.15, LENGTH, 0)]
+        + [(-wide, LENGTH, SPRING_HEIGHT), (NAVE_HALF_WIDTH, LENGTH, SPRING_HEIGHT)],
+        [
+            (wide, -4, top),
+            (0.15 - APSE_RADIUS, LENGTH + 0.6, SPRING_HEIGHT),
+            (wide, LENGTH + 0.6, SPRING_HEIGHT),
+        ]
+        + [(-NAVE_HALF_WIDTH, LENGTH + 0.6, top), (wide, LENGTH + 0.6, top)],
+        tile_size=3.0,
     )
-    great = arch(APSE - 0.15, NAVE, SPRING - 0.9, top, 0.6)
-    band = moulding(APSE - 0.15, 0.32, SPRING - 0.9, 0.75)
-    return plain, *(placed(part, (0, LENGTH + 0.3, 0)) for part in (great, band))
+    great = arch_wall(APSE_RADIUS - 0.15, NAVE_HALF_WIDTH, SPRING_HEIGHT - 0.9, top, 0.6)
+    band = moulding(APSE_RADIUS - 0.15, 0.32, SPRING_HEIGHT - 0.9, 0.75)
+    return plain, *(transform(part, (0, LENGTH + 0.3, 0)) for part in (great, band))
 
 
-def _steps() -> list[Shape]:
+def _build_altar_steps() -> list[Shape]:
     """Three steps up to the altar."""
     return [
-        boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH + 1.2, 0.22 + s / 2.4), tile=3.0)
+        boxes((-2.8 + s, 25.4 + s, 0), (2.8 - s, LENGTH + 1.2, 0.22 + s / 2.4), tile_size=3.0)
         for s in (0, 0.5, 1)
     ]
 
 
-def _apse() -> Shape:
+def _build_apse() -> Shape:
     """A round wall with pilasters and screens before its windows."""
     angle = np.linspace(0, np.pi, 37)
-    circle = APSE * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
-    round_wall = sheet([circle, circle + (0, 0, SPRING - 0.9)], 3.0)
-    pilaster = boxes((-0.14, -0.12, 0), (0.14, 0.1, SPRING - 1.1), tile=3.0)
-    ledge = lathe([(APSE - 0.1, 0), (APSE - 0.22, 0.1), (APSE - 0.22, 0.2), (APSE, 0.25)], 72)
-    parts = [round_wall, placed(ledge, (0, 0, SPRING - 1.15))]
+    circle = APSE_RADIUS * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    round_wall = sheet([circle, circle + (0, 0, SPRING_HEIGHT - 0.9)], 3.0)
+    pilaster = boxes((-0.14, -0.12, 0), (0.14, 0.1, SPRING_HEIGHT - 1.1), tile_size=3.0)
+    ledge = lathe(
+        [
+            (APSE_RADIUS - 0.1, 0),
+            (APSE_RADIUS - 0.22, 0.1),
+            (APSE_RADIUS - 0.22, 0.2),
+            (APSE_RADIUS, 0.25),
+        ],
+        72,
+    )
+    parts = [round_wall, transform(ledge, (0, 0, SPRING_HEIGHT - 1.15))]
     for at in np.radians([15, 45, 75, 105, 135, 165]):
-        place = ((APSE - 0.05) * np.cos(at), (APSE - 0.05) * np.sin(at), 0)
-        parts.append(placed(pilaster, place, yaw(at - np.pi / 2)))
-    screen = placed(pierced((7, 2), 0.32, 0.135, 0.06), (-0.32, 0, 1.4))
+        place = ((APSE_RADIUS - 0.05) * np.cos(at), (APSE_RADIUS - 0.05) * np.sin(at), 0)
+        parts.append(transform(pilaster, place, yaw_matrix(at - np.pi / 2)))
+    screen = transform(pierced_screen((7, 2), 0.32, 0.135, 0.06), (-0.32, 0, 1.4))
     parts += [
-        placed(screen, (0.93 * APSE * np.cos(a), 0.93 * APSE * np.sin(a), 0), yaw(a - np.pi / 2))
+        transform(
+            screen,
+            (0.93 * APSE_RADIUS * np.cos(a), 0.93 * APSE_RADIUS * np.sin(a), 0),
+            yaw_matrix(a - np.pi / 2),
+        )
         for a in np.radians([60, 90, 120])
     ]
-    return placed(merge(*parts), (0, LENGTH + 0.6, 0))
+    return transform(merge(*parts), (0, LENGTH + 0.6, 0))
 
 
-def windows() -> Shape:
+def build_window_panes() -> Shape:
     """The panes behind the screens, which look inside."""
     y = SLITS.repeat(2)
     side = np.tile([-1.0, 1.0], len(SLITS))
-    low = np.where(side < 0, SILL[-1.0], TRANSOM)
+    low = np.where(side < 0, SILL_HEIGHT[-1.0], TRANSOM_HEIGHT)
     corner = np.stack([side * (WIDTH + 0.4), y + side * HALF_SLIT, low], -1)
     across = np.stack([0 * y, -2 * side * HALF_SLIT, 0 * y], -1)
-    up = np.stack([0 * y, 0 * y, HEAD - low], -1)
+    up = np.stack([0 * y, 0 * y, HEAD_HEIGHT - low], -1)
     a = np.radians([60, 90, 120])
     out, along = (
         np.stack([np.cos(a + turn), np.sin(a + turn), 0 * a], -1) for turn in (0, np.pi / 2)
     )
-    middle = np.array([0, LENGTH + 0.6, 1.4]) + 0.97 * APSE * out
+    middle = np.array([0, LENGTH + 0.6, 1.4]) + 0.97 * APSE_RADIUS * out
     return merge(
         quads(corner, across, up),
         quads(middle + 0.32 * along, -0.64 * along, (0, 0, 7 * 0.32)),
     )
 
 
-def arcades() -> Shape:
+def build_arcades() -> Shape:
     """Two rows of columns with leaves on their capitals, round arches and a carved frieze."""
-    one = merge(column(SPRING, 0.5, 72, 18), _leaves(SPRING, 0.5))
-    span = merge(arch(1.28, 2.0, SPRING, HEIGHT, 0.7), moulding(1.28, 0.26, SPRING, 0.84))
-    first = arch(1.28, 1.5, SPRING, HEIGHT, 0.7)  # over the half bay at either end
+    one = merge(
+        fluted_column(SPRING_HEIGHT, 0.5, 72, 18), _build_capital_leaves(SPRING_HEIGHT, 0.5)
+    )
+    span = merge(
+        arch_wall(1.28, 2.0, SPRING_HEIGHT, HEIGHT, 0.7), moulding(1.28, 0.26, SPRING_HEIGHT, 0.84)
+    )
+    first = arch_wall(1.28, 1.5, SPRING_HEIGHT, HEIGHT, 0.7)  # over the half bay at either end
     parts = []
-    for x in (-NAVE, NAVE):
-        parts += [placed(one, (x, y, 0)) for y in BAYS]
-        parts += [placed(span, (x, y, 0), yaw(np.pi / 2)) for y in SLITS]
-        parts += [placed(first, (x, y, 0), yaw(np.pi / 2)) for y in (1.5, 28.5)]
-        parts.append(boxes((x - 0.35, -4, SPRING), (x + 0.35, 0, HEIGHT), tile=3.0))
-        parts.append(_frieze(x, -np.sign(x)))
+    for x in (-NAVE_HALF_WIDTH, NAVE_HALF_WIDTH):
+        parts += [transform(one, (x, y, 0)) for y in COLUMN_Y]
+        parts += [transform(span, (x, y, 0), yaw_matrix(np.pi / 2)) for y in SLITS]
+        parts += [transform(first, (x, y, 0), yaw_matrix(np.pi / 2)) for y in (1.5, 28.5)]
+        parts.append(boxes((x - 0.35, -4, SPRING_HEIGHT), (x + 0.35, 0, HEIGHT), tile_size=3.0))
+        parts.append(_build_frieze(x, -np.sign(x)))
     return merge(*parts)
 
 
-def _leaves(height: float, radius: float) -> Shape:
+def _build_capital_leaves(height: float, radius: float) -> Shape:
     """Two rows of eight leaves that bend out from the bell of a capital."""
     foot = height - 1.15 * radius
-    leaf = blade(0.85 * radius, 0.42 * radius, 1.5, 2.1)
+    leaf = leaf_blade(0.85 * radius, 0.42 * radius, 1.5, 2.1)
     parts = []
     for row, grow in enumerate((0.85, 1.15)):
         for number in range(8):
             angle = (number + row / 2) * np.pi / 4
             at = 0.86 * radius * np.array([np.cos(angle), np.sin(angle), 0]) + (0, 0, foot)
-            parts.append(placed(leaf, at, yaw(angle), grow))
+            parts.append(transform(leaf, at, yaw_matrix(angle), grow))
     return merge(*parts)
 
 
-def _frieze(x: float, inward: float) -> Shape:
+def _build_frieze(x: float, inward: float) -> Shape:
     """A meander between two mouldings, and teeth below the ceiling, on the wall of the nave."""
     key = [(0, 0, 0.9, 0.1), (0, 0.1, 0.1, 0.6), (0.1, 0.5, 0.8, 0.6), (0.7, 0.2, 0.8, 0.5)]
     key += [(0.3, 0.2, 0.7, 0.3), (0.3, 0.3, 0.4, 0.42)]
@@ -170,17 +210,17 @@ def _frieze(x: float, inward: float) -> Shape:
     cut += [(face, y, 8.4, y + 0.14, 8.62, 0.2) for y in np.arange(-4, LENGTH, 0.34)]
     wall, y0, z0, y1, z1, out = np.array(cut).T
     x0, x1 = np.sort([wall - 0.02 * inward, wall + out * inward], axis=0)
-    return boxes(np.stack([x0, y0, z0], -1), np.stack([x1, y1, z1], -1), tile=3.0)
+    return boxes(np.stack([x0, y0, z0], -1), np.stack([x1, y1, z1], -1), tile_size=3.0)
 
 
-def shell() -> Shape:
+def build_apse_dome() -> Shape:
     """The half dome of the apse, fluted like a shell, and the sun's disc before it."""
     turn, rise = np.linspace(0, np.pi, 89), np.linspace(0, 0.49 * np.pi, 20)[:, None]
-    wide = APSE * (1 - 0.07 * np.abs(np.sin(11 * turn)) * np.cos(rise))
+    wide = APSE_RADIUS * (1 - 0.07 * np.abs(np.sin(11 * turn)) * np.cos(rise))
     points = [wide * np.cos(turn) * np.cos(rise), wide * np.sin(turn) * np.cos(rise)]
     dome = sheet(np.stack([*points, wide * np.sin(rise)], -1)[::-1], 1.0)
     disc = lathe([(1.0, 0), (1.0, 0.1), (0.86, 0.14), (0.5, 0.06), (0.3, 0.2), (0.01, 0.28)], 48)
     return merge(
-        placed(dome, (0, LENGTH + 0.6, SPRING - 0.9)),
-        placed(disc, (0, 29.6, 2.75), rotation((1, 0, 0), np.pi / 2)),
+        transform(dome, (0, LENGTH + 0.6, SPRING_HEIGHT - 0.9)),
+        transform(disc, (0, 29.6, 2.75), rotation_matrix((1, 0, 0), np.pi / 2)),
     )
