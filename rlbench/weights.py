@@ -95,7 +95,7 @@ def save(module: nn.Module, path: Path, card: ModelCard) -> ModelCard:
         dtype=str(DTYPE).removeprefix("torch."),
         parameters=sum(tensor.numel() for tensor in tensors.values()),
     )
-    with paths.replacing(path) as temporary:
+    with paths.atomic_write(path) as temporary:
         temporary.write_bytes(content)
     documents.write_toml(card_path(path), asdict(card))
     return card

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rlbench import registry
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.run import run_clip
 from rlbench.weights import ModelCard, digest, read_card
 
@@ -21,17 +21,23 @@ shipped = pytest.mark.parametrize("path", SHIPPED, ids=NAMES)
 
 
 def test_every_pretrained_method_has_shipped_weights():
-    names = [n for family in registry.names("methods") for n in registry.family(family).names()]
+    names = [
+        n
+        for family in registry.list_plugins("methods")
+        for n in registry.load_family(family).method_names()
+    ]
     learned = [
-        name for name in names if registry.is_trainable(name) and registry.variant(name).pretrained
+        name
+        for name in names
+        if registry.is_trainable(name) and registry.get_variant(name).pretrained
     ]
     assert {name.rpartition("/")[2] for name in learned} == set(NAMES)
 
 
 def test_weights_shared_between_variants_exist():
-    families = [registry.family(name) for name in registry.names("methods")]
+    families = [registry.load_family(name) for name in registry.list_plugins("methods")]
     files = {
-        f.weights(key)
+        f.weights_file(key)
         for f in families
         for key, row in f.variants.items()
         if row.learned and row.pretrained
@@ -74,16 +80,16 @@ def test_a_card_states_when_training_started_from_intel_weights(path):
 
 ADAPTIVE = [
     name
-    for family in registry.names("methods")
-    for name in registry.family(family).names()
-    if (row := registry.variant(name)).learned and row.pretrained and row.traits.adaptive
+    for family in registry.list_plugins("methods")
+    for name in registry.load_family(family).method_names()
+    if (row := registry.get_variant(name)).learned and row.pretrained and row.traits.adaptive
 ]
 
 
 @pytest.mark.parametrize("name", ADAPTIVE)
 def test_a_trained_sampling_map_has_not_collapsed(name):
     """A collapsed map is constant but for a few pixels: in one case 36859 of 36864 were equal."""
-    for result in run_clip(registry.method(name), procedural(frames=2), 4.0):
+    for result in run_clip(registry.load_method(name), procedural_clip(frames=2), 4.0):
         counts = result.samples.counts
         assert float((counts == counts.median()).float().mean()) < 0.99
 

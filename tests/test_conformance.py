@@ -11,18 +11,18 @@ import torch
 from rlbench import registry
 from rlbench.checks.conformance import CHECKS, MethodUnderTest, Verdict, run_check, run_checks
 
-LOOSE_PLUGINS = os.environ.get(registry.VARIABLE, "")  # methods beside the installed ones
+LOOSE_PLUGINS = os.environ.get(registry.METHODS_VARIABLE, "")  # methods beside the installed ones
 METHODS = [
-    name if registry.variant(name).pretrained else pytest.param(name, marks=pytest.mark.slow)
-    for family in registry.names("methods")
+    name if registry.get_variant(name).pretrained else pytest.param(name, marks=pytest.mark.slow)
+    for family in registry.list_plugins("methods")
     if not registry.import_error("methods", family)
-    for name in registry.family(family).names()
+    for name in registry.load_family(family).method_names()
 ]
 
 
 @pytest.fixture(autouse=True)
 def _loose_plugins(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(registry.VARIABLE, LOOSE_PLUGINS)
+    monkeypatch.setenv(registry.METHODS_VARIABLE, LOOSE_PLUGINS)
 
 
 @cache
@@ -31,7 +31,7 @@ def method_under_test(name: str) -> MethodUnderTest:
     return MethodUnderTest(name)
 
 
-@pytest.mark.parametrize("family", registry.names("methods"))
+@pytest.mark.parametrize("family", registry.list_plugins("methods"))
 def test_every_installed_family_can_be_imported(family):
     assert registry.import_error("methods", family) is None
 

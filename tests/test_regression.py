@@ -26,7 +26,7 @@ def persistent_cache(request, monkeypatch):
     monkeypatch.setenv("RLBENCH_CACHE", str(request.config.cache.mkdir("rlbench")))
     if select_variant().startswith("scalar"):
         pytest.skip("no libLLVM: the scalar tracer draws other samples than the baseline had")
-    return paths.cache()
+    return paths.cache_folder()
 
 
 def compare(results, scenes, methods, spp, subset) -> regression.RegressionReport:

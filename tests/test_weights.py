@@ -12,7 +12,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench.ops.unet import SMALL, UNet
+from rlbench.ops.unet import SMALL_WIDTHS, UNet
 from rlbench.weights import (
     ModelCard,
     WeightsError,
@@ -42,7 +42,7 @@ CARD = ModelCard(
 
 
 def net(seed: int = 1) -> UNet:
-    return UNet(4, widths=SMALL, seed=seed)
+    return UNet(4, widths=SMALL_WIDTHS, seed=seed)
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_a_card_of_other_weights_is_refused(path, tmp_path):
 
 
 def test_a_refused_file_changes_nothing(path):
-    save(UNet(5, widths=SMALL), path, CARD)
+    save(UNet(5, widths=SMALL_WIDTHS), path, CARD)
     before, module = net(), net()
     with pytest.raises(WeightsError, match=r"'enc_conv0.weight' has shape \[32, 5, 3, 3\]"):
         load_into(module, path)

@@ -18,7 +18,7 @@ from methods.ours.networks import (
 from methods.ours.sample_encoding import SAMPLE_ENCODINGS
 from methods.ours.variants import Config
 from rlbench.ops.init import kaiming_init
-from rlbench.ops.unet import BASE, FAST, UNet
+from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet
 
 __all__ = ["initialize", "wire_contrast"]
 
@@ -59,7 +59,7 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
     origin = ""
     if config.accumulation == "none":
         _wire_blur(networks.denoiser)
-    elif config.denoiser in (BASE, FAST):
+    elif config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
         origin = _load_intel(networks.denoiser)
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3:] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))

@@ -181,5 +181,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
     networks = Networks(config)
     if weights == "random":
         kaiming_init(networks)
-    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
     return assemble(config, FAMILY.variants[variant].traits, networks)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from rlbench.ops.unet import BASE as NORMAL
-from rlbench.ops.unet import FAST, Widths
+from rlbench.ops.unet import BASE_WIDTHS as NORMAL
+from rlbench.ops.unet import FAST_WIDTHS, UNetWidths
 
 __all__ = ["BASE", "SLOTS", "VARIANTS", "Config"]
 
-DOUBLE = Widths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
+DOUBLE = UNetWidths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
 SLOTS = 8  # samples per pixel that the encoder can read one by one
 
 EncodingName = Literal["single", "mean", "mean and count"]
@@ -34,7 +34,7 @@ class Config:
     density: DensityName = "exponential"  # density as a function of the action in [-1, 1]
     encoder: tuple[int, ...] = (64,)  # channels of the hidden layers; empty: no encoder
     encoder_kernel: int = 3  # pixels, side of the encoder's kernels
-    denoiser: Widths = NORMAL
+    denoiser: UNetWidths = NORMAL
     bptt: int = 1  # frames that gradients flow back through (truncated backpropagation)
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
@@ -68,13 +68,13 @@ VARIANTS = {
     "B2": replace(BASE, encoder=(), history_mode="nothing", accumulation="frame"),
     "C": replace(BASE, sample_encoding="mean"),  # do individual samples pay?
     "C+count": replace(BASE, sample_encoding="mean and count"),  # or is it their number?
-    "small": replace(BASE, sampler=(1, 2), encoder_kernel=1, denoiser=FAST),  # three at once
+    "small": replace(BASE, sampler=(1, 2), encoder_kernel=1, denoiser=FAST_WIDTHS),  # three at once
     "flat": replace(BASE, ignore_density=True),  # what does the density give, all else equal?
     "lag": replace(BASE, antilag=False),  # what does antilag give?
     "sampler-small": replace(BASE, sampler=(1, 2)),  # is one level enough?
     "sampler-large": replace(BASE, sampler=(64, 128, 256, 512, 1024)),  # does a full U-Net pay?
     "encoder-small": replace(BASE, encoder_kernel=1),  # does the encoder need neighbours?
     "encoder-large": replace(BASE, encoder=(64, 64, 64)),  # do two more layers pay?
-    "denoiser-small": replace(BASE, denoiser=FAST),  # is OIDN's fast network enough?
+    "denoiser-small": replace(BASE, denoiser=FAST_WIDTHS),  # is OIDN's fast network enough?
     "denoiser-large": replace(BASE, denoiser=DOUBLE),  # does twice the width pay?
 }

@@ -90,7 +90,7 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
     ]
     lines = ",\n".join(f"    {json.dumps(entry, allow_nan=False)}" for entry in entries)
     opening = json.dumps(head, indent=2).removesuffix("\n}")
-    with paths.replacing(path) as temporary:
+    with paths.atomic_write(path) as temporary:
         temporary.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")
 
 

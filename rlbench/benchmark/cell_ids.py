@@ -99,10 +99,10 @@ class CellIds:
     @cached_property
     def _metrics(self) -> str:
         """Names of the metrics, hash of their code and of `MEASURE`, versions of their packages."""
-        entries = registry.entries("metrics")
+        entries = registry.list_entries("metrics")
         modules = [code_hash.import_closure(e.target.partition(":")[0]) for e in entries.values()]
         hashed = code_hash.code_hash(set().union(*modules), core=MEASURE)
-        metrics = registry.metrics().values()
+        metrics = registry.load_metrics().values()
         packages = sorted({name for metric in metrics for name in getattr(metric, "requires", ())})
         return f"{list(entries)} {hashed} {provenance.package_versions(packages)}"
 
@@ -129,7 +129,7 @@ class CellIds:
 
 def _code_hash(method: str) -> str:
     """Hash of what builds a method, and of its imports from packages of methods; or empty."""
-    module = registry.family(method).build.partition(":")[0]
+    module = registry.load_family(method).build.partition(":")[0]
     try:
         file = registry.plugin_file(module)
         if file is None:
@@ -142,7 +142,7 @@ def _code_hash(method: str) -> str:
 
 def _method_packages() -> set[str]:
     """Top-level packages of installed methods: one method may use parts of another."""
-    return {entry.target.partition(".")[0] for entry in registry.entries("methods").values()}
+    return {entry.target.partition(".")[0] for entry in registry.list_entries("methods").values()}
 
 
 def _hash(file: Path) -> str:

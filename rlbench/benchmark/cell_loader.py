@@ -46,5 +46,5 @@ class CellLoader:
         return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
 
     def _build(self, resolved: ResolvedMethod) -> Method:
-        method = registry.method(resolved.name, self.plan.device, self.plan.weights)
+        method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
         return HalfPrecision(method, self.plan.device) if resolved.bf16 else method

@@ -16,7 +16,7 @@ import torch
 from rlbench.clips.stored import Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
-from rlbench.render.jobs.live_pool import open_live, scene_of
+from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import code_hash, provenance
 
@@ -101,7 +101,7 @@ class LiveSource(StoredSource):
     def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
         """The clip with the buffers that `traits` declare; no stored sample is read."""
         max_samples = max_samples_needed(traits, target_spp, self.header.pool_spp)
-        return open_live(
+        return open_live_clip(
             open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
         )
 
@@ -155,7 +155,7 @@ def open_source(folder: Path, pool: str) -> StoredSource:
     """
     if pool != "live":
         return StoredSource(folder)
-    scene_of(folder)
+    scene_of_folder(folder)
     return LiveSource(folder)
 
 

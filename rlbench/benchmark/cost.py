@@ -144,7 +144,7 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
     note = "" if pool == "path" else f"a sample of the {pool} pool, with all of its shadow rays"
     if header.device == machine and math.isfinite(known_ms):
         return Cost(known_ms, convention, note)
-    file = paths.cache() / "sample_ms.json"
+    file = paths.cache_folder() / "sample_ms.json"
     times = json.loads(file.read_text()) if file.is_file() else {}
     key = f"{header.scene} {header.width}x{header.height} {machine} {_code(header.scene)}"
     key += f" {pool}" * (pool != "path")
@@ -157,14 +157,14 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
                 f"{type(error).__name__}: {error}"
             )
             return Cost(math.nan, convention, reason)
-        with paths.replacing(file) as temporary:
+        with paths.atomic_write(file) as temporary:
             temporary.write_text(json.dumps(times, indent=1))
     return Cost(times[key], convention, note)
 
 
 def _code(scene: str) -> str:
     """Hash of the code of a scene and of the tracer; empty without such a scene."""
-    entry = registry.entries("scenes").get(scene)
+    entry = registry.list_entries("scenes").get(scene)
     if entry is None:
         return ""
     modules = code_hash.import_closure(entry.target.partition(":")[0])
@@ -173,10 +173,10 @@ def _code(scene: str) -> str:
 
 def _trace(header: Header, pool: str) -> float:
     """Milliseconds of one sample per pixel of the scene, traced now."""
-    scene = registry.load("scenes", header.scene)()
-    from rlbench.render.jobs.extra_pools import trace_ms
+    scene = registry.load_plugin("scenes", header.scene)()
+    from rlbench.render.jobs.extra_pools import pool_sample_ms
     from rlbench.render.mitsuba.open_tracer import sample_ms
 
     if pool != "path":
-        return float(trace_ms(scene, header.height, header.width, pool))
+        return float(pool_sample_ms(scene, header.height, header.width, pool))
     return float(sample_ms(scene, header.height, header.width))

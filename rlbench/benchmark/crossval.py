@@ -76,15 +76,15 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     Training clips have the sample pools that the methods `names` draw from. Raises OptionError if
     the preset lacks one of the scenes.
     """
-    pools = {registry.variant(name).traits.pool for name in names}
+    pools = {registry.get_variant(name).traits.pool for name in names}
     known = PRESETS[preset].scenes if preset in PRESETS else ()
     return [
         Fold(
             scene,
-            dataset.holdout(scene, preset, pools),
+            dataset.split_holdout(scene, preset, pools),
             tuple(
                 StoredSource(folder)
-                for folder in preset_clips.rendered([scene], preset, kinds=pools)
+                for folder in preset_clips.render_preset_clips([scene], preset, pool_kinds=pools)
             ),
         )
         for scene in scenes or known or ["any"]
@@ -93,7 +93,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
 
 def variant_to_train(name: str) -> str:
     """The method whose training makes the weights of `name`: often itself; empty if none."""
-    variant = registry.variant(name)
+    variant = registry.get_variant(name)
     family = name.partition("/")[0]
     source = f"{family}/{variant.weights_from}" if variant.weights_from else family
     method = name if variant.weights_from is None else source

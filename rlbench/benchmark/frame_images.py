@@ -127,5 +127,5 @@ def _save(stem: Path, image: LinearImage) -> None:
     stem.parent.mkdir(parents=True, exist_ok=True)
     planes = np.moveaxis(image.radiance.astype(np.float32), -1, 0)
     write_exr(stem.parent / f"{stem.name}.exr", dict(zip("RGB", planes, strict=True)))
-    with paths.replacing(stem.parent / f"{stem.name}.png") as temporary:
+    with paths.atomic_write(stem.parent / f"{stem.name}.png") as temporary:
         Image.fromarray(image.rgb8).save(temporary, format="png")

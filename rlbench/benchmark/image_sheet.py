@@ -88,7 +88,7 @@ def draw_sheet(
     if is_adaptive:
         _draw_counts(grid[2], methods)
     figure.suptitle(title, fontsize=9, y=1 - 0.25 * TITLE_INCHES / (height + TITLE_INCHES))
-    with paths.replacing(file) as temporary:
+    with paths.atomic_write(file) as temporary:
         figure.savefig(temporary, dpi=DPI, format="png")
     return file
 

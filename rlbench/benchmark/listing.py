@@ -12,7 +12,7 @@ from rlbench.family import Variant
 Listed = dict[str, list[dict[str, Any]]]
 
 
-def listed(kind: str = "all") -> Listed:
+def list_installed(kind: str = "all") -> Listed:
     """Everything of a kind, or of all kinds, by kind. Raises PluginError for an unknown kind."""
     kinds: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "methods": _methods,
@@ -30,18 +30,18 @@ def listed(kind: str = "all") -> Listed:
 
 def _methods() -> list[dict[str, Any]]:
     found = []
-    for name, entry in registry.entries("methods").items():
+    for name, entry in registry.list_entries("methods").items():
         if why := registry.import_error("methods", name):
             found.append({"name": name, "from": entry.origin, "broken": why})
             continue
-        family = registry.family(name)
+        family = registry.load_family(name)
         shared = {
             "title": family.title,
             "paper": family.paper,
             "licence": family.licence,
             "from": entry.origin,
         }
-        pairs = zip(family.names(), family.variants.values(), strict=True)
+        pairs = zip(family.method_names(), family.variants.values(), strict=True)
         found += [{"name": full, **_variant(variant), **shared} for full, variant in pairs]
     return found
 
@@ -77,7 +77,7 @@ def _pools() -> list[dict[str, Any]]:
 def _plain(group: str) -> list[dict[str, Any]]:
     """Name, origin and, where it cannot be loaded, why."""
     found = []
-    for name, entry in registry.entries(group).items():
+    for name, entry in registry.list_entries(group).items():
         why = registry.import_error(group, name)
         found.append({"name": name, "from": entry.origin} | ({"broken": why} if why else {}))
     return found
@@ -86,7 +86,7 @@ def _plain(group: str) -> list[dict[str, Any]]:
 def _fields(name: str, group: str, wanted: tuple[str, ...]) -> dict[str, Any]:
     if registry.import_error(group, name):
         return {}
-    found = registry.load(group, name)
+    found = registry.load_plugin(group, name)
     return {field: getattr(found, field, "") for field in wanted}
 
 

@@ -92,7 +92,7 @@ def resolve_cells(plan: RunPlan) -> list[ResolvedCell]:
 
 def resolve_method(plan: RunPlan, name: str) -> ResolvedMethod:
     """A method of a plan. Raises PluginError if it is unknown."""
-    variant = registry.variant(name)
+    variant = registry.get_variant(name)
     file = _weights_file(plan, name, variant)
     return ResolvedMethod(
         name=name,
@@ -137,12 +137,12 @@ def _weights_file(plan: RunPlan, name: str, variant: Variant) -> Path | None:
 
 def _shipped_weights(name: str) -> Path:
     """Path of the weights that a method ships with, there or not."""
-    family = registry.family(name)
+    family = registry.load_family(name)
     try:
         folder = Path(registry.module_file(family.build)).parent
     except LookupError:  # building the method reports the missing module
         folder = Path()
-    return folder / "cards" / family.weights(name.partition("/")[2])
+    return folder / "cards" / family.weights_file(name.partition("/")[2])
 
 
 def _training_clips(path: Path) -> frozenset[str]:

@@ -109,7 +109,7 @@ def write_cell(folder: Path, cell: CellId, rows: Sequence[Row]) -> Path:
     metadata = json.dumps(asdict(_Metadata(SCHEMA, cell.key, cell.content_hash)))
     schema = _schema().with_metadata({METADATA: metadata})
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
-    with paths.replacing(target) as unfinished:
+    with paths.atomic_write(target) as unfinished:
         pq.write_table(table, unfinished)
     return target
 

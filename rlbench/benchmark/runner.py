@@ -142,7 +142,7 @@ class CellRunner:
     def __init__(self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds) -> None:
         """Load the metrics and prepare a row of each cell."""
         self.plan = plan
-        self.metrics = list(registry.metrics().values())
+        self.metrics = list(registry.load_metrics().values())
         self.loader = CellLoader(plan)
         profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
         self.timings = TimingCache(self.loader, profile)

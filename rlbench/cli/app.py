@@ -84,9 +84,10 @@ def list_(
       rlbench list methods --json
     """
     load_plugins(plugin, listed=True)
-    from rlbench.cli import console, listing
+    from rlbench.benchmark import listing
+    from rlbench.cli import console
 
-    found = listing.listed(kind)
+    found = listing.list_installed(kind)
     typer.echo(json.dumps(found, indent=1)) if as_json else console.listed(found)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from rlbench.errors import OptionError
-from rlbench.render.jobs.preset_clips import rendered
+from rlbench.render.jobs.preset_clips import render_preset_clips
 
 if TYPE_CHECKING:
     import torch
@@ -71,7 +71,9 @@ def clips(
     if pool not in POOLS:
         raise OptionError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        made = rendered(split(scenes or []), preset, engine=engine, kinds=kinds, takes=takes)
+        made = render_preset_clips(
+            split(scenes or []), preset, executor=engine, pool_kinds=kinds, takes=takes
+        )
         return tuple(open_source(folder, pool) for folder in made)
     if takes is not None:
         raise OptionError(

@@ -48,7 +48,7 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
     known = set(table["method"])  # of plugins too, which need not be here
     exact = [name for name in methods if RowName.parse(name).label or name in known]
     patterns = [name for name in methods if name not in exact]
-    wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
+    wanted = exact + registry.expand(patterns, pretrained_only=False)  # what has rows had weights
     found = table[select_methods(table, wanted)]
     single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
     absent = [name for name in single if not select_methods(table, [name]).any()]
@@ -119,14 +119,14 @@ def run(
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure
     from rlbench.cli import console
-    from rlbench.parallel.ray_executor import opened
+    from rlbench.parallel.ray_executor import open_executor
 
     names = arguments.methods(methods)
     called, weights = arguments.weights(weights)
-    if (half or weights) and not any(registry.variant(name).learned for name in names):
+    if (half or weights) and not any(registry.get_variant(name).learned for name in names):
         typer.echo("--half, --weights: no method that was asked for has networks", err=True)
-    kinds = {registry.variant(name).traits.pool for name in names}
-    with opened(engine, ray_address) as workers:
+    kinds = {registry.get_variant(name).traits.pool for name in names}
+    with open_executor(engine, ray_address) as workers:
         request = RunPlan(
             methods=names,
             clips=arguments.clips(clips, scenes, preset, pool, workers, kinds, takes),
@@ -175,7 +175,7 @@ def report(
     failed: dict[str, list[str]] = {}  # by reason
     if wanted := arguments.split(methods or []):
         rows = benchmark.rows(rows, wanted, results)
-    for each in registry.names("reports") if name == "all" else [name]:
+    for each in registry.list_plugins("reports") if name == "all" else [name]:
         try:
             for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
                 typer.echo(file)

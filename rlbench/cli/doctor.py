@@ -65,7 +65,7 @@ def _check_devices() -> Iterator[CheckResult]:
 def _check_path_tracer() -> Iterator[CheckResult]:
     from rlbench.render.mitsuba import llvm
 
-    report = llvm.report().removeprefix("path tracer: ")
+    report = llvm.describe_variant().removeprefix("path tracer: ")
     if "scalar" in report.splitlines()[0]:
         found = report.removesuffix(llvm.INSTALL_HINT).rstrip()
         yield warning("path tracer", found, llvm.INSTALL_HINT)
@@ -76,25 +76,25 @@ def _check_path_tracer() -> Iterator[CheckResult]:
 def _check_cycles() -> Iterator[CheckResult]:
     from rlbench.render.cycles import process
 
-    version, python = process.installed(), process.interpreter()
+    version, python = process.bpy_version(), process.interpreter()
     if not version:
         found = f"not installed in {python}; a second path tracer for .blend, USD and glTF"
-        yield passed("extra cycles", f"{found}: {process.INSTALL}")
-    elif version != process.VERSION:
-        found = f"bpy {version} in {python}; rlbench was tested with {process.VERSION}"
-        yield warning("extra cycles", found, f"pip install bpy=={process.VERSION}")
+        yield passed("extra cycles", f"{found}: {process.INSTALL_HINT}")
+    elif version != process.TESTED_BPY_VERSION:
+        found = f"bpy {version} in {python}; rlbench was tested with {process.TESTED_BPY_VERSION}"
+        yield warning("extra cycles", found, f"pip install bpy=={process.TESTED_BPY_VERSION}")
     else:
         yield passed("extra cycles", f"bpy {version} in {python}")
 
 
 def _check_clips() -> Iterator[CheckResult]:
     finished, unfinished = [], []
-    for folder in sorted(paths.clips().glob("*/*/")):
+    for folder in sorted(paths.clips_folder().glob("*/*/")):
         try:
             finished.append(f"{folder.parent.name}/{read_header(folder).name}")
         except ClipError:
             unfinished.append(f"{folder.parent.name}/{folder.name}")
-    found = f"{paths.clips()}: {len(finished)} clips"
+    found = f"{paths.clips_folder()}: {len(finished)} clips"
     if unfinished:
         found += f"; unfinished: {', '.join(unfinished)}"
         yield warning("clips", found, "rlbench render resumes unfinished clips")
@@ -103,7 +103,7 @@ def _check_clips() -> Iterator[CheckResult]:
 
 
 def _check_disk() -> Iterator[CheckResult]:
-    cache = paths.cache()
+    cache = paths.cache_folder()
     existing = next(path for path in (cache, *cache.parents) if path.exists())
     free = shutil.disk_usage(existing).free / 2**30
     found = f"{free:.1f} GiB free for {cache}, which holds {_size_gib(cache):.2f} GiB"
@@ -115,7 +115,7 @@ def _check_disk() -> Iterator[CheckResult]:
 
 def _check_plugins() -> Iterator[CheckResult]:
     for group in registry.GROUPS:
-        names = registry.names(group)
+        names = registry.list_plugins(group)
         errors = {name: error for name in names if (error := registry.import_error(group, name))}
         found = ", ".join(names) or "none"
         found += "".join(f"; {name} cannot be imported: {why}" for name, why in errors.items())

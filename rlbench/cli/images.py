@@ -47,7 +47,7 @@ def images(
 
     names = arguments.methods(methods)
     called, weights = arguments.weights(weights)
-    kinds = {registry.variant(name).traits.pool for name in names}
+    kinds = {registry.get_variant(name).traits.pool for name in names}
     request = RunPlan(
         methods=names,
         clips=arguments.clips(clips, scenes, preset, kinds=kinds, takes=takes),

@@ -90,7 +90,7 @@ def train(
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
         return
     names = arguments.methods(methods, trained=False)
-    learning = runs.learners(names)
+    learning = runs.select_trainable(names)
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
     plan = planned(frames, batch, crop, budget, half, norm, seed)
@@ -105,11 +105,11 @@ def train(
         console.training,
     )
     lessons.check(learning)
-    kinds = {registry.variant(name).traits.pool for name in learning}
-    chosen = dataset.NONE
+    kinds = {registry.get_variant(name).traits.pool for name in learning}
+    chosen = dataset.EMPTY_SPLIT
     if learning:
-        chosen = dataset.chosen(preset, arguments.seeds(seeds), holdout, kinds)
-        typer.echo(logger.lacking(), err=True) if logger.lacking() else None
+        chosen = dataset.select_split(preset, arguments.seeds(seeds), holdout, kinds)
+        typer.echo(logger.tensorboard_hint(), err=True) if logger.tensorboard_hint() else None
     for name in learning:
         if range_test:
             tried = lessons.find_learning_rate(name, chosen)

@@ -81,7 +81,7 @@ class Executor(Protocol):
         """Whether jobs never run at the same time, so that each may measure times."""
 
     @property
-    def where(self) -> str:
+    def description(self) -> str:
         """Description of the machines that run the jobs; empty for this process."""
 
     def local_exclusive(self) -> Executor:
@@ -105,7 +105,7 @@ class LocalExecutor:
     """Runs jobs in this process, each when its result is requested."""
 
     exclusive: bool = True
-    where: str = ""
+    description: str = ""
 
     def local_exclusive(self) -> LocalExecutor:
         """Itself."""

@@ -12,10 +12,18 @@ from typing import Any
 from rlbench.parallel.executor import ExecutorError
 from rlbench.system import provenance
 
-__all__ = ["MAX_RETRIES", "QUIET", "close", "import_ray", "machines", "start", "worker_deaths"]
+__all__ = [
+    "MAX_RETRIES",
+    "QUIET_ENVIRONMENT",
+    "close",
+    "import_ray",
+    "machines",
+    "start",
+    "worker_deaths",
+]
 
 MAX_RETRIES = 3  # of a job whose worker died
-QUIET = {
+QUIET_ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",  # by default Ray reports usage statistics
     "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # else `uv run` packs and sends the working directory
@@ -59,7 +67,7 @@ def close() -> None:
 
 def import_ray() -> Any:
     """The module `ray`; its environment variables must be set before it is imported."""
-    os.environ.update(QUIET)
+    os.environ.update(QUIET_ENVIRONMENT)
     try:
         return importlib.import_module("ray")
     except ImportError as error:

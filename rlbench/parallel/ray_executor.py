@@ -28,16 +28,16 @@ from rlbench.parallel.executor import (
     Work,
     ignore_progress,
 )
-from rlbench.parallel.ray_cluster import QUIET, import_ray
+from rlbench.parallel.ray_cluster import QUIET_ENVIRONMENT, import_ray
 
-__all__ = ["EXECUTORS", "QUIET", "RayExecutor", "opened"]
+__all__ = ["EXECUTORS", "QUIET_ENVIRONMENT", "RayExecutor", "open_executor"]
 
 EXECUTORS = ("local", "ray")
 JOBS_PER_SLOT = 2  # submitted for each that can run, so that no worker waits for this process
 
 
 @contextlib.contextmanager
-def opened(name: str = "local", address: str | None = None) -> Iterator[Executor]:
+def open_executor(name: str = "local", address: str | None = None) -> Iterator[Executor]:
     """Open the executor `local` or `ray`, and close it at the end of the block.
 
     `address` is that of a running Ray cluster, `auto` or host:port. Without one, Ray is started on
@@ -77,7 +77,7 @@ class RayExecutor:
             )
 
     @property
-    def where(self) -> str:
+    def description(self) -> str:
         """Number of machines and processors of the cluster."""
         ray_cluster.start(self.address)
         machines = ray_cluster.machines()

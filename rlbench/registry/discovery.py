@@ -27,8 +27,8 @@ from rlbench.registry.plugin_files import file_entries, import_file, plugin_file
 
 __all__ = [
     "GROUPS",
-    "VARIABLE",
-    "entries",
+    "METHODS_VARIABLE",
+    "list_entries",
     "installed_entries",
     "module_file",
     "plugin_file_error",
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 GROUPS = ("methods", "metrics", "reports", "pools", "scenes")
-VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
+METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 
 def plugin_file_error(path: str | Path) -> str | None:
@@ -55,13 +55,13 @@ def plugin_file_error(path: str | Path) -> str | None:
     return None
 
 
-def entries(group: str) -> dict[str, PluginEntry]:
+def list_entries(group: str) -> dict[str, PluginEntry]:
     """All plugins of a group by name, sorted. Raises PluginError if two share a name."""
     if group not in GROUPS:
         raise PluginError(f"'{group}' is not a kind of plugin; there are: {', '.join(GROUPS)}")
     candidates = installed_entries(group)
     if group == "methods":
-        candidates += _variable_entries(os.environ.get(VARIABLE, ""))
+        candidates += _variable_entries(os.environ.get(METHODS_VARIABLE, ""))
         candidates += [entry for file in plugin_files() for entry in file_entries(file)]
     by_name: dict[str, PluginEntry] = {}
     for entry in candidates:
@@ -122,7 +122,7 @@ def _variable_entries(text: str) -> list[PluginEntry]:
         name, equals, target = item.partition("=")
         if not (name and equals and ":" in target):
             raise PluginError(
-                f"{VARIABLE} has the item '{item}'; an item is written name=module:FAMILY"
+                f"{METHODS_VARIABLE} has the item '{item}'; an item is written name=module:FAMILY"
             )
-        plugins.append(PluginEntry(name, target, VARIABLE, partial(resolve, target)))
+        plugins.append(PluginEntry(name, target, METHODS_VARIABLE, partial(resolve, target)))
     return plugins

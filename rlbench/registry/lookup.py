@@ -7,35 +7,35 @@ from typing import Any
 
 from rlbench.errors import PluginError
 from rlbench.family import Family, Variant
-from rlbench.registry.discovery import entries
+from rlbench.registry.discovery import list_entries
 from rlbench.registry.entry import PluginEntry
 
 __all__ = [
     "current_name",
-    "family",
+    "load_family",
     "import_error",
-    "load",
+    "load_plugin",
     "load_or_explain",
-    "metrics",
-    "names",
-    "variant",
+    "load_metrics",
+    "list_plugins",
+    "get_variant",
 ]
 
 
-def names(group: str) -> list[str]:
+def list_plugins(group: str) -> list[str]:
     """Names of the plugins of a group, also of those that cannot be imported.
 
     The names of the group `methods` are those of the families.
     """
-    return list(entries(group))
+    return list(list_entries(group))
 
 
-def load(group: str, name: str) -> Any:
+def load_plugin(group: str, name: str) -> Any:
     """Import a plugin. An error of its import passes through.
 
     Raises PluginError for an unknown name.
     """
-    known = entries(group)
+    known = list_entries(group)
     if name not in known:
         raise PluginError(_unknown(name, f"a {group.removesuffix('s')}", known))
     return known[name].load()
@@ -44,11 +44,11 @@ def load(group: str, name: str) -> Any:
 def load_or_explain(group: str, name: str) -> Any:
     """Import a plugin. Raises PluginError for an unknown name and for a failed import."""
     try:
-        return load(group, name)
+        return load_plugin(group, name)
     except PluginError:
         raise
     except Exception as error:  # third-party code may raise anything
-        plugin = f"{group.removesuffix('s')} '{name}' from {entries(group)[name].origin}"
+        plugin = f"{group.removesuffix('s')} '{name}' from {list_entries(group)[name].origin}"
         raise PluginError(
             f"{plugin} cannot be imported: {type(error).__name__}: {error}"
         ) from error
@@ -57,13 +57,13 @@ def load_or_explain(group: str, name: str) -> Any:
 def import_error(group: str, name: str) -> str | None:
     """The error with which the import of a known plugin fails, or None."""
     try:
-        family(name) if group == "methods" else load(group, name)
+        load_family(name) if group == "methods" else load_plugin(group, name)
     except Exception as error:  # third-party code may raise anything
         return f"{type(error).__name__}: {error}"
     return None
 
 
-def family(name: str) -> Family:
+def load_family(name: str) -> Family:
     """The family of a method, given as `family` or `family/variant`; does not import torch.
 
     >>> family("svgf").name
@@ -72,7 +72,7 @@ def family(name: str) -> Family:
     Raises PluginError for an unknown name, and for a plugin that is not a family of this name.
     """
     key = name.partition("/")[0]
-    known = entries("methods")
+    known = list_entries("methods")
     if key not in known:
         raise PluginError(_unknown(key, "a method", known))
     plugin = known[key].load()
@@ -87,26 +87,26 @@ def family(name: str) -> Family:
 def current_name(name: str) -> str:
     """The name with a former variant name (`Family.aliases`) replaced by the current one."""
     key, _, former = name.partition("/")
-    current = family(name).aliases.get(former)
+    current = load_family(name).aliases.get(former)
     return name if current is None else f"{key}/{current}"
 
 
-def variant(name: str) -> Variant:
+def get_variant(name: str) -> Variant:
     """The declared properties of a method, given as `family` or `family/variant`.
 
     Raises PluginError if its family has no such variant.
     """
-    parent, name = family(name), current_name(name)
+    parent, name = load_family(name), current_name(name)
     key = name.partition("/")[2]
-    if key not in parent.variants or name not in parent.names():
-        known = ", ".join(parent.names())
+    if key not in parent.variants or name not in parent.method_names():
+        known = ", ".join(parent.method_names())
         raise PluginError(f"'{parent.name}' has no variant '{key}'; it has: {known}")
     return parent.variants[key]
 
 
-def metrics() -> dict[str, Any]:
+def load_metrics() -> dict[str, Any]:
     """All metrics by name. Raises PluginError for a metric that cannot be imported."""
-    return {name: load_or_explain("metrics", name) for name in names("metrics")}
+    return {name: load_or_explain("metrics", name) for name in list_plugins("metrics")}
 
 
 def _unknown(name: str, kind: str, known: Mapping[str, PluginEntry]) -> str:

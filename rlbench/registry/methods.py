@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.discovery import module_file, resolve
-from rlbench.registry.lookup import current_name, family, import_error, names, variant
+from rlbench.registry.lookup import (
+    current_name,
+    get_variant,
+    import_error,
+    list_plugins,
+    load_family,
+)
 from rlbench.system import provenance
 
 if TYPE_CHECKING:
@@ -16,10 +22,12 @@ if TYPE_CHECKING:
 
     from rlbench.method import Method
 
-__all__ = ["expand", "is_trainable", "method", "shipped_weights", "training_task"]
+__all__ = ["expand", "is_trainable", "load_method", "shipped_weights", "training_task"]
 
 
-def method(name: str, device: torch.device | str = "cpu", weights: str | None = None) -> Method:
+def load_method(
+    name: str, device: torch.device | str = "cpu", weights: str | None = None
+) -> Method:
     """Build the method `family` or `family/variant` on a device.
 
     `weights` is None for the pretrained weights, the path of a file, or "random".
@@ -35,12 +43,12 @@ def method(name: str, device: torch.device | str = "cpu", weights: str | None = 
     from rlbench.method import Method
 
     name = current_name(name)
-    declared = variant(name)
-    if missing := " ".join(provenance.missing(declared.requires)):
+    declared = get_variant(name)
+    if missing := " ".join(provenance.missing_packages(declared.requires)):
         raise PluginError(
             f"'{name}' needs {missing}, which is not installed: pip install {missing}"
         )
-    build = family(name).build
+    build = load_family(name).build
     instance = resolve(build)(name.partition("/")[2], torch.device(device), weights)
     if not isinstance(instance, Method):
         raise PluginError(
@@ -63,8 +71,8 @@ def shipped_weights(name: str) -> Path:
 
     Raises PluginError if there is no such module.
     """
-    parent, name = family(name), current_name(name)
-    return module_file(parent.build).parent / "cards" / parent.weights(name.partition("/")[2])
+    parent, name = load_family(name), current_name(name)
+    return module_file(parent.build).parent / "cards" / parent.weights_file(name.partition("/")[2])
 
 
 def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
@@ -77,17 +85,19 @@ def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) 
     name = current_name(name)
     if not is_trainable(name):
         raise PluginError(f"'{name}' has nothing to train")
-    return resolve(family(name).train)(name.partition("/")[2], torch.device(device), seed)
+    return resolve(load_family(name).train)(name.partition("/")[2], torch.device(device), seed)
 
 
 def is_trainable(name: str) -> bool:
     """Whether a method has weights of its own and a function that trains them."""
-    declared = variant(name)
-    return declared.learned and declared.weights_from is None and bool(family(name).train)
+    declared = get_variant(name)
+    return declared.learned and declared.weights_from is None and bool(load_family(name).train)
 
 
 def expand(
-    patterns: Iterable[str], trained: bool = True, on_skip: Callable[[str], None] | None = None
+    patterns: Iterable[str],
+    pretrained_only: bool = True,
+    on_skip: Callable[[str], None] | None = None,
 ) -> list[str]:
     """Method names for patterns, without repeats.
 
@@ -105,8 +115,10 @@ def expand(
         key, _, rest = pattern.partition("/")
         for parent in _families(on_skip) if key == "all" else [key]:
             exact = f"{parent}/{rest}" if rest else parent
-            for name in family(parent).names() if rest == "*" else [current_name(exact)]:
-                if variant(name).pretrained or not trained or rest != "*":
+            for name in (
+                load_family(parent).method_names() if rest == "*" else [current_name(exact)]
+            ):
+                if get_variant(name).pretrained or not pretrained_only or rest != "*":
                     selected[name] = None
     return list(selected)
 
@@ -114,7 +126,7 @@ def expand(
 def _families(on_skip: Callable[[str], None] | None) -> list[str]:
     """All families; with `on_skip`, only those that can be imported."""
     importable = []
-    for name in names("methods"):
+    for name in list_plugins("methods"):
         if on_skip and (error := import_error("methods", name)):
             on_skip(f"'all' skips {name}, which cannot be imported: {error}")
         else:

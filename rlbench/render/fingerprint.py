@@ -27,7 +27,7 @@ def fingerprint(scene: Scene, frames: int) -> str:
     if scene.source_hash:
         return _hash(f"{RENDERER_VERSION} {scene.source_hash}")
     lines = [
-        f"{RENDERER_VERSION} {scene.exposure} {scene.depth} {scene.static}",
+        f"{RENDERER_VERSION} {scene.exposure} {scene.max_depth} {scene.static}",
         _describe(scene.sky),
     ]
     for mesh in scene.meshes:

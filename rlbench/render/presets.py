@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
-from rlbench.clips.header import EXTRAS
+from rlbench.clips.header import OPTIONAL_BUFFERS
 from rlbench.errors import RlbenchError
 
 __all__ = [
@@ -18,7 +18,7 @@ __all__ = [
     "PresetError",
     "TakeSelection",
     "UnknownPresetError",
-    "preset",
+    "get_preset",
 ]
 
 TEST_SCENES = ("city", "temple", "hall", "ripples")
@@ -90,11 +90,12 @@ class Preset:
 
         Raises PresetError for an unknown buffer; the message lists those available.
         """
-        if unknown := sorted(set(buffers) - set(EXTRAS)):
+        if unknown := sorted(set(buffers) - set(OPTIONAL_BUFFERS)):
             raise PresetError(
-                f"no G-buffer channel {', '.join(unknown)} to add; available: {', '.join(EXTRAS)}"
+                f"no G-buffer channel {', '.join(unknown)} to add; "
+                f"available: {', '.join(OPTIONAL_BUFFERS)}"
             )
-        chosen = tuple(name for name in EXTRAS if name in set(buffers))
+        chosen = tuple(name for name in OPTIONAL_BUFFERS if name in set(buffers))
         return replace(self, name=f"{self.name}-views", extra_buffers=chosen)
 
     def with_takes(self, takes: str) -> Preset:
@@ -161,7 +162,7 @@ PRESETS = {
 }
 
 
-def preset(name: str) -> Preset:
+def get_preset(name: str) -> Preset:
     """The preset called `name`. Raises UnknownPresetError, which lists all presets."""
     if name not in PRESETS:
         raise UnknownPresetError(f"no preset '{name}'; available: {', '.join(PRESETS)}")

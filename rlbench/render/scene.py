@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from rlbench.errors import RlbenchError
 
-__all__ = ["Camera", "Mesh", "Plugin", "Scene", "SceneError", "Take", "Vertices", "XmlFile"]
+__all__ = ["Camera", "Mesh", "MitsubaDict", "Scene", "SceneError", "Take", "Vertices", "XmlFile"]
 
 Vertices = Mapping[str, NDArray[np.float32]]  # [v 3] in world space, by mesh name
-Plugin = Mapping[str, Any]  # a Mitsuba scene dict; bitmap textures may hold numpy arrays
+MitsubaDict = Mapping[str, Any]  # a Mitsuba scene dict; bitmap textures may hold numpy arrays
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,11 @@ class Mesh:
     name: str
     vertices: NDArray[np.float32]  # [v 3], world space, metres, z up
     faces: NDArray[np.uint32]  # [f 3], counter-clockwise from outside
-    material: Plugin  # a BSDF, for example {"type": "diffuse", "reflectance": {...}}
+    material: MitsubaDict  # a BSDF, for example {"type": "diffuse", "reflectance": {...}}
     uv: NDArray[np.float32] | None = None  # [v 2]
-    emission: Plugin | None = None  # an area emitter; for many lights, one mesh with a bitmap atlas
+    emission: MitsubaDict | None = (
+        None  # an area emitter; for many lights, one mesh with a bitmap atlas
+    )
     smooth: bool = False  # interpolate vertex normals?
 
 
@@ -77,7 +79,7 @@ class Take:
 
     name: str  # the clip is called <scene>-<name>; must not contain a hyphen
     camera: Callable[[float], Camera]
-    moving: Callable[[float], Vertices] | None = None
+    vertex_animation: Callable[[float], Vertices] | None = None
     lights: Callable[[float], Mapping[str, float]] = _unchanged_lights
     cuts: tuple[int, ...] = ()
     static: bool = False  # neither camera nor meshes move; lights may change
@@ -95,7 +97,7 @@ class Scene:
     title: str
     meshes: tuple[Mesh, ...]
     camera: Callable[[float], Camera]
-    sky: tuple[Plugin, ...] = ()  # emitters without a surface: constant, sunsky, directional
+    sky: tuple[MitsubaDict, ...] = ()  # emitters without a surface: constant, sunsky, directional
     vertex_animation: Callable[[float], Vertices] = field(
         default=lambda time: {}
     )  # vertices of the meshes that move
@@ -103,7 +105,7 @@ class Scene:
     cuts: tuple[int, ...] = ()  # frames at which another shot begins
     takes: tuple[Take, ...] = ()
     exposure: float = 1.0  # factor on radiance after which 1.0 is display white
-    depth: int = 8  # longest light path, in edges (Mitsuba's max_depth)
+    max_depth: int = 8  # longest light path, in edges (Mitsuba's max_depth)
     static: bool = False  # neither camera nor meshes move
     xml_file: XmlFile | None = None  # replaces sky and all meshes but the animated ones
     source_hash: str = ""  # hash of a user's scene files; replaces the computed fingerprint
@@ -121,7 +123,7 @@ class Scene:
         return replace(
             self,
             camera=take.camera,
-            vertex_animation=take.moving or self.vertex_animation,
+            vertex_animation=take.vertex_animation or self.vertex_animation,
             lights=take.lights,
             cuts=take.cuts,
             static=take.static,

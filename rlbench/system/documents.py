@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 import tomli_w
 
-from rlbench.system.paths import replacing
+from rlbench.system.paths import atomic_write
 
 __all__ = ["decode", "read_toml", "to_toml", "unknown_keys", "write_toml"]
 
@@ -61,7 +61,7 @@ def to_toml(document: Mapping[str, Any]) -> str:
 
 def write_toml(path: Path, document: Mapping[str, Any]) -> None:
     """Write a document to a TOML file atomically."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(to_toml(document), encoding="utf-8")
 
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["cache", "clips", "decoded", "replacing"]
+__all__ = ["cache_folder", "clips_folder", "decoded_folder", "atomic_write"]
 
 
-def cache() -> Path:
+def cache_folder() -> Path:
     """The cache folder: the variable RLBENCH_CACHE, else the user cache of the platform."""
     if folder := os.environ.get("RLBENCH_CACHE"):
         return Path(folder).expanduser()
@@ -20,18 +20,18 @@ def cache() -> Path:
     return user_cache_path("rlbench", appauthor=False)
 
 
-def clips() -> Path:
+def clips_folder() -> Path:
     """The folder of rendered clips, one folder each."""
-    return cache() / "clips"
+    return cache_folder() / "clips"
 
 
-def decoded() -> Path:
+def decoded_folder() -> Path:
     """The folder of decoded copies of clips; it may be deleted at any time."""
-    return cache() / "decoded"
+    return cache_folder() / "decoded"
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`, then rename it to `path`.
 
     Readers never see a partial file. The folder is created. If the block raises, the temporary file

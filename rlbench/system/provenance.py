@@ -16,7 +16,7 @@ __all__ = [
     "Machine",
     "commit",
     "machine",
-    "missing",
+    "missing_packages",
     "package_versions",
     "versions",
 ]
@@ -60,7 +60,7 @@ def package_versions(packages: Iterable[str]) -> str:
     return ", ".join(f"{name} {_version(name)}" for name in packages)
 
 
-def missing(packages: Iterable[str]) -> list[str]:
+def missing_packages(packages: Iterable[str]) -> list[str]:
     """The packages that are not installed."""
     return [name for name in packages if _version(name) == "none"]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench.clips.stored import ALL, InMemoryClip, open_clip
+from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, open_clip
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
@@ -91,7 +91,9 @@ class Batches:
     seed: int
     device: str = "cpu"
     pool: str = "path"  # kind of sample pool
-    inputs: frozenset[str] = ALL  # G-buffer channels to load besides albedo, normal and motion
+    inputs: frozenset[str] = (
+        DEFAULT_INPUTS  # G-buffer channels to load besides albedo, normal and motion
+    )
 
     @classmethod
     def from_config(

@@ -29,7 +29,7 @@ class CheckpointError(RlbenchError, ValueError):
 def write(path: Path, tensors: Mapping[str, Tensor], metadata: dict[str, Any]) -> None:
     """Write tensors and metadata to one file. A kill leaves the old file or the new one."""
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    with paths.replacing(path) as temporary:
+    with paths.atomic_write(path) as temporary:
         save_file(contiguous, temporary, {"progress": json.dumps(metadata)})
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rlbench.errors import OptionError
-from rlbench.render.jobs.preset_clips import rendered
+from rlbench.render.jobs.preset_clips import render_preset_clips
 
-__all__ = ["NONE", "TrainingSplit", "chosen", "generated", "holdout"]
+__all__ = ["EMPTY_SPLIT", "TrainingSplit", "select_split", "split_generated", "split_holdout"]
 
 VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
 
@@ -18,13 +18,13 @@ class TrainingSplit(NamedTuple):
     """Clip folders to train and to validate on; no clip is in both."""
 
     train: list[Path]
-    validate: list[Path]
+    validation: list[Path]
 
 
-NONE = TrainingSplit([], [])  # for methods that have nothing to train
+EMPTY_SPLIT = TrainingSplit([], [])  # for methods that have nothing to train
 
 
-def chosen(
+def select_split(
     preset: str | None,
     seeds: tuple[int, ...] | None,
     held_out_scene: str | None,
@@ -36,16 +36,16 @@ def chosen(
     OptionError if the options contradict each other, and as `generated` and `holdout` do.
     """
     if held_out_scene is None:
-        return generated(preset or "train", seeds, pool_kinds)
+        return split_generated(preset or "train", seeds, pool_kinds)
     if seeds is not None:
         raise OptionError(
             "--seeds applies to generated scenes only. With --holdout, training uses the other "
             "test scenes of a preset: omit --seeds or --holdout"
         )
-    return holdout(held_out_scene, preset or "mini", pool_kinds)
+    return split_holdout(held_out_scene, preset or "mini", pool_kinds)
 
 
-def generated(
+def split_generated(
     preset: str,
     seeds: tuple[int, ...] | None = None,
     pool_kinds: Collection[str] | None = None,
@@ -61,7 +61,7 @@ def generated(
             "them validates"
         )
     _check_not_test_set(preset, seeds)
-    folders = rendered(None, preset, chosen=seeds, kinds=pool_kinds)
+    folders = render_preset_clips(None, preset, seeds=seeds, pool_kinds=pool_kinds)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     return TrainingSplit([folder for folder in folders if folder not in validate], validate)
 
@@ -86,7 +86,9 @@ def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
             )
 
 
-def holdout(scene: str, preset: str, pool_kinds: Collection[str] | None = None) -> TrainingSplit:
+def split_holdout(
+    scene: str, preset: str, pool_kinds: Collection[str] | None = None
+) -> TrainingSplit:
     """All scenes of a preset except one, which is the test scene: leave-one-scene-out.
 
     The protocol of Scardigli et al. 2023. Two generated scenes validate, so that the held-out scene
@@ -106,6 +108,8 @@ def holdout(scene: str, preset: str, pool_kinds: Collection[str] | None = None) 
         raise OptionError(
             f"no scene '{scene}' to hold out: preset '{preset}' has: {', '.join(scenes)}"
         )
-    folders = rendered([name for name in scenes if name != scene], preset, kinds=pool_kinds)
-    validate = rendered(None, "train", chosen=VALIDATION_SEEDS, kinds=pool_kinds)
+    folders = render_preset_clips(
+        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds
+    )
+    validate = render_preset_clips(None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds)
     return TrainingSplit(folders, validate)

@@ -11,7 +11,7 @@ from rlbench.system import paths
 from rlbench.training.progress import Progress
 from rlbench.training.validation import ValidationResult
 
-__all__ = ["TrainingLogger", "lacking"]
+__all__ = ["TrainingLogger", "tensorboard_hint"]
 
 LOG = "log.jsonl"  # one line per validation
 FOLDER = "tensorboard"
@@ -68,7 +68,7 @@ class TrainingLogger:
             self.tensorboard.close()
 
 
-def lacking() -> str:
+def tensorboard_hint() -> str:
     """One line that says how to install TensorBoard; empty if it is installed."""
     if importlib.util.find_spec("tensorboard"):
         return ""
@@ -80,7 +80,7 @@ def lacking() -> str:
 
 def _open_tensorboard(folder: Path, frames_seen: int) -> Any:
     """TensorBoard's writer, which hides older entries after `frames_seen`; None without it."""
-    if lacking():
+    if tensorboard_hint():
         return None
     from torch.utils.tensorboard import SummaryWriter
 
@@ -93,7 +93,7 @@ def _truncate_log(log: Path, frames_seen: int) -> None:
     lines = log.read_text().splitlines(keepends=True) if log.exists() else []
     valid = [line for line in lines if line.endswith("\n") and _frames_seen(line) <= frames_seen]
     if valid != lines:
-        with paths.replacing(log) as temporary:
+        with paths.atomic_write(log) as temporary:
             temporary.write_text("".join(valid))
 
 

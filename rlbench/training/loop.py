@@ -71,7 +71,7 @@ def train(
     result = TrainingResult(weights_path(method, out), progress)
     if config.frames <= progress.frames_seen == frames_in_weights(result.weights):
         return result
-    spp = validation.budgets(task.method, task.spp, config.spp)
+    spp = validation.validation_budgets(task.method, task.spp, config.spp)
     began = time.monotonic() - progress.seconds
     stop = time.monotonic() + 60 * minutes
     with prefetch(batches) as sequence, closing(TrainingLogger(out, progress.frames_seen)) as log:
@@ -98,7 +98,7 @@ def train(
 
 def check_budgets(method: str, config: TrainingConfig) -> None:
     """Raise TrainingError if a method cannot be trained at a budget of the config."""
-    traits = registry.variant(method).traits
+    traits = registry.get_variant(method).traits
     for spp in config.spp:
         if reason := traits.unsupported_reason(spp):
             raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")

@@ -118,7 +118,7 @@ def _has_diverged(points: Sequence[LrPoint]) -> bool:
 
 def _write_table(points: Sequence[LrPoint], out: Path) -> Path:
     file = out / "range.csv"
-    with paths.replacing(file) as temporary, temporary.open("w", newline="") as opened:
+    with paths.atomic_write(file) as temporary, temporary.open("w", newline="") as opened:
         writer = csv.writer(opened)
         writer.writerow(COLUMNS)
         smooth = smooth_losses(points) if points else []
@@ -139,6 +139,6 @@ def _plot(method: str, points: Sequence[LrPoint], suggested: float, out: Path) -
     axes.set(xscale="log", xlabel="learning rate", ylabel="loss", title=method)
     axes.legend()
     file = out / "range.png"
-    with paths.replacing(file) as temporary:
+    with paths.atomic_write(file) as temporary:
         figure.savefig(temporary, format="png", dpi=150)
     return file

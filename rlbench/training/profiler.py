@@ -89,7 +89,7 @@ def profile(
         state.train_sequence(clip, spp, WARM_UP_LR_FACTOR, index / len(indices))
         profiler.disable()
         frames += len(clip) * clip.size.n
-    method_folder = discovery.module_file(registry.family(method).train).parent
+    method_folder = discovery.module_file(registry.load_family(method).train).parent
     return _summarize(pstats.Stats(profiler), frames, method_folder)
 
 
@@ -127,8 +127,8 @@ def main(argv: Sequence[str] | None = None) -> str:
     )
     options = parser.parse_args(argv)
     torch.set_num_threads(options.threads)
-    pool = registry.variant(options.method).traits.pool
-    clips = options.clips or dataset.generated("train", pool_kinds={pool}).train
+    pool = registry.get_variant(options.method).traits.pool
+    clips = options.clips or dataset.split_generated("train", pool_kinds={pool}).train
     config = TrainingConfig(frames=options.frames, crop=options.crop, bf16=options.bf16)
     clock = time.process_time if options.cpu_time else time.perf_counter
     return profile(options.method, clips, config, options.device, clock).to_markdown()

@@ -16,7 +16,7 @@ from rlbench.clips.stored import open_clip
 from rlbench.method import Method
 from rlbench.run import run_clip
 
-__all__ = ["ValidationResult", "budgets", "validate"]
+__all__ = ["ValidationResult", "validation_budgets", "validate"]
 
 DEFAULT_BUDGETS = (1.0, 4.0)  # samples per pixel
 
@@ -28,7 +28,7 @@ class ValidationResult(NamedTuple):
     preview: Float[Tensor, "3 h w"] | None  # last frame of the first clip, reference on its right
 
 
-def budgets(
+def validation_budgets(
     method: Method, training_budgets: Sequence[float], requested: Sequence[float]
 ) -> list[float]:
     """The budgets to validate at, in samples per pixel.
@@ -55,7 +55,7 @@ def validate(
     `networks` are the ones that `method` uses. They get their own weights back, and are left in
     evaluation mode.
     """
-    psnr = registry.load("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr").score
     trained = copy.deepcopy(networks.state_dict())
     networks.load_state_dict(ema_networks.state_dict())
     networks.eval()

@@ -32,7 +32,7 @@ def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
     (sheet,) = write_images(plan(clip_folder, "mean"), 1, tmp_path)
     assert sheet.file == tmp_path / "noise-1spp-01.png"
     assert imread(sheet.file).std() > 0
-    result = frame_at(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 1)
+    result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 1)
     for name, image in (("mean", result.image), ("reference", result.frame.reference.mean)):
         h, w = image.shape[-2:]
         stored = read_exr(tmp_path / "noise-1spp-01" / f"{name}.exr", "RGB", h, w)
@@ -46,7 +46,7 @@ def test_the_score_on_a_sheet_is_that_of_the_results(clip_folder, tmp_path):
     measure(plan(clip_folder, "mean"), tmp_path)
     rows = results.read(tmp_path)
     score = rows[(rows["metric"] == "psnr") & (rows["frame"] == 2)]["value"].item()
-    result = frame_at(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 2)
+    result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 2)
     assert method_image("mean", result).psnr == pytest.approx(score, abs=1e-9)
 
 
@@ -61,7 +61,7 @@ def test_a_budget_and_a_clip_have_a_sheet_each_by_default_of_the_last_frame(tmp_
 
 
 def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_path):
-    result = frame_at(run_clip(registry.method("mean"), open_clip(clip_folder), 1.0), 0)
+    result = frame_at(run_clip(registry.load_method("mean"), open_clip(clip_folder), 1.0), 0)
     image = result.image.clone()
     image[0, 1, 3, 4], image[0, 2, 5, 6] = torch.nan, torch.inf
     pictured = method_image("mean", replace(result, image=image)).image

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rlbench.benchmark.latency import WARM_UP, device_name, time_method
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.system import provenance
@@ -41,7 +41,7 @@ class Sleepy:
 
 
 def test_plan_and_denoise_are_timed_apart():
-    times = time_method(Sleepy(0.004, 0.008), procedural(size=SIZE), 1.0, repeats=3)
+    times = time_method(Sleepy(0.004, 0.008), procedural_clip(size=SIZE), 1.0, repeats=3)
     # a sleep is never shorter than requested, and longer on a busy machine
     assert times.plan.p50 >= 4
     assert times.denoise.p50 >= 8
@@ -51,7 +51,7 @@ def test_plan_and_denoise_are_timed_apart():
 
 def test_the_time_of_a_frame_includes_all_passes():
     method = Sleepy(0.004, traits=Traits(passes=(0.5, 1.0)))
-    assert time_method(method, procedural(size=SIZE), 1.0, repeats=3).plan.p50 >= 8
+    assert time_method(method, procedural_clip(size=SIZE), 1.0, repeats=3).plan.p50 >= 8
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -61,19 +61,19 @@ def test_a_processor_is_named_with_its_threads(threads):
 
 
 def test_warm_up_does_not_count():
-    times = time_method(Sleepy(first_s=0.3), procedural(size=SIZE), 1.0, repeats=3)
+    times = time_method(Sleepy(first_s=0.3), procedural_clip(size=SIZE), 1.0, repeats=3)
     assert times.denoise.p95 < 300
 
 
 @pytest.mark.parametrize("repeats", [1, 3, 10])
 def test_the_requested_number_of_frames_is_timed_after_warm_up(repeats):
     method = Sleepy()
-    times = time_method(method, procedural(size=SIZE, frames=4), 1.0, repeats)
+    times = time_method(method, procedural_clip(size=SIZE, frames=4), 1.0, repeats)
     assert times.plan.n == times.denoise.n == repeats
     assert len(method.states) == WARM_UP + repeats
 
 
 def test_the_clip_restarts_with_a_fresh_state():
     method = Sleepy()
-    time_method(method, procedural(size=SIZE, frames=3), 1.0, repeats=5)
+    time_method(method, procedural_clip(size=SIZE, frames=3), 1.0, repeats=5)
     assert method.states == [0, 1, 2, 0, 1, 2, 0]

@@ -57,7 +57,7 @@ def test_every_frame_has_a_row_of_every_metric(tmp_path):
     rows = table.read(tmp_path / "r")
     scored = set(zip(rows["frame"], rows["metric"], strict=True))
     assert {(f, m) for f, m in scored if f >= 0} == {
-        (frame, metric) for frame in (0, 1) for metric in registry.names("metrics")
+        (frame, metric) for frame in (0, 1) for metric in registry.list_plugins("metrics")
     } - {(0, "tpsnr")}  # which needs the frame before
 
 
@@ -153,7 +153,7 @@ def test_changed_code_that_a_method_imports_counts(clip_folder, tmp_path, monkey
     text = method.read_text().replace('"method:build"', '"faraway.method:build"')
     method.write_text(f"from faraway.net import WIDTH\n{text}")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv(registry.VARIABLE, "far=faraway.method:FAMILY")
+    monkeypatch.setenv(registry.METHODS_VARIABLE, "far=faraway.method:FAMILY")
 
     assert measure(run_plan(clip_folder, "far"), tmp_path / "r") == RunSummary(measured=1)
     assert measure(run_plan(clip_folder, "far"), tmp_path / "r") == RunSummary(cached=1)
@@ -295,7 +295,7 @@ def test_two_clips_of_one_name_are_refused(tmp_path):
 
 
 def test_an_unknown_method_stops_the_run_before_it_begins(clip_folder, tmp_path):
-    names = ", ".join(registry.names("methods"))
+    names = ", ".join(registry.list_plugins("methods"))
     with pytest.raises(registry.PluginError, match=f"'foo' .*{re.escape(names)}"):
         measure(run_plan(clip_folder, "mean", "foo"), tmp_path / "r")
     assert not (tmp_path / "r").exists()
@@ -319,7 +319,7 @@ def test_cells_are_the_whole_grid(clip_folder):
     ],
 )
 def test_only_samples_that_can_be_drawn_are_read(adaptive, cap, spp, needed):
-    traits = replace(registry.variant("mean").traits, adaptive=adaptive, max_samples=cap)
+    traits = replace(registry.get_variant("mean").traits, adaptive=adaptive, max_samples=cap)
     assert max_samples_needed(traits, spp, 8) == needed
 
 
@@ -503,7 +503,7 @@ def test_the_rows_of_a_plan_are_those_of_its_cells_alone(clip_folder, tmp_path):
 
 
 def test_a_cell_is_looked_up_in_the_registry_once(clip_folder, monkeypatch):
-    lookups, variant = [], registry.variant
+    lookups, variant = [], registry.get_variant
     monkeypatch.setattr(registry, "variant", lambda name: lookups.append(name) or variant(name))
     plan = run_plan(clip_folder, "mean", "eaw", target_spp=(1.0, 2.0))
     cells = resolve_cells(plan)

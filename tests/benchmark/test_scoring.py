@@ -13,7 +13,7 @@ from rlbench.benchmark.cost import Cost
 from rlbench.benchmark.latency import TimePercentiles, Timing
 from rlbench.benchmark.results import Row
 from rlbench.benchmark.scoring import refusal_row, score_frame, timing_rows
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import read_header
 from rlbench.frames import Size
 from rlbench.run import run_clip
@@ -48,8 +48,8 @@ class Bright:
 
 @pytest.fixture
 def frames():
-    method = registry.method("mean")
-    return list(run_clip(method, procedural(3, Size(1, 16, 16), 2, 4), 2.0))
+    method = registry.load_method("mean")
+    return list(run_clip(method, procedural_clip(3, Size(1, 16, 16), 2, 4), 2.0))
 
 
 def test_the_frame_time_has_the_drawn_samples_and_not_their_fetch():

@@ -186,8 +186,8 @@ def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
     rlbench("render", "--preset", "train", "--seeds", "0:48")
-    dataset.generated("train", (30, 31))
-    dataset.generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    dataset.split_generated("train", (30, 31))
+    dataset.split_generated("mini", (30, 31))  # generated scenes, as large as those of mini
     whole = tuple(range(48))
     assert wanted == [
         ("train", None, whole),
@@ -202,7 +202,7 @@ def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
     monkeypatch.setattr(
         "rlbench.render.jobs.render_clips.ensure", lambda plan, *_, **__: wanted.append(plan)
     )
-    preset_clips.rendered(None, "standard", takes=asked_for)
+    preset_clips.render_preset_clips(None, "standard", takes=asked_for)
     assert [(plan.name, plan.takes) for plan in wanted] == [("standard", takes)]
 
 
@@ -211,9 +211,9 @@ def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
         return [Path(plan.name, str(name)) for name in scenes or seeds]
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
-    held = dataset.chosen("standard", None, "hall")
+    held = dataset.select_split("standard", None, "hall")
     assert held.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
-    assert held.validate == [Path("train", "0"), Path("train", "14")]
+    assert held.validation == [Path("train", "0"), Path("train", "14")]
 
 
 @pytest.mark.parametrize(
@@ -460,8 +460,10 @@ def test_a_broken_plugin_is_told_in_one_line(text, told, tmp_path):
 
 
 def test_all_goes_on_without_a_broken_family_and_says_so(monkeypatch, capsys):
-    monkeypatch.setenv(registry.VARIABLE, "torn=nowhere_at_all:FAMILY")
-    assert arguments.methods(["all"]) == tuple(n for n in registry.names("methods") if n != "torn")
+    monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
+    assert arguments.methods(["all"]) == tuple(
+        n for n in registry.list_plugins("methods") if n != "torn"
+    )
     assert "'all' skips torn, which cannot be imported: ModuleNotFound" in capsys.readouterr().err
     with pytest.raises(ModuleNotFoundError):
         arguments.methods(["mean,torn"])

@@ -15,7 +15,7 @@ from methods.ours.accumulation import (
     network_features,
 )
 from methods.ours.method import build
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import GBuffer, Samples, Size
 
 SIZE = (1, 40, 56)
@@ -127,7 +127,7 @@ def test_a_hole_takes_the_radiance_of_its_side_of_the_image():
 
 def test_even_radiance_keeps_its_brightness_when_reprojected_beside_holes():
     """Unfilled holes would be black, and bilinear taps would mix them in."""
-    (frame,) = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
     even = {"albedo": torch.full((1, 3, 32, 32), 0.5), "motion": torch.full((1, 2, 32, 32), 0.4)}
     gbuffer, method = (
         GBuffer({**frame.gbuffer.buffers, **even}),

@@ -25,7 +25,7 @@ from methods.ours.method import build
 from methods.ours.train import training_task
 from methods.ours.variants import VARIANTS
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Reference, Size, StoredPool
 from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_forward
@@ -160,7 +160,7 @@ def dimmed(frame: Frame, factor: float) -> Frame:
 
 def test_after_a_light_is_switched_ours_shows_the_new_light():
     """With the shipped weights: better in the first frame after it, and no worse before."""
-    frames = list(procedural(seed=3, size=Size(1, 64, 64), frames=4))
+    frames = list(procedural_clip(seed=3, size=Size(1, 64, 64), frames=4))
     clip = InMemoryClip(
         "switched", "test", "", [dimmed(f, 4.0 if f.index < 3 else 1.0) for f in frames]
     )

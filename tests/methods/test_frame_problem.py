@@ -12,7 +12,7 @@ from methods.ours.policy import LEARNERS, make_learner
 from methods.ours.policy.gamma_gradient import gamma_gradient_per_sample
 from methods.ours.policy.surrogate_gradient import kuznetsov_gradient_per_sample
 from methods.ours.train import training_task
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.run import unroll
 
@@ -26,9 +26,9 @@ def second_frame(variant: str = "", spp: float = 2.0) -> FrameProblem:
     method = training_task(variant, CPU, seed=0).method
     generator = torch.Generator().manual_seed(0)
     torch.nn.init.normal_(method.networks.sampler.last.weight, std=0.3, generator=generator)
-    clip = procedural(seed=2, size=SIZE, frames=2)
+    clip = procedural_clip(seed=2, size=SIZE, frames=2)
     first, second = clip
-    (result,) = unroll(method, procedural(seed=2, size=SIZE, frames=1), spp)
+    (result,) = unroll(method, procedural_clip(seed=2, size=SIZE, frames=1), spp)
     _, state = method.denoise(first.gbuffer, result.samples, method.start(SIZE))
     return FrameProblem(method, second, second.gbuffer, state, spp)
 

@@ -12,18 +12,18 @@ from torch import Tensor
 
 from methods.ours.method import build
 from methods.ours.state import gbuffer_features
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size
 
 CPU = torch.device("cpu")
 
 
-GBUFFER = next(iter(procedural(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
+GBUFFER = next(iter(procedural_clip(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
 
 
 @pytest.mark.parametrize(("variant", "channels"), [("C", 3), ("C+count", 4)])
 def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(variant, channels):
-    clip = procedural(seed=3, size=Size(1, 16, 24), frames=1)
+    clip = procedural_clip(seed=3, size=Size(1, 16, 24), frames=1)
     (frame,) = clip
     counts = torch.arange(16 * 24).view(1, 1, 16, 24) % 9
     samples = Samples(frame.pool.read(frame.pool.empty(), counts), counts)
@@ -40,7 +40,7 @@ def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(variant, 
 @pytest.mark.parametrize("variant", ["B1", "B2"])
 def test_without_a_state_the_image_depends_on_this_frame_alone(variant):
     method = build(variant, CPU, "random")
-    clip = procedural(seed=3, size=Size(1, 32, 32), frames=2)
+    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
     first, second = clip
     counts = torch.full((1, 1, 32, 32), 2)
     samples = [Samples(f.pool.read(f.pool.empty(), counts), counts) for f in (first, second)]
@@ -51,7 +51,7 @@ def test_without_a_state_the_image_depends_on_this_frame_alone(variant):
 
 
 def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
-    clip = procedural(seed=3, size=Size(1, 32, 32), frames=2)
+    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
     first, second = clip
     counts = torch.full((1, 1, 32, 32), 2)
     samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
@@ -72,7 +72,7 @@ def draw(frame: Frame, counts: Tensor) -> Samples:
 def after_one():
     """A method, a frame, and the state after it with two samples in each pixel."""
     method = build("", CPU, "random")
-    (frame,) = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
     samples = draw(frame, torch.full((1, 1, 32, 32), 2))
     _, state = method.denoise(frame.gbuffer, samples, method.start(Size(1, 32, 32)))
     return method, frame, state

@@ -12,7 +12,7 @@ import torch
 from methods.ours.experiments.oracle_map import OracleResult, _append, optimize_map, score_frame
 from methods.ours.frame_problem import FrameProblem
 from methods.ours.method import build
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size, StoredPool
 from tests.conftest import write_noise
 
@@ -23,7 +23,7 @@ NOISY = 24  # columns from here on are noisy
 def problems(count: int) -> list[FrameProblem]:
     """One frame whose left half has no noise, with its samples in several orders."""
     method = build("", torch.device("cpu"), None)
-    frame = next(iter(procedural(seed=2, size=SIZE, frames=1)))
+    frame = next(iter(procedural_clip(seed=2, size=SIZE, frames=1)))
     assert isinstance(frame.pool, StoredPool)
     radiance = frame.pool.radiance.clone()
     radiance[..., :NOISY] = frame.reference.mean[:, None, ..., :NOISY]

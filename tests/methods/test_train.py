@@ -12,7 +12,7 @@ from baselines.oidn.method import Oidn
 from methods.ours.method import assemble
 from methods.ours.train import training_task
 from methods.ours.variants import VARIANTS
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.losses import l1_ms_ssim_loss
@@ -25,7 +25,7 @@ CPU = torch.device("cpu")
 def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
     """The gradient is that of the loss over the loss: equal decibels count equally."""
     task = training_task("A2", CPU, seed=0)
-    clip = procedural(seed=3, size=Size(1, 32, 32), frames=1)
+    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
     ((loss,), (result,)) = task.losses(clip, 1.0), unroll(task.method, clip, 1.0)
     plain = l1_ms_ssim_loss(log_forward(result.image), log_forward(result.frame.reference.mean))
     weights = list(task.networks.parameters())
@@ -46,7 +46,7 @@ def test_training_starts_with_the_image_of_open_image_denoise(variant):
 
     method = training_task(variant, CPU, seed=0).method
     method.networks.eval()
-    clip = procedural(seed=3, size=Size(1, 48, 64), frames=1)
+    clip = procedural_clip(seed=3, size=Size(1, 48, 64), frames=1)
     (result,) = run_clip(replace(method, sampler=None), clip, 2.0)
     intel = Oidn(network(VARIANTS[variant].denoiser))
     expected, _ = intel.denoise(result.frame.gbuffer, result.samples, None)
@@ -56,7 +56,7 @@ def test_training_starts_with_the_image_of_open_image_denoise(variant):
 
 def test_an_untrained_sampler_is_uniform():
     method = training_task("", CPU, seed=0).method
-    clip = procedural(seed=1, size=Size(1, 32, 48), frames=1)
+    clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=1)
     frame = next(iter(clip))
     density = method.plan(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
     assert density.unique().numel() == 1
@@ -87,7 +87,7 @@ def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_f
     method = training_task(variant, CPU, seed=0).method
     outputs: list[Tensor] = []
     method.networks.sampler.head.register_forward_hook(lambda layer, x, out: outputs.append(out))
-    clip = procedural(seed=1, size=Size(1, 64, 64), frames=1)
+    clip = procedural_clip(seed=1, size=Size(1, 64, 64), frames=1)
     (frame,) = clip
     noise = torch.rand(1, 1, 64, 32, generator=torch.Generator().manual_seed(0)) - 0.5
     state = replace(method.start(clip.size), age=1)
@@ -105,7 +105,7 @@ def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_f
 def test_every_network_gets_a_gradient_from_one_sequence():
     task = training_task("", CPU, seed=0)
     kaiming_init(task.networks, 0)
-    clip = procedural(seed=1, size=Size(2, 32, 32), frames=2)
+    clip = procedural_clip(seed=1, size=Size(2, 32, 32), frames=2)
     for loss in task.losses(clip, 2.0):
         loss.backward()
     without = [k for k, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()]
@@ -117,7 +117,7 @@ def test_every_network_gets_a_gradient_from_one_sequence():
 def test_the_state_carries_a_gradient_over_bptt_frames(bptt):
     method = training_task("", CPU, seed=0).method
     method = assemble(replace(method.config, bptt=bptt), method.traits, method.networks)
-    clip = procedural(seed=1, size=Size(1, 32, 32), frames=1)
+    clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=1)
     frame = next(iter(clip))
     _, state = method.denoise(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
     assert state.features.requires_grad
@@ -131,7 +131,7 @@ def test_the_state_carries_a_gradient_over_bptt_frames(bptt):
 def test_a_step_is_taken_every_bptt_frames(bptt, steps, monkeypatch):
     monkeypatch.setitem(VARIANTS, "", replace(VARIANTS[""], bptt=bptt))
     task = training_task("", CPU, seed=0)
-    clip = procedural(seed=1, size=Size(1, 32, 32), frames=3)
+    clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=3)
     taken = 0
     for loss in task.losses(clip, 2.0):
         loss.backward()

@@ -53,9 +53,9 @@ def test_no_more_samples_are_drawn_than_the_encoder_reads(variant):
 
 def test_the_former_name_of_reinforce_is_an_alias():
     assert registry.expand(["ours/ppo", "ours/reinforce"]) == ["ours/reinforce"]
-    assert "ours/ppo" not in FAMILY.names()
-    assert registry.variant("ours/ppo") is FAMILY.variants["reinforce"]
-    method = registry.method("ours/ppo", weights="random")
+    assert "ours/ppo" not in FAMILY.method_names()
+    assert registry.get_variant("ours/ppo") is FAMILY.variants["reinforce"]
+    method = registry.load_method("ours/ppo", weights="random")
     assert method.config == VARIANTS["reinforce"]
 
 

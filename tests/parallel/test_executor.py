@@ -17,9 +17,9 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
-from rlbench.parallel.ray_executor import RayExecutor, opened
+from rlbench.parallel.ray_executor import RayExecutor, open_executor
 from rlbench.parallel.worker import WorkerEnvironment
-from rlbench.registry import VARIABLE, names, use_plugin
+from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
 from tests.benchmark.test_runner import scores
@@ -154,7 +154,7 @@ def test_a_worker_drops_variables_and_plugins_that_the_submitter_does_not_have(
     monkeypatch.chdir(tmp_path)
     own.apply()
     assert "RLBENCH_VARIANT" not in os.environ
-    assert "loose" not in names("methods")
+    assert "loose" not in list_plugins("methods")
     assert os.getcwd() == own.folder
 
 
@@ -177,7 +177,7 @@ def test_clips_rendered_on_ray_and_in_this_process_are_bit_identical(workers, tm
     folders = {}
     for name, executor in (("local", LOCAL), ("ray", workers)):
         jobs = [Job(clip, room(), PRESET, tmp_path / name / clip) for clip in ("a", "b")]
-        folders[name] = render_missing(jobs, engine=executor)
+        folders[name] = render_missing(jobs, executor=executor)
     for local, remote in zip(folders["local"], folders["ray"], strict=True):
         assert contents(local) == contents(remote)
         assert len(contents(remote)) == 4 * PRESET.frames
@@ -191,7 +191,7 @@ def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_pa
     package.mkdir()
     write_plugin(package / "faraway.py", "far", body="raise RuntimeError('no luck')")
     monkeypatch.syspath_prepend(str(package))
-    monkeypatch.setenv(VARIABLE, "far=faraway:FAMILY")
+    monkeypatch.setenv(METHODS_VARIABLE, "far=faraway:FAMILY")
     clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
     plan = RunPlan(
         ("mean", "ours", "loose", "far"), clips, spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
@@ -227,7 +227,7 @@ def test_a_worker_with_another_code_version_refuses_to_work():
 
 def test_the_error_without_ray_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)  # as import finds a missing package
-    with pytest.raises(ExecutorError, match=r'pip install "rlbench\[ray\]"'), opened("ray"):
+    with pytest.raises(ExecutorError, match=r'pip install "rlbench\[ray\]"'), open_executor("ray"):
         pass
 
 
@@ -239,7 +239,7 @@ def test_the_error_without_ray_says_what_to_install(monkeypatch):
     ],
 )
 def test_options_that_select_no_executor_are_errors(name, address, message):
-    with pytest.raises(ExecutorError, match=message), opened(name, address):
+    with pytest.raises(ExecutorError, match=message), open_executor(name, address):
         pass
 
 
@@ -247,7 +247,7 @@ def test_the_address_of_a_ray_client_is_refused():
     pytest.importorskip("ray")
     with (
         pytest.raises(ExecutorError, match="on a machine of the cluster"),
-        opened("ray", "ray://a:1"),
+        open_executor("ray", "ray://a:1"),
     ):
         pass
 

@@ -17,26 +17,26 @@ from tests.registry.subprocesses import run_python
 
 @pytest.mark.parametrize("group", registry.GROUPS)
 def test_every_group_has_plugins_of_our_own(group):
-    assert registry.names(group)
+    assert registry.list_plugins(group)
 
 
 def test_the_error_for_an_unknown_group_lists_the_groups():
     with pytest.raises(PluginError, match="there are: methods, metrics, reports, pools, scenes"):
-        registry.names("denoisers")
+        registry.list_plugins("denoisers")
 
 
 def test_the_variable_adds_families(tmp_path, monkeypatch):
     write_plugin(tmp_path / "by_variable.py", "mine")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(registry.VARIABLE, "mine=by_variable:FAMILY")
-    assert registry.family("mine").title == "A title"
+    monkeypatch.setenv(registry.METHODS_VARIABLE, "mine=by_variable:FAMILY")
+    assert registry.load_family("mine").title == "A title"
 
 
 @pytest.mark.parametrize("text", ["mine", "mine=module", "=module:FAMILY"])
 def test_the_error_for_a_malformed_variable_states_the_format(text, monkeypatch):
-    monkeypatch.setenv(registry.VARIABLE, text)
+    monkeypatch.setenv(registry.METHODS_VARIABLE, text)
     with pytest.raises(PluginError, match="an item is written name=module:FAMILY"):
-        registry.names("methods")
+        registry.list_plugins("methods")
 
 
 def test_a_plugin_cannot_replace_a_built_in_method(tmp_path):
@@ -44,7 +44,7 @@ def test_a_plugin_cannot_replace_a_built_in_method(tmp_path):
     with pytest.raises(
         PluginError, match=r"two plugins are called 'mean': .* from rlbench, and .* from --plugin"
     ):
-        registry.names("methods")
+        registry.list_plugins("methods")
 
 
 @pytest.mark.slow
@@ -86,4 +86,4 @@ def test_an_entry_point_of_a_package_on_the_path_is_found(tmp_path, monkeypatch)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strange\nVersion: 1\n")
     (info / "entry_points.txt").write_text("[rlbench.methods]\nstranger = stranger:FAMILY\n")
     monkeypatch.syspath_prepend(tmp_path)
-    assert isinstance(registry.family("stranger"), Family)
+    assert isinstance(registry.load_family("stranger"), Family)

@@ -11,13 +11,13 @@ from tests.registry.subprocesses import run_python
 
 def test_the_error_for_an_unknown_method_lists_the_methods():
     with pytest.raises(PluginError, match="'foo' is not a method; there are: dasr, eaw, imcd"):
-        registry.method("foo")
+        registry.load_method("foo")
 
 
 @pytest.mark.parametrize("name", ["mean/A9", "mean/"])
 def test_the_error_for_an_unknown_variant_lists_the_variants(name):
     with pytest.raises(PluginError, match="'mean' has no variant 'A?9?'; it has: mean"):
-        registry.method(name)
+        registry.load_method(name)
 
 
 def test_the_error_for_a_metric_that_cannot_be_imported_names_it(monkeypatch):
@@ -28,17 +28,17 @@ def test_the_error_for_a_metric_that_cannot_be_imported_names_it(monkeypatch):
     monkeypatch.setattr("rlbench.registry.lookup.entries", lambda group: plugins)
     message = r"metric 'flip' from flip-metric 1.0 cannot be imported: ImportError: no such codec"
     with pytest.raises(PluginError, match=message):
-        registry.metrics()
+        registry.load_metrics()
 
 
 def test_an_object_that_is_not_a_family_is_refused(tmp_path, monkeypatch):
     (tmp_path / "no_family.py").write_text("FAMILY = 3")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(registry.VARIABLE, "mine=no_family:FAMILY")
+    monkeypatch.setenv(registry.METHODS_VARIABLE, "mine=no_family:FAMILY")
     with pytest.raises(
         PluginError, match="no_family:FAMILY is an object of type int, not a Family"
     ):
-        registry.family("mine")
+        registry.load_family("mine")
 
 
 def test_families_are_read_without_torch():

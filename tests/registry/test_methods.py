@@ -15,7 +15,7 @@ def test_a_method_whose_traits_differ_from_the_declared_ones_is_refused(tmp_path
     with pytest.raises(
         PluginError, match="'liar' is declared with .*, but .* returned .*min_samples=1"
     ):
-        registry.method("liar")
+        registry.load_method("liar")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_a_pattern_leaves_out_variants_without_pretrained_weights(patterns, trai
 
 
 def test_all_selects_every_family_once():
-    assert registry.expand(["all"]) == registry.names("methods")
+    assert registry.expand(["all"]) == registry.list_plugins("methods")
 
 
 def test_a_method_without_weights_has_no_training_task():
@@ -57,7 +57,7 @@ def test_all_skips_a_family_that_cannot_be_imported_and_says_so(tmp_path):
     registry.use_plugin(tmp_path / "torn.py")
     messages = []
     names = registry.expand(["all"], on_skip=messages.append)
-    assert names == [name for name in registry.names("methods") if name != "torn"]
+    assert names == [name for name in registry.list_plugins("methods") if name != "torn"]
     assert messages == [
         "'all' skips torn, which cannot be imported: ZeroDivisionError: division by zero"
     ]
@@ -70,11 +70,11 @@ def test_a_method_whose_package_is_missing_says_what_to_install(tmp_path):
     registry.use_plugin(file)
     message = "'odd' needs nowhere-at-all, which is not installed: pip install nowhere-at-all"
     with pytest.raises(PluginError, match=message):
-        registry.method("odd")
+        registry.load_method("odd")
 
 
 def test_the_shipped_weights_of_every_pretrained_method_exist():
-    names = [name for name in registry.expand(["all/*"]) if registry.variant(name).learned]
+    names = [name for name in registry.expand(["all/*"]) if registry.get_variant(name).learned]
     assert names
     assert [name for name in names if not registry.shipped_weights(name).is_file()] == []
 

@@ -13,8 +13,8 @@ from tests.conftest import write_plugin
 
 def test_a_plugin_file_adds_its_family_and_builds_it(tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "loose.py", "mine"))
-    assert "mine" in registry.names("methods")
-    assert type(registry.method("mine/B1")).__name__ == "Scaled"
+    assert "mine" in registry.list_plugins("methods")
+    assert type(registry.load_method("mine/B1")).__name__ == "Scaled"
 
 
 def test_a_plugin_file_may_add_several_families(tmp_path):
@@ -22,13 +22,13 @@ def test_a_plugin_file_may_add_several_families(tmp_path):
     more = "\nfrom dataclasses import replace\nMETHODS = [FAMILY, replace(FAMILY, name='yours')]\n"
     file.write_text(file.read_text() + more)
     registry.use_plugin(file)
-    assert {"mine", "yours"} <= set(registry.names("methods"))
-    assert registry.method("yours").traits == registry.variant("yours").traits
+    assert {"mine", "yours"} <= set(registry.list_plugins("methods"))
+    assert registry.load_method("yours").traits == registry.get_variant("yours").traits
 
 
 def test_a_plugin_file_may_have_the_name_of_an_installed_module(tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "json.py", "mine"))
-    assert type(registry.method("mine")).__name__ == "Scaled"
+    assert type(registry.load_method("mine")).__name__ == "Scaled"
     assert "loads" in vars(sys.modules["json"])
 
 
@@ -44,10 +44,10 @@ def test_a_missing_plugin_file_is_an_error_with_its_path():
 def test_a_broken_file_is_listed_and_raises_its_own_error(tmp_path, content, error):
     (tmp_path / "torn.py").write_text(content)
     registry.use_plugin(tmp_path / "torn.py")
-    assert "torn" in registry.names("methods")
+    assert "torn" in registry.list_plugins("methods")
     assert str(registry.import_error("methods", "torn")).startswith(error.__name__)
     with pytest.raises(error):
-        registry.method("torn")
+        registry.load_method("torn")
 
 
 def test_a_plugin_file_without_a_family_cannot_be_loaded(tmp_path):

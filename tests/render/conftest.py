@@ -20,14 +20,14 @@ def probe_results(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("probed")))
         find_libraries()
-        return paths.cache() / "llvm.json"
+        return paths.cache_folder() / "llvm.json"
 
 
 @pytest.fixture(autouse=True)
 def _probed(probe_results, _own_cache):
-    paths.cache().mkdir(parents=True, exist_ok=True)
+    paths.cache_folder().mkdir(parents=True, exist_ok=True)
     if probe_results.exists():
-        shutil.copy(probe_results, paths.cache())
+        shutil.copy(probe_results, paths.cache_folder())
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def looking_down(material, height=3.0, fov=50.0, sky=1.0, depth=2):
         meshes=(square("plane", 100.0, 0.0, material),),
         camera=lambda time: Camera((0, 0, height), (0, 0, 0), up=(0, 1, 0), fov=fov),
         sky=({"type": "constant", "radiance": grey(sky)},),
-        depth=depth,
+        max_depth=depth,
     )
 
 
@@ -149,7 +149,7 @@ def under_a_lamp(half, height, radiance, albedo):
             square("lamp", half, height, diffuse(0.0, 0.0, 0.0), up=-1, emission=lamp),
         ),
         camera=lambda time: Camera((5.0, 0.0, height / 2), (0, 0, 0), fov=0.2),
-        depth=2,
+        max_depth=2,
     )
     side = half / height
     slant = math.sqrt(1 + side**2)
@@ -169,5 +169,5 @@ def room_with_takes():
         lights=lambda time: {"lamp": 1.0 if time < 3 else 0.0},
         cuts=(2, 9),
     )
-    still = Take("still", lambda time: OTHER_CAMERA, moving=lambda time: {}, static=True)
+    still = Take("still", lambda time: OTHER_CAMERA, vertex_animation=lambda time: {}, static=True)
     return replace(room(), takes=(shots, still))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rlbench.render.jobs.job import Job
-from rlbench.render.presets import PRESETS, preset
+from rlbench.render.presets import PRESETS, get_preset
 from tests.render.small_scenes import room
 
 
@@ -31,7 +31,7 @@ def test_an_unknown_buffer_is_an_error_that_lists_the_available_ones():
 
 def test_an_unknown_preset_is_an_error_that_lists_the_available_ones():
     with pytest.raises(LookupError, match="mini"):
-        preset("huge")
+        get_preset("huge")
 
 
 def test_the_papers_protocol():

@@ -198,7 +198,7 @@ def test_a_plugin_file_is_followed_into_rlbench_and_its_folder(plugin):
 
 def test_a_method_counts_with_the_operations_that_it_imports_and_with_no_others():
     """Else a change to one operation would invalidate the results of every method."""
-    families = {name: registry.family(name) for name in registry.names("methods")}
+    families = {name: registry.load_family(name) for name in registry.list_plugins("methods")}
     closures = {
         name: import_closure(family.build.partition(":")[0], {"baselines", "methods"})
         for name, family in families.items()

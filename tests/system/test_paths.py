@@ -9,24 +9,24 @@ from rlbench.system import paths
 
 def test_the_cache_lies_where_the_variable_says(tmp_path, monkeypatch):
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "elsewhere"))
-    assert paths.cache() == tmp_path / "elsewhere"
-    assert paths.clips().parent == paths.decoded().parent == paths.cache()
+    assert paths.cache_folder() == tmp_path / "elsewhere"
+    assert paths.clips_folder().parent == paths.decoded_folder().parent == paths.cache_folder()
 
 
 def test_the_cache_of_a_user_is_used_without_the_variable(tmp_path, monkeypatch):
     monkeypatch.delenv("RLBENCH_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert paths.cache().name == "rlbench"
+    assert paths.cache_folder().name == "rlbench"
 
 
 def test_a_home_folder_in_the_variable_is_expanded(monkeypatch):
     monkeypatch.setenv("RLBENCH_CACHE", "~/cache")
-    assert "~" not in str(paths.cache())
+    assert "~" not in str(paths.cache_folder())
 
 
 def test_a_file_appears_only_when_it_is_complete(tmp_path):
     path = tmp_path / "folder" / "file.txt"
-    with paths.replacing(path) as temporary:
+    with paths.atomic_write(path) as temporary:
         temporary.write_text("new")
         assert not path.exists()
     assert path.read_text() == "new"
@@ -34,7 +34,7 @@ def test_a_file_appears_only_when_it_is_complete(tmp_path):
 
 
 def write_and_fail(path):
-    with paths.replacing(path) as temporary:
+    with paths.atomic_write(path) as temporary:
         temporary.write_text("new")
         raise ZeroDivisionError
 

@@ -14,7 +14,7 @@ from rlbench.system.provenance import (
     Machine,
     commit,
     machine,
-    missing,
+    missing_packages,
     package_versions,
     versions,
 )
@@ -70,7 +70,7 @@ def test_the_machine_is_described():
 
 def test_a_package_that_is_not_installed_is_listed_as_missing_and_has_no_version():
     packages = ["no-such-package", "torch"]
-    assert missing(packages) == ["no-such-package"]
+    assert missing_packages(packages) == ["no-such-package"]
     torch = importlib.metadata.version("torch")
     assert package_versions(packages) == f"no-such-package none, torch {torch}"
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Size
 from rlbench.ops.reprojection import reproject
@@ -134,7 +134,7 @@ def test_scene_and_budget_of_a_sequence_are_independent(tmp_path):
 def test_an_augmented_clip_moves_as_its_augmented_motion(mirror, flip, transpose):
     """Reprojecting the augmented previous frame equals augmenting the reprojected one."""
     augmentation = Augmentation(mirror, flip, transpose, gain=1.5, channels=(2, 0, 1))
-    clip = procedural(seed=3, size=Size(1, 64, 80), frames=2)
+    clip = procedural_clip(seed=3, size=Size(1, 64, 80), frames=2)
     previous, current = list(clip)
     reprojected, valid = reproject(previous.gbuffer.albedo, current.gbuffer.motion)
     previous_crop, current_crop = augmentation.apply(previous), augmentation.apply(current)

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.training import Progress, TrainingConfig, TrainingTask, checkpoint, train
 from rlbench.training.batches import Batches
@@ -51,13 +51,13 @@ def linear_state() -> TrainState:
             yield network(torch.ones(1, 3)).sum() + critic(torch.ones(1, 3)).sum()
 
     task = TrainingTask(
-        registry.method("mean"), network, losses, (1.0,), 1e-2, auxiliary_network=critic
+        registry.load_method("mean"), network, losses, (1.0,), 1e-2, auxiliary_network=critic
     )
     return TrainState(task, TrainingConfig(), "cpu")
 
 
 def test_a_checkpoint_restores_everything(tmp_path):
-    clip, file = procedural(0, Size(1, 16, 16), frames=1), tmp_path / "c.safetensors"
+    clip, file = procedural_clip(0, Size(1, 16, 16), frames=1), tmp_path / "c.safetensors"
     state, restored = linear_state(), linear_state()
     state.train_sequence(clip, 1.0, 1.0, 0.0)
     checkpoint.write(file, state.state_dict(), {"frames_seen": 5})
@@ -134,7 +134,7 @@ def test_a_checkpoint_of_the_old_code_is_resumed_as_one_with_the_present_names(c
     assert {"seen", "draws", "curve", "plan"} < set(stored)
     # clips may be hashed differently today; all else stays as it was written
     stored["plan"]["data"] = Batches.from_config(
-        [clip], CONFIG, registry.method("mean").traits, "cpu"
+        [clip], CONFIG, registry.load_method("mean").traits, "cpu"
     ).clip_digests()
     old, new = tmp_path / "old", tmp_path / "new"
     for folder in (old, new):

@@ -25,27 +25,27 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
 
 
 def test_the_first_and_the_middle_clip_validate(rendered):
-    split = dataset.generated("train")
+    split = dataset.split_generated("train")
     assert split.train == [Path("train", name) for name in "13"]
-    assert split.validate == [Path("train", name) for name in "02"]
+    assert split.validation == [Path("train", name) for name in "02"]
     assert rendered == [("train", None, None)]
 
 
 def test_of_two_clips_one_validates(rendered):
-    split = dataset.generated("train", (30, 31))
+    split = dataset.split_generated("train", (30, 31))
     assert split == ([Path("train", "31")], [Path("train", "30")])
     assert rendered == [("train", None, (30, 31))]
 
 
 def test_seeds_can_be_rendered_at_the_size_of_a_test_set(rendered):
-    dataset.chosen("mini", (30, 31), None)
+    dataset.select_split("mini", (30, 31), None)
     assert rendered == [("mini", None, (30, 31))]
 
 
 def test_a_held_out_scene_is_neither_trained_nor_validated_on(rendered):
-    split = dataset.chosen("standard", None, "hall")
+    split = dataset.select_split("standard", None, "hall")
     assert split.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
-    assert split.validate == [Path("train", "0"), Path("train", "14")]
+    assert split.validation == [Path("train", "0"), Path("train", "14")]
 
 
 @pytest.mark.parametrize(
@@ -61,5 +61,5 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(rendered):
 )
 def test_a_choice_that_cannot_be_trained_on_is_refused(rendered, arguments, message):
     with pytest.raises(OptionError, match=message):
-        dataset.chosen(*arguments)
+        dataset.select_split(*arguments)
     assert rendered == []

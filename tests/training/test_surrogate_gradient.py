@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.run import unroll
@@ -35,7 +35,7 @@ def frame_with(reference: Tensor) -> Frame:
 
 def test_counts_are_relaxed_counts_rounded() -> None:
     density = (4 * random(1, 1, 20, 20)).exp() / 55
-    counts = allocate_counts(density, 2 * 400, ones(1, 1, 20, 20), 8, keys=(0,))
+    counts = allocate_counts(density, 2 * 400, ones(1, 1, 20, 20), 8, rounding_seeds=(0,))
     relaxed = relaxed_counts(density, 2.0, ones(1, 1, 20, 20), 8)
     assert float(relaxed.mean()) == pytest.approx(2.0, rel=1e-5)  # float32 sum of 400
     assert ((relaxed - counts).abs() < 1 + 1e-4).all()
@@ -44,7 +44,7 @@ def test_counts_are_relaxed_counts_rounded() -> None:
 def test_counts_above_uneven_minimums_are_relaxed_counts_rounded() -> None:
     density = (4 * random(1, 1, 20, 20)).exp() / 55
     low = 1 + (3 * random(1, 1, 20, 20, seed=1)).long()  # as after a first pass
-    counts = allocate_counts(density, 3 * 400, low, 8, keys=(0,))
+    counts = allocate_counts(density, 3 * 400, low, 8, rounding_seeds=(0,))
     relaxed = relaxed_counts(density, 3.0, low, 8)
     assert float(relaxed.mean()) == pytest.approx(3.0, rel=1e-5)  # float32 sum of 400
     assert ((relaxed - counts).abs() < 1 + 1e-4).all()
@@ -137,7 +137,7 @@ PASSES = pytest.mark.parametrize(
 
 @PASSES
 def test_the_gradient_changes_no_value(traits: dict[str, object]) -> None:
-    clip, method = procedural(3, SIZE, frames=2), learned_density(**traits)
+    clip, method = procedural_clip(3, SIZE, frames=2), learned_density(**traits)
     plain = [result.image for result in unroll(method, clip, 3.0)]
     assert all(
         torch.equal(a, b)
@@ -147,7 +147,7 @@ def test_the_gradient_changes_no_value(traits: dict[str, object]) -> None:
 
 @PASSES
 def test_only_the_density_of_the_last_pass_gets_a_gradient(traits: dict[str, object]) -> None:
-    clip, method = procedural(3, SIZE, frames=1), learned_density(**traits)
+    clip, method = procedural_clip(3, SIZE, frames=1), learned_density(**traits)
     (image,) = images_with_gradient(method, clip, 3.0)
     image.sum().backward()
     *earlier, last = method.weights
@@ -198,6 +198,6 @@ def test_relaxed_counts_do_not_exceed_the_methods_maximum() -> None:
         counts.append(relaxed)
         return samples
 
-    clip = procedural(3, SIZE, frames=1)
+    clip = procedural_clip(3, SIZE, frames=1)
     list(unroll(SurrogateGradient(capped, iter(clip), 2.8, record), clip, 2.8))
     assert counts[0].max().item() == 3

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor, nn
 
 from rlbench import registry
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.training import TrainingConfig, TrainingTask
 from rlbench.training.train_state import NonFiniteStep, NonFiniteStepError, TrainState
 
-CLIP = procedural(0, Size(1, 16, 16), frames=1)
+CLIP = procedural_clip(0, Size(1, 16, 16), frames=1)
 
 
 def train_state(
@@ -23,7 +23,7 @@ def train_state(
 ) -> TrainState:
     """A state that takes a step for each of these losses."""
     task = TrainingTask(
-        registry.method("mean"),
+        registry.load_method("mean"),
         networks,
         lambda clip, spp: (loss() for loss in losses),
         (1.0,),

@@ -25,8 +25,8 @@ from tests.learning_plugin import write_learner
 def test_validation_is_at_1_and_4_spp_or_at_the_ends_of_the_requested_budgets(
     training_budgets, requested, expected
 ):
-    mean = registry.method("mean")
-    assert validation.budgets(mean, training_budgets, requested) == expected
+    mean = registry.load_method("mean")
+    assert validation.validation_budgets(mean, training_budgets, requested) == expected
 
 
 def test_averaged_weights_are_scored_and_the_networks_keep_theirs(tmp_path):

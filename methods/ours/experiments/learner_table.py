@@ -73,7 +73,7 @@ class LearnerTable:
 
     def write(self) -> None:
         """Replace the file."""
-        with paths.replacing(self.file) as part, part.open("w", newline="") as out:
+        with paths.atomic_write(self.file) as part, part.open("w", newline="") as out:
             writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
             writer.writeheader()
             writer.writerows(self.rows)

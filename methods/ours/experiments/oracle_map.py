@@ -129,7 +129,7 @@ def _state_before_last(method: Ours, frames: Sequence[Frame], spp: float) -> Rec
 
 
 def _psnr(problems: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) -> float:
-    score = registry.load("metrics", "psnr").score
+    score = registry.load_plugin("metrics", "psnr").score
     results = [(problem.render(action), problem.frame.reference) for problem in problems]
     scores = [float(score(image, truth.half_a, truth.half_b)) for image, truth in results]
     return sum(scores) / len(scores)
@@ -163,7 +163,7 @@ def _parser() -> argparse.ArgumentParser:
         "Compare it with uniform samples and with the sampler's map, on other samples.",
         epilog=f"examples:\n  {PROGRAM}\n  {PROGRAM} --spp 1,2 --steps 100 --out /tmp/oracle.csv",
     )
-    clips = paths.clips() / "mini"
+    clips = paths.clips_folder() / "mini"
     parser.add_argument(
         "--clips", type=Path, default=clips, help=f"folder of clips (default: {clips})"
     )

@@ -147,7 +147,7 @@ def retrain(
             sampler = train_by_learner(name, task, frames, on_progress)
     method = task.make_method()
     networks = method.networks
-    spp = validation.budgets(method, BUDGETS, ())
+    spp = validation.validation_budgets(method, BUDGETS, ())
     assert networks.sampler is not None
     psnr = {"uniform": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
     networks.sampler.load_state_dict(sampler.state_dict())
@@ -212,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
         f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x",
     )
     learners = [*LEARNERS, RLLIB_APPO]
-    clips, out = paths.clips() / "train", Path("runs/samplers")
+    clips, out = paths.clips_folder() / "train", Path("runs/samplers")
     parser.add_argument(
         "--by",
         default="reinforce",

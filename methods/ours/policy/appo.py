@@ -11,7 +11,7 @@ from torch import nn
 from methods.ours.policy.appo_config import AppoSettings
 from methods.ours.policy.environment import Env
 from rlbench.errors import RlbenchError
-from rlbench.parallel.ray_executor import QUIET
+from rlbench.parallel.ray_executor import QUIET_ENVIRONMENT
 
 __all__ = ["MissingPackageError", "train"]
 
@@ -43,7 +43,9 @@ def train(
             'pip install "rlbench[train]", or choose another learner: reinforce, critic, '
             "surrogate, gamma"
         )
-    os.environ.update({name: os.environ.get(name, value) for name, value in QUIET.items()})
+    os.environ.update(
+        {name: os.environ.get(name, value) for name, value in QUIET_ENVIRONMENT.items()}
+    )
     from methods.ours.policy import rllib
 
     return rllib.train(make_env, make_sampler, frames, settings, seed, report_every, on_progress)

@@ -8,9 +8,9 @@ from functools import cache
 
 import torch
 
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 from rlbench.run import FrameResult
 
@@ -32,7 +32,7 @@ def make_clip(
     Its samples stand in for every kind of pool. It has every buffer of the clip format. The
     buffers behind glass and mirrors equal those of the first surface, because it has no glass.
     """
-    clip = procedural(seed, size, FRAMES, pool_spp, static=static, device=device)
+    clip = procedural_clip(seed, size, FRAMES, pool_spp, static=static, device=device)
     return to_clip([replace(frame, gbuffer=_add_buffers(frame.gbuffer)) for frame in clip])
 
 
@@ -80,7 +80,7 @@ def _stored_pool(frame: Frame) -> StoredPool:
 def _add_buffers(gbuffer: GBuffer) -> GBuffer:
     """The G-buffer with every buffer of the format: `normal_NAME` is `normal`, and so on."""
     buffers = {**gbuffer.buffers, "object": gbuffer.buffers["depth"].isfinite().float()}
-    for name in VIEWS:
+    for name in BUFFER_CHANNELS:
         first_surface = name.partition("_")[0]
         if first_surface in buffers:  # static clips have no motion
             buffers.setdefault(name, buffers[first_surface])

@@ -14,7 +14,7 @@ from rlbench import registry
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.recording import RecordingMethod
 from rlbench.checks.result import CheckResult
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size
 from rlbench.method import Method
@@ -64,27 +64,29 @@ class MethodUnderTest:
     @cached_property
     def traits(self) -> Traits:
         """The traits that the family declares."""
-        return registry.variant(self.name).traits
+        return registry.get_variant(self.name).traits
 
     @cached_property
     def unavailable_reason(self) -> str | None:
         """Why the method cannot run on this machine, or None."""
-        pool, pools = self.traits.pool, registry.names("pools")
+        pool, pools = self.traits.pool, registry.list_plugins("pools")
         if pool not in pools:
             return f"needs the sample pool '{pool}'; installed pools: {', '.join(pools)}"
         if why := registry.import_error("pools", pool):
             return f"its sample pool '{pool}' cannot be imported: {why}"
-        if missing := " ".join(provenance.missing(registry.variant(self.name).requires)):
+        if missing := " ".join(
+            provenance.missing_packages(registry.get_variant(self.name).requires)
+        ):
             return f"needs {missing}, which is not installed: pip install {missing}"
-        if unknown := self.traits.inputs - set(VIEWS):
+        if unknown := self.traits.inputs - set(BUFFER_CHANNELS):
             return f"declares inputs that no clip has: {', '.join(sorted(unknown))}"
         return self._missing_import()
 
     @cached_property
     def method(self) -> Method:
         """The method. Raises any exception of its `build` function."""
-        weights = "random" if registry.variant(self.name).learned else None
-        return registry.method(self.name, self.device, weights)
+        weights = "random" if registry.get_variant(self.name).learned else None
+        return registry.load_method(self.name, self.device, weights)
 
     @property
     def default_spp(self) -> float:
@@ -124,7 +126,7 @@ class MethodUnderTest:
         try:
             self.method  # noqa: B018 - cached if it can be built
         except ImportError as error:
-            package = registry.family(self.name).build.partition(".")[0].partition(":")[0]
+            package = registry.load_family(self.name).build.partition(".")[0].partition(":")[0]
             if (error.name or "").partition(".")[0] != package:
                 return f"{type(error).__name__}: {error}"
         except Exception:  # the check "built" reports any other exception

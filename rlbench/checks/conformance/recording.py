@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State
@@ -34,7 +34,7 @@ class RecordingMethod(MethodWrapper[Method]):
     @property
     def traits(self) -> Traits:
         """The wrapped method's traits, with every buffer as input, so that reads are recorded."""
-        return replace(self.method.traits, inputs=frozenset(VIEWS))
+        return replace(self.method.traits, inputs=frozenset(BUFFER_CHANNELS))
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
         """The wrapped method's density, or ones where it is invalid."""

@@ -13,7 +13,7 @@ from rlbench.checks.console import print_results
 from rlbench.checks.result import failed, not_applicable
 
 
-def check(patterns: Sequence[str], device: torch.device) -> bool:
+def check_methods(patterns: Sequence[str], device: torch.device) -> bool:
     """Run all checks on the selected methods and print the results. Returns False if one failed.
 
     With `all`, a family that cannot be imported has failed. Raises PluginError for an unknown name.

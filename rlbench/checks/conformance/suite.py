@@ -43,15 +43,17 @@ def select_methods(patterns: Iterable[str], device: torch.device) -> list[Method
     `all` stands for every variant of every family that can be imported. Raises PluginError for an
     unknown name.
     """
-    families = registry.names("methods")
+    families = registry.list_plugins("methods")
     usable = [f"{name}/*" for name in families if not registry.import_error("methods", name)]
     names = [name for each in patterns for name in (usable if each == "all" else [each])]
-    return [MethodUnderTest(name, device) for name in registry.expand(names, trained=False)]
+    return [MethodUnderTest(name, device) for name in registry.expand(names, pretrained_only=False)]
 
 
 def find_broken_families() -> dict[str, str]:
     """The import error of each method family that cannot be imported, by its name."""
-    errors = {name: registry.import_error("methods", name) for name in registry.names("methods")}
+    errors = {
+        name: registry.import_error("methods", name) for name in registry.list_plugins("methods")
+    }
     return {name: error for name, error in errors.items() if error}
 
 
@@ -78,7 +80,7 @@ def _skip_reason(method_under_test: MethodUnderTest, check: Check) -> str | None
 def _describe(method_under_test: MethodUnderTest, error: Exception) -> str:
     """The error, the last line of the method's folder that it passed through, and its notes."""
     frames = traceback.extract_tb(error.__traceback__)
-    folder = registry.module_file(registry.family(method_under_test.name).build).parent
+    folder = registry.module_file(registry.load_family(method_under_test.name).build).parent
     own = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
     place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
     notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from rlbench import registry
 from rlbench.clips.exr import read_exr
-from rlbench.clips.frame_files import channels, exr_path, images
+from rlbench.clips.frame_files import channel_names, exr_path, image_names
 from rlbench.clips.header import Header, read_header
 
 __all__ = ["ClipArrays", "read_clip_arrays"]
@@ -73,7 +73,7 @@ def read_clip_arrays(folder: Path, frames: int = 8) -> ClipArrays:
 
     def read(kind: str, names: list[str]) -> Tensor:
         planes = [
-            read_exr(exr_path(folder, kind, i), channels(names), header.height, header.width)
+            read_exr(exr_path(folder, kind, i), channel_names(names), header.height, header.width)
             for i in indices
         ]
         return torch.from_numpy(np.stack([p.astype(np.float32) for p in planes]))
@@ -81,7 +81,7 @@ def read_clip_arrays(folder: Path, frames: int = 8) -> ClipArrays:
     gbuffer = {name: read("view", [name]) for name in header.buffers}
     pools = {}
     for kind in filter(_is_independent, header.pools):
-        planes = read(f"pool.{kind}", images(header, f"pool.{kind}"))
+        planes = read(f"pool.{kind}", image_names(header, f"pool.{kind}"))
         pools[kind] = planes.view(len(planes), -1, 3, header.height, header.width)
     return ClipArrays(
         header, gbuffer, pools, read("referenceA", ["rgb"]), read("referenceB", ["rgb"])
@@ -89,8 +89,8 @@ def read_clip_arrays(folder: Path, frames: int = 8) -> ClipArrays:
 
 
 def _is_independent(pool: str) -> bool:
-    is_installed = pool in registry.names("pools")
-    return not is_installed or bool(registry.load("pools", pool).independent)
+    is_installed = pool in registry.list_plugins("pools")
+    return not is_installed or bool(registry.load_plugin("pools", pool).independent)
 
 
 def _replace_nonfinite(image: Tensor, positive_infinity: float = 0.0) -> Tensor:

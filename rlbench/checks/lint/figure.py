@@ -14,7 +14,7 @@ from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.lint.reference import to_display
 from rlbench.checks.result import CheckResult, Verdict
 from rlbench.ops.reprojection import reproject
-from rlbench.system.paths import replacing
+from rlbench.system.paths import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +61,7 @@ def draw_figure(arrays: ClipArrays, results: Sequence[CheckResult], path: Path) 
     failures = sum(result.verdict is Verdict.FAILED for result in results)
     title = f"{arrays.header.name}: {failures} of {len(results)} checks failed"
     figure.suptitle(title, fontsize=15)
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=80, format="png")
     return path
 

@@ -13,7 +13,7 @@ from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
 from rlbench.checks.lint.figure import draw_figure
 
 
-def lint(folders: Sequence[Path], figure: Path | None = None, frames: int = 8) -> bool:
+def lint_clips(folders: Sequence[Path], figure: Path | None = None, frames: int = 8) -> bool:
     """Check clip folders and print the results. Returns False if a check failed.
 
     Reads the first `frames` frames of each clip (0: all). `figure` is a PNG to write; with several

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.checks.result import CheckResult, failed, passed
-from rlbench.clips.frame_files import not_finite
+from rlbench.clips.frame_files import nonfinite_mask
 
 MAX_PLACES = 3  # pixels that a message lists
 
@@ -16,7 +16,8 @@ def check_finite(arrays: ClipArrays) -> CheckResult:
     """Is every value finite, except the depth of the background?"""
     images = {**arrays.gbuffer, **_radiance(arrays)}
     masks = {
-        name: torch.from_numpy(not_finite(name, image.numpy())) for name, image in images.items()
+        name: torch.from_numpy(nonfinite_mask(name, image.numpy()))
+        for name, image in images.items()
     }
     remedy = "find their origin: a NaN in one sample spreads through every filter"
     return _report("finite values", masks, "NaN or infinite", remedy)

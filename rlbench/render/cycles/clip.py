@@ -75,7 +75,7 @@ def ensure_cycles(
 
 def _estimate_exposure(cycles_job: CyclesJob) -> float:
     """The exposure from small images of all frames. Raises SceneError if one of them is black."""
-    log = paths.cache() / "cycles" / f"{cycles_job.job.name}.log"
+    log = paths.cache_folder() / "cycles" / f"{cycles_job.job.name}.log"
     with TemporaryDirectory(prefix="rlbench-") as folder:
         previews = [
             ImageTask(
@@ -119,7 +119,7 @@ def _render(cycles_job: CyclesJob) -> None:
         task = bar.add_task(job.name, total=paths_to_trace)
         for spp in render_frames(cycles_job):
             bar.advance(task, spp * area)
-    version = f"Blender {blender}, {job.scene.depth - 2} bounces, light tree"
+    version = f"Blender {blender}, {job.scene.max_depth - 2} bounces, light tree"
     seconds = fastest_sample_s(work_folder)
     sample_ms = seconds * 1e3 if np.isfinite(seconds) else float("nan")
     write_header(job.folder, job.make_header("cycles", version, sample_ms, stratified=True))
@@ -132,5 +132,5 @@ def _claim_work_folder(cycles_job: CyclesJob) -> None:
     key = cycles_job.job.content_key
     if not (key_file.is_file() and key_file.read_text() == key):
         shutil.rmtree(cycles_job.work_folder, ignore_errors=True)
-        with paths.replacing(key_file) as path:
+        with paths.atomic_write(key_file) as path:
             path.write_text(key)

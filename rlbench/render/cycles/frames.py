@@ -126,7 +126,7 @@ def fastest_sample_s(folder: Path) -> float:
 def _record_seconds(folder: Path, seconds: float) -> None:
     """Keep the least time of a sample."""
     least = min(seconds, fastest_sample_s(folder))
-    with paths.replacing(folder / "seconds.txt") as path:
+    with paths.atomic_write(folder / "seconds.txt") as path:
         path.write_text(repr(least))
 
 

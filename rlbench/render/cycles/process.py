@@ -13,15 +13,22 @@ from typing import Any
 
 from rlbench.errors import RlbenchError
 
-__all__ = ["INSTALL", "PYTHON_VARIABLE", "VERSION", "CyclesError", "installed", "interpreter"]
+__all__ = [
+    "INSTALL_HINT",
+    "PYTHON_VARIABLE",
+    "TESTED_BPY_VERSION",
+    "CyclesError",
+    "bpy_version",
+    "interpreter",
+]
 
 PYTHON_VARIABLE = "RLBENCH_CYCLES_PYTHON"  # the Python that has bpy; default this one
 WORKER = Path(__file__).parent / "worker" / "worker.py"
-VERSION = "4.5.15"  # of bpy, for which settings and passes were measured
+TESTED_BPY_VERSION = "4.5.15"  # of bpy, for which settings and passes were measured
 LOG_TAIL_LINES = 12  # of Blender's log, in error messages
-INSTALL = (
+INSTALL_HINT = (
     f"pip install 'rlbench[cycles]' into a Python 3.11, or `python3.11 -m venv cycles && "
-    f"cycles/bin/pip install bpy=={VERSION}` and {PYTHON_VARIABLE}=cycles/bin/python"
+    f"cycles/bin/pip install bpy=={TESTED_BPY_VERSION}` and {PYTHON_VARIABLE}=cycles/bin/python"
 )
 
 
@@ -34,7 +41,7 @@ def interpreter() -> str:
     return os.environ.get(PYTHON_VARIABLE) or sys.executable
 
 
-def installed() -> str | None:
+def bpy_version() -> str | None:
     """The version of bpy in the worker's Python, or None. bpy is not imported."""
     code = "import importlib.metadata as m; print(m.version('bpy'))"
     try:
@@ -94,7 +101,7 @@ def _parse_event(line: bytes) -> dict[str, Any]:
 def _rejection_message(event: Mapping[str, Any], log: Path) -> str:
     message = event.get("message", "")
     if event.get("kind") == "missing":
-        return f"Cycles needs bpy, which {interpreter()} does not have ({message}): {INSTALL}"
+        return f"Cycles needs bpy, which {interpreter()} does not have ({message}): {INSTALL_HINT}"
     if event.get("kind") == "job":
         return f"Blender: {message}"
     return f"the Cycles worker failed: {message}{_log_tail(log)}"

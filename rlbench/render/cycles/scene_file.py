@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.cycles.process import VERSION, CyclesError, run_worker
+from rlbench.render.cycles.process import TESTED_BPY_VERSION, CyclesError, run_worker
 from rlbench.render.cycles.worker_job import (
     WORKER_VERSION,
     CyclesParameters,
@@ -77,7 +77,7 @@ def _describe(
 ) -> dict[str, Any]:
     """The worker's description, from the cache if nothing that it depends on has changed."""
     key = f"{WORKER_VERSION} {options.file.absolute()} {frames} {options.size} {parameters.start}"
-    folder = paths.cache() / "cycles" / hashlib.sha256(key.encode()).hexdigest()[:16]
+    folder = paths.cache_folder() / "cycles" / hashlib.sha256(key.encode()).hexdigest()[:16]
     cached = folder.with_suffix(".json")
     if cached.is_file():
         description: dict[str, Any] = json.loads(cached.read_text())
@@ -97,7 +97,7 @@ def _describe(
     description["files"] = sorted({*description["files"], *gltf_parts(options.file)})
     description["digest"] = hash_files(options.file, description["files"])
     if not description["missing"]:
-        with paths.replacing(cached) as path:
+        with paths.atomic_write(cached) as path:
             path.write_text(json.dumps(description))
     return description
 
@@ -134,7 +134,7 @@ def _user_scene(
     bounces = description["max_bounces"] if bounces is None else bounces
     animated = _animated_camera(matrices, camera["fov"]) if matrices else _default_camera
     static = is_fixed and not description["moves"]
-    scene = Scene(name, name, (), animated, depth=bounces + 2, static=static)
+    scene = Scene(name, name, (), animated, max_depth=bounces + 2, static=static)
     high, wide = description["film"]
     return UserScene(
         scene,
@@ -182,6 +182,8 @@ def _notes(description: Mapping[str, Any]) -> list[str]:
     notes = []
     if description["focus"]:
         notes.append("depth of field is off: its camera is rendered as a pinhole")
-    if description["hello"].split()[0] != VERSION:
-        notes.append(f"Blender {description['hello']}; rlbench was tested with {VERSION}")
+    if description["hello"].split()[0] != TESTED_BPY_VERSION:
+        notes.append(
+            f"Blender {description['hello']}; rlbench was tested with {TESTED_BPY_VERSION}"
+        )
     return notes

@@ -55,7 +55,7 @@ def write_sheet(
     images = [
         tone_map(_cached_frame(scene, size, spp, on_samples), scene.exposure) for scene in scenes
     ]
-    with paths.replacing(out) as temporary:
+    with paths.atomic_write(out) as temporary:
         Image.fromarray(tile_images(images)).save(temporary, format="png", optimize=True)
     return out
 
@@ -94,7 +94,7 @@ def _cached_frame(
 ) -> Float[Array, "h w 3"]:
     """The frame at TIME, from the cache or traced and stored there."""
     name = f"{scene.name}-{fingerprint(scene, int(TIME) + 1)}-{size}-{spp}.npy"
-    file = paths.cache() / "contact" / name
+    file = paths.cache_folder() / "contact" / name
     if file.exists():
         on_samples(scene.name, spp)
         cached: Float[Array, "h w 3"] = np.load(file, allow_pickle=False)
@@ -102,7 +102,7 @@ def _cached_frame(
     tracer = open_tracer(scene, size, size)
     tracer.set_time(TIME)
     image = tracer.trace_mean(spp, STREAM, on_samples=lambda count: on_samples(scene.name, count))
-    with paths.replacing(file) as temporary, temporary.open("wb") as stream:
+    with paths.atomic_write(file) as temporary, temporary.open("wb") as stream:
         np.save(stream, image)
     del tracer
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again

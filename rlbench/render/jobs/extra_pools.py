@@ -39,10 +39,10 @@ __all__ = [
     "MissingPool",
     "add_pool",
     "add_pools",
-    "chains",
+    "open_streams",
     "find_missing_pools",
     "relative_cost",
-    "trace_ms",
+    "pool_sample_ms",
 ]
 
 TIMED_SPP = 4  # samples per pixel and frame in a time measurement
@@ -63,7 +63,7 @@ class MissingPool:
     @property
     def content_key(self) -> str:
         """Everything the samples depend on; files with another key are traced again."""
-        return f"{self.job.content_key.strip()}, {self.kind.name} recipe {self.kind.recipe}\n"
+        return f"{self.job.content_key.strip()}, {self.kind.name} recipe {self.kind.version}\n"
 
     @property
     def missing_frames(self) -> list[int]:
@@ -88,7 +88,7 @@ class MissingPool:
             return
         for index in range(self.job.preset.frames):
             self._file(index).unlink(missing_ok=True)
-        with paths.replacing(self._key_file) as path:
+        with paths.atomic_write(self._key_file) as path:
             path.write_text(self.content_key)
 
     def _file(self, index: int) -> Path:
@@ -101,9 +101,9 @@ class MissingPool:
 
 def find_missing_pools(jobs: Iterable[Job]) -> list[MissingPool]:
     """The missing pools of finished clips; none if this machine has only the scalar variant."""
-    installed = registry.names("pools")
+    installed = registry.list_plugins("pools")
     candidates = [
-        MissingPool(job, registry.load("pools", name))
+        MissingPool(job, registry.load_plugin("pools", name))
         for job in jobs
         for name in job.preset.pools
         if name not in FRAME_POOLS and name in installed and (job.folder / FILE).is_file()
@@ -131,7 +131,7 @@ def add_pool(missing: MissingPool, on_frame: Callable[[], None] = lambda: None) 
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     tracer = WavefrontTracer(scene, *preset.size, SEED, preset.radiance_cap / scene.exposure)
     if frames := missing.missing_frames:
-        trace_frame = chains(tracer, kind, preset.pool_spp)
+        trace_frame = open_streams(tracer, kind, preset.pool_spp)
         start = max(cut for cut in (0, *scene.cuts) if cut <= frames[0])
         for index in range(start, frames[-1] + 1):
             tracer.set_time(float(index))
@@ -145,7 +145,7 @@ def add_pool(missing: MissingPool, on_frame: Callable[[], None] = lambda: None) 
     write_header(missing.folder, _with_pool(header, kind.name, sample_ms))
 
 
-def chains(
+def open_streams(
     tracer: WavefrontTracer, kind: PoolKind, count: int
 ) -> Callable[[], Float[Array, "s h w 3"]]:
     """A function that traces the next frame of `count` streams of a pool; call it once per frame.
@@ -166,15 +166,15 @@ def relative_cost(tracer: WavefrontTracer, kind: PoolKind) -> float:
     Both are measured with several samples per frame, so that the interpreter's time to launch a
     kernel does not count.
     """
-    return tracer.relative_cost(chains(tracer, kind, TIMED_SPP), TIMED_SPP)
+    return tracer.relative_cost(open_streams(tracer, kind, TIMED_SPP), TIMED_SPP)
 
 
-def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
+def pool_sample_ms(scene: Scene, height: int, width: int, pool: str) -> float:
     """Milliseconds per frame at one sample per pixel of a pool: a path's time x `relative_cost`.
 
     Raises LookupError if this machine cannot trace the pool.
     """
-    kind: PoolKind = registry.load("pools", pool)
+    kind: PoolKind = registry.load_plugin("pools", pool)
     if llvm.select_variant().startswith("scalar"):
         raise LookupError(
             f"pool '{pool}' needs LLVM or CUDA, and this machine has neither: run `rlbench doctor`"

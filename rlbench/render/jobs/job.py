@@ -134,7 +134,7 @@ class Job:
             )
         for file in existing:
             file.unlink()
-        with paths.replacing(self.folder / CONTENT_KEY_FILE) as path:
+        with paths.atomic_write(self.folder / CONTENT_KEY_FILE) as path:
             path.write_text(self.content_key)
 
 

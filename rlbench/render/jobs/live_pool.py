@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from rlbench.clips.exr import precision
+from rlbench.clips.exr import channel_dtype
 from rlbench.clips.frame_files import exr_path
 from rlbench.clips.stored import ClipError, StoredClip, read_header, sample_order
 from rlbench.frames import Frame, Samples, Size
@@ -25,7 +25,7 @@ from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
 from rlbench.render.scene import Scene
 
-__all__ = ["LiveClip", "LivePool", "open_live", "scene_of"]
+__all__ = ["LiveClip", "LivePool", "open_live_clip", "scene_of_folder"]
 
 
 @dataclass(frozen=True)
@@ -140,13 +140,13 @@ class LiveClip:
             tuple(order[: clip.max_samples]),
             seed,
             header.exposure,
-            precision(file, "s0.R"),
+            channel_dtype(file, "s0.R"),
             clip.device,
         )
         return clip.frame_with_pool(index, pool)
 
 
-def scene_of(folder: Path) -> Scene:
+def scene_of_folder(folder: Path) -> Scene:
     """The scene that a clip folder was rendered from, built again.
 
     Raises ClipError if `rlbench render` did not write the folder, or if the scene has changed
@@ -166,7 +166,7 @@ def scene_of(folder: Path) -> Scene:
     return scene
 
 
-def open_live(stored: StoredClip) -> LiveClip:
+def open_live_clip(stored: StoredClip) -> LiveClip:
     """The clip with live pools that hold as many samples as the stored ones.
 
     Raises ClipError as `scene_of` does, and for a pool other than `path`.
@@ -186,7 +186,7 @@ def _cached_tracer(folder: Path, digest: str) -> Tracer:
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
-    return open_tracer(scene_of(folder), header.height, header.width, header.seed, cap)
+    return open_tracer(scene_of_folder(folder), header.height, header.width, header.seed, cap)
 
 
 def _lazy_zeros(shape: tuple[int, ...], dtype: type[np.number]) -> Tensor:

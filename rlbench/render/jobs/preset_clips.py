@@ -11,17 +11,17 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
 
-__all__ = ["rendered"]
+__all__ = ["render_preset_clips"]
 
 
-def rendered(
+def render_preset_clips(
     scenes: list[str] | None,
     preset: str,
     radiance_cap: float | None = None,
-    chosen: tuple[int, ...] | None = None,
+    seeds: tuple[int, ...] | None = None,
     buffers: list[str] | None = None,
-    engine: Executor | None = None,
-    kinds: Collection[str] | None = None,
+    executor: Executor | None = None,
+    pool_kinds: Collection[str] | None = None,
     takes: str | None = None,
 ) -> list[Path]:
     """The clip folders of a preset, after rendering the missing frames.
@@ -38,7 +38,7 @@ def rendered(
 
     if preset not in PRESETS:
         raise OptionError(f"no preset '{preset}'; available: {', '.join(PRESETS)}")
-    installed = registry.names("scenes")
+    installed = registry.list_plugins("scenes")
     for name in scenes or ():
         if not {name, name.rpartition("-")[0]} & set(installed):
             raise OptionError(f"no scene '{name}'; available: {', '.join(installed)}")
@@ -47,8 +47,8 @@ def rendered(
         selected = selected.with_radiance_cap(radiance_cap)
     if buffers:
         selected = selected.with_buffers(buffers)
-    if kinds is not None:
-        selected = selected.with_pools(kinds)
+    if pool_kinds is not None:
+        selected = selected.with_pools(pool_kinds)
     if takes is not None:
         selected = selected.with_takes(takes)
-    return ensure(selected, scenes or None, chosen, executor=engine or LOCAL)
+    return ensure(selected, scenes or None, seeds, executor=executor or LOCAL)

@@ -91,7 +91,7 @@ def stored_noise_ceiling_db(
 
 def write_spp(folder: Path, index: int, spp: int) -> None:
     """Store the samples per pixel of a frame's reference until the clip has a header."""
-    with paths.replacing(_spp_file(folder, index)) as path:
+    with paths.atomic_write(_spp_file(folder, index)) as path:
         path.write_text(f"{spp}\n")
 
 

@@ -55,8 +55,8 @@ def ensure(
     error, and `executor` traces the frames. Raises LookupError for an unknown preset or scene, and
     SceneError for an unknown take.
     """
-    preset = presets.preset(preset) if isinstance(preset, str) else preset
-    folder = folder or paths.clips() / preset.name
+    preset = presets.get_preset(preset) if isinstance(preset, str) else preset
+    folder = folder or paths.clips_folder() / preset.name
     if scenes is None and seeds is None:
         scenes, seeds = preset.scenes, preset.seeds
     names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
@@ -68,7 +68,7 @@ def ensure(
 
 
 def render_missing(
-    jobs: list[Job], bar: Progress | None = None, engine: Executor = LOCAL
+    jobs: list[Job], bar: Progress | None = None, executor: Executor = LOCAL
 ) -> list[Path]:
     """The folders of clips of one preset, after rendering the missing frames.
 
@@ -76,8 +76,8 @@ def render_missing(
     on earlier frames.
     """
     if unfinished := [job for job in jobs if not job.is_finished]:
-        with progress.shown_or_given(bar, engine) as shown:
-            _render_all(unfinished, shown, engine)
+        with progress.shown_or_given(bar, executor) as shown:
+            _render_all(unfinished, shown, executor)
     if missing := extra_pools.find_missing_pools(jobs):
         with progress.shown_or_given(bar, LOCAL) as shown:
             extra_pools.add_pools(missing, shown)
@@ -96,11 +96,11 @@ def scene_of_clip(clip: str) -> Scene:
             raise SceneError(
                 f"'{clip}' is not a generated scene; give a seed, for example {GENERATED}-007"
             )
-        generated: Scene = registry.load("scenes", GENERATED)(int(suffix))
+        generated: Scene = registry.load_plugin("scenes", GENERATED)(int(suffix))
         return generated
-    installed = registry.names("scenes")
+    installed = registry.list_plugins("scenes")
     is_main = clip in installed or name not in installed
-    scene: Scene = registry.load("scenes", clip if is_main else name)()
+    scene: Scene = registry.load_plugin("scenes", clip if is_main else name)()
     return scene if is_main else scene.select_take(suffix)
 
 
@@ -165,7 +165,7 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
     at_most = "at most " if preset.max_reference_rounds > 1 else ""
-    alone = f" on this machine alone; {executor.where}" if executor.where else ""
+    alone = f" on this machine alone; {executor.description}" if executor.description else ""
     return (
         f"rendering {len(jobs)} clips of preset {preset.name} with {llvm.select_variant()} "
         f"to {jobs[0].folder.parent}: {at_most}{paths_to_trace / 1e6:.0f} million light paths, "

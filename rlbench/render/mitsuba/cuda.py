@@ -44,7 +44,7 @@ def unusable_reason() -> str | None:
     library = find_driver()
     if library is None:
         return None
-    cache = paths.cache() / "cuda.json"
+    cache = paths.cache_folder() / "cuda.json"
     key = f"{probe.file_stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
     cached = probe.read_result(cache, key)
     if cached is not None:

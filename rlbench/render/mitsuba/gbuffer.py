@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.frames import BUFFERS
 from rlbench.render.mitsuba.specular import chain_albedo, follow_specular_chain, reflectance
 from rlbench.render.mitsuba.tracer import Tracer
@@ -72,7 +72,7 @@ def render_gbuffer(
         features["object_psr"] = np.where(is_hit, features["mesh_psr"] + 1, 0)
     return {
         name: features[name].reshape(height, width, -1).astype(np.float32)
-        for name in VIEWS
+        for name in BUFFER_CHANNELS
         if name in buffers
     }
 

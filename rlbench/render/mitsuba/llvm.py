@@ -24,7 +24,7 @@ __all__ = [
     "find_libraries",
     "kernel_cache",
     "probe_library",
-    "report",
+    "describe_variant",
     "select_variant",
 ]
 
@@ -85,7 +85,7 @@ def probe_library(path: Path) -> str:
 
 def find_libraries() -> list[LlvmLibrary]:
     """Libraries from the newest to the first usable one. Each is probed once."""
-    cache = paths.cache() / "llvm.json"
+    cache = paths.cache_folder() / "llvm.json"
     libraries = []
     for version, path in find_candidates():
         if version < MIN_VERSION:
@@ -141,7 +141,7 @@ def fastest_variant(library: LlvmLibrary | None, cuda_reason: str | None) -> str
     return "llvm_ad_rgb" if library else "scalar_rgb"
 
 
-def report() -> str:
+def describe_variant() -> str:
     """The variant in use, the libraries that cannot be used and why, and what to install."""
     libraries, cuda_reason = find_libraries(), cuda.unusable_reason()
     library = next((lib for lib in libraries if not lib.unusable_reason), None)
@@ -165,7 +165,7 @@ def kernel_cache(library: LlvmLibrary | None) -> Path:
     Dr.Jit itself does not key its cache by the version of LLVM.
     """
     name = f"llvm{library.version}" if library else "nollvm"
-    return paths.cache() / f"drjit-{name}-{_processor_id()}"
+    return paths.cache_folder() / f"drjit-{name}-{_processor_id()}"
 
 
 def _version(path: Path) -> int | None:

@@ -12,7 +12,7 @@ from rlbench.errors import RlbenchError
 from rlbench.render.mitsuba import xml_scene
 from rlbench.render.mitsuba.normals import smooth_normals
 from rlbench.render.pose import Pose
-from rlbench.render.scene import Camera, Mesh, Plugin, Scene
+from rlbench.render.scene import Camera, Mesh, MitsubaDict, Scene
 
 __all__ = [
     "LightError",
@@ -31,7 +31,7 @@ class LightError(RlbenchError, ValueError):
     """A light that Mitsuba would render wrong without an error, or that cannot be scaled."""
 
 
-def instantiate(description: Plugin) -> Any:
+def instantiate(description: MitsubaDict) -> Any:
     """The Mitsuba object of a scene dict; numpy arrays may stand for bitmaps and 4x4 transforms."""
     import mitsuba as mi
 
@@ -147,7 +147,7 @@ def _make_mesh(mesh: Mesh) -> Any:
     return shape
 
 
-def _check_light(name: str, emission: Plugin) -> None:
+def _check_light(name: str, emission: MitsubaDict) -> None:
     """Raise LightError for a mesh attribute as radiance; next-event estimation takes it for 0."""
     radiance = emission.get("radiance")
     if isinstance(radiance, Mapping) and radiance.get("type") == "mesh_attribute":

@@ -38,15 +38,15 @@ class PoolStage:
         return self.tracer.mi_scene
 
     @property
-    def depth(self) -> int:
+    def max_depth(self) -> int:
         """Longest light path, in edges."""
-        return self.tracer.scene.depth
+        return self.tracer.scene.max_depth
 
-    def rays(self, x: Any, y: Any) -> Any:
+    def camera_rays(self, x: Any, y: Any) -> Any:
         """The camera rays through film positions in pixels (mi.Float)."""
         return self.tracer.rays(x, y)
 
-    def numbers(self, pixels: Any, samples: Any) -> Any:
+    def sampler(self, pixels: Any, samples: Any) -> Any:
         """A sampler whose lanes are pixels and samples (mi.UInt32)."""
         return self.tracer.make_sampler(pixels, samples, self.stream)
 

@@ -52,6 +52,6 @@ def read_result(cache: Path, key: str) -> str | None:
 def store_result(cache: Path, key: str, reason: str) -> str:
     """Add the result of a probe to the cache file, and return it."""
     results: dict[str, str] = json.loads(cache.read_text()) if cache.exists() else {}
-    with paths.replacing(cache) as file:
+    with paths.atomic_write(cache) as file:
         file.write_text(json.dumps({**results, key: reason}, indent=1))
     return reason

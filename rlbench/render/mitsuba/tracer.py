@@ -44,7 +44,7 @@ class Tracer(ABC):
         import mitsuba as mi
 
         self.mi_scene = load.load_scene(scene)
-        self.integrator = load.instantiate({"type": "path", "max_depth": scene.depth})
+        self.integrator = load.instantiate({"type": "path", "max_depth": scene.max_depth})
         self._parameters = mi.traverse(self.mi_scene)
         self._lights = EmitterScaler(self._parameters)
         self.set_time(0.0)

@@ -24,7 +24,7 @@ from rlbench.render.user import auto_exposure, camera_path
 from rlbench.render.user.scene_file import UserScene, open_scene_file
 from rlbench.system import paths
 
-__all__ = ["CameraPath", "UserSceneOptions", "describe_job", "ensure_own", "plan_clip"]
+__all__ = ["CameraPath", "UserSceneOptions", "describe_job", "ensure_user_clip", "plan_clip"]
 
 FOLDER = "own-"  # prefix of the preset's folder in the cache
 SIZE_MULTIPLE = 16  # pixels: chosen widths and heights are multiples of it
@@ -76,7 +76,7 @@ class CameraPath:
         return self.camera_at_time(camera_path.dolly(start, distance))
 
 
-def ensure_own(
+def ensure_user_clip(
     options: UserSceneOptions,
     preset: Preset,
     on_message: Callable[[str], None] = lambda message: None,
@@ -114,7 +114,7 @@ def plan_clip(
     frames = _choose_frames(options, path, preset)
     own_preset = replace(preset, frames=frames, size=size, pools=FRAME_POOLS)
     name = re.sub(r"[^\w.-]+", "-", f"{user_scene.name}-{path.kind}")
-    folder = options.out or paths.clips() / f"{FOLDER}{preset.name}" / name
+    folder = options.out or paths.clips_folder() / f"{FOLDER}{preset.name}" / name
     if folder.exists() and not folder.is_dir():
         raise SceneError(f"--out {folder} is a file; give a folder, which need not exist")
     return Job(name, _make_scene(options, user_scene, path, own_preset), own_preset, folder), path

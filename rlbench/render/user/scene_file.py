@@ -110,7 +110,7 @@ def _from_xml(xml_file: XmlFile) -> UserScene:
         name,
         (),
         lambda time: Camera((0, 0, 0), (0, 1, 0)),
-        depth=settings.max_depth,
+        max_depth=settings.max_depth,
         xml_file=xml_file,
     )
     return UserScene(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.render.scene import Mesh, Plugin
+from rlbench.render.scene import Mesh, MitsubaDict
 from rlbench.scenes.generator.places import Floats, Place
 from rlbench.scenes.parts.shapes import Shape, merge, quads, rotation_matrix, transform
 
@@ -21,7 +21,7 @@ class Light:
     """Lamps and sky, and the mean radiance they are expected to give."""
 
     level: float
-    sky: tuple[Plugin, ...] = ()
+    sky: tuple[MitsubaDict, ...] = ()
     lamps: tuple[Mesh, ...] = ()
     sharp: bool = False  # would mirrors and glass make fireflies of it?
 
@@ -36,12 +36,12 @@ def colour(rng: Generator, low: float = 0.15, high: float = 0.85, vivid: float =
     )
 
 
-def rgb(value: Floats) -> Plugin:
+def rgb(value: Floats) -> MitsubaDict:
     """A constant colour as a plugin."""
     return {"type": "rgb", "value": [float(v) for v in value]}
 
 
-def texture(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
+def texture(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> MitsubaDict:
     """A random tile of two colours: checker, stripes, bricks or cloudy noise."""
     pattern = (_checker, _stripes, _bricks, _noise)[rng.integers(4)](rng)
     one, two = colour(rng, max(low, 0.4), 0.85, vivid), colour(rng, 0.7 * low, 0.7, vivid)
@@ -56,17 +56,17 @@ def texture(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
     }
 
 
-def diffuse(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
+def diffuse(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> MitsubaDict:
     """Paint of one colour."""
     return {"type": "diffuse", "reflectance": rgb(colour(rng, low, 0.85, vivid))}
 
 
-def textured(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
+def textured(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> MitsubaDict:
     """Matte with a random texture."""
     return {"type": "diffuse", "reflectance": texture(rng, low, vivid)}
 
 
-def plastic(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
+def plastic(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> MitsubaDict:
     """Coloured or textured plastic, from almost polished to satin."""
     base = texture(rng, low, vivid)
     if rng.random() < 0.6:
@@ -79,7 +79,7 @@ def plastic(rng: Generator, low: float = 0.15, vivid: float = 0.7) -> Plugin:
     }
 
 
-def metal(rng: Generator) -> Plugin:
+def metal(rng: Generator) -> MitsubaDict:
     """A tinted metal, brushed to satin."""
     return {
         "type": "roughconductor",
@@ -90,18 +90,18 @@ def metal(rng: Generator) -> Plugin:
     }
 
 
-def mirror(rng: Generator) -> Plugin:
+def mirror(rng: Generator) -> MitsubaDict:
     """A perfect mirror, lightly tinted."""
     tint = colour(rng, 0.75, 0.92, vivid=0.2)
     return {"type": "conductor", "material": "none", "specular_reflectance": rgb(tint)}
 
 
-def glass(rng: Generator) -> Plugin:
+def glass(rng: Generator) -> MitsubaDict:
     """Clear glass or water, for closed solids or for a surface of water seen from above."""
     return {"type": "dielectric", "int_ior": float(rng.uniform(1.3, 1.55)), "ext_ior": 1.0}
 
 
-def leaf(rng: Generator) -> Plugin:
+def leaf(rng: Generator) -> MitsubaDict:
     """A thin sheet that is matte on both sides: green, autumn, or any colour."""
     tint = colour(rng, 0.2, 0.6, vivid=0.8)
     if rng.random() < 0.6:
@@ -109,7 +109,7 @@ def leaf(rng: Generator) -> Plugin:
     return twosided({"type": "diffuse", "reflectance": rgb(tint)})
 
 
-def twosided(material: Plugin) -> Plugin:
+def twosided(material: MitsubaDict) -> MitsubaDict:
     """The same opaque material on both sides of thin geometry."""
     return {"type": "twosided", "bsdf": material}
 
@@ -136,7 +136,7 @@ def light(rng: Generator, place: Place, kind: str) -> Light:
 
 def _sky(
     rng: Generator, place: Place, kind: str
-) -> tuple[tuple[Plugin, ...], Floats, float, float]:
+) -> tuple[tuple[MitsubaDict, ...], Floats, float, float]:
     """Emitters, direction to the sun, irradiance of the sun and radiance of the sky dome."""
     around, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(0.35, 0.9)
     if place.holes:  # the sun shines in
@@ -150,7 +150,7 @@ def _sky(
         return (plugin | scale,), toward, 11.0, 0.9  # measured, elevations of 15 to 60 degrees
     night = kind in ("lamps", "bulbs")
     tint = _white(rng) * (rng.uniform(0.01, 0.1) if night else 1)
-    sky: tuple[Plugin, ...] = ({"type": "constant", "radiance": rgb(tint)},)
+    sky: tuple[MitsubaDict, ...] = ({"type": "constant", "radiance": rgb(tint)},)
     dome = float(tint @ BRIGHTNESS)
     if kind != "sun":
         return sky, toward, 0.0, dome
@@ -225,8 +225,8 @@ def _around(rng: Generator, place: Place, count: int) -> tuple[Floats, Floats]:
     return spot, inward / np.linalg.norm(inward, axis=-1, keepdims=True)
 
 
-def _emissive(name: str, shape: Shape, radiance: Plugin) -> Mesh:
-    black: Plugin = {"type": "diffuse", "reflectance": rgb(np.full(3, 0.1))}
+def _emissive(name: str, shape: Shape, radiance: MitsubaDict) -> Mesh:
+    black: MitsubaDict = {"type": "diffuse", "reflectance": rgb(np.full(3, 0.1))}
     emission = {"type": "area", "radiance": radiance}
     return Mesh(name, shape.vertices, shape.faces, black, shape.uv, emission)
 

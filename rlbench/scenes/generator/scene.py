@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from rlbench.render.scene import Camera, Mesh, Plugin, Scene
+from rlbench.render.scene import Camera, Mesh, MitsubaDict, Scene
 from rlbench.scenes.generator import materials
 from rlbench.scenes.generator.places import PLACES, SOLIDS, Floats, Place, thing
 from rlbench.scenes.parts.shapes import (
@@ -89,7 +89,7 @@ def scene(seed: int) -> Scene:
         sky=light.sky,
         vertex_animation=lambda time: {name: pose(time) for name, pose in poses.items()},
         exposure=MIDDLE / light.level * 2 ** rng.uniform(-0.7, 0.7),
-        depth=10 if any(m.material["type"] == "dielectric" for m in meshes) else 8,
+        max_depth=10 if any(m.material["type"] == "dielectric" for m in meshes) else 8,
         static=not poses and move in ("still", "frozen"),
     )
 
@@ -284,7 +284,7 @@ def _lift(waves: Floats, plane: NDArray[np.float32], time: float) -> NDArray[np.
     return np.asarray(np.sin(angle) @ waves[:, 2], np.float32)
 
 
-def _materials(rng: Generator, sharp: bool) -> dict[str, Plugin]:
+def _materials(rng: Generator, sharp: bool) -> dict[str, MitsubaDict]:
     """A material for every name that a part can have."""
     plain = (materials.diffuse, materials.textured, materials.plastic)
     finishes = [*plain, materials.metal, materials.plastic if sharp else materials.mirror]
@@ -297,7 +297,7 @@ def _materials(rng: Generator, sharp: bool) -> dict[str, Plugin]:
     return solids | movers | shell | thin | clear
 
 
-def _mesh(rng: Generator, name: str, part: Shape, material: Plugin) -> Mesh:
+def _mesh(rng: Generator, name: str, part: Shape, material: MitsubaDict) -> Mesh:
     tile = np.float32(rng.uniform(0.5, 2.5))  # metres that one tile of a texture covers
     smooth = name not in ("leaf", "wall", "floor", "block")
     return Mesh(name, part.vertices, part.faces, material, part.uv / tile, smooth=smooth)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.render.scene import Mesh, Plugin
+from rlbench.render.scene import Mesh, MitsubaDict
 
 Float32Array = NDArray[np.float32]
 
@@ -21,7 +21,7 @@ class Shape(NamedTuple):
     faces: NDArray[np.uint32]  # f 3
     uv: Float32Array  # v 2, in repeats of the texture
 
-    def to_mesh(self, name: str, material: Plugin, smooth: bool = False) -> Mesh:
+    def to_mesh(self, name: str, material: MitsubaDict, smooth: bool = False) -> Mesh:
         """The shape as a mesh of one material."""
         return Mesh(name, self.vertices, self.faces, material, uv=self.uv, smooth=smooth)
 
@@ -224,6 +224,7 @@ def _random_directions(random: np.random.Generator, count: int) -> NDArray[np.fl
 
 
 def grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
+    """Triangles [f 3] of a grid of vertices that is stored row by row."""
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
     a, b, c, d = first, first + 1, first + columns + 1, first + columns
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])

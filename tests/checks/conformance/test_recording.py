@@ -11,7 +11,7 @@ from rlbench.checks.conformance.recording import (
     is_bit_equal,
     iterate_tensors,
 )
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip
 from tests.checks.conformance.broken_fixtures import Correct, WritesGBuffer, WritesSamples
@@ -19,7 +19,7 @@ from tests.checks.conformance.broken_fixtures import Correct, WritesGBuffer, Wri
 
 def record(method) -> RecordingMethod:
     recording = RecordingMethod(method)
-    list(run_clip(recording, procedural(size=Size(1, 12, 16), frames=2), 1.0))
+    list(run_clip(recording, procedural_clip(size=Size(1, 12, 16), frames=2), 1.0))
     return recording
 
 

@@ -11,7 +11,9 @@ from tests.checks.conformance.broken_fixtures import FAULTS, SIZE, SMALL_SIZE
 
 @pytest.fixture(autouse=True)
 def _faulty_family(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(registry.VARIABLE, "faulty=tests.checks.conformance.broken_fixtures:FAMILY")
+    monkeypatch.setenv(
+        registry.METHODS_VARIABLE, "faulty=tests.checks.conformance.broken_fixtures:FAMILY"
+    )
 
 
 def method_under_test(variant: str) -> MethodUnderTest:

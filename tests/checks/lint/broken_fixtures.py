@@ -12,7 +12,7 @@ import torch
 from rlbench.checks.lint.clip_arrays import ClipArrays
 from rlbench.clips.exr import write_exr
 from rlbench.clips.frame_files import exr_path
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import Header, write_frame, write_header
 from rlbench.frames import Size
 
@@ -24,7 +24,7 @@ def correct_clip(
     seed: int = 0, height: int = 72, width: int = 96, frames: int = 4, half: int = HALF
 ) -> ClipArrays:
     """A procedural clip whose reference halves are means of samples outside the pool."""
-    clip = procedural(seed, Size(1, height, width), frames, POOL + 2 * half, speed=1.5)
+    clip = procedural_clip(seed, Size(1, height, width), frames, POOL + 2 * half, speed=1.5)
     rendered = list(clip)
     samples = torch.cat([frame.pool.radiance for frame in rendered])
     parts = samples.split([POOL, half, half], 1)

@@ -86,7 +86,7 @@ def for_mitsuba():
             name: (points + max(time, 0.0) * PACE).astype(np.float32)
             for name, points in moving.items()
         },
-        depth=BOUNCES + 2,
+        max_depth=BOUNCES + 2,
         exposure=1.0,
     )
 

@@ -61,12 +61,12 @@ def test_the_error_of_a_missing_interpreter_names_the_variable(tmp_path, monkeyp
 
 def test_a_missing_interpreter_has_no_bpy(tmp_path, monkeypatch):
     monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
-    assert process.installed() is None
+    assert process.bpy_version() is None
 
 
 def test_the_error_of_a_python_without_bpy_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setenv(process.PYTHON_VARIABLE, sys.executable)
-    if process.installed():
+    if process.bpy_version():
         pytest.skip("this Python has bpy")
     with pytest.raises(CyclesError, match=r"rlbench\[cycles\]"):
         events(tmp_path)

@@ -20,7 +20,7 @@ from rlbench.render.cycles.worker_job import (
     image_seed,
     render_job,
 )
-from rlbench.render.presets import preset
+from rlbench.render.presets import get_preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import camera_path
 from rlbench.render.user.clip import UserSceneOptions
@@ -86,7 +86,7 @@ def test_an_invalid_parameter_is_refused(pair, match):
 def test_a_preset_with_a_radiance_cap_is_refused(tmp_path):
     with pytest.raises(SceneError, match="not capped"):
         clip.ensure_cycles(
-            UserSceneOptions(tmp_path / "a.blend"), preset("tiny").with_radiance_cap(4.0)
+            UserSceneOptions(tmp_path / "a.blend"), get_preset("tiny").with_radiance_cap(4.0)
         )
 
 
@@ -95,7 +95,7 @@ def test_a_preset_with_a_radiance_cap_is_refused(tmp_path):
 )
 def test_a_file_that_cannot_be_opened_is_refused_without_blender(name, match, tmp_path):
     with pytest.raises(SceneError, match=match):
-        clip.ensure_cycles(UserSceneOptions(tmp_path / name), preset("tiny"))
+        clip.ensure_cycles(UserSceneOptions(tmp_path / name), get_preset("tiny"))
 
 
 def test_a_changed_buffer_beside_a_gltf_is_noticed(tmp_path):

@@ -9,11 +9,11 @@ import torch
 
 from rlbench import registry
 from rlbench.benchmark.clip_sources import StoredSource, open_source
-from rlbench.clips.exr import precision
+from rlbench.clips.exr import channel_dtype
 from rlbench.clips.stored import ClipError, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.render.jobs.job import Job
-from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live
+from rlbench.render.jobs.live_pool import LiveClip, LivePool, open_live_clip
 from rlbench.render.jobs.render_clips import render_clip, scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.rng import STREAMS
@@ -93,7 +93,7 @@ def test_capped_samples_are_the_same_live(llvm, tmp_path):
 
 def test_samples_that_were_stored_as_float_are_the_same_live(llvm, tmp_path):
     stored, live = open_both(render_scene(tmp_path, glaring()), glaring())
-    assert precision(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
+    assert channel_dtype(tmp_path / "pool.path.0000.exr", "s0.R") == np.float32
     assert torch.equal(images(live, 2.0), images(stored, 2.0))
 
 
@@ -192,12 +192,12 @@ def test_seeds_and_caps_of_other_clips_compile_no_kernel(llvm):
 
 @pytest.fixture
 def temple(llvm, tmp_path):
-    return render_scene(tmp_path / "temple", registry.load("scenes", "temple")(), "temple")
+    return render_scene(tmp_path / "temple", registry.load_plugin("scenes", "temple")(), "temple")
 
 
 def test_a_clip_knows_its_scene(temple):
     stored = open_clip(temple)
-    assert agree(images(open_live(stored), 0.5), images(stored, 0.5))
+    assert agree(images(open_live_clip(stored), 0.5), images(stored, 0.5))
 
 
 def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(temple):
@@ -224,7 +224,7 @@ def test_a_clip_of_another_renderer_is_an_error(tmp_path):
 def test_only_the_path_pool_can_be_live(tmp_path):
     clip = open_clip(write_noise(tmp_path / "noise", pools=("path",)))
     with pytest.raises(ClipError, match="pool 'restir' cannot be sampled live"):
-        open_live(replace(clip, pool="restir"))
+        open_live_clip(replace(clip, pool="restir"))
 
 
 def test_a_scene_that_is_not_installed_is_an_error(llvm, tmp_path):

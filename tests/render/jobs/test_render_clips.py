@@ -152,7 +152,7 @@ def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_p
 
 
 def test_a_generated_scene_comes_from_the_registry_with_its_seed():
-    scene = registry.load("scenes", "generated")(7)
+    scene = registry.load_plugin("scenes", "generated")(7)
     assert scene_of_clip("generated-007").name == scene.name == "generated-7"
 
 

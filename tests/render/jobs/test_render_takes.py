@@ -9,7 +9,7 @@ import torch
 from rlbench import registry
 from rlbench.clips.stored import open_clip, read_header
 from rlbench.ops.reprojection import reproject
-from rlbench.render.jobs.live_pool import open_live
+from rlbench.render.jobs.live_pool import open_live_clip
 from rlbench.render.jobs.render_clips import ensure, scene_of_clip
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
@@ -111,7 +111,7 @@ def test_a_switched_light_changes_radiance_and_not_the_gbuffer(clips):
 
 def test_live_samples_of_a_take_equal_the_stored_ones(clips):
     stored = open_clip(clips["room-cut"])
-    for stored_frame, live_frame in zip(stored, open_live(stored), strict=True):
+    for stored_frame, live_frame in zip(stored, open_live_clip(stored), strict=True):
         counts = torch.full((1, 1, 16, 24), 2)
         stored_radiance, live_radiance = (
             pool.read(pool.empty(), counts) for pool in (stored_frame.pool, live_frame.pool)

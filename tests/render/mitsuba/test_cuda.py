@@ -23,8 +23,11 @@ def test_without_a_driver_there_is_no_reason(tmp_path, monkeypatch):
 
 def test_an_unusable_driver_is_in_the_report_with_the_reason(false_driver):
     assert cuda.unusable_reason()
-    assert f"cannot use cuda_ad_rgb with {false_driver}: {cuda.unusable_reason()}" in llvm.report()
-    assert not llvm.report().startswith("path tracer: cuda")
+    assert (
+        f"cannot use cuda_ad_rgb with {false_driver}: {cuda.unusable_reason()}"
+        in llvm.describe_variant()
+    )
+    assert not llvm.describe_variant().startswith("path tracer: cuda")
 
 
 def test_a_driver_is_probed_once(false_driver, tmp_path):
@@ -38,7 +41,7 @@ def test_a_driver_that_works_is_used(false_driver, tmp_path):
     reason = cuda.unusable_reason()
     note = next(tmp_path.rglob("cuda.json"))
     note.write_text(note.read_text().replace(f'"{reason}"', '""'))
-    assert llvm.report().startswith(f"path tracer: cuda_ad_rgb, with {false_driver}")
+    assert llvm.describe_variant().startswith(f"path tracer: cuda_ad_rgb, with {false_driver}")
 
 
 def test_the_probe_passes_where_rays_can_be_traced(llvm):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.scene import Camera, Scene
@@ -101,7 +101,7 @@ def test_albedo_is_between_zero_and_one_and_no_surface_is_black(llvm, material):
 
 
 def test_buffers_behind_a_mirror_belong_to_the_reflected_surface(variant):
-    gbuffer = render_gbuffer(open_tracer(around_the_corner(MIRROR), 5, 5), VIEWS)
+    gbuffer = render_gbuffer(open_tracer(around_the_corner(MIRROR), 5, 5), BUFFER_CHANNELS)
     middle = {name: buffer[2, 2] for name, buffer in gbuffer.items()}
     assert middle["depth"] == pytest.approx(4.0, rel=1e-5)
     # Mitsuba starts a reflected ray a little off the mirror
@@ -114,7 +114,9 @@ def test_buffers_behind_a_mirror_belong_to_the_reflected_surface(variant):
 
 
 def test_buffers_behind_a_rough_surface_belong_to_that_surface(variant):
-    gbuffer = render_gbuffer(open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), VIEWS)
+    gbuffer = render_gbuffer(
+        open_tracer(around_the_corner(diffuse(0.5, 0.5, 0.5)), 5, 5), BUFFER_CHANNELS
+    )
     for name in ("normal", "object"):
         np.testing.assert_array_equal(gbuffer[f"{name}_psr"], gbuffer[name])
     np.testing.assert_allclose(gbuffer["depth_psr"], gbuffer["depth"], rtol=1e-5)
@@ -136,7 +138,7 @@ def test_the_first_albedo_of_glass_is_one(variant):
 
 def test_background_behind_is_background(variant):
     tracer = open_tracer(room(), H, W)
-    gbuffer = render_gbuffer(tracer, VIEWS)
+    gbuffer = render_gbuffer(tracer, BUFFER_CHANNELS)
     sky = np.isinf(gbuffer["depth_psr"][..., 0])
     assert (sky & np.isfinite(gbuffer["depth"][..., 0])).sum() > 0  # seen through the pane
     assert not gbuffer["normal_psr"][sky].any()
@@ -151,7 +153,7 @@ def test_depth_runs_along_the_view_axis(variant):
 
 
 def test_background_has_no_normal_no_albedo_and_infinite_depth(variant):
-    gbuffer = render_gbuffer(open_tracer(room(), H, W), VIEWS)
+    gbuffer = render_gbuffer(open_tracer(room(), H, W), BUFFER_CHANNELS)
     sky = np.isinf(gbuffer["depth"][..., 0])
     assert 0 < sky.sum() < sky.size
     assert not gbuffer["normal"][sky].any()

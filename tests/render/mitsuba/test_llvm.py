@@ -69,7 +69,7 @@ def test_without_llvm_the_variant_is_scalar_with_a_hint_to_install_llvm(false_li
 
 
 def test_the_report_says_what_cannot_be_used_and_what_to_install(false_library):
-    text = llvm.report()
+    text = llvm.describe_variant()
     assert f"cannot use {false_library}" in text
     assert "apt-get install libllvm" in text
 

@@ -44,7 +44,7 @@ def many_lamps():
         title="Many lamps for tests",
         meshes=(square("floor", 20.0, 0.0, diffuse(0.5, 0.5, 0.5)), lamps),
         camera=lambda time: Camera((0.02 * time, -6.0, 3.0), (0, 0, 0), fov=50.0),
-        depth=2,
+        max_depth=2,
     )
 
 
@@ -69,7 +69,7 @@ def test_one_candidate_without_reuse_is_next_event_estimation(llvm):
     (samples,) = chains(tracer, 1, PLAIN, indirect=False)()
 
     pixels = mi.UInt32(np.arange(H * W))
-    numbers = PoolStage(tracer, "restir").numbers(pixels, mi.UInt32(np.zeros(H * W)))
+    numbers = PoolStage(tracer, "restir").sampler(pixels, mi.UInt32(np.zeros(H * W)))
     jitter, place = numbers.next_2d(), numbers.next_2d()
     rows, columns = np.indices((H, W)).reshape(2, -1)
     ray = tracer.rays(mi.Float(columns) + jitter.x, mi.Float(rows) + jitter.y)

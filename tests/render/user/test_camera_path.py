@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rlbench.clips.stored import read_header
-from rlbench.render.user.clip import UserSceneOptions, ensure_own
+from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
 from tests.render.user.xml_room import (
     PASSING,
     PRESET,
@@ -16,9 +16,9 @@ from tests.render.user.xml_room import (
 
 
 def test_the_sensor_of_the_file_is_the_middle_of_an_orbit(room):
-    clip = ensure_own(UserSceneOptions(room), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(room), PRESET)
     middle = buffer(clip, "depth", 1)
-    still = ensure_own(
+    still = ensure_user_clip(
         UserSceneOptions(room, flown(room.parent, [look_at([0, 1.2, 4], [0, 0.8, 0])])), PRESET
     )
     np.testing.assert_allclose(middle, buffer(still, "depth", 0), rtol=1e-4)
@@ -26,13 +26,13 @@ def test_the_sensor_of_the_file_is_the_middle_of_an_orbit(room):
 
 @pytest.mark.parametrize("camera", ["orbit", "dolly"])
 def test_an_orbit_or_dolly_moves_the_camera(room, camera):
-    clip = ensure_own(UserSceneOptions(room, camera), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(room, camera), PRESET)
     # half a degree of 60, or 2 % of the way, on 48 pixels
     assert 0.1 < np.median(np.linalg.norm(buffer(clip, "motion", 1), axis=-1)) < 2
 
 
 def test_a_still_camera_makes_a_static_clip(room):
-    header = read_header(ensure_own(UserSceneOptions(room, "still"), PRESET))
+    header = read_header(ensure_user_clip(UserSceneOptions(room, "still"), PRESET))
     assert header.static
     assert "motion" not in header.buffers
 

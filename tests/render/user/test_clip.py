@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from rlbench.benchmark import results
 from rlbench.cli.app import app
 from rlbench.clips.stored import open_clip, read_header, verify
-from rlbench.render.user.clip import UserSceneOptions, ensure_own
+from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
 from tests.render.user.xml_room import (
     BODY,
     FOV,
@@ -41,7 +41,7 @@ def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tm
 
 def test_the_header_describes_the_clip(room):
     header = read_header(
-        ensure_own(UserSceneOptions(room, flown(room.parent, PASSING[:2])), PRESET)
+        ensure_user_clip(UserSceneOptions(room, flown(room.parent, PASSING[:2])), PRESET)
     )
     assert (header.name, header.scene, header.frames) == ("room-path", "room", 2)
     assert (header.height, header.width) == (H, W)  # the film is 3 : 2, as the preset is
@@ -55,7 +55,7 @@ def test_radiance_equals_that_of_mitsubas_own_renderer(room):
     file = document(room.parent, body.replace('"1200"', f'"{W}"').replace('"800"', f'"{H}"'))
     truth = mi.TensorXf(mi.render(mi.load_file(str(file)), spp=256)).numpy()
     options = UserSceneOptions(file, "still", exposure=1.0)
-    clip = open_clip(ensure_own(options, replace(PRESET, frames=1, reference_spp=128)))
+    clip = open_clip(ensure_user_clip(options, replace(PRESET, frames=1, reference_spp=128)))
     image = clip.frame(0).reference.half_a[0].permute(1, 2, 0).numpy()
 
     def areas(image):  # 8 x 8 pixels each
@@ -87,7 +87,7 @@ def world(matrix, film):
 def test_motion_and_depth_equal_a_closed_form(variant, tmp_path):
     room = document(tmp_path)
     preset = replace(PRESET, reference_spp=1, pool_spp=1)
-    clip = ensure_own(
+    clip = ensure_user_clip(
         UserSceneOptions(room, flown(room.parent, PASSING), out=tmp_path / "clip"), preset
     )
     centres = np.stack(np.meshgrid(np.arange(W), np.arange(H)), -1) + 0.5
@@ -113,30 +113,32 @@ def test_differences_between_file_and_rendering_are_reported(room):
     lens = '<float name="apertureRadius" value="0.1"/><float name="focusDistance" value="4"/>'
     room.write_text(text.replace('type="perspective">', f'type="thinlens">{lens}'))
     messages = []
-    ensure_own(UserSceneOptions(room, "still"), PRESET, messages.append)
+    ensure_user_clip(UserSceneOptions(room, "still"), PRESET, messages.append)
     assert "integrator volpath is replaced by path" in messages
     assert any("pinhole, without depth of field" in message for message in messages)
 
 
 def test_a_given_exposure_is_used(room):
     assert (
-        read_header(ensure_own(UserSceneOptions(room, "still", exposure=3.5), PRESET)).exposure
+        read_header(
+            ensure_user_clip(UserSceneOptions(room, "still", exposure=3.5), PRESET)
+        ).exposure
         == 3.5
     )
 
 
 def test_a_finished_clip_is_not_rendered_again(room):
-    clip = ensure_own(UserSceneOptions(room), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(room), PRESET)
     before = {file: file.stat().st_mtime_ns for file in clip.iterdir()}
-    assert ensure_own(UserSceneOptions(room), PRESET) == clip
+    assert ensure_user_clip(UserSceneOptions(room), PRESET) == clip
     assert {file: file.stat().st_mtime_ns for file in clip.iterdir()} == before
 
 
 def test_the_same_scene_in_another_folder_gives_the_same_clip(room, tmp_path):
-    copy = ensure_own(
+    copy = ensure_user_clip(
         UserSceneOptions(document(tmp_path / "b" / "room"), out=tmp_path / "again"), PRESET
     )
-    assert contents(copy) == contents(ensure_own(UserSceneOptions(room), PRESET))
+    assert contents(copy) == contents(ensure_user_clip(UserSceneOptions(room), PRESET))
 
 
 def _paint(room):
@@ -155,10 +157,10 @@ def _dim(room):
 
 @pytest.mark.parametrize("change", [_paint, _bend, _dim], ids=["texture", "mesh", "XML"])
 def test_a_changed_file_is_rendered_again(room, change):
-    clip = ensure_own(UserSceneOptions(room), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(room), PRESET)
     before = contents(clip)
     change(room)
-    ensure_own(UserSceneOptions(room), PRESET)
+    ensure_user_clip(UserSceneOptions(room), PRESET)
     after = contents(clip)
     assert after.keys() == before.keys()
     assert after["referenceA.0001.exr"] != before["referenceA.0001.exr"]

@@ -9,7 +9,7 @@ from rlbench.clips.stored import open_clip, read_header
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.user import camera_path
-from rlbench.render.user.clip import UserSceneOptions, ensure_own
+from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
 from rlbench.render.user.scene_file import open_scene_file
 from tests.render.user.xml_room import (
     BODY,
@@ -37,7 +37,7 @@ def scene():
 def test_moved_vertices_have_motion_and_nothing_else_has(room):
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
-    clip = ensure_own(UserSceneOptions(hook, "still"), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(hook, "still"), PRESET)
     motion = buffer(clip, "motion", 2)
     depth = buffer(clip, "depth", 2)[..., 0]
     moved = np.abs(motion).max(-1) > 0
@@ -59,7 +59,7 @@ def test_an_instance_is_visible_and_static_beside_moving_meshes(room):
     room.write_text(text)
     hook = room.with_name("waves.py")
     hook.write_text(HOOK)
-    clip = ensure_own(UserSceneOptions(hook, "still"), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(hook, "still"), PRESET)
     middle = slice(H // 2 - 3, H // 2 + 3), slice(W // 2 - 3, W // 2 + 3)
     assert (buffer(clip, "depth", 2)[middle] < 4 - RADIUS / 2).all()
     assert not buffer(clip, "motion", 2)[middle].any()
@@ -95,14 +95,14 @@ def test_no_kernel_is_compiled_after_the_first_frame_of_an_xml_scene(room):
 def test_a_python_scene_is_rendered_with_its_own_camera_and_exposure(room):
     file = room.with_name("mine.py")
     file.write_text(PYTHON)
-    header = read_header(ensure_own(UserSceneOptions(file), PRESET))
+    header = read_header(ensure_user_clip(UserSceneOptions(file), PRESET))
     assert (header.name, header.exposure) == ("room-own", 2.0)
 
 
 def test_default_values_of_the_file_can_be_replaced(room):
     def brightness(depth):
         options = UserSceneOptions(room, "still", exposure=1.0, parameters=(("max_depth", depth),))
-        return open_clip(ensure_own(options, PRESET)).frame(0).reference.half_a.mean()
+        return open_clip(ensure_user_clip(options, PRESET)).frame(0).reference.half_a.mean()
 
     assert brightness("2") < 0.95 * brightness("5")  # without light from the floor
 
@@ -142,7 +142,7 @@ def test_a_parameter_without_a_default_in_the_file_is_refused(room):
 def test_a_scene_without_a_sensor_needs_matrices(room):
     bare = BODY[: BODY.index("<sensor")] + BODY[BODY.index("</sensor>") + len("</sensor>") :]
     check_refused(UserSceneOptions(document(room.parent, bare)), "has no sensor.*JSON")
-    clip = ensure_own(UserSceneOptions(room, flown(room.parent, PASSING)), PRESET)
+    clip = ensure_user_clip(UserSceneOptions(room, flown(room.parent, PASSING)), PRESET)
     assert read_header(clip).frames == 3
 
 

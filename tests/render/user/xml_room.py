@@ -8,7 +8,7 @@ import pytest
 from rlbench.clips.stored import open_clip
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
-from rlbench.render.user.clip import ensure_own
+from rlbench.render.user.clip import ensure_user_clip
 
 H, W, FOV = 32, 48, 60.0
 
@@ -89,7 +89,7 @@ PASSING = [look_at([0.3 * i, 1.2 + 0.1 * i, 4 - 0.1 * i], [0, 0.8, 0]) for i in 
 def check_refused(options, match):
     """Rendering raises SceneError with a matching message, and writes nothing."""
     with pytest.raises(SceneError, match=match):
-        ensure_own(options, PRESET)
+        ensure_user_clip(options, PRESET)
     folder = options.out or options.file.parent.parent / "cache" / "clips"
     assert not folder.exists()
 
