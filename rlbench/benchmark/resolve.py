@@ -129,14 +129,14 @@ def _label_of_file(file: str) -> str:
 
 
 def _weights_file(plan: RunPlan, name: str, variant: Variant) -> Path | None:
-    """Path of a method's weights, there or not; None for random ones, and without networks."""
+    """Path of a method's weights, which may not exist; None for random ones, or no networks."""
     if not variant.learned or plan.weights == "random":
         return None
     return Path(plan.weights) if plan.weights else _shipped_weights(name)
 
 
 def _shipped_weights(name: str) -> Path:
-    """Path of the weights that a method ships with, there or not."""
+    """Path of the weights that a method ships with; the file may not exist."""
     family = registry.family(name)
     try:
         folder = Path(registry.module_file(family.build)).parent
