@@ -80,8 +80,8 @@ def profile(name: str) -> CostProfile:
     """A cost profile by name, or by the path of a TOML file. Raises CostError."""
     file = PROFILES / f"{name}.toml" if name in profiles() else Path(name)
     if not file.is_file():
-        known = ", ".join([MEASURED, *profiles()])
-        raise CostError(f"no cost profile '{name}'. Use {known}, or the path of a TOML file")
+        names = ", ".join([MEASURED, *profiles()])
+        raise CostError(f"no cost profile '{name}'. Use {names}, or the path of a TOML file")
     try:
         document = documents.read_toml(file)
         _check(name, document)

@@ -77,7 +77,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
     the preset lacks one of the scenes.
     """
     pools = {registry.get_variant(name).traits.pool for name in names}
-    known = PRESETS[preset].scenes if preset in PRESETS else ()
+    preset_scenes = PRESETS[preset].scenes if preset in PRESETS else ()
     return [
         Fold(
             scene,
@@ -87,7 +87,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
                 for folder in preset_clips.render_preset_clips([scene], preset, pool_kinds=pools)
             ),
         )
-        for scene in scenes or known or ["any"]
+        for scene in scenes or preset_scenes or ["any"]
     ]
 
 

@@ -15,7 +15,7 @@ from rlbench.benchmark.row_name import BF16, CROSSVAL, RESERVED_LABELS, RowName
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.clips.header import Header
 from rlbench.family import Traits, Variant
-from rlbench.weights import WeightsError, read_card
+from rlbench.weights import training_clips
 
 __all__ = ["ResolvedCell", "ResolvedMethod", "resolve_cells", "resolve_method"]
 
@@ -102,7 +102,7 @@ def resolve_method(plan: RunPlan, name: str) -> ResolvedMethod:
         requires=variant.requires,
         bf16=plan.bf16 and variant.learned,
         weights_file=file,
-        training_clips=_training_clips(file) if file else frozenset(),
+        training_clips=training_clips(file),
     )
 
 
@@ -129,26 +129,15 @@ def _label_of_file(file: str) -> str:
 
 
 def _weights_file(plan: RunPlan, name: str, variant: Variant) -> Path | None:
-    """Path of a method's weights, there or not; None for random ones, and without networks."""
+    """Path of a method's weights, which may not exist; None for random ones, or no networks."""
     if not variant.learned or plan.weights == "random":
         return None
     return Path(plan.weights) if plan.weights else _shipped_weights(name)
 
 
 def _shipped_weights(name: str) -> Path:
-    """Path of the weights that a method ships with, there or not."""
-    family = registry.load_family(name)
+    """Path of the weights that a method ships with; the file may not exist."""
     try:
-        folder = Path(registry.module_file(family.build)).parent
+        return registry.shipped_weights(name)
     except LookupError:  # building the method reports the missing module
-        folder = Path()
-    return folder / "cards" / family.weights_file(name.partition("/")[2])
-
-
-def _training_clips(path: Path) -> frozenset[str]:
-    """Names of the clips on the card of a weights file; none without a valid card."""
-    try:
-        clips = read_card(path).data
-    except WeightsError:
-        return frozenset()
-    return frozenset(clip.rpartition(" ")[0] or clip for clip in clips)
+        return Path("missing")

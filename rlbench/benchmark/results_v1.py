@@ -70,8 +70,8 @@ def read_cell_id(file: Path, schema: pa.Schema) -> CellId:
     """
     import pyarrow.parquet as pq
 
-    wanted = ["method", "clip", "spp", "seed", "device", "preset"]
-    columns = [name for name in wanted if name in schema.names]
+    needed = ["method", "clip", "spp", "seed", "device", "preset"]
+    columns = [name for name in needed if name in schema.names]
     row = pq.read_table(file, columns=columns).slice(0, 1).to_pylist()[0]
     name = (schema.metadata or {}).get(CELL, b"").decode() or unquote(file.stem)
     ending = name.rpartition(" ")[2]

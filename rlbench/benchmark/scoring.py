@@ -63,7 +63,8 @@ def score_frame(
     _check_image(template.method, images[0], images[1])
     mean_spp = float(result.samples.counts.double().mean())
     frame = replace(template, frame=result.frame.index, mean_spp=mean_spp)
-    for metric in (each.at(*result.image.shape[-2:]) for each in metrics):
+    for generic in metrics:
+        metric = generic.at(*result.image.shape[-2:])  # as defined at this size
         if metric.temporal and previous is None:
             continue
         scored = _paired(_images(previous), images) if metric.temporal and previous else images

@@ -43,8 +43,8 @@ def test_what_is_written_is_read_back(tmp_path):
 
 def test_a_missing_value_keeps_its_note(tmp_path):
     write_cell(tmp_path, A, [MISSING])
-    found = read(tmp_path).iloc[0]
-    assert (math.isnan(found["value"]), found["note"]) == (True, "needs CUDA")
+    row = read(tmp_path).iloc[0]
+    assert (math.isnan(row["value"]), row["note"]) == (True, "needs CUDA")
 
 
 def test_columns_have_the_documented_types(tmp_path):

@@ -67,12 +67,12 @@ def test_psnr_of_the_mean_is_that_of_numpy(clip_folder, tmp_path):
     psnr = rows[(rows["metric"] == "psnr") & (rows["frame"] == 1)]["value"].item()
 
     frame = list(open_clip(clip_folder))[1]
-    shown, truth = (
+    image, truth = (
         _srgb(image[0].numpy().astype(np.float64))
         for image in (frame.pool.radiance.mean(1), frame.reference.mean)
     )
     # float32 sums of eight samples
-    assert psnr == pytest.approx(-10 * math.log10(((shown - truth) ** 2).mean()), abs=1e-3)
+    assert psnr == pytest.approx(-10 * math.log10(((image - truth) ** 2).mean()), abs=1e-3)
 
 
 def test_frame_time_is_plan_denoise_and_samples(clip_folder, tmp_path):
@@ -99,8 +99,8 @@ def test_a_second_run_measures_nothing(clip_folder, tmp_path):
 
 
 def test_scores_of_two_runs_are_equal_bit_for_bit(clip_folder, tmp_path):
-    for place in ("a", "b"):
-        measure(run_plan(clip_folder, target_spp=(0.5, 3.0), seeds=(0, 1)), tmp_path / place)
+    for folder in ("a", "b"):
+        measure(run_plan(clip_folder, target_spp=(0.5, 3.0), seeds=(0, 1)), tmp_path / folder)
     assert scores(tmp_path / "a") == scores(tmp_path / "b")
 
 
@@ -272,11 +272,11 @@ def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
 
 
 def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
-    body = f"open({str(tmp_path / 'there')!r}); return samples.mean, None"
+    body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     for _ in range(2):
         assert measure(run_plan(clip_folder, "odd"), tmp_path / "r") == RunSummary(skipped=1)
-    (tmp_path / "there").touch()
+    (tmp_path / "file").touch()
     assert measure(run_plan(clip_folder, "odd"), tmp_path / "r") == RunSummary(measured=1)
     assert len(table.cells(tmp_path / "r")) == 1
 
@@ -437,11 +437,11 @@ def test_a_clip_too_small_for_one_metric_has_scores_of_the_others(tmp_path, side
 
 def test_first_frames_never_replace_a_whole_clip(clip_folder, tmp_path):
     measure(run_plan(clip_folder, limit_frames=1), tmp_path / "r")
-    whole = run_plan(clip_folder)
-    assert measure(whole, tmp_path / "r").replaced == 1  # replacing first frames is intended
+    plan = run_plan(clip_folder)
+    assert measure(plan, tmp_path / "r").replaced == 1  # replacing first frames is intended
     before = _files(tmp_path / "r")
     with pytest.raises(CellsError, match=r"mean on noise at 1 spp.*whole clip.*--limit-frames"):
-        measure(replace(whole, limit_frames=2), tmp_path / "r")
+        measure(replace(plan, limit_frames=2), tmp_path / "r")
     assert _files(tmp_path / "r") == before
 
 
