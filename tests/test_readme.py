@@ -31,9 +31,7 @@ def test_the_method_of_the_readme_is_sound(tmp_path):
     (snippet,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     (tmp_path / "bright.py").write_text(snippet)
     registry.use_plugin(tmp_path / "bright.py")
-    found = {
-        check.name: result.verdict for check, result in run_checks(MethodUnderTest("bright"))
-    }
+    found = {check.name: result.verdict for check, result in run_checks(MethodUnderTest("bright"))}
     assert {name for name in found if found[name] is not Verdict.PASSED} == {"uniform", "temporal"}
     assert Verdict.FAILED not in found.values()
 
