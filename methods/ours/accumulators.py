@@ -31,22 +31,26 @@ Denoiser = Callable[[Float[Tensor, "n c h w"]], Float[Tensor, "n c2 h w"]]
 
 
 class Accumulator(Protocol):
-    """Accumulates radiance before the denoiser and reconstructs the image behind it."""
+    """Accumulates radiance before the denoiser and reconstructs the image behind it.
+
+    `trust` in the accumulated radiance, in [0, 1], is an output of the encoder: one channel with
+    temporal accumulation, zero channels without.
+    """
 
     def hold_static(
         self,
         latent: Float[Tensor, "n s h w"],
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         counts: Int[Tensor, "n 1 h w"],
         history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
         """Latent and trust, with those of static pixels that got no sample replaced."""
 
     def accumulate(
         self,
         gbuffer: GBuffer,
         samples: Samples,
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """Radiance up to this frame without holes, and the history that was not rejected."""
@@ -69,10 +73,10 @@ class StateOnly:
     def hold_static(
         self,
         latent: Float[Tensor, "n s h w"],
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         counts: Int[Tensor, "n 1 h w"],
         history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
         """Both, unchanged."""
         return latent, trust
 
@@ -80,7 +84,7 @@ class StateOnly:
         self,
         gbuffer: GBuffer,
         samples: Samples,
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """The history, unchanged, and its radiance, which has zero channels."""
@@ -106,7 +110,7 @@ class FrameRadiance(StateOnly):
         self,
         gbuffer: GBuffer,
         samples: Samples,
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """The mean of this frame's samples, with holes filled."""
@@ -137,10 +141,10 @@ class TemporalRadiance:
     def hold_static(
         self,
         latent: Float[Tensor, "n s h w"],
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         counts: Int[Tensor, "n 1 h w"],
         history: ReprojectedHistory,
-    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n 1 h w"]]:
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
         """A static pixel without samples keeps its latent, and trusts its radiance in full."""
         held = history.static_mask & (counts == 0)
         return history.features.where(held, latent), trust.masked_fill(held, 1.0)
@@ -149,7 +153,7 @@ class TemporalRadiance:
         self,
         gbuffer: GBuffer,
         samples: Samples,
-        trust: Float[Tensor, "n 1 h w"],
+        trust: Float[Tensor, "n _ h w"],
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """Samples of this frame and trusted history, with holes filled."""

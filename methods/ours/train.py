@@ -38,6 +38,14 @@ SAMPLER_INTERVAL = 2  # frames between steps of the sampler
 SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it matters for clipping
 
 
+@dataclass
+class _Sequence:
+    """The part of an ExploringMethod that changes while a sequence is unrolled."""
+
+    noisy: bool = True
+    planned: tuple[GBuffer, RecurrentState] | None = None
+
+
 @dataclass(frozen=True)
 class ExploringMethod(MethodWrapper[Ours]):
     """`ours` during training: adds noise to the actions of every second sequence on average.
@@ -47,7 +55,7 @@ class ExploringMethod(MethodWrapper[Ours]):
 
     policy: BlockPolicyGradient = BlockPolicyGradient()
     generator: torch.Generator = field(default_factory=torch.Generator)
-    sequence: _Sequence = field(default_factory=lambda: _Sequence())
+    sequence: _Sequence = field(default_factory=_Sequence)
 
     def begin_sequence(self, seed: int) -> None:
         """Seed the noise, and draw whether this sequence has any."""
@@ -72,14 +80,6 @@ class ExploringMethod(MethodWrapper[Ours]):
         """The allocation problem of the frame that was planned last."""
         assert self.sequence.planned is not None, "last_problem before plan"
         return FrameProblem(self.method, frame, *self.sequence.planned, spp)
-
-
-@dataclass
-class _Sequence:
-    """The part of an ExploringMethod that changes while a sequence is unrolled."""
-
-    noisy: bool = True
-    planned: tuple[GBuffer, RecurrentState] | None = None
 
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
