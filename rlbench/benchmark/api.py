@@ -95,7 +95,7 @@ def render_clips(
     seeds: Iterable[int] | None = None,
     executor: Executor = LOCAL,
 ) -> list[Path]:
-    """Render the clips of a preset that are missing; returns the folders of all that were requested.
+    """Render the missing clips of a preset; returns the folders of all requested clips.
 
     `seeds` are those of generated scenes (presets `train` and `unseen`). Open a folder with
     `rlbench.open_clip`. Raises RlbenchError for an unknown preset, scene or take.
