@@ -112,7 +112,7 @@ def test_pads_lie_on_the_water_and_not_in_it(time):
     ]
     sheet = next(mesh for mesh in ripples._moving_meshes(time) if mesh.name == "water").vertices
     side = round(len(sheet) ** 0.5)
-    width = 2 * bath.HALF + 0.1
+    width = 2 * bath.POOL_HALF_WIDTH + 0.1
     place = (pads[:, :2] + width / 2) / width * (side - 1)  # in cells
     cell = np.floor(place).astype(int)
     level = sheet[:, 2].reshape(side, side)

@@ -29,7 +29,7 @@ CAR_COLOURS = (
     (0.30, 0.012, 0.01),  # 7 tail lamps
     (0.75, 0.72, 0.62),  # 8 head lamps
 )
-AXLES, WHEEL = (-1.28, 1.27), 0.31  # metres
+AXLES, WHEEL_RADIUS = (-1.28, 1.27), 0.31  # metres
 GLASS, TYRE, BRIGHT, TAIL, HEAD = 4, 5, 6, 7, 8
 
 # along the car, from the tail to the nose, metres: x, sill, belt, top, half width
@@ -82,8 +82,10 @@ def _build_hull(body_colour: int) -> list[Shape]:
     """The body as a sheet over stations and a section, cut apart by colour."""
     fine = _resample_stations(STATIONS, 73)
     x, sill, belt, top, half = fine.T
-    arch = [np.sqrt(np.clip((WHEEL + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES]
-    sill = np.maximum(sill, np.max(arch, 0) + WHEEL)
+    arch = [
+        np.sqrt(np.clip((WHEEL_RADIUS + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES
+    ]
+    sill = np.maximum(sill, np.max(arch, 0) + WHEEL_RADIUS)
     cabin = np.clip((top - belt - 0.12) / 0.45, 0, 1)  # 0 at bonnet and boot, 1 at the roof
     inset = half - 0.02 - 0.20 * cabin
     ones = np.ones_like(x)
@@ -119,7 +121,15 @@ def _build_hull(body_colour: int) -> list[Shape]:
 
 def _build_wheels() -> list[Shape]:
     tyre = lathe(
-        [(0.19, 0.0), (0.27, -0.012), (0.30, 0.01), (WHEEL, 0.04), (WHEEL, 0.14), (0.29, 0.19)], 32
+        [
+            (0.19, 0.0),
+            (0.27, -0.012),
+            (0.30, 0.01),
+            (WHEEL_RADIUS, 0.04),
+            (WHEEL_RADIUS, 0.14),
+            (0.29, 0.19),
+        ],
+        32,
     )
     back = disc(0.29, 0.19, 32)
     hub = merge(
@@ -133,7 +143,7 @@ def _build_wheels() -> list[Shape]:
     for axle in AXLES:
         for mirror in (0.0, np.pi):
             turn = rotation_matrix((0, 0, 1), mirror) @ rotation_matrix((1, 0, 0), -np.pi / 2)
-            at = (axle, 0.80 if mirror else -0.80, WHEEL)
+            at = (axle, 0.80 if mirror else -0.80, WHEEL_RADIUS)
             parts += [
                 paint(transform(merge(tyre, back), at, turn), TYRE, len(CAR_COLOURS)),
                 paint(transform(rim, at, turn), BRIGHT, len(CAR_COLOURS)),

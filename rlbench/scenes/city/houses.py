@@ -7,7 +7,7 @@ import numpy as np
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
 from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, paint, quads
 
-FLOOR, BAY = 3.1, 2.4  # metres: height of a storey, width of a window bay
+STOREY_HEIGHT, BAY_WIDTH = 3.1, 2.4  # metres: height of a storey, width of a window bay
 HOUSE_COLOURS = (
     (0.06, 0.16, 0.12),  # 0 shutters
     (0.05, 0.10, 0.22),
@@ -27,10 +27,12 @@ HOUSE_COLOURS = (
 
 def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[str, Shape]:
     """A house front from x = 0 that faces -y: shop, storeys of windows, cornice and slate roof."""
-    width, shop, depth = bays * BAY, 3.9, 0.32
-    top = shop + storeys * FLOOR
-    middles = BAY * (np.arange(bays) + 0.5)
-    x, z = (grid.ravel() for grid in np.meshgrid(middles, shop + FLOOR * np.arange(storeys)))
+    width, shop, depth = bays * BAY_WIDTH, 3.9, 0.32
+    top = shop + storeys * STOREY_HEIGHT
+    middles = BAY_WIDTH * (np.arange(bays) + 0.5)
+    x, z = (
+        grid.ravel() for grid in np.meshgrid(middles, shop + STOREY_HEIGHT * np.arange(storeys))
+    )
     half = 0.55  # of a window, metres
     level, wall_z = np.zeros_like(x), np.zeros(bays + 1)
 
@@ -48,7 +50,7 @@ def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[st
     )
     above = boxes(
         np.stack([x - half, level, head], -1),
-        np.stack([x + half, level + depth, z + FLOOR], -1),
+        np.stack([x + half, level + depth, z + STOREY_HEIGHT], -1),
         tile_size=2.0,
     )
     body = boxes((0, depth + 0.1, 0), (width, 9, top), tile_size=2.0)
@@ -65,10 +67,10 @@ def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[st
         [(width, 0.35, shop), (width, depth, top + 0.25), (width, depth, top)],
     )
     posts = boxes(
-        np.stack([BAY * np.arange(bays + 1) - 0.18, wall_z - 0.05, wall_z], -1).clip(
+        np.stack([BAY_WIDTH * np.arange(bays + 1) - 0.18, wall_z - 0.05, wall_z], -1).clip(
             (0, -9, 0), None
         ),
-        np.stack([BAY * np.arange(bays + 1) + 0.18, wall_z + 0.3, wall_z + shop], -1).clip(
+        np.stack([BAY_WIDTH * np.arange(bays + 1) + 0.18, wall_z + 0.3, wall_z + shop], -1).clip(
             None, (width, 9, 99)
         ),
     )
@@ -94,8 +96,8 @@ def _build_panes(
     low = np.stack([x - half, np.full_like(x, depth - 0.04), sill], -1)
     tall = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
     upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), tall, 0)
-    front = np.stack([doors - BAY / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
-    lower = quads(front, (BAY, 0, 0), (0, 0, 3.6), tile_size=0)
+    front = np.stack([doors - BAY_WIDTH / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
+    lower = quads(front, (BAY_WIDTH, 0, 0), (0, 0, 3.6), tile_size=0)
     cells = np.concatenate(
         [
             random.integers(0, ATLAS_CELLS * (ATLAS_CELLS - 2), len(x)),

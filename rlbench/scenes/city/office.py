@@ -6,7 +6,7 @@ import numpy as np
 
 from rlbench.scenes.parts.shapes import Shape, lathe, merge, quads, transform
 
-RADIUS, STOREY, STOREYS = 7.5, 3.4, 7  # metres, metres, count
+RADIUS, STOREY_HEIGHT, STOREY_COUNT = 7.5, 3.4, 7  # metres, metres, count
 PANES_PER_STOREY = 44  # around
 LOBBY_HEIGHT = 4.4  # metres: height of the ground floor
 
@@ -14,8 +14,10 @@ LOBBY_HEIGHT = 4.4  # metres: height of the ground floor
 def build_panes(random: np.random.Generator, x: float, y: float) -> Shape:
     """Glass quads about the tower's axis, each tilted by a fraction of a degree; uv stretched."""
     angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
-    low = np.concatenate([[0.15], LOBBY_HEIGHT + STOREY * np.arange(STOREYS)])
-    high = np.concatenate([[LOBBY_HEIGHT], LOBBY_HEIGHT + STOREY * (np.arange(STOREYS) + 1)])
+    low = np.concatenate([[0.15], LOBBY_HEIGHT + STOREY_HEIGHT * np.arange(STOREY_COUNT)])
+    high = np.concatenate(
+        [[LOBBY_HEIGHT], LOBBY_HEIGHT + STOREY_HEIGHT * (np.arange(STOREY_COUNT) + 1)]
+    )
     a, bottom = (grid.ravel() for grid in np.meshgrid(angle, low))
     _, top = (grid.ravel() for grid in np.meshgrid(angle, high))
     start = np.stack([x + RADIUS * np.cos(a), y + RADIUS * np.sin(a), bottom], -1)
@@ -33,7 +35,7 @@ def build_panes(random: np.random.Generator, x: float, y: float) -> Shape:
 def build_frame(x: float, y: float) -> Shape:
     """Mullions between the panes, a band at each floor, and a crown."""
     angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
-    top = LOBBY_HEIGHT + STOREY * STOREYS
+    top = LOBBY_HEIGHT + STOREY_HEIGHT * STOREY_COUNT
     width, depth = 0.05, 0.16
     out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], -1)
@@ -54,7 +56,7 @@ def build_frame(x: float, y: float) -> Shape:
             ],
             PANES_PER_STOREY,
         )
-        for z in LOBBY_HEIGHT + STOREY * np.arange(STOREYS + 1)
+        for z in LOBBY_HEIGHT + STOREY_HEIGHT * np.arange(STOREY_COUNT + 1)
     ]
     eaves = RADIUS + 0.9
     crown = lathe(

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.city import office, street, trees
+from rlbench.scenes.city import office, street
 from rlbench.scenes.city.car import CAR_COLOURS, build_car
-from rlbench.scenes.city.houses import BAY, HOUSE_COLOURS, build_house
+from rlbench.scenes.city.houses import BAY_WIDTH, HOUSE_COLOURS, build_house
+from rlbench.scenes.city.trees import Tree, build_trunks
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells, window_atlas
 from rlbench.scenes.parts.glassware import unmerge_vertices
 from rlbench.scenes.parts.shapes import (
@@ -85,7 +86,7 @@ def paving_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
     )
 
 
-def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) -> tuple[Mesh, ...]:
+def building_meshes(random: np.random.Generator, trees: Sequence[Tree]) -> tuple[Mesh, ...]:
     """Rows of houses with the tower, and all static parts that share their materials."""
     rows = [
         (
@@ -103,7 +104,7 @@ def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) ->
             for name, shape in build_house(random, bays, floors).items():
                 shifted = transform(transform(shape, at), (*corner, 0), yaw_matrix(turn))
                 parts.setdefault(wall if name == "wall" else name, []).append(shifted)
-            at = at + (bays * BAY, 0, 0)
+            at = at + (bays * BAY_WIDTH, 0, 0)
     of = len(HOUSE_COLOURS)
     tower = office.build_panes(random, *OFFICE_POSITION)
     desks = ATLAS_CELLS * (ATLAS_CELLS - 2) + random.integers(
@@ -112,7 +113,7 @@ def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) ->
     parts["glass"].append(show_atlas_cells(tower, desks))
     parts["trim"] += [_build_fountain(), _build_kerbs()]
     parts["paint"] += [
-        paint(trees.build_trunks(trees), 4, of),
+        paint(build_trunks(trees), 4, of),
         street.build_benches(BENCHES, 12, 8, of),
         street.build_cafe_tables(CAFE_TABLES, (5, 6), 12, 8, of),
         street.build_planters(random, PLANTERS, 12, (9, 10, 11, 11, 11), of),

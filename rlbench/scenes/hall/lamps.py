@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, quads, yaw_matrix
 
-WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
-RING_AT, RING_HIGH = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it
+HALF_WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
+RING_Y, RING_Z = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it
 CYAN, AMBER, ROSE, WHITE = range(4)  # the colours, as indices of RADIANCE
 RADIANCE = ((0.10, 0.62, 0.85), (0.85, 0.36, 0.05), (0.85, 0.07, 0.30), (0.55, 0.60, 0.66))
 CONSOLES = ((-4.3, 6.2, 0.5), (4.0, 5.2, -0.6), (-3.9, 11.6, 0.35))  # x, y, turn
@@ -81,7 +81,7 @@ def _strip_lamps(random: np.random.Generator) -> Lamps:
     for side in (-1.0, 1.0):
         for height, colour in ((0.74, CYAN), (3.34, ROSE if side < 0 else AMBER)):
             keep = y[random.random(len(y)) < 0.85]
-            depth = WIDTH - (1.32 if height < 1 else 0.91)
+            depth = HALF_WIDTH - (1.32 if height < 1 else 0.91)
             x = np.full_like(keep, side * depth)
             corner = np.stack([x, keep + (0.22 if side > 0 else 0), np.full_like(keep, height)], -1)
             length = random.uniform(0.12, 0.27, (len(keep), 1))
@@ -98,7 +98,9 @@ def _sign_lamps(random: np.random.Generator) -> Lamps:
         side = 1.0 if number % 2 else -1.0
         lamps = _lamp_matrix(random, (6, 12), 0.2)
         groups.append(
-            transform_lamps(lamps, (side * (WIDTH - 0.3), y, 1.5), yaw_matrix(-side * np.pi / 2))
+            transform_lamps(
+                lamps, (side * (HALF_WIDTH - 0.3), y, 1.5), yaw_matrix(-side * np.pi / 2)
+            )
         )
     return concatenate_lamps(groups)
 
@@ -126,7 +128,7 @@ def _lamp_matrix(random: np.random.Generator, count: tuple[int, int], pitch: flo
 def _gate_lamps() -> Lamps:
     """A ring of lamps about the round gate at the far end."""
     ring = lamp_circle(48, 2.2, (0.24, 0.22), WHITE)
-    return transform_lamps(ring, (0, LENGTH - 1.35, RING_HIGH), np.eye(3, dtype=np.float32))
+    return transform_lamps(ring, (0, LENGTH - 1.35, RING_Z), np.eye(3, dtype=np.float32))
 
 
 def _floor_lamps() -> Lamps:

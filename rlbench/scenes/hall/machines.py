@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rlbench.scenes.hall.lamps import (
     AMBER,
     CYAN,
-    RING_AT,
-    RING_HIGH,
+    RING_Y,
+    RING_Z,
     ROSE,
     WHITE,
     Lamps,
@@ -32,7 +32,7 @@ from rlbench.scenes.parts.shapes import rotation_matrix as about
 from rlbench.scenes.parts.sheets import torus
 
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 11.0, 3.6), (0.2, 21.0, 2.2), (-3.2, 14.0, 4.4))
-RING_CENTRE = np.array([0, RING_AT, RING_HIGH])  # metres: the middle of the rings
+RING_CENTRE = np.array([0, RING_Y, RING_Z])  # metres: the middle of the rings
 
 
 def build_machines(time: float) -> Shape:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.hall.lamps import CONSOLES, HEIGHT, LENGTH, RING_AT, RING_HIGH, WIDTH
+from rlbench.scenes.hall.lamps import CONSOLES, HALF_WIDTH, HEIGHT, LENGTH, RING_Y, RING_Z
 from rlbench.scenes.parts.shapes import (
     Shape,
     boxes,
@@ -27,12 +27,12 @@ SLOPE_WIDTH = 2.3  # metres: of wall and ceiling that the slope between them tak
 
 def build_floor() -> Shape:
     """The floor."""
-    return boxes((-WIDTH, -4, -0.3), (WIDTH, LENGTH, 0), tile_size=4.0)
+    return boxes((-HALF_WIDTH, -4, -0.3), (HALF_WIDTH, LENGTH, 0), tile_size=4.0)
 
 
 def build_shell() -> Shape:
     """Walls, slopes and ceiling, and the two ends."""
-    x, z = WIDTH, HEIGHT
+    x, z = HALF_WIDTH, HEIGHT
     corners = [
         (x, 0),
         (x, z - SLOPE_WIDTH),
@@ -55,14 +55,19 @@ def build_frames() -> Shape:
     parts += [
         transform(_build_portal(0.8, 0.1), (0, y + d, 0)) for y in FRAME_Y for d in (-0.45, 0.45)
     ]
-    low = [(-WIDTH, -4, 3.25), (WIDTH - 0.9, -4, 3.25), (-WIDTH, -4, 0), (WIDTH - 1.3, -4, 0)]
-    high = [(0.9 - WIDTH, LENGTH, 3.5), (WIDTH, LENGTH, 3.5)]
-    high += [(1.3 - WIDTH, LENGTH, 0.9), (WIDTH, LENGTH, 0.9)]
+    low = [
+        (-HALF_WIDTH, -4, 3.25),
+        (HALF_WIDTH - 0.9, -4, 3.25),
+        (-HALF_WIDTH, -4, 0),
+        (HALF_WIDTH - 1.3, -4, 0),
+    ]
+    high = [(0.9 - HALF_WIDTH, LENGTH, 3.5), (HALF_WIDTH, LENGTH, 3.5)]
+    high += [(1.3 - HALF_WIDTH, LENGTH, 0.9), (HALF_WIDTH, LENGTH, 0.9)]
     profile = [(2.45, 0.3), (2.45, 1.2), (2.15, 1.3), (2.15, 0.6), (0.5, 0.3), (0.05, 0.9)]
     gate = lathe(profile, 48)
     parts += [
         boxes(low, high),
-        transform(gate, (0, LENGTH, RING_HIGH), Z_TO_MINUS_Y),
+        transform(gate, (0, LENGTH, RING_Z), Z_TO_MINUS_Y),
         _build_cradle(),
     ]
     return merge(*parts)
@@ -72,7 +77,7 @@ def _build_portal(deep: float, half: float) -> Shape:
     """A frame along walls, slopes and ceiling, `deep` metres inwards and 2 `half` thick."""
     outlines = []
     for inset, y in ((0.0, -half), (deep, -half), (deep, half), (0.0, half)):
-        x, z, bend = WIDTH - inset, HEIGHT - inset, SLOPE_WIDTH - 0.586 * inset
+        x, z, bend = HALF_WIDTH - inset, HEIGHT - inset, SLOPE_WIDTH - 0.586 * inset
         path = [(-x, 0), (-x, z - bend), (bend - x, z), (x - bend, z), (x, z - bend), (x, 0)]
         outlines.append([(a, y, b) for a, b in path])
     return sheet(outlines, 2.0)
@@ -87,10 +92,10 @@ def _build_cradle() -> Shape:
         lathe([(2.5, -0.3), (2.75, -0.3), (2.75, 0.3), (2.5, 0.3)], 64), (0, 0, 0), Z_TO_Y
     )
     feet = boxes(
-        [(-3.0, -0.7, -RING_HIGH), (1.2, -0.7, -RING_HIGH)],
-        [(-1.2, 0.7, 0.75 - RING_HIGH), (3.0, 0.7, 0.75 - RING_HIGH)],
+        [(-3.0, -0.7, -RING_Z), (1.2, -0.7, -RING_Z)],
+        [(-1.2, 0.7, 0.75 - RING_Z), (3.0, 0.7, 0.75 - RING_Z)],
     )
-    return transform(merge(*blocks, band, feet), (0, RING_AT, RING_HIGH))
+    return transform(merge(*blocks, band, feet), (0, RING_Y, RING_Z))
 
 
 def build_panels(random: np.random.Generator) -> Shape:
@@ -102,8 +107,8 @@ def build_panels(random: np.random.Generator) -> Shape:
                 for z, tall in ((1.0, 1.05), (2.1, 1.05), (3.6, 0.95)):
                     a = y + 0.94 * column
                     cut = _panel_boxes(random, a, z, tall)
-                    depth = WIDTH - cut[:, 4]
-                    low.append(np.stack([side * WIDTH + 0 * depth, cut[:, 0], cut[:, 1]], -1))
+                    depth = HALF_WIDTH - cut[:, 4]
+                    low.append(np.stack([side * HALF_WIDTH + 0 * depth, cut[:, 0], cut[:, 1]], -1))
                     high.append(np.stack([side * depth, cut[:, 2], cut[:, 3]], -1))
     ends = np.sort(np.stack([np.concatenate(low), np.concatenate(high)]), axis=0)
     ducts = boxes(

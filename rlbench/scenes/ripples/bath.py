@@ -29,7 +29,10 @@ from rlbench.scenes.parts.textures import (
 )
 from rlbench.scenes.ripples.stones import mosaic_pixels, travertine_pixels
 
-HALF, DEPTH = 3.0, 0.8  # metres: half the pool's side, and its depth; water stands at z = 0
+POOL_HALF_WIDTH, POOL_DEPTH = (
+    3.0,
+    0.8,
+)  # metres: half the pool's side, and its depth; water stands at z = 0
 COPING_WIDTH = 0.45  # metres: width of the coping
 WALL_Y = 4.9  # metres from the middle of the pool to the wall behind it
 CLUTTER_COLOURS = (
@@ -65,7 +68,7 @@ def room_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
         size=512,
         joint_width=0.05,
     )
-    a, b, d = HALF, HALF + COPING_WIDTH, -DEPTH
+    a, b, d = POOL_HALF_WIDTH, POOL_HALF_WIDTH + COPING_WIDTH, -POOL_DEPTH
     liner = boxes(
         [(-b, -b, d), (a, -b, d), (-a, -b, d), (-a, a, d)],
         [(-a, b, -0.06), (b, b, -0.06), (a, -a, -0.06), (a, b, -0.06)],
@@ -82,7 +85,7 @@ def room_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
 
 
 def _build_deck() -> Shape:
-    a, b, far = HALF, HALF + COPING_WIDTH, 14.0
+    a, b, far = POOL_HALF_WIDTH, POOL_HALF_WIDTH + COPING_WIDTH, 14.0
     coping = boxes(
         [(-b, -b, -0.06), (a, -b, -0.06), (-a, -b, -0.06), (-a, a, -0.06)],
         [(-a, b, 0.16), (b, b, 0.16), (a, -a, 0.16), (a, b, 0.16)],
@@ -105,7 +108,9 @@ def _build_deck() -> Shape:
     )
     stones = [
         transform(
-            merge(lathe([(r, -DEPTH), (r, top - 0.03), (r - 0.03, top)], 48), disc(r - 0.03, top)),
+            merge(
+                lathe([(r, -POOL_DEPTH), (r, top - 0.03), (r - 0.03, top)], 48), disc(r - 0.03, top)
+            ),
             (x, y, 0),
         )
         for x, y, r, top in PLINTHS
@@ -123,7 +128,7 @@ def clutter_mesh(random: np.random.Generator) -> Mesh:
         at = np.clip((x + away * np.cos(angle), y + away * np.sin(angle)), -2.88, 2.88)
         stretch = random.uniform(0.04, 0.11) * np.array([1, random.uniform(0.6, 1), 0.55])
         stone = icosphere(2)._replace(vertices=(icosphere(2).vertices * stretch).astype(np.float32))
-        turned = transform(stone, (*at, -DEPTH + 0.7 * stretch[2]), yaw_matrix(angle))
+        turned = transform(stone, (*at, -POOL_DEPTH + 0.7 * stretch[2]), yaw_matrix(angle))
         parts.append(paint(turned, random.integers(5), len(CLUTTER_COLOURS)))
     for x, y, size in ((-3.3, 4.05, 1.15), (3.35, 4.0, 1.0), (-4.1, 3.5, 0.7)):
         parts.append(transform(_build_agave(random), (x, y, 0.1), scale=size))

@@ -13,8 +13,8 @@ from rlbench.scenes.parts.shapes import Shape, grid, icosphere, transform
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
 from rlbench.scenes.parts.textures import glossy_bsdf, palette_texture, rgb
 from rlbench.scenes.ripples.bath import (
-    HALF,
     PLINTHS,
+    POOL_HALF_WIDTH,
     clutter_mesh,
     mirror_and_lamp_meshes,
     room_meshes,
@@ -101,4 +101,4 @@ def _moving_meshes(time: float) -> tuple[Mesh, ...]:
 
 @cache
 def _water_grid() -> Shape:
-    return grid(2 * HALF + 0.1, 2 * HALF + 0.1, (110, 110))
+    return grid(2 * POOL_HALF_WIDTH + 0.1, 2 * POOL_HALF_WIDTH + 0.1, (110, 110))

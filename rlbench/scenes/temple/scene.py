@@ -21,7 +21,7 @@ from rlbench.scenes.parts.textures import (
 )
 from rlbench.scenes.temple import furnishings, stone
 from rlbench.scenes.temple.paint import banner_texture, marble_pixels, pavement_pixels, wood_pixels
-from rlbench.scenes.temple.stone import HEIGHT, LENGTH, THICK, WIDTH
+from rlbench.scenes.temple.stone import HALF_WIDTH, HEIGHT, LENGTH, WALL_THICKNESS
 
 Point = tuple[float, float, float]
 
@@ -118,9 +118,12 @@ def _emissive_mesh(name: str, shape: Shape, colour: Point, weight: float) -> Mes
 
 def _build_ceiling() -> Shape:
     """A slab, beams across and joists along, so that it is coffered."""
-    slab = boxes((-WIDTH - THICK, -4.7, HEIGHT), (WIDTH + THICK, LENGTH + 4.2, HEIGHT + 0.5))
+    slab = boxes(
+        (-HALF_WIDTH - WALL_THICKNESS, -4.7, HEIGHT),
+        (HALF_WIDTH + WALL_THICKNESS, LENGTH + 4.2, HEIGHT + 0.5),
+    )
     beams: list[tuple[Point, Point]] = [
-        ((-WIDTH, y - 0.25, HEIGHT - 0.5), (WIDTH, y + 0.25, HEIGHT))
+        ((-HALF_WIDTH, y - 0.25, HEIGHT - 0.5), (HALF_WIDTH, y + 0.25, HEIGHT))
         for y in np.arange(-1.0, LENGTH, 2.0)
     ]
     beams += [((x - 0.1, -4, HEIGHT - 0.3), (x + 0.1, LENGTH, HEIGHT)) for x in np.arange(-5, 6)]
@@ -130,7 +133,7 @@ def _build_ceiling() -> Shape:
 
 def _build_floor() -> Shape:
     """The pavement, whose texture is as wide as the hall and repeats with each bay."""
-    wide = WIDTH + THICK
+    wide = HALF_WIDTH + WALL_THICKNESS
     flat = boxes((-wide, -4.7, -0.4), (wide, LENGTH + 4.2, 0))
     uv = (flat.vertices[:, :2] + (wide, 1.0)) / (2 * wide, 4.0)
     return flat._replace(uv=uv.astype(np.float32))

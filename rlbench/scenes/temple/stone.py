@@ -24,12 +24,17 @@ from rlbench.scenes.parts.sheets import (
     sheet,
 )
 
-WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
+HALF_WIDTH, LENGTH, HEIGHT, WALL_THICKNESS = (
+    6.0,
+    30.0,
+    9.0,
+    0.5,
+)  # half width; metres; WALL_THICKNESS: of walls
 NAVE_HALF_WIDTH = 3.3  # metres from the middle to a row of columns
 SPRING_HEIGHT = 5.3  # metres: where columns end and arches begin
 COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
 SCREEN_CELL = 0.55  # metres: of the pierced screens
-SLITS, HALF_SLIT = (
+WINDOW_Y, WINDOW_HALF_WIDTH = (
     (COLUMN_Y[:-1] + COLUMN_Y[1:]) / 2,
     1.5 * SCREEN_CELL,
 )  # in the middle of each bay; metres
@@ -54,9 +59,9 @@ def build_walls(random: np.random.Generator) -> Shape:
 
 def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
     """One long wall: a plain core, blocks in front of it, screens in its slits."""
-    x0, x1 = sorted((side * (WIDTH + 0.03), side * (WIDTH + THICK)))
-    starts = np.concatenate([[-4.0], SLITS + HALF_SLIT])
-    ends = np.concatenate([SLITS - HALF_SLIT, [LENGTH]])
+    x0, x1 = sorted((side * (HALF_WIDTH + 0.03), side * (HALF_WIDTH + WALL_THICKNESS)))
+    starts = np.concatenate([[-4.0], WINDOW_Y + WINDOW_HALF_WIDTH])
+    ends = np.concatenate([WINDOW_Y - WINDOW_HALF_WIDTH, [LENGTH]])
     low = SILL_HEIGHT[side]
     parts = [((-4.0, 0.0), (LENGTH, low)), ((-4.0, HEAD_HEIGHT), (LENGTH, HEIGHT))]
     parts += [((a, low), (b, HEAD_HEIGHT)) for a, b in zip(starts, ends, strict=True)]
@@ -68,9 +73,10 @@ def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
     )
     turn = yaw_matrix(-side * np.pi / 2)
     screens = [
-        transform(screen, (side * (WIDTH + 0.16), y + side * HALF_SLIT, low), turn) for y in SLITS
+        transform(screen, (side * (HALF_WIDTH + 0.16), y + side * WINDOW_HALF_WIDTH, low), turn)
+        for y in WINDOW_Y
     ]
-    return merge(core, transform(flat, (side * WIDTH, 0, 0), turn), *screens)
+    return merge(core, transform(flat, (side * HALF_WIDTH, 0, 0), turn), *screens)
 
 
 def _build_lattice(rows: int) -> Shape:
@@ -92,7 +98,7 @@ def _to_wall_plane(
 
 def _build_end_walls() -> tuple[Shape, ...]:
     """The wall behind the viewer, and the one with the great arch before the apse."""
-    wide, top = WIDTH + THICK, HEIGHT + 0.5
+    wide, top = HALF_WIDTH + WALL_THICKNESS, HEIGHT + 0.5
     plain = boxes(
         [(-wide, -4.7, 0), (-wide, LENGTH, 0), (APSE_RADIUS - 0.15, LENGTH, 0)]
         + [(-wide, LENGTH, SPRING_HEIGHT), (NAVE_HALF_WIDTH, LENGTH, SPRING_HEIGHT)],
@@ -150,11 +156,11 @@ def _build_apse() -> Shape:
 
 def build_window_panes() -> Shape:
     """The panes behind the screens, which look inside."""
-    y = SLITS.repeat(2)
-    side = np.tile([-1.0, 1.0], len(SLITS))
+    y = WINDOW_Y.repeat(2)
+    side = np.tile([-1.0, 1.0], len(WINDOW_Y))
     low = np.where(side < 0, SILL_HEIGHT[-1.0], TRANSOM_HEIGHT)
-    corner = np.stack([side * (WIDTH + 0.4), y + side * HALF_SLIT, low], -1)
-    across = np.stack([0 * y, -2 * side * HALF_SLIT, 0 * y], -1)
+    corner = np.stack([side * (HALF_WIDTH + 0.4), y + side * WINDOW_HALF_WIDTH, low], -1)
+    across = np.stack([0 * y, -2 * side * WINDOW_HALF_WIDTH, 0 * y], -1)
     up = np.stack([0 * y, 0 * y, HEAD_HEIGHT - low], -1)
     a = np.radians([60, 90, 120])
     out, along = (
@@ -179,7 +185,7 @@ def build_arcades() -> Shape:
     parts = []
     for x in (-NAVE_HALF_WIDTH, NAVE_HALF_WIDTH):
         parts += [transform(one, (x, y, 0)) for y in COLUMN_Y]
-        parts += [transform(span, (x, y, 0), yaw_matrix(np.pi / 2)) for y in SLITS]
+        parts += [transform(span, (x, y, 0), yaw_matrix(np.pi / 2)) for y in WINDOW_Y]
         parts += [transform(first, (x, y, 0), yaw_matrix(np.pi / 2)) for y in (1.5, 28.5)]
         parts.append(boxes((x - 0.35, -4, SPRING_HEIGHT), (x + 0.35, 0, HEIGHT), tile_size=3.0))
         parts.append(_build_frieze(x, -np.sign(x)))
