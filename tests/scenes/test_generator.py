@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rlbench.render.scene import Scene
-from rlbench.scenes.generator.materials import TILE, texture
+from rlbench.scenes.generator.materials import TEXTURE_SIZE, random_texture
 from rlbench.scenes.generator.places import SOLIDS
 from rlbench.scenes.generator.scene import FAMILIES, LIGHTS, scene
 
@@ -187,8 +187,8 @@ def test_solids_stand_on_the_floor_and_face_outward(maker):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_textures_are_reflectances(seed):
-    tile = texture(np.random.default_rng(seed))["data"]
-    assert tile.shape == (TILE, TILE, 3)
+    tile = random_texture(np.random.default_rng(seed))["data"]
+    assert tile.shape == (TEXTURE_SIZE, TEXTURE_SIZE, 3)
     assert tile.dtype == np.float32
     assert 0 < tile.min() <= tile.max() < 1
 

@@ -11,7 +11,7 @@ from rlbench.scenes.city import car, office, square, trees
 from rlbench.scenes.city import scene as city
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
 from rlbench.scenes.parts import glassware
-from rlbench.scenes.parts.shapes import icosphere
+from rlbench.scenes.parts.primitives import icosphere
 from rlbench.scenes.ripples import bath, lilies
 from rlbench.scenes.ripples import scene as ripples
 

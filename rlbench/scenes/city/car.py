@@ -7,16 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    disc,
-    lathe,
-    merge,
-    paint,
-    rotation_matrix,
-    transform,
-)
+from rlbench.scenes.parts.primitives import boxes, disc, lathe
+from rlbench.scenes.parts.shape import Float64Array, Shape, merge, paint, rotation_matrix, transform
 
 CAR_COLOURS = (
     (0.42, 0.02, 0.02),  # coats
@@ -151,7 +143,7 @@ def _build_wheels() -> list[Shape]:
     return parts
 
 
-def _resample_stations(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _resample_stations(stations: Float64Array, count: int) -> Float64Array:
     """`count` stations, evenly along the car, with their corners rounded off."""
     x = np.linspace(stations[0, 0], stations[-1, 0], count)
     columns = [np.interp(x, stations[:, 0], column) for column in stations.T[1:]]
@@ -160,7 +152,7 @@ def _resample_stations(stations: NDArray[np.float64], count: int) -> NDArray[np.
     return np.stack([x, *rounded], -1)
 
 
-def _split_by_colour(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:
+def _split_by_colour(sheet: Float64Array, slots: NDArray[np.int64]) -> list[Shape]:
     """The cells of a sheet [rows columns 3] in shapes of one colour each."""
     rows, columns = sheet.shape[:2]
     first = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
@@ -176,7 +168,7 @@ def _split_by_colour(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> li
     return shapes
 
 
-def _build_end_cap(outline: NDArray[np.float64], body_colour: int) -> Shape:
+def _build_end_cap(outline: Float64Array, body_colour: int) -> Shape:
     """A flat end of the hull."""
     middle = outline.mean(0, keepdims=True)
     vertices = np.concatenate([outline, middle]).astype(np.float32)

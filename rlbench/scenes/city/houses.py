@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
-from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, paint, quads
+from rlbench.scenes.parts.primitives import boxes, quads
+from rlbench.scenes.parts.shape import Float32Array, Shape, merge, paint
 
 STOREY_HEIGHT, BAY_WIDTH = 3.1, 2.4  # metres: height of a storey, width of a window bay
 HOUSE_COLOURS = (

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import Shape, lathe, merge, quads, transform
+from rlbench.scenes.parts.primitives import lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, transform
 
 RADIUS, STOREY_HEIGHT, STOREY_COUNT = 7.5, 3.4, 7  # metres, metres, count
 PANES_PER_STOREY = 44  # around

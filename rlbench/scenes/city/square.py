@@ -13,27 +13,14 @@ from rlbench.scenes.city.houses import BAY_WIDTH, HOUSE_COLOURS, build_house
 from rlbench.scenes.city.trees import Tree, build_trunks
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells, window_atlas
 from rlbench.scenes.parts.glassware import unmerge_vertices
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    disc,
-    icosphere,
-    lathe,
-    merge,
-    paint,
-    quads,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
 from rlbench.scenes.parts.textures import (
     bitmap_texture,
-    diffuse_bsdf,
-    glossy_bsdf,
-    metal_bsdf,
     mix_colours,
     noise_pixels,
     palette_texture,
-    rgb,
     tile_pixels,
 )
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import (
+from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
+from rlbench.scenes.parts.shape import (
+    Float64Array,
     Shape,
-    boxes,
-    disc,
-    icosphere,
-    lathe,
     merge,
     paint,
-    quads,
     rotation_matrix,
     transform,
     yaw_matrix,
@@ -113,7 +109,7 @@ def _build_parasol(cloth: tuple[int, int], of: int) -> Shape:
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     out = np.stack([np.cos(angle), np.sin(angle)], -1)
 
-    def ring(radius: float, height: float) -> NDArray[np.float64]:
+    def ring(radius: float, height: float) -> Float64Array:
         return np.concatenate([radius * out, np.full((sides + 1, 1), height)], -1)
 
     parts = []

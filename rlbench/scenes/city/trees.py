@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, paint
+from rlbench.scenes.parts.shape import Float32Array, Float64Array, Shape, merge, paint
 
 LEAF_COLOURS = (
     (0.05, 0.14, 0.025),
@@ -33,8 +32,8 @@ class Tree(NamedTuple):
 class _Branch(NamedTuple):
     """A tapered piece of wood between two points."""
 
-    start: NDArray[np.float64]
-    end: NDArray[np.float64]
+    start: Float64Array
+    end: Float64Array
     start_radius: float  # metres: radius at the start
     end_radius: float
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import Shape
+from rlbench.scenes.parts.shape import Float64Array, Shape
 from rlbench.scenes.parts.textures import Pixels
 
-Float64Array = NDArray[np.float64]
 ATLAS_CELLS = 6  # of the atlas, along each side
 CURTAIN_COLOURS = ((0.60, 0.57, 0.50), (0.50, 0.30, 0.22), (0.35, 0.40, 0.42))
 SHOP_COLOURS = ((0.05, 0.14, 0.12), (0.20, 0.05, 0.05), (0.06, 0.08, 0.16), (0.16, 0.11, 0.05))

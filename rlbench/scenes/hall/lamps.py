@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, quads, yaw_matrix
+from rlbench.scenes.parts.primitives import quads
+from rlbench.scenes.parts.shape import Float32Array, Float64Array, Shape, merge, yaw_matrix
 
 HALF_WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
 RING_Y, RING_Z = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it
@@ -20,9 +21,9 @@ CONSOLES = ((-4.3, 6.2, 0.5), (4.0, 5.2, -0.6), (-3.9, 11.6, 0.35))  # x, y, tur
 class Lamps(NamedTuple):
     """Flat rectangles that shine to the side of across x up."""
 
-    corner: NDArray[np.float64]  # n 3
-    across: NDArray[np.float64]  # n 3
-    up: NDArray[np.float64]  # n 3
+    corner: Float64Array  # n 3
+    across: Float64Array  # n 3
+    up: Float64Array  # n 3
     colour: NDArray[np.int64]  # n, into RADIANCE
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rlbench.scenes.hall.lamps import (
     AMBER,
@@ -17,18 +16,16 @@ from rlbench.scenes.hall.lamps import (
     lamp_circle,
     transform_lamps,
 )
-from rlbench.scenes.parts.shapes import (
+from rlbench.scenes.parts.primitives import boxes, cylinder, icosphere, lathe
+from rlbench.scenes.parts.shape import (
     Float32Array,
+    Float64Array,
     Shape,
-    boxes,
-    cylinder,
-    icosphere,
-    lathe,
     merge,
     transform,
     yaw_matrix,
 )
-from rlbench.scenes.parts.shapes import rotation_matrix as about
+from rlbench.scenes.parts.shape import rotation_matrix as about
 from rlbench.scenes.parts.sheets import torus
 
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 11.0, 3.6), (0.2, 21.0, 2.2), (-3.2, 14.0, 4.4))
@@ -98,7 +95,7 @@ def _build_crane(time: float) -> Shape:
     return merge(bridge, trolley, rope, transform(grab, (x, y, drop), yaw_matrix(time / 40)))
 
 
-def _drone_pose(index: int, time: float) -> tuple[NDArray[np.float64], Float32Array]:
+def _drone_pose(index: int, time: float) -> tuple[Float64Array, Float32Array]:
     """Where a drone is and how it is turned."""
     phase, period = 1.7 * index, 90 + 17 * index
     angle = 2 * np.pi * time / period + phase

@@ -11,18 +11,15 @@ from rlbench.scenes.hall import structure
 from rlbench.scenes.hall.lamps import RADIANCE, Lamps, build_tubes, concatenate_lamps, fixed_lamps
 from rlbench.scenes.hall.machines import build_machines
 from rlbench.scenes.hall.machines import machine_lamps as carried
-from rlbench.scenes.parts.shapes import Shape, boxes, merge, paint, quads, transform, yaw_matrix
+from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, polished_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, quads
+from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
 from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
 from rlbench.scenes.parts.textures import (
     bitmap_texture,
-    diffuse_bsdf,
-    glossy_bsdf,
-    metal_bsdf,
     mix_colours,
     noise_pixels,
     palette_texture,
-    polished_bsdf,
-    rgb,
     tile_pixels,
 )
 

@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.scenes.hall.lamps import CONSOLES, HALF_WIDTH, HEIGHT, LENGTH, RING_Y, RING_Z
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    cylinder,
-    lathe,
-    merge,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import boxes, cylinder, lathe
+from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
 from rlbench.scenes.parts.sheets import sheet, torus
 
 Z_TO_MINUS_Y = rotation_matrix(

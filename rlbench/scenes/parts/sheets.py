@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rlbench.scenes.parts.shapes import Shape, merge, quads
-
-Float64Array = NDArray[np.float64]
+from rlbench.scenes.parts.primitives import quads
+from rlbench.scenes.parts.shape import Float64Array, Shape, merge
 
 
 def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:

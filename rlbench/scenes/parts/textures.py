@@ -1,4 +1,4 @@
-"""Textures without files: palettes, noise, paving and bricks as arrays, and plain materials."""
+"""Procedural textures as arrays: palettes, cloudy noise, tiles and bricks."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Pixels = NDArray[np.float32]  # h w 3, linear reflectance or radiance
+from rlbench.scenes.parts.shape import Float32Array
+
+Pixels = Float32Array  # h w 3, linear reflectance or radiance
 Colour = tuple[float, float, float]
 
 
@@ -21,28 +23,6 @@ def bitmap_texture(pixels: ArrayLike, filter_type: str = "bilinear") -> dict[str
 def palette_texture(colours: Sequence[Colour]) -> dict[str, Any]:
     """One texel a colour: shapes pick theirs with `painted`."""
     return bitmap_texture(np.array(colours, np.float32)[None], "nearest")
-
-
-def rgb(red: float, green: float, blue: float) -> dict[str, Any]:
-    """One linear colour, as a plugin."""
-    return {"type": "rgb", "value": [red, green, blue]}
-
-
-def diffuse_bsdf(reflectance: dict[str, Any]) -> dict[str, Any]:
-    """Matte on both sides."""
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-
-
-def glossy_bsdf(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
-    """A coloured base under a clear coat of roughness alpha, on both sides."""
-    coat = {"type": "roughplastic", "diffuse_reflectance": reflectance, "alpha": alpha}
-    return {"type": "twosided", "bsdf": coat}
-
-
-def metal_bsdf(reflectance: dict[str, Any], alpha: float) -> dict[str, Any]:
-    """A conductor tinted by `reflectance`, with roughness alpha, on both sides."""
-    plain = {"type": "roughconductor", "specular_reflectance": reflectance, "alpha": alpha}
-    return {"type": "twosided", "bsdf": plain}
 
 
 def noise_pixels(random: np.random.Generator, size: int, falloff: float = 1.0) -> Pixels:
@@ -90,8 +70,3 @@ def tile_pixels(
     inside = (np.abs(y % 1 - 0.5) < 0.5 - joint_width / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
     grain = 0.85 + 0.3 * noise_pixels(random, size, 0.3)
     return np.asarray(np.where(inside[..., None], face, np.array(joint_colour)) * grain, np.float32)
-
-
-def polished_bsdf(reflectance: dict[str, Any]) -> dict[str, Any]:
-    """A coloured base under a clear coat as smooth as a mirror, on both sides."""
-    return {"type": "twosided", "bsdf": {"type": "plastic", "diffuse_reflectance": reflectance}}

@@ -5,29 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    disc,
-    icosphere,
-    lathe,
-    merge,
-    paint,
-    quads,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
-from rlbench.scenes.parts.textures import (
-    bitmap_texture,
-    diffuse_bsdf,
-    glossy_bsdf,
-    metal_bsdf,
-    palette_texture,
-    rgb,
-    tile_pixels,
-)
-from rlbench.scenes.ripples.stones import mosaic_pixels, travertine_pixels
+from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, paint, rotation_matrix, transform, yaw_matrix
+from rlbench.scenes.parts.textures import bitmap_texture, palette_texture, tile_pixels
+from rlbench.scenes.ripples.textures import mosaic_pixels, travertine_pixels
 
 POOL_HALF_WIDTH, POOL_DEPTH = (
     3.0,

@@ -6,20 +6,19 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import (
+from rlbench.scenes.parts.primitives import icosphere, quads
+from rlbench.scenes.parts.shape import (
+    Float64Array,
     Shape,
-    icosphere,
     merge,
     paint,
-    quads,
     rotation_matrix,
     transform,
     yaw_matrix,
 )
 
-HeightField = Callable[[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.float64]]
+HeightField = Callable[[Float64Array, Float64Array, float], Float64Array]
 FLOATING_COLOURS = (
     (0.09, 0.22, 0.05),  # 0 pads, from the middle to the rim
     (0.13, 0.28, 0.07),

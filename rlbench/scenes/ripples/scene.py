@@ -5,13 +5,14 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.parts.glassware import build_glass_on_plinths
-from rlbench.scenes.parts.shapes import Shape, grid, icosphere, transform
+from rlbench.scenes.parts.materials import glossy_bsdf, rgb
+from rlbench.scenes.parts.primitives import grid, icosphere
+from rlbench.scenes.parts.shape import Float64Array, Shape, transform
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
-from rlbench.scenes.parts.textures import glossy_bsdf, palette_texture, rgb
+from rlbench.scenes.parts.textures import palette_texture
 from rlbench.scenes.ripples.bath import (
     PLINTHS,
     POOL_HALF_WIDTH,
@@ -63,9 +64,7 @@ def _glassware_mesh() -> Mesh:
     return build_glass_on_plinths(PLINTHS).to_mesh("glassware", GLASS_BSDF, smooth=True)
 
 
-def _water_height(
-    x: NDArray[np.float64], y: NDArray[np.float64], time: float
-) -> NDArray[np.float64]:
+def _water_height(x: Float64Array, y: Float64Array, time: float) -> Float64Array:
     """Height of the water: rings that spread from drops, on a slow swell, in metres."""
     level = 0.012 * np.sin(2.1 * x + 1.3 * y + 0.11 * time) + 0.009 * np.sin(
         2.9 * y - 1.7 * x - 0.13 * time

@@ -4,17 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    cylinder,
-    icosphere,
-    lathe,
-    merge,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import boxes, cylinder, icosphere, lathe
+from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
 from rlbench.scenes.parts.sheets import leaf_blade, sheet, torus
 from rlbench.scenes.temple.stone import HEIGHT
 

@@ -7,21 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, quads
+from rlbench.scenes.parts.materials import diffuse_bsdf, metal_bsdf, polished_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, quads
+from rlbench.scenes.parts.shape import Float32Array, Shape, merge
 from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
-from rlbench.scenes.parts.textures import (
-    bitmap_texture,
-    diffuse_bsdf,
-    metal_bsdf,
-    mix_colours,
-    noise_pixels,
-    polished_bsdf,
-    rgb,
-    tile_pixels,
-)
+from rlbench.scenes.parts.textures import bitmap_texture, mix_colours, noise_pixels, tile_pixels
 from rlbench.scenes.temple import furnishings, stone
-from rlbench.scenes.temple.paint import banner_texture, marble_pixels, pavement_pixels, wood_pixels
 from rlbench.scenes.temple.stone import HALF_WIDTH, HEIGHT, LENGTH, WALL_THICKNESS
+from rlbench.scenes.temple.textures import (
+    banner_texture,
+    marble_pixels,
+    pavement_pixels,
+    wood_pixels,
+)
 
 Point = tuple[float, float, float]
 

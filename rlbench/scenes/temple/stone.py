@@ -4,17 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    fluted_column,
-    lathe,
-    merge,
-    quads,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import boxes, fluted_column, lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
 from rlbench.scenes.parts.sheets import (
     arch_wall,
     block_wall,
