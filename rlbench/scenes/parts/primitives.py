@@ -12,10 +12,10 @@ from rlbench.scenes.parts.shape import Float64Array, Shape, grid_faces, merge, t
 
 
 def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile_size: float = 1.0) -> Shape:
-    """Parallelograms from arrays [n 3] (or single vectors); they face along across x up.
+    """Parallelograms from arrays [n 3] or single vectors; they face along across x up.
 
-    A repeat of the texture is `tile` metres wide and starts at each corner; with tile = 0 the
-    texture is stretched over each parallelogram instead.
+    The texture repeats every `tile_size` metres from each corner. With tile_size = 0 it is stretched
+    over each parallelogram instead.
     """
     c, a, u = np.broadcast_arrays(
         *(np.atleast_2d(np.asarray(v, float)) for v in (corner, across, up))
@@ -31,7 +31,7 @@ def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile_size: float 
 def boxes(low: ArrayLike, high: ArrayLike, tile_size: float = 1.0) -> Shape:
     """Axis-aligned boxes between two corners, arrays [n 3] or single vectors.
 
-    The texture follows the world, one repeat each `tile` metres, so that neighbours line up.
+    The texture follows world space and repeats every `tile_size` metres, so that neighbours align.
     """
     low, high = np.broadcast_arrays(*(np.atleast_2d(np.asarray(v, float)) for v in (low, high)))
     sides = []
@@ -42,7 +42,7 @@ def boxes(low: ArrayLike, high: ArrayLike, tile_size: float = 1.0) -> Shape:
         corners[:, 2:4, b] = high[:, None, b]
         far = corners.copy()
         far[..., axis] = high[:, None, axis]
-        flat = (b, a) if axis == 1 else (a, b)  # the texture stands upright on every wall
+        flat = (b, a) if axis == 1 else (a, b)  # the texture is upright on every wall
         for side in (corners[:, ::-1], far):
             faces = np.arange(len(low))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
             sides.append(to_shape(side, faces, side[..., flat] / tile_size))
@@ -50,9 +50,9 @@ def boxes(low: ArrayLike, high: ArrayLike, tile_size: float = 1.0) -> Shape:
 
 
 def lathe(profile: Sequence[tuple[float, float]], sides: int = 32, flutes: int = 0) -> Shape:
-    """A profile of (radius, height), from below to above, turned about the vertical axis.
+    """A profile of (radius, height), from bottom to top, revolved about the vertical axis.
 
-    The ends stay open. With flutes, that many shallow grooves run along it, as on a column.
+    The ends stay open. `flutes` is the number of shallow grooves along it, as on a column.
     """
     radius, height = np.array(profile, float).T
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
@@ -68,7 +68,7 @@ def lathe(profile: Sequence[tuple[float, float]], sides: int = 32, flutes: int =
 
 
 def disc(radius: float, height: float, sides: int = 32) -> Shape:
-    """A round lid that faces up."""
+    """A disc that faces up."""
     angle = np.arange(sides) * (2 * np.pi / sides)
     rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, height)], -1)
     vertices = np.concatenate([rim, [[0, 0, height]]])
@@ -78,7 +78,7 @@ def disc(radius: float, height: float, sides: int = 32) -> Shape:
 
 
 def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
-    """An upright cylinder with both lids."""
+    """An upright cylinder with both ends closed."""
     lid = disc(radius, high, sides)
     bottom = disc(radius, low, sides)
     return merge(
@@ -89,7 +89,7 @@ def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
 
 
 def fluted_column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> Shape:
-    """A fluted column with base and capital, standing on the origin."""
+    """A fluted column with base and capital that stands on the origin."""
     foot, head = 0.9 * radius, height - 1.1 * radius
     shaft = [(radius * (1 - 0.16 * s**1.6), foot + (head - foot) * s) for s in np.linspace(0, 1, 7)]
     torus = [
@@ -110,7 +110,7 @@ def fluted_column(height: float, radius: float, sides: int = 72, flutes: int = 1
 
 @cache
 def icosphere(subdivisions: int = 3) -> Shape:
-    """A ball of radius one without seam or poles: an icosahedron, split `levels` times."""
+    """A sphere of radius one without seam or poles: an icosahedron, subdivided."""
     g = (1 + 5**0.5) / 2
     corners: list[tuple[float, float, float]] = [
         (-1, g, 0),
@@ -141,7 +141,7 @@ def icosphere(subdivisions: int = 3) -> Shape:
 
 
 def grid(width: float, length: float, cells: tuple[int, int], tile_size: float = 1.0) -> Shape:
-    """A level sheet about the origin, cut into cells, facing up."""
+    """A level sheet about the origin, divided into cells, that faces up."""
     x = np.linspace(-width / 2, width / 2, cells[0] + 1)
     y = np.linspace(-length / 2, length / 2, cells[1] + 1)
     at = np.stack(np.meshgrid(x, y), -1)  # y x 2
@@ -152,7 +152,7 @@ def grid(width: float, length: float, cells: tuple[int, int], tile_size: float =
 def leaf_cloud(
     random: np.random.Generator, centres: ArrayLike, radius: float, size: float
 ) -> Shape:
-    """Small quads turned at random, each within `radius` of its centre, denser towards the rim."""
+    """Small quads in random orientations, each within `radius` of its centre, denser at the rim."""
     centres = np.asarray(centres, float)
     out = _random_directions(random, len(centres))
     across = _random_directions(random, len(centres))

@@ -1,4 +1,4 @@
-"""Bent sheets to build with: rings, arches, blades of leaves, pierced screens, blocks of a wall."""
+"""Curved sheets: tori, arches, mouldings, leaf blades, pierced screens and block walls."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from rlbench.scenes.parts.shape import Float64Array, Shape, merge
 
 
 def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:
-    """A grid of points [rows columns 3] as a sheet that faces along (to the right) x (upwards).
+    """A grid of points [rows columns 3] as a sheet that faces along (row direction) x (column direction).
 
-    A repeat of the texture is `tile` metres, measured along the first column and the first row.
+    The texture repeats every `tile_size` metres, measured along the first column and first row.
     """
     at = np.asarray(points, float)
     rows, columns, _ = at.shape
@@ -30,7 +30,7 @@ def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:
 
 
 def torus(radius: float, tube_radius: float, sides: int = 64, tube_sides: int = 10) -> Shape:
-    """A level torus about the origin; `thick` is the radius of its tube."""
+    """A level torus about the origin."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     turn = np.linspace(0, 2 * np.pi, tube_sides + 1)[:, None]
     wide = radius + tube_radius * np.cos(turn)
@@ -41,9 +41,10 @@ def torus(radius: float, tube_radius: float, sides: int = 64, tube_sides: int = 
 def arch_wall(
     radius: float, half_width: float, spring_height: float, top: float, thickness: float
 ) -> Shape:
-    """A wall from `spring` to `top` with a round arch cut out, `half` metres to either side.
+    """A wall from `spring_height` to `top` with a semicircular arch; lengths in metres.
 
-    It stands in the plane of x and z, `thick` metres deep about y = 0; its ends stay open.
+    The wall spans x in [-half_width, half_width] and is `thickness` deep about y = 0. Its ends stay
+    open.
     """
     a = _semicircle(radius, spring_height)
     low = np.concatenate([[(-half_width, spring_height)], a, [(half_width, spring_height)]])
@@ -55,7 +56,7 @@ def arch_wall(
 
 
 def moulding(radius: float, width: float, spring_height: float, thickness: float) -> Shape:
-    """The raised band about an arch of that radius, through a wall whose faces it overhangs."""
+    """The raised band around an arch of that radius; `thickness` exceeds that of the wall."""
     inner, outer = _semicircle(radius, spring_height), _semicircle(radius + width, spring_height)
     deep = [-thickness / 2, -thickness / 2, thickness / 2, thickness / 2, -thickness / 2]
     return sheet(_at_depths([inner, outer, outer, inner, inner], deep), 3.0)
@@ -64,9 +65,9 @@ def moulding(radius: float, width: float, spring_height: float, thickness: float
 def leaf_blade(
     length: float, width: float, rise: float, curl: float, steps: int = 7, cup: float = 0.2
 ) -> Shape:
-    """A leaf from the origin that leaves towards +x at the angle `rise` and bends down by `curl`.
+    """A leaf that starts at the origin towards +x, inclined by `rise`, and bends down by `curl`.
 
-    Angles are in radians; the edges stand `cup` of the half width above its spine.
+    Angles are radians. The edges lie `cup` times the half width above the spine.
     """
     s = np.linspace(0, 1, steps)
     slope = rise - curl * s**1.5
@@ -85,8 +86,7 @@ def pierced_screen(
 ) -> Shape:
     """A screen of rows x columns square cells, each with a round hole, from the origin to +x, +z.
 
-    `size` is the width of a cell, `hole` the radius of its hole; it is `thick` deep about y = 0,
-    and has no back: it is for windows, seen from before them.
+    It is `thickness` metres deep about y = 0 and has no back face: it is seen from the front only.
     """
     angle = np.linspace(0, 2 * np.pi, 17)
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -112,10 +112,10 @@ def block_wall(
     size: tuple[float, float] = (1.25, 0.6),
     gap: float = 0.018,
 ) -> Shape:
-    """Blocks in running bond over a rectangle of the plane of x and z, their faces near y = 0.
+    """Front faces of blocks in running bond, over a rectangle of (x, z) near y = 0.
 
-    Only their faces, cut at the rectangle's edges; each stands forward by its own 0 to 25 mm and
-    has its own piece of the texture, a repeat of which is 3 metres.
+    Blocks are clipped at the edges of the rectangle. Each protrudes by a random 0 to 25 mm and shows
+    a random part of the texture, which repeats every 3 metres.
     """
     cut = [
         (max(x, low[0]), max(z, low[1]), min(x + size[0], high[0]), min(z + size[1], high[1]))
@@ -133,12 +133,12 @@ def block_wall(
 
 
 def _semicircle(radius: float, spring_height: float, steps: int = 21) -> Float64Array:
-    """Half a circle from left to right [steps 2]."""
+    """Half a circle from left to right [steps 2] in (x, z)."""
     angle = np.linspace(np.pi, 0, steps)
     return np.stack([radius * np.cos(angle), spring_height + radius * np.sin(angle)], -1)
 
 
 def _at_depths(outlines: list[Float64Array], depths: ArrayLike) -> Float64Array:
-    """Outlines in x and z, each at its own y [outlines n 3]."""
+    """Outlines in (x, z), each at its own depth y, as points [outlines n 3]."""
     rows = zip(outlines, np.asarray(depths, float), strict=True)
     return np.stack([np.stack([o[:, 0], np.full(len(o), y), o[:, 1]], -1) for o, y in rows])

@@ -15,18 +15,18 @@ Colour = tuple[float, float, float]
 
 
 def bitmap_texture(pixels: ArrayLike, filter_type: str = "bilinear") -> dict[str, Any]:
-    """A bitmap plugin of linear values that repeats; the loader makes a tensor of the array."""
+    """A repeating bitmap of linear values [h w 3] as a Mitsuba plugin that holds the array."""
     values = np.ascontiguousarray(pixels, np.float32)
     return {"type": "bitmap", "data": values, "raw": True, "filter_type": filter_type}
 
 
 def palette_texture(colours: Sequence[Colour]) -> dict[str, Any]:
-    """One texel a colour: shapes pick theirs with `painted`."""
+    """A texture with one texel for each colour; `paint` selects the colour of a shape."""
     return bitmap_texture(np.array(colours, np.float32)[None], "nearest")
 
 
 def noise_pixels(random: np.random.Generator, size: int, falloff: float = 1.0) -> Pixels:
-    """Cloudy noise [size size 1] in 0..1 that repeats: white noise times 1 / f^(1 + rough)."""
+    """Repeating cloudy noise [size size 1] in [0, 1]: white noise times 1 / f^(1 + falloff)."""
     ring = np.fft.fftfreq(size)
     frequency = np.hypot(ring[:, None], ring[None]) * size
     spectrum = np.fft.fft2(random.normal(size=(size, size))) / np.maximum(frequency, 1) ** (
@@ -39,7 +39,7 @@ def noise_pixels(random: np.random.Generator, size: int, falloff: float = 1.0) -
 
 
 def mix_colours(a: Colour, b: Colour, weight: Pixels) -> Pixels:
-    """From colour a to colour b as `share` [h w 1] goes from 0 to 1."""
+    """Linear interpolation from colour a at weight 0 to colour b at weight 1; weight is [h w 1]."""
     return np.asarray(np.array(a) * (1 - weight) + np.array(b) * weight, np.float32)
 
 
@@ -52,10 +52,10 @@ def tile_pixels(
     size: int = 256,
     joint_width: float = 0.08,
 ) -> Pixels:
-    """Rows of tiles or bricks [size size 3], `count` = (rows, columns), a texture that repeats.
+    """Repeating rows of tiles or bricks [size size 3]; `count` is (rows, columns).
 
-    Each tile takes one of the colours; odd rows are shifted by `bond` of a tile; the joint is `gap`
-    of a row wide.
+    Each tile has one of the colours. Odd rows are shifted by `row_offset` tiles. Joints are
+    `joint_width` rows wide.
     """
     rows, columns = count
     at = (np.arange(size) + 0.5) / size

@@ -1,1 +1,1 @@
-"""A temple: stone, paint and furnishings."""
+"""Temple: sun through pierced screens into arcades; tests indirect light, gloss and moving cloth."""
