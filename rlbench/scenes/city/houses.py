@@ -1,4 +1,4 @@
-"""Houses: fronts with shops, windows, shutters, awnings and roofs, part by part."""
+"""Houses: fronts with shops, windows, shutters, awnings, roofs and chimneys."""
 
 from __future__ import annotations
 
@@ -27,14 +27,17 @@ HOUSE_COLOURS = (
 
 
 def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[str, Shape]:
-    """A house front from x = 0 that faces -y: shop, storeys of windows, cornice and slate roof."""
+    """A house front from x = 0 that faces -y, as shapes by material.
+
+    It has shops on the ground floor, storeys of windows above, a cornice and a slate roof.
+    """
     width, shop, depth = bays * BAY_WIDTH, 3.9, 0.32
     top = shop + storeys * STOREY_HEIGHT
     middles = BAY_WIDTH * (np.arange(bays) + 0.5)
     x, z = (
         grid.ravel() for grid in np.meshgrid(middles, shop + STOREY_HEIGHT * np.arange(storeys))
     )
-    half = 0.55  # of a window, metres
+    half = 0.55  # half a window's width, metres
     level, wall_z = np.zeros_like(x), np.zeros(bays + 1)
 
     edges = np.concatenate([[0.0], middles + half]), np.concatenate([middles - half, [width]])
@@ -92,7 +95,7 @@ def _build_panes(
     doors: Float32Array,
     depth: float,
 ) -> Shape:
-    """Windows and shop fronts, each with a cell of the atlas `windows` behind its glass."""
+    """Window panes and shop fronts, each of which shows a cell of `window_atlas`."""
     half = 0.55
     low = np.stack([x - half, np.full_like(x, depth - 0.04), sill], -1)
     tall = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
@@ -105,7 +108,7 @@ def _build_panes(
             random.integers(ATLAS_CELLS, size=len(doors)),
         ]
     )
-    cells[len(x) :] += ATLAS_CELLS * (ATLAS_CELLS - 1)  # shops have the last row
+    cells[len(x) :] += ATLAS_CELLS * (ATLAS_CELLS - 1)  # the last row shows shops
     return show_atlas_cells(merge(upper, lower), cells)
 
 
@@ -117,9 +120,9 @@ def _build_facade_details(
     width: float,
     top: float,
 ) -> list[Shape]:
-    """Shutters, an awning above each shop window, the roof and its chimneys."""
-    shut = random.integers(3)
-    of = len(HOUSE_COLOURS)
+    """Shutters, a striped awning, the roof and three chimneys."""
+    shutter_colour = random.integers(3)
+    size = len(HOUSE_COLOURS)
     left = np.stack([x - 1.05, np.full_like(x, -0.07), sill], -1)
     leaf = np.stack([np.full_like(x, 0.48), np.full_like(x, 0.06), head - sill], -1)
     shutters = boxes(
@@ -131,11 +134,11 @@ def _build_facade_details(
     awning = quads(corner, (0.3, 0, 0), (0, 1.3, 0.75))
     colour = np.where(np.arange(len(stripes)) % 2, 6, random.choice([5, 7])).repeat(4)
     roof = quads((0, -0.3, top + 0.25), (width, 0, 0), (0, 1.9, 2.8))
-    pots = random.uniform(0.8, width - 1.2, 3)
-    low = np.stack([pots, np.full(3, 1.6), np.full(3, top)], -1)
+    chimneys = random.uniform(0.8, width - 1.2, 3)
+    low = np.stack([chimneys, np.full(3, 1.6), np.full(3, top)], -1)
     return [
-        paint(shutters, shut, of),
-        paint(awning, colour, of),
-        paint(roof, 3, of),
-        paint(boxes(low, low + (0.8, 0.6, 3.6)), 2, of),
+        paint(shutters, shutter_colour, size),
+        paint(awning, colour, size),
+        paint(roof, 3, size),
+        paint(boxes(low, low + (0.8, 0.6, 3.6)), 2, size),
     ]

@@ -54,7 +54,7 @@ def build_crystal(height: float = 0.9, radius: float = 0.2) -> Shape:
 
 
 def build_glass_on_plinths(plinths: Sequence[tuple[float, float, float, float]]) -> Shape:
-    """A ball, crystals and a vase on three plinths of (x, y, radius, height of the top) in metres."""
+    """A ball, crystals and a vase on three plinths: (x, y, radius, height of the top), metres."""
     ball, cluster, pedestal = plinths
     gap = 0.002  # metres above the stone
     crystals = merge(

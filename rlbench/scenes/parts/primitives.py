@@ -14,7 +14,7 @@ from rlbench.scenes.parts.shape import Float64Array, Shape, grid_faces, merge, t
 def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile_size: float = 1.0) -> Shape:
     """Parallelograms from arrays [n 3] or single vectors; they face along across x up.
 
-    The texture repeats every `tile_size` metres from each corner. With tile_size = 0 it is stretched
+    The texture repeats every `tile_size` metres from each corner. With tile_size = 0 it stretches
     over each parallelogram instead.
     """
     c, a, u = np.broadcast_arrays(

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rlbench.scenes.parts.primitives import quads
-from rlbench.scenes.parts.shape import Float64Array, Shape, merge
+from rlbench.scenes.parts.shape import Float64Array, Shape, grid_faces, merge, to_shape
 
 
 def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:
-    """A grid of points [rows columns 3] as a sheet that faces along (row direction) x (column direction).
+    """A grid of points [rows columns 3] as a sheet that faces along (row) x (column) direction.
 
     The texture repeats every `tile_size` metres, measured along the first column and first row.
     """
@@ -19,23 +19,16 @@ def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:
     up = np.linalg.norm(np.diff(at[:, 0], axis=0, prepend=at[:1, 0]), axis=-1).cumsum()
     along = np.linalg.norm(np.diff(at[0], axis=0, prepend=at[0, :1]), axis=-1).cumsum()
     uv = np.stack(np.broadcast_arrays(along[None], up[:, None]), -1) / tile_size
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
-    a, b, c, d = first, first + 1, first + columns + 1, first + columns
-    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    return Shape(
-        at.reshape(-1, 3).astype(np.float32),
-        faces.astype(np.uint32),
-        uv.reshape(-1, 2).astype(np.float32),
-    )
+    return to_shape(at, grid_faces(rows, columns), uv)
 
 
 def torus(radius: float, tube_radius: float, sides: int = 64, tube_sides: int = 10) -> Shape:
     """A level torus about the origin."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     turn = np.linspace(0, 2 * np.pi, tube_sides + 1)[:, None]
-    wide = radius + tube_radius * np.cos(turn)
+    distance = radius + tube_radius * np.cos(turn)
     height = np.broadcast_to(tube_radius * np.sin(turn), (tube_sides + 1, sides + 1))
-    return sheet(np.stack([wide * np.cos(angle), wide * np.sin(angle), height], -1))
+    return sheet(np.stack([distance * np.cos(angle), distance * np.sin(angle), height], -1))
 
 
 def arch_wall(
@@ -92,16 +85,16 @@ def pierced_screen(
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     square = circle / np.abs(circle).max(1, keepdims=True)
     inside, outside = hole_radius * circle, cell_size / 2 * square
-    one = sheet(
+    cell = sheet(
         _at_depths([outside, inside, inside], [-thickness / 2, -thickness / 2, thickness / 2])
     )
     rows, columns = np.indices(cells).reshape(2, -1)
     at = np.stack([(columns + 0.5) * cell_size, 0 * rows, (rows + 0.5) * cell_size], -1)
-    count = len(one.vertices)
+    count = len(cell.vertices)
     return Shape(
-        (one.vertices + at[:, None].astype(np.float32)).reshape(-1, 3),
-        (one.faces + (np.arange(len(at)) * count)[:, None, None]).reshape(-1, 3).astype(np.uint32),
-        np.tile(one.uv, (len(at), 1)),
+        (cell.vertices + at[:, None].astype(np.float32)).reshape(-1, 3),
+        (cell.faces + (np.arange(len(at)) * count)[:, None, None]).reshape(-1, 3).astype(np.uint32),
+        np.tile(cell.uv, (len(at), 1)),
     )
 
 
@@ -114,19 +107,19 @@ def block_wall(
 ) -> Shape:
     """Front faces of blocks in running bond, over a rectangle of (x, z) near y = 0.
 
-    Blocks are clipped at the edges of the rectangle. Each protrudes by a random 0 to 25 mm and shows
-    a random part of the texture, which repeats every 3 metres.
+    Blocks are clipped at the edges of the rectangle. Each protrudes by 0 to 25 mm at random and
+    shows a random part of the texture, which repeats every 3 metres.
     """
-    cut = [
+    clipped = [
         (max(x, low[0]), max(z, low[1]), min(x + size[0], high[0]), min(z + size[1], high[1]))
         for row, z in enumerate(np.arange(0, high[1], size[1]))
         for x in np.arange(-40 + size[0] / 2 * (row % 2), high[0], size[0])
     ]
-    x0, z0, x1, z1 = np.array([c for c in cut if c[2] - c[0] > 0.08 and c[3] - c[1] > 0.08]).T
+    x0, z0, x1, z1 = np.array([c for c in clipped if c[2] - c[0] > 0.08 and c[3] - c[1] > 0.08]).T
     face = -random.uniform(0.0, 0.025, len(x0))
-    wide, tall, none = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
+    width, height, zero = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
     near = np.stack([x0 + gap / 2, face, z0 + gap / 2], -1)
-    across, up = np.stack([wide, none, none], -1), np.stack([none, none, tall], -1)
+    across, up = np.stack([width, zero, zero], -1), np.stack([zero, zero, height], -1)
     wall = quads(near, across, up, tile_size=3.0)
     shift = random.uniform(0, 1, (len(x0), 1, 2)).astype(np.float32)
     return wall._replace(uv=(wall.uv.reshape(-1, 4, 2) + shift).reshape(-1, 2))

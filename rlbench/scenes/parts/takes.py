@@ -23,7 +23,7 @@ def frozen_take(camera: CameraFunction, time: float) -> Take:
 def cut_take(
     first: CameraFunction, second: CameraFunction, light: str, before: float, after: float
 ) -> Take:
-    """Two shots; in the second, a light changes from `before` to `after`, factors on its strength."""
+    """Two shots; in the second, the factor on a light changes from `before` to `after`."""
     return Take(
         "cut",
         lambda time: first(time) if time < CUT_FRAME else second(time),

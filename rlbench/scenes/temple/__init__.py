@@ -1,1 +1,1 @@
-"""Temple: sun through pierced screens into arcades; tests indirect light, gloss and moving cloth."""
+"""Temple: arcades lit through pierced screens; tests indirect light, gloss and moving cloth."""
