@@ -11,6 +11,7 @@ from rlbench.render.scene import Mesh, Plugin
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
+Point3 = tuple[float, float, float]  # x, y, z in metres
 
 
 class Shape(NamedTuple):

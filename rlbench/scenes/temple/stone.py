@@ -1,4 +1,4 @@
-"""The temple's stone: blocked walls with pierced screens, arcades, carved friezes, the apse."""
+"""Stonework of the temple: block walls with pierced screens, arcades, friezes and the apse."""
 
 from __future__ import annotations
 
@@ -21,25 +21,24 @@ HALF_WIDTH, LENGTH, HEIGHT, WALL_THICKNESS = (
     9.0,
     0.5,
 )  # half width; metres; WALL_THICKNESS: of walls
-NAVE_HALF_WIDTH = 3.3  # metres from the middle to a row of columns
-SPRING_HEIGHT = 5.3  # metres: where columns end and arches begin
-COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
-SCREEN_CELL = 0.55  # metres: of the pierced screens
+NAVE_HALF_WIDTH = 3.3  # metres from the axis to a row of columns
+SPRING_HEIGHT = 5.3  # metres: top of columns, foot of arches
+COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # metres: columns along the nave
+SCREEN_CELL = 0.55  # metres: width of a cell of the pierced screens
 WINDOW_Y, WINDOW_HALF_WIDTH = (
     (COLUMN_Y[:-1] + COLUMN_Y[1:]) / 2,
     1.5 * SCREEN_CELL,
-)  # in the middle of each bay; metres
-SILL_HEIGHT = {-1.0: 3.4, 1.0: 1.75}  # metres: where the slits of each side begin
-HEAD_HEIGHT = 7.8  # metres: where slits end, whole cells above both sills
+)  # metres: windows, one in the middle of each bay
+SILL_HEIGHT = {-1.0: 3.4, 1.0: 1.75}  # metres: sills of the windows of each side
+HEAD_HEIGHT = 7.8  # metres: head of the windows, a whole number of cells above both sills
 TRANSOM_HEIGHT = (
     SILL_HEIGHT[1.0] + 8 * SCREEN_CELL
-)  # metres: above it, the slits of the sunny side are glazed
-APSE_RADIUS = 2.9  # metres: radius; its middle is at the end of the hall
-Point = tuple[float, float, float]
+)  # metres: above it, windows of the sunny side are glazed
+APSE_RADIUS = 2.9  # metres; its centre is at the end of the nave
 
 
 def build_walls(random: np.random.Generator) -> Shape:
-    """The outer walls with their slits, the screens in them, and the two ends."""
+    """Outer walls with screens in their windows, the end walls, the apse and its steps."""
     return merge(
         *(_build_long_wall(random, side) for side in (-1.0, 1.0)),
         *_build_end_walls(),
@@ -49,7 +48,7 @@ def build_walls(random: np.random.Generator) -> Shape:
 
 
 def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
-    """One long wall: a plain core, blocks in front of it, screens in its slits."""
+    """One long wall: a plain core, blocks in front of it, and screens in its windows."""
     x0, x1 = sorted((side * (HALF_WIDTH + 0.03), side * (HALF_WIDTH + WALL_THICKNESS)))
     starts = np.concatenate([[-4.0], WINDOW_Y + WINDOW_HALF_WIDTH])
     ends = np.concatenate([WINDOW_Y - WINDOW_HALF_WIDTH, [LENGTH]])
@@ -71,7 +70,7 @@ def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
 
 
 def _build_lattice(rows: int) -> Shape:
-    """A lattice of plain bars as large as a pierced screen: no sun shines through it."""
+    """A lattice of plain bars, as large as a pierced screen, for the side without sun."""
     x, z = SCREEN_CELL * np.arange(4), SCREEN_CELL * np.arange(rows + 1)
     return boxes(
         [(a - 0.04, -0.05, 0) for a in x] + [(0, -0.04, b - 0.04) for b in z],
@@ -83,12 +82,12 @@ def _build_lattice(rows: int) -> Shape:
 def _to_wall_plane(
     low: tuple[float, float], high: tuple[float, float], side: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A rectangle of y and z as the plane of the blocks has it: the right wall runs backwards."""
+    """A rectangle in (y, z) in the coordinates of the block wall, mirrored for the right wall."""
     return (low, high) if side < 0 else ((-high[0], low[1]), (-low[0], high[1]))
 
 
 def _build_end_walls() -> tuple[Shape, ...]:
-    """The wall behind the viewer, and the one with the great arch before the apse."""
+    """The wall behind the viewer, and the wall with the great arch in front of the apse."""
     wide, top = HALF_WIDTH + WALL_THICKNESS, HEIGHT + 0.5
     plain = boxes(
         [(-wide, -4.7, 0), (-wide, LENGTH, 0), (APSE_RADIUS - 0.15, LENGTH, 0)]
@@ -115,7 +114,7 @@ def _build_altar_steps() -> list[Shape]:
 
 
 def _build_apse() -> Shape:
-    """A round wall with pilasters and screens before its windows."""
+    """A round wall with pilasters, and screens in front of its windows."""
     angle = np.linspace(0, np.pi, 37)
     circle = APSE_RADIUS * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     round_wall = sheet([circle, circle + (0, 0, SPRING_HEIGHT - 0.9)], 3.0)
@@ -146,7 +145,7 @@ def _build_apse() -> Shape:
 
 
 def build_window_panes() -> Shape:
-    """The panes behind the screens, which look inside."""
+    """The panes behind the screens; they face inside."""
     y = WINDOW_Y.repeat(2)
     side = np.tile([-1.0, 1.0], len(WINDOW_Y))
     low = np.where(side < 0, SILL_HEIGHT[-1.0], TRANSOM_HEIGHT)
@@ -165,7 +164,7 @@ def build_window_panes() -> Shape:
 
 
 def build_arcades() -> Shape:
-    """Two rows of columns with leaves on their capitals, round arches and a carved frieze."""
+    """Two rows of columns with leafy capitals, round arches and a carved frieze."""
     one = merge(
         fluted_column(SPRING_HEIGHT, 0.5, 72, 18), _build_capital_leaves(SPRING_HEIGHT, 0.5)
     )
@@ -184,7 +183,7 @@ def build_arcades() -> Shape:
 
 
 def _build_capital_leaves(height: float, radius: float) -> Shape:
-    """Two rows of eight leaves that bend out from the bell of a capital."""
+    """Two rows of eight leaves that bend outward from a capital."""
     foot = height - 1.15 * radius
     leaf = leaf_blade(0.85 * radius, 0.42 * radius, 1.5, 2.1)
     parts = []
@@ -197,7 +196,7 @@ def _build_capital_leaves(height: float, radius: float) -> Shape:
 
 
 def _build_frieze(x: float, inward: float) -> Shape:
-    """A meander between two mouldings, and teeth below the ceiling, on the wall of the nave."""
+    """A meander between two mouldings, and dentils below the ceiling, on a wall of the nave."""
     key = [(0, 0, 0.9, 0.1), (0, 0.1, 0.1, 0.6), (0.1, 0.5, 0.8, 0.6), (0.7, 0.2, 0.8, 0.5)]
     key += [(0.3, 0.2, 0.7, 0.3), (0.3, 0.3, 0.4, 0.42)]
     starts = np.arange(-4.0, LENGTH - 0.5, 0.9)
@@ -211,7 +210,7 @@ def _build_frieze(x: float, inward: float) -> Shape:
 
 
 def build_apse_dome() -> Shape:
-    """The half dome of the apse, fluted like a shell, and the sun's disc before it."""
+    """The half dome of the apse, fluted like a shell, with a sun disc in front of it."""
     turn, rise = np.linspace(0, np.pi, 89), np.linspace(0, 0.49 * np.pi, 20)[:, None]
     wide = APSE_RADIUS * (1 - 0.07 * np.abs(np.sin(11 * turn)) * np.cos(rise))
     points = [wide * np.cos(turn) * np.cos(rise), wide * np.sin(turn) * np.cos(rise)]
