@@ -1,6 +1,6 @@
 """City: house fronts around a square in the sun, with swaying trees and a car on a ring road.
 
-It tests foliage and other thin geometry, glass and metal, hard shadows, and motion.
+It tests foliage and other thin geometry, sunlight, glossy panes and metal, and motion.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def build_trunks(trees: Sequence[Tree], seed: int = 5) -> Shape:
 
 
 def build_leaves(trees: Sequence[Tree], palette_size: int, seed: int = 5) -> Shape:
-    """Leaves of `trees`: two triangles each, folded along the rib, in colours 0 to 5 of a palette."""
+    """Leaves of `trees`: two triangles each, folded along the rib, in palette colours 0 to 5."""
     return merge(
         *(
             _grow_leaves(

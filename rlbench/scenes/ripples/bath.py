@@ -1,4 +1,4 @@
-"""Bath: a mosaic pool in a tiled room, with a bench, pots, a round mirror and lamps."""
+"""Bath: a mosaic pool in a tiled room, with plinths, a bench, potted plants, mirror and lamps."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rlbench.scenes.ripples.textures import mosaic_pixels, travertine_pixels
 POOL_HALF_WIDTH, POOL_DEPTH = (
     3.0,
     0.8,
-)  # metres: half the pool's side, and its depth; water stands at z = 0
+)  # metres; the water level is z = 0
 COPING_WIDTH = 0.45  # metres: width of the coping
-WALL_Y = 4.9  # metres from the middle of the pool to the wall behind it
+WALL_Y = 4.9  # metres from the centre of the pool to the wall behind it
 CLUTTER_COLOURS = (
     (0.46, 0.42, 0.36),  # 0 pebbles
     (0.30, 0.27, 0.25),
@@ -29,11 +29,11 @@ CLUTTER_COLOURS = (
     (0.22, 0.33, 0.10),
 )
 PLINTHS = ((1.15, 0.75, 0.46, 0.22), (-1.75, 1.65, 0.62, 0.46), (2.05, 2.1, 0.5, 0.7))
-# x, y, radius, height above the water, of round stones that carry glass
+# x, y, radius, height above the water of round stones that carry glass
 
 
 def room_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
-    """The pool's floor and sides, the deck with plinths and bench, and the wall."""
+    """Floor and sides of the pool, the deck with plinths and bench, and the wall."""
     sides = tile_pixels(
         random,
         [(0.10, 0.36, 0.40), (0.14, 0.42, 0.44), (0.08, 0.30, 0.36), (0.20, 0.48, 0.48)],
@@ -101,24 +101,28 @@ def _build_deck() -> Shape:
 
 
 def clutter_mesh(random: np.random.Generator) -> Mesh:
-    """Pebbles that have gathered about the plinths, and plants in pots beside the pool."""
+    """Pebbles around the plinths, and potted plants beside the pool."""
     parts = []
-    nests = np.array([(x, y, r) for x, y, r, _ in PLINTHS] + [(-2.5, -2.3, 0.2), (2.4, -1.2, 0.1)])
+    clusters = np.array(
+        [(x, y, r) for x, y, r, _ in PLINTHS] + [(-2.5, -2.3, 0.2), (2.4, -1.2, 0.1)]
+    )
     for number in range(170):
-        x, y, radius = nests[number % len(nests)]
-        angle, away = random.uniform(0, 2 * np.pi), radius + 0.08 + random.gamma(1.6, 0.17)
-        at = np.clip((x + away * np.cos(angle), y + away * np.sin(angle)), -2.88, 2.88)
+        x, y, radius = clusters[number % len(clusters)]
+        angle, distance = random.uniform(0, 2 * np.pi), radius + 0.08 + random.gamma(1.6, 0.17)
+        at = np.clip((x + distance * np.cos(angle), y + distance * np.sin(angle)), -2.88, 2.88)
         stretch = random.uniform(0.04, 0.11) * np.array([1, random.uniform(0.6, 1), 0.55])
-        stone = icosphere(2)._replace(vertices=(icosphere(2).vertices * stretch).astype(np.float32))
-        turned = transform(stone, (*at, -POOL_DEPTH + 0.7 * stretch[2]), yaw_matrix(angle))
-        parts.append(paint(turned, random.integers(5), len(CLUTTER_COLOURS)))
+        pebble = icosphere(2)._replace(
+            vertices=(icosphere(2).vertices * stretch).astype(np.float32)
+        )
+        lying = transform(pebble, (*at, -POOL_DEPTH + 0.7 * stretch[2]), yaw_matrix(angle))
+        parts.append(paint(lying, random.integers(5), len(CLUTTER_COLOURS)))
     for x, y, size in ((-3.3, 4.05, 1.15), (3.35, 4.0, 1.0), (-4.1, 3.5, 0.7)):
         parts.append(transform(_build_agave(random), (x, y, 0.1), scale=size))
     return merge(*parts).to_mesh("clutter", diffuse_bsdf(palette_texture(CLUTTER_COLOURS)))
 
 
 def _build_agave(random: np.random.Generator) -> Shape:
-    """A pot of long leaves that arch to all sides."""
+    """A potted agave with long leaves that arch outward."""
     outline = [(0.20, 0), (0.30, 0.42), (0.34, 0.42), (0.34, 0.5), (0.29, 0.5), (0.27, 0.4)]
     pot = paint(lathe(outline, 28), 5, len(CLUTTER_COLOURS))
     soil = paint(disc(0.285, 0.44, 28), 1, len(CLUTTER_COLOURS))
@@ -142,20 +146,20 @@ def _build_agave(random: np.random.Generator) -> Shape:
 
 
 def mirror_and_lamp_meshes() -> tuple[Mesh, ...]:
-    """A round mirror in a brass ring, and light above, broad enough that paths find it."""
-    upright = rotation_matrix((1, 0, 0), np.pi / 2)  # a disc that faced up now faces the pool
-    glass = transform(disc(1.15, 0, 64), (0.0, WALL_Y - 0.06, 1.95), upright)
+    """A round mirror in a brass ring, and lamps above, large enough for paths to hit them."""
+    upright = rotation_matrix((1, 0, 0), np.pi / 2)  # turns a disc that faces up to face the pool
+    mirror = transform(disc(1.15, 0, 64), (0.0, WALL_Y - 0.06, 1.95), upright)
     ring = lathe([(1.14, 0), (1.14, 0.1), (1.24, 0.1), (1.28, 0.05), (1.28, 0)], 72)
-    around = transform(ring, (0.0, WALL_Y - 0.01, 1.95), upright)
+    frame = transform(ring, (0.0, WALL_Y - 0.01, 1.95), upright)
     strips = quads(
-        [(-3, -1.55, 3.3), (-3, 0.65, 3.3), (-6, WALL_Y - 0.6, 4.5)],  # the last washes the wall
+        [(-3, -1.55, 3.3), (-3, 0.65, 3.3), (-6, WALL_Y - 0.6, 4.5)],  # the last lights the wall
         [(0, 1.8, 0), (0, 1.8, 0), (0, 0.1, 0)],
         [(6, 0, 0), (6, 0, 0), (12, 0, 0)],
     )
     silver = {"type": "conductor", "specular_reflectance": rgb(0.88, 0.88, 0.86)}
     return (
-        glass.to_mesh("mirror", {"type": "twosided", "bsdf": silver}),
-        around.to_mesh("brass", metal_bsdf(rgb(0.85, 0.58, 0.26), 0.18)),
+        mirror.to_mesh("mirror", {"type": "twosided", "bsdf": silver}),
+        frame.to_mesh("brass", metal_bsdf(rgb(0.85, 0.58, 0.26), 0.18)),
         Mesh(
             "lamp",
             strips.vertices,

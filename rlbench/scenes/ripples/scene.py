@@ -1,4 +1,7 @@
-"""Ripples: a tiled bath whose moving water throws caustics, with glass, lilies and a mirror."""
+"""Ripples: a tiled bath with moving water, glassware, lilies and a mirror.
+
+It tests caustics, reflection, refraction, and motion behind and in water.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ GLASS_BSDF = {"type": "dielectric", "int_ior": 1.5}
 
 
 def scene() -> Scene:
-    """The bath in the evening: two warm panels of light above, blue dusk all around."""
+    """The bath in the evening: warm light panels above and blue dusk all around."""
     random = np.random.default_rng(31)
     return Scene(
         name="ripples",
@@ -55,7 +58,7 @@ def _camera(time: float) -> Camera:
 
 
 def _low_camera(time: float) -> Camera:
-    """From near the water, at a corner of the pool, moving around it."""
+    """A camera close to the water, at a corner of the pool, that moves around it."""
     angle = 0.62 + 0.012 * time
     return Camera((4.6 * np.sin(angle), -4.6 * np.cos(angle), 1.2), (0.3, 1.2, 0.1), fov=58)
 
@@ -65,7 +68,7 @@ def _glassware_mesh() -> Mesh:
 
 
 def _water_height(x: Float64Array, y: Float64Array, time: float) -> Float64Array:
-    """Height of the water: rings that spread from drops, on a slow swell, in metres."""
+    """Height of the water in metres: rings that spread from drops, on a slow swell."""
     level = 0.012 * np.sin(2.1 * x + 1.3 * y + 0.11 * time) + 0.009 * np.sin(
         2.9 * y - 1.7 * x - 0.13 * time
     )
@@ -77,18 +80,18 @@ def _water_height(x: Float64Array, y: Float64Array, time: float) -> Float64Array
 
 
 def _moving_meshes(time: float) -> tuple[Mesh, ...]:
-    """The water, what floats on it, and the glass ball above it."""
+    """The water, the objects that float on it, and the glass ball above it, at a time."""
     sheet = _water_grid()
     x, y = sheet.vertices[:, 0].astype(float), sheet.vertices[:, 1].astype(float)
     water = sheet._replace(
         vertices=np.stack([x, y, _water_height(x, y, time)], -1).astype(np.float32)
     )
-    hover = (
+    position = (
         -0.35 + 0.5 * np.sin(2 * np.pi * time / 120),
         0.55,
         0.85 + 0.15 * np.sin(2 * np.pi * time / 70),
     )
-    orb = transform(icosphere(5), hover, scale=0.5)
+    orb = transform(icosphere(5), position, scale=0.5)
     return (
         water.to_mesh("water", {"type": "dielectric", "int_ior": 1.33}, smooth=True),
         build_floating(_water_height, time).to_mesh(

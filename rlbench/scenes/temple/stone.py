@@ -20,7 +20,7 @@ HALF_WIDTH, LENGTH, HEIGHT, WALL_THICKNESS = (
     30.0,
     9.0,
     0.5,
-)  # half width; metres; WALL_THICKNESS: of walls
+)  # metres
 NAVE_HALF_WIDTH = 3.3  # metres from the axis to a row of columns
 SPRING_HEIGHT = 5.3  # metres: top of columns, foot of arches
 COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # metres: columns along the nave
