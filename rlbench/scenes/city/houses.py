@@ -98,8 +98,8 @@ def _build_panes(
     """Window panes and shop fronts, each of which shows a cell of `window_atlas`."""
     half = 0.55
     low = np.stack([x - half, np.full_like(x, depth - 0.04), sill], -1)
-    tall = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
-    upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), tall, 0)
+    up = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
+    upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), up, 0)
     front = np.stack([doors - BAY_WIDTH / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
     lower = quads(front, (BAY_WIDTH, 0, 0), (0, 0, 3.6), tile_size=0)
     cells = np.concatenate(

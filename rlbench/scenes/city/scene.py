@@ -19,6 +19,8 @@ from rlbench.scenes.parts.shape import Float32Array, Shape, merge, paint, transf
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
 from rlbench.scenes.parts.textures import palette_texture
 
+__all__ = ["scene"]
+
 TREES = (
     Tree(-5.0, -6.9, 6.8, 2.3, 3200),
     Tree(-10.2, 7.6, 8.0, 2.8),

@@ -9,12 +9,13 @@ import numpy as np
 from rlbench.render.scene import Mesh
 from rlbench.scenes.city import office, street
 from rlbench.scenes.city.car import CAR_COLOURS, build_car
+from rlbench.scenes.city.fountain import build_fountain, build_kerbs
 from rlbench.scenes.city.houses import BAY_WIDTH, HOUSE_COLOURS, build_house
 from rlbench.scenes.city.trees import Tree, build_trunks
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells, window_atlas
 from rlbench.scenes.parts.glassware import unmerge_vertices
 from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
-from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
+from rlbench.scenes.parts.primitives import disc, icosphere, lathe, quads
 from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
 from rlbench.scenes.parts.textures import (
     bitmap_texture,
@@ -98,7 +99,7 @@ def building_meshes(random: np.random.Generator, trees: Sequence[Tree]) -> tuple
         ATLAS_CELLS, size=len(tower.vertices) // 4
     )
     parts["glass"].append(show_atlas_cells(tower, offices))
-    parts["trim"] += [_build_fountain(), _build_kerbs()]
+    parts["trim"] += [build_fountain(), build_kerbs(ROAD_RADIUS)]
     parts["paint"] += [
         paint(build_trunks(trees), 4, size),
         street.build_benches(BENCHES, 12, 8, size),
@@ -176,33 +177,10 @@ def _reflective_meshes() -> tuple[Mesh, ...]:
 
 
 def car_paint_bsdf() -> dict[str, object]:
-    """Car paint: a clear body_colour over palette colours."""
+    """Car paint: a clear coat over palette colours."""
     return glossy_bsdf(palette_texture(CAR_COLOURS), 0.09)
 
 
 def _bollard_positions() -> tuple[tuple[float, float], ...]:
     angle = np.linspace(-2.5, -0.5, 9)
     return tuple((float(8.6 * np.cos(a)), float(8.6 * np.sin(a))) for a in angle)
-
-
-def _build_kerbs() -> Shape:
-    """Low stone kerbs on both sides of the road."""
-    inner, outer = ROAD_RADIUS - 1.6, ROAD_RADIUS + 1.6
-    return merge(
-        lathe([(outer, 0.0), (outer, 0.1), (outer + 0.14, 0.1), (outer + 0.14, 0.0)][::-1], 96),
-        lathe([(inner, 0.0), (inner, 0.1), (inner - 0.14, 0.1), (inner - 0.14, 0.0)], 96),
-    )
-
-
-def _build_fountain() -> Shape:
-    rim = lathe(
-        [(3.1, 0), (3.15, 0.08), (3.05, 0.14), (3.05, 0.5), (3.3, 0.58), (3.3, 0.75), (2.8, 0.75)]
-        + [(2.8, 0.2)],
-        64,
-    )
-    stem = lathe(
-        [(0.8, 0.1), (0.7, 0.3), (0.35, 0.6), (0.28, 1.2), (0.45, 1.45), (1.3, 1.75), (1.4, 1.95)]
-        + [(1.3, 1.95), (0.3, 1.8), (0.22, 2.2), (0.3, 2.55), (0.2, 2.7)],
-        40,
-    )
-    return merge(rim, stem, boxes((-0.2, -0.2, 2.55), (0.2, 0.2, 2.7)))

@@ -105,8 +105,8 @@ def build_cafe_tables(
 def _build_chair(wood: int, iron: int, palette_size: int) -> Shape:
     seat = boxes([(-0.2, -0.2, 0.43), (-0.2, 0.17, 0.6)], [(0.2, 0.2, 0.46), (0.2, 0.2, 0.86)])
     feet = np.array([(x, y, 0) for x in (-0.2, 0.17) for y in (-0.2, 0.17)])
-    tall = np.where(feet[:, 1] > 0, 0.86, 0.44)
-    legs = boxes(feet, feet + np.stack([0 * tall + 0.03, 0 * tall + 0.03, tall], -1))
+    heights = np.where(feet[:, 1] > 0, 0.86, 0.44)
+    legs = boxes(feet, feet + np.stack([0 * heights + 0.03, 0 * heights + 0.03, heights], -1))
     return merge(paint(seat, wood, palette_size), paint(legs, iron, palette_size))
 
 

@@ -20,7 +20,7 @@ class Place:
     """A setting without light or objects, centred on the origin; lengths are metres."""
 
     half_size: tuple[float, float]  # x and y lie in [-half_size, half_size]
-    camera_half_size: tuple[float, float]  # the camera stays in [-camera_half_size, ...]
+    camera_half_size: tuple[float, float]  # the same bounds for the camera
     eye_heights: tuple[float, float]  # range of camera heights
     gaze_heights: tuple[float, float]  # range of heights of the focus
     lamp_height: float  # height at which lamps hang
@@ -29,7 +29,7 @@ class Place:
     apertures: tuple[Aperture, ...] = ()
     has_roof: bool = False
     floor_height: float = 0.0
-    lamp_scale: float = 1.0  # factor on the size of lamps
+    lamp_scale: float = 1.0  # factor on the size and number of lamps
     camera_clearance: float = 1.4  # smallest distance between objects and the camera
     object_scale: float = 1.0  # factor on the size and number of objects
 

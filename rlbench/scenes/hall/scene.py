@@ -26,6 +26,8 @@ from rlbench.scenes.parts.textures import (
     tile_pixels,
 )
 
+__all__ = ["scene"]
+
 TUBE_RADIANCE = (0.95, 1.15, 1.36)  # radiance
 
 

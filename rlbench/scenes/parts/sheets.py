@@ -36,8 +36,8 @@ def arch_wall(
 ) -> Shape:
     """A wall from `spring_height` to `top` with a semicircular arch; lengths in metres.
 
-    The wall spans x in [-half_width, half_width] and is `thickness` deep about y = 0. Its ends stay
-    open.
+    The wall spans x in [-half_width, half_width] and is `thickness` deep about y = 0.
+    Its ends stay open.
     """
     a = _semicircle(radius, spring_height)
     low = np.concatenate([[(-half_width, spring_height)], a, [(half_width, spring_height)]])
@@ -51,8 +51,8 @@ def arch_wall(
 def moulding(radius: float, width: float, spring_height: float, thickness: float) -> Shape:
     """The raised band around an arch of that radius; `thickness` exceeds that of the wall."""
     inner, outer = _semicircle(radius, spring_height), _semicircle(radius + width, spring_height)
-    deep = [-thickness / 2, -thickness / 2, thickness / 2, thickness / 2, -thickness / 2]
-    return sheet(_at_depths([inner, outer, outer, inner, inner], deep), 3.0)
+    depths = [-thickness / 2, -thickness / 2, thickness / 2, thickness / 2, -thickness / 2]
+    return sheet(_at_depths([inner, outer, outer, inner, inner], depths), 3.0)
 
 
 def leaf_blade(
@@ -69,8 +69,8 @@ def leaf_blade(
     half = width / 2 * (0.08 + 0.92 * np.sin(np.pi * (0.18 + 0.8 * s)) ** 0.8)
     side = np.array([-1.0, 0.0, 1.0])
     lift = cup * half[:, None] * np.abs(side)
-    away = np.stack([-np.sin(slope), np.cos(slope)], -1)
-    x, z = (spine[:, None, k] + away[:, None, k] * lift for k in (0, 1))
+    normal = np.stack([-np.sin(slope), np.cos(slope)], -1)
+    x, z = (spine[:, None, k] + normal[:, None, k] * lift for k in (0, 1))
     return sheet(np.stack([x, half[:, None] * side, z], -1))
 
 

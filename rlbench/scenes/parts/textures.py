@@ -55,7 +55,7 @@ def tile_pixels(
     """Repeating rows of tiles or bricks [size size 3]; `count` is (rows, columns).
 
     Each tile has one of the colours. Odd rows are shifted by `row_offset` tiles. Joints are
-    `joint_width` rows wide.
+    `joint_width` rows column_joint.
     """
     rows, columns = count
     at = (np.arange(size) + 0.5) / size
@@ -66,7 +66,9 @@ def tile_pixels(
     pick = random.integers(len(colours), size=(rows, columns))
     shade = random.uniform(0.85, 1.1, (rows, columns, 1))
     face = (np.array(colours)[pick] * shade)[row, column]
-    wide = joint_width * columns / rows
-    inside = (np.abs(y % 1 - 0.5) < 0.5 - joint_width / 2) & (np.abs(x % 1 - 0.5) < 0.5 - wide / 2)
+    column_joint = joint_width * columns / rows
+    inside = (np.abs(y % 1 - 0.5) < 0.5 - joint_width / 2) & (
+        np.abs(x % 1 - 0.5) < 0.5 - column_joint / 2
+    )
     grain = 0.85 + 0.3 * noise_pixels(random, size, 0.3)
     return np.asarray(np.where(inside[..., None], face, np.array(joint_colour)) * grain, np.float32)

@@ -133,11 +133,11 @@ def _build_agave(random: np.random.Generator) -> Shape:
         along = np.linspace(0, 1, 6)
         out = 0.05 + length * along * np.cos(rise) * (0.6 + 0.5 * along)
         up = 0.45 + length * (along * np.sin(rise) - 0.35 * along**2 * np.cos(rise))
-        wide = 0.055 * np.sin(np.pi * (0.12 + 0.86 * along))
+        half_width = 0.055 * np.sin(np.pi * (0.12 + 0.86 * along))
         ahead = np.array([np.cos(turn), np.sin(turn)])
         side = np.array([-ahead[1], ahead[0]])
         spine = np.concatenate([out[:, None] * ahead, up[:, None]], -1)
-        edge = np.concatenate([wide[:, None] * side, np.zeros((6, 1))], -1)
+        edge = np.concatenate([half_width[:, None] * side, np.zeros((6, 1))], -1)
         left, right = spine - edge, spine + edge
         blade = quads(left[:-1], (right - left)[:-1], np.diff(left, axis=0))
         blade.vertices.reshape(-1, 4, 3)[:, 2] = right[1:]

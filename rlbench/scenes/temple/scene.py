@@ -21,7 +21,7 @@ from rlbench.scenes.parts.textures import (
     noise_pixels,
     tile_pixels,
 )
-from rlbench.scenes.temple import furnishings, stone
+from rlbench.scenes.temple import arcades, furnishings, stone
 from rlbench.scenes.temple.stone import HALF_WIDTH, HEIGHT, LENGTH, WALL_THICKNESS
 from rlbench.scenes.temple.textures import (
     banner_texture,
@@ -29,6 +29,8 @@ from rlbench.scenes.temple.textures import (
     pavement_pixels,
     wood_pixels,
 )
+
+__all__ = ["scene"]
 
 ALABASTER_RADIANCE = (3.4, 2.8, 2.0)  # alabaster in the sun
 DOOR_RADIANCE = (2.4, 3.0, 3.8)  # sky seen through the door
@@ -61,7 +63,7 @@ def scene() -> Scene:
         depth=4,
         takes=(
             static_camera_take(_below_lamp_camera, 0.0),
-            cut_take(_camera, _altar_camera, "sky1", 1.0, 0.05),  # the sun goes behind a cloud
+            cut_take(_camera, _altar_camera, "sky1", 1.0, 0.05),  # the sun fades
             frozen_take(_camera, 55.0),
         ),
     )
@@ -97,7 +99,7 @@ def _building_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
         stone.build_walls(random).to_mesh(
             "walls", diffuse_bsdf(bitmap_texture(warm)), smooth=False
         ),
-        stone.build_arcades().to_mesh("columns", diffuse_bsdf(bitmap_texture(pale)), smooth=True),
+        arcades.build_arcades().to_mesh("columns", diffuse_bsdf(bitmap_texture(pale)), smooth=True),
         _build_ceiling().to_mesh("ceiling", diffuse_bsdf(bitmap_texture(wood_pixels(random)))),
         _build_floor().to_mesh("floor", polished_bsdf(bitmap_texture(pavement_pixels(random)))),
         stone.build_apse_dome().to_mesh(
