@@ -60,7 +60,9 @@ def file_entries(file: Path) -> list[PluginEntry]:
         module = import_file(file)
         families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
         if None in families:
-            raise PluginError(f"{file.name} has neither FAMILY nor METHODS; see docs/how-to/add-a-method.md")
+            raise PluginError(
+                f"{file.name} has neither FAMILY nor METHODS; see docs/how-to/add-a-method.md"
+            )
         if others := [type(item).__name__ for item in families if not hasattr(item, "variants")]:
             raise PluginError(
                 f"{file.name} defines an object of type {others[0]} as a method; a Family is "
