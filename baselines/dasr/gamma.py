@@ -27,11 +27,11 @@ def gamma(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samp
     assert isinstance(frame.pool, StoredPool)
     radiance = frame.pool.radiance
     generator = torch.Generator(radiance.device).manual_seed(frame.pool.rounding_seeds[0])
-    drawn = draw(frame.reference.mean.clamp_min(0), variance(radiance), due, generator)
+    drawn = draw_gamma_mean(frame.reference.mean.clamp_min(0), sample_variance(radiance), due, generator)
     return Samples(drawn.unsqueeze(1), torch.ones_like(samples.counts))
 
 
-def variance(radiance: Float[Tensor, "n s 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+def sample_variance(radiance: Float[Tensor, "n s 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """Variance of one sample: that of the stored ones, unbiased, averaged over 3x3 pixels.
 
     Of 8 samples it is mostly too small where light is rare: that is seldom among them. What is not
@@ -42,7 +42,7 @@ def variance(radiance: Float[Tensor, "n s 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     return F.avg_pool2d(F.pad(each, (reach,) * 4, mode="replicate"), WINDOW, stride=1)
 
 
-def draw(
+def draw_gamma_mean(
     mean: Float[Tensor, "n c h w"],
     variance: Float[Tensor, "n c h w"],
     number: Float[Tensor, "n 1 h w"],

@@ -12,7 +12,7 @@ SIGMA = 1.5  # pixels, of the Gaussian before the edges and of their filter
 REACH = 5  # pixels to either side: 11 taps
 
 
-def relative(
+def relative_loss(
     image: Float[Tensor, "n c h w"], reference: Float[Tensor, "n c h w"]
 ) -> Float[Tensor, ""]:
     """Relative error of colour plus that of edges, weights 1 and 1; both in log(1 + L).

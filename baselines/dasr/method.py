@@ -23,10 +23,10 @@ LARGEST = 1e5  # radiance above this is cut
 ALBEDO = (0.45, 0.45)  # mean and deviation that albedo is normalised by
 NORMAL = 0.45  # deviation that normals are divided by
 
-Develop = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 3 h w"]]
+Decode = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 3 h w"]]
 
 
-def develop(value: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+def to_radiance(value: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
     """Linear radiance in [0, 1e5] from what the denoiser says, its log(1 + L)."""
     return value.expm1().clamp(0, LARGEST)
 
@@ -50,7 +50,7 @@ class Dasr:
 
     networks: Networks
     traits: Traits = FAMILY.variants[""].traits
-    develop: Develop = field(default=develop)  # what the denoiser says to image
+    decode: Decode = field(default=to_radiance)  # what the denoiser says to image
 
     def start(self, size: Size) -> None:
         """Nothing: every frame is its own."""
@@ -63,7 +63,7 @@ class Dasr:
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image, from the mean of all samples, albedo, normal and depth."""
-        return self.develop(self.networks.denoiser(_seen(gbuffer, samples))), None
+        return self.decode(self.networks.denoiser(_seen(gbuffer, samples))), None
 
 
 def _seen(gbuffer: GBuffer, samples: Samples) -> Float[Tensor, "n 10 h w"]:
@@ -77,6 +77,6 @@ def build(variant: str, device: torch.device, weights: str | None) -> Dasr:
     """DASR with shipped weights, those of a file, or random ones."""
     networks = Networks()
     if weights == "random":
-        networks.draw(seed=0)
+        networks.init_weights(seed=0)
     load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Dasr(networks, FAMILY.variants[variant].traits)

@@ -29,7 +29,7 @@ class Networks(nn.Module):
         self.sampler = UNet(INPUTS, 1)
         self.denoiser = UNet(INPUTS, 3)
 
-    def draw(self, seed: int) -> None:
+    def init_weights(self, seed: int) -> None:
         """Seeded weights, faint in the last layers: the map starts near uniform."""
         kaiming_init(self, seed)
         for network in (self.sampler, self.denoiser):

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from baselines.dasr import FAMILY
 from baselines.dasr.gamma import gamma
-from baselines.dasr.losses import relative
+from baselines.dasr.losses import relative_loss
 from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
 from rlbench.frames import Clip
@@ -35,7 +35,7 @@ TEACH: dict[str, SampleGradient] = {
 }
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """DASR with seeded weights, its losses, and its three stages.
 
     Kuznetsov et al. 2018, as in the training code behind `network.UNet`: 25,000 steps for the
@@ -44,7 +44,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     uniform, so the denoiser's stage sees uniform samples.
     """
     networks = Networks()
-    networks.draw(seed)
+    networks.init_weights(seed)
     for weight in networks.sampler.last.parameters():
         nn.init.zeros_(weight)
     networks.to(device)
@@ -55,7 +55,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         taught = SurrogateGradient(student, iter(clip), spp, TEACH[variant])
         for shown in unroll(taught, clip, spp):
-            yield relative(shown.image, shown.frame.reference.mean.clamp_min(0).log1p())
+            yield relative_loss(shown.image, shown.frame.reference.mean.clamp_min(0).log1p())
 
     def told(done: float) -> None:
         learning = next(names for end, names in STAGES if done < end)

@@ -17,7 +17,7 @@ NONE = 1e-10  # added to sums of weights, eq. 6 and 8
 
 
 @dataclass(frozen=True)
-class Windows:
+class KernelSizes:
     """Sides of the windows that are averaged over.
 
     11 as one reimplementation of Isik et al. 2021 has it; another has 7, to save memory, which
@@ -28,7 +28,7 @@ class Windows:
     temporal: int = 11  # taps, odd
 
 
-class Past(NamedTuple):
+class PreviousFrame(NamedTuple):
     """What the last frame left, moved to where it is now; finite everywhere."""
 
     features: Float[Tensor, "n 8 h w"]
@@ -36,11 +36,11 @@ class Past(NamedTuple):
     valid: Bool[Tensor, "n 1 h w"]
 
 
-def filtered(
+def apply_affinity_kernels(
     light: Float[Tensor, "n 3 h w"],
     kernels: Kernels,
-    past: Past | None,
-    windows: Windows,
+    past: PreviousFrame | None,
+    windows: KernelSizes,
 ) -> Float[Tensor, "n 3 h w"]:
     """Light averaged with what is alike: eq. 4, 6, 7 and 8 of Isik et al. 2021.
 
@@ -55,12 +55,12 @@ def filtered(
     for k, dilation in enumerate(DILATIONS):
         features, sharpness = kernels.features[:, k], kernels.sharpness[:, k]
         source = torch.cat((light, ones), 1)
-        total = kernels.centre[:, k] * source
+        total = kernels.centre_weight[:, k] * source
         total = total + affinity_sum(features, sharpness, source, windows.spatial, dilation)
         if past is not None and k == len(DILATIONS) - 1:
             trusted = torch.cat((past.image, ones), 1) * past.valid
             total = total + cross_affinity_sum(
-                features, kernels.past_sharpness, past.features, trusted, windows.temporal
+                features, kernels.temporal_sharpness, past.features, trusted, windows.temporal
             )
         light = total[:, :3] / (total[:, 3:] + NONE)
     return light

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.imcd import FAMILY
-from baselines.imcd.filter import Past, Windows, filtered
+from baselines.imcd.filter import PreviousFrame, KernelSizes, apply_affinity_kernels
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
@@ -29,7 +29,7 @@ CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state, in its order
 class Config:
     """What of IMCD is a choice."""
 
-    windows: Windows = field(default_factory=Windows)
+    kernel_sizes: KernelSizes = field(default_factory=KernelSizes)
     bptt: int = 2  # frames that training differentiates through, >= 1
 
 
@@ -37,9 +37,9 @@ class State(NamedTuple):
     """What is remembered of the frames so far."""
 
     embedding: Float[Tensor, "n 32 h w"]  # blended over frames
-    light: Float[Tensor, "n 3 h w"]  # noisy radiance over reflectance, blended over frames
+    irradiance: Float[Tensor, "n 3 h w"]  # noisy radiance over reflectance, blended over frames
     features: Float[Tensor, "n 8 h w"]  # of the last spatial pass
-    image: Float[Tensor, "n 3 h w"]  # the last image over its reflectance, linear
+    denoised: Float[Tensor, "n 3 h w"]  # the last image over its reflectance, linear
     age: int  # frames so far; at 0 the rest means nothing
 
     def detach(self) -> State:
@@ -98,12 +98,12 @@ class Imcd:
         # move memory here; where there is none, it is what is seen now
         moved, valid = _moved(gbuffer, state)
         memory = moved.embedding.where(valid, now)
-        kernels = self.networks.kernels(now, memory)
-        embedding = torch.lerp(now, memory, kernels.keep)
-        light = torch.lerp(noisy, moved.light.where(valid, noisy), kernels.keep)
+        kernels = self.networks.predict_kernels(now, memory)
+        embedding = torch.lerp(now, memory, kernels.history_weight)
+        light = torch.lerp(noisy, moved.irradiance.where(valid, noisy), kernels.history_weight)
 
-        past = Past(moved.features, moved.image, valid) if state.age else None
-        image = filtered(light, kernels, past, self.config.windows)
+        past = PreviousFrame(moved.features, moved.denoised, valid) if state.age else None
+        image = apply_affinity_kernels(light, kernels, past, self.config.kernel_sizes)
         state = State(embedding, light, kernels.features[:, -1], image, state.age + 1)
         if state.age % self.config.bptt == 0:
             state = state.detach()
@@ -123,7 +123,7 @@ class Imcd:
 def _moved(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
     """The state as seen from this frame, and where it is valid; zero where it is not."""
     if state.age == 0:
-        return state, torch.zeros_like(state.light[:, :1], dtype=torch.bool)
+        return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
     moved, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
     valid = valid & torch.isfinite(moved).all(1, keepdim=True)
     parts = moved.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
@@ -134,6 +134,6 @@ def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
     """IMCD with shipped weights, those of a file, or random ones."""
     networks = Networks()
     if weights == "random":
-        networks.draw(seed=0)
+        networks.init_weights(seed=0)
     load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

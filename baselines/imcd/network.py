@@ -28,9 +28,9 @@ class Kernels(NamedTuple):
 
     features: Float[Tensor, "n k 8 h w"]  # f^k
     sharpness: Float[Tensor, "n k 1 h w"]  # a_k >= 0
-    centre: Float[Tensor, "n k 1 h w"]  # c_k in (0, 1): weight of the pixel itself
-    past_sharpness: Float[Tensor, "n 1 h w"]  # b >= 0
-    keep: Float[Tensor, "n 1 h w"]  # lambda in (0, 1): weight of what is remembered
+    centre_weight: Float[Tensor, "n k 1 h w"]  # c_k in (0, 1): weight of the pixel itself
+    temporal_sharpness: Float[Tensor, "n 1 h w"]  # b >= 0
+    history_weight: Float[Tensor, "n 1 h w"]  # lambda in (0, 1): weight of what is remembered
 
 
 class Networks(nn.Module):
@@ -42,12 +42,12 @@ class Networks(nn.Module):
         self.encoder = Encoder()
         self.unet = UNet()
 
-    def draw(self, seed: int) -> None:
+    def init_weights(self, seed: int) -> None:
         """Seeded weights; the last layer starts mild, so that neighbours start as alike."""
         kaiming_init(self, seed)
         self.unet.last.weight.data.mul_(MILD)
 
-    def kernels(
+    def predict_kernels(
         self, embedding: Float[Tensor, "n 32 h w"], memory: Float[Tensor, "n 32 h w"]
     ) -> Kernels:
         """What the U-Net says of this frame, brought into range; any size, float32."""

@@ -24,7 +24,7 @@ CHANGE = 0.25  # weight of the error of the change since the last frame
 STRAIN = 1e-5  # weight of squared sharpness
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """IMCD with seeded weights and its loss, eq. 11 to 13 of Isik et al. 2021.
 
     SMAPE of the image plus 0.25 SMAPE of its change since the last frame, both against the
@@ -37,7 +37,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     all methods here share.
     """
     networks = Networks()
-    networks.draw(seed)
+    networks.init_weights(seed)
     networks.to(device)
     method = Imcd(networks, traits=FAMILY.variants[variant].traits)
     return TrainingTask(method, networks, partial(losses, method), BUDGETS_FROM_1_SPP)
@@ -86,10 +86,10 @@ class SharpnessRecorder:
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """As the method's."""
         image, state, kernels = self.method.step(gbuffer, samples, state)
-        self.strain.append(strain(kernels))
+        self.strain.append(sharpness_penalty(kernels))
         return image, state
 
 
-def strain(kernels: Kernels) -> Float[Tensor, ""]:
+def sharpness_penalty(kernels: Kernels) -> Float[Tensor, ""]:
     """Mean over pixels of a^2, itself the mean over passes, plus b^2."""
-    return kernels.sharpness.square().mean() + kernels.past_sharpness.square().mean()
+    return kernels.sharpness.square().mean() + kernels.temporal_sharpness.square().mean()

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.ntas import FAMILY
-from baselines.ntas.network import Denoiser, Direct, Networks
+from baselines.ntas.network import Denoiser, DirectDenoiser, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
@@ -30,21 +30,21 @@ LARGEST = 65504.0  # radiance above this, the largest half, is cut
 class Config:
     """What of NTAS is a choice."""
 
-    denoiser: Callable[[], Denoiser | Direct] = Denoiser  # makes the second network
+    denoiser: Callable[[], Denoiser | DirectDenoiser] = Denoiser  # makes the second network
     bptt: int = 2  # frames that training differentiates through, >= 1
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    "direct": replace(BASE, denoiser=Direct),  # are kernels needed?
+    "direct": replace(BASE, denoiser=DirectDenoiser),  # are kernels needed?
 }
 
 
 class State(NamedTuple):
     """What is remembered of the frames so far."""
 
-    light: Float[Tensor, "n 3 h w"]  # the last image over its reflectance, linear
+    denoised: Float[Tensor, "n 3 h w"]  # the last image over its reflectance, linear
     age: int  # frames so far; at 0 `light` means nothing
 
 
@@ -104,7 +104,7 @@ def _history(
     gbuffer: GBuffer, state: State
 ) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The light of the last frame as seen from this one, zero where it is not valid."""
-    moved, valid = reproject(state.light, gbuffer.motion)
+    moved, valid = reproject(state.denoised, gbuffer.motion)
     valid = valid & torch.isfinite(moved).all(1, keepdim=True) & (state.age > 0)
     return moved.where(valid, 0.0), valid
 
@@ -122,6 +122,6 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
     config = VARIANTS[variant]
     networks = Networks(config.denoiser)
     if weights == "random":
-        networks.draw(seed=0)
+        networks.init_weights(seed=0)
     load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
     return Ntas(networks, config, FAMILY.variants[variant].traits)

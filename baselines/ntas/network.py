@@ -31,13 +31,13 @@ SATURATED = 30.0  # a log weight above this one leaves nothing of the others in 
 class Networks(nn.Module):
     """Sampler and denoiser, trained and stored together."""
 
-    def __init__(self, denoiser: Callable[[], Denoiser | Direct] | None = None) -> None:
+    def __init__(self, denoiser: Callable[[], Denoiser | DirectDenoiser] | None = None) -> None:
         """Weights are the U-Net's; for seeded ones see `draw`. `denoiser` makes the second one."""
         super().__init__()
         self.sampler = Sampler()
         self.denoiser = (denoiser or Denoiser)()
 
-    def draw(self, seed: int) -> None:
+    def init_weights(self, seed: int) -> None:
         """Seeded weights, faint in the last layers: map and kernels start near uniform."""
         kaiming_init(self, seed)
         for layer in (self.sampler.unet.dec_conv0, *self.denoiser.last_layers()):
@@ -113,7 +113,7 @@ class Denoiser(nn.Module):
         return crop(output, *light.shape[-2:])
 
 
-class Direct(nn.Module):
+class DirectDenoiser(nn.Module):
     """A U-Net from what `Denoiser` sees to the light itself, colour by colour, without kernels.
 
     In place of kernels Scardigli et al. 2023 have a U-Net that says colours, in their release:

@@ -21,7 +21,7 @@ from rlbench.training.task import BUDGETS_FROM_1_SPP
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """NTAS with seeded weights, and the loss that trains sampler and denoiser together.
 
     L1 of the image plus L1 of its change since the last frame, both against the reference's and
@@ -30,7 +30,7 @@ def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """
     config = VARIANTS[variant]
     networks = Networks(config.denoiser)
-    networks.draw(seed)
+    networks.init_weights(seed)
     networks.to(device)
     method = Ntas(networks, config, FAMILY.variants[variant].traits)
 

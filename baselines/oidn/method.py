@@ -20,7 +20,7 @@ from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
 from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
-INPUTS = 9  # colour, albedo, normal
+INPUT_CHANNELS = 9  # colour, albedo, normal
 
 Expose = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 1 1 1"]]
 Develop = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 1 1"]], Float[Tensor, "n 3 h w"]]
@@ -31,13 +31,13 @@ class Config:
     """What tells the variants apart."""
 
     widths: Widths = BASE  # channels of each convolution
-    intel: bool = False  # does training start from Intel's weights?
+    starts_from_intel: bool = False  # does training start from Intel's weights?
 
 
 VARIANTS = {
     "": Config(),
     "small": Config(widths=FAST),  # is a third of the parameters enough?
-    "tuned": Config(intel=True),  # what do our clips add to Intel's weights?
+    "tuned": Config(starts_from_intel=True),  # what do our clips add to Intel's weights?
 }
 
 
@@ -69,8 +69,8 @@ class Oidn:
 
     network: nn.Module  # 9 channels to 3, in transfer space
     traits: Traits = TRAITS
-    expose: Expose = field(default=autoexposure)  # noisy image to exposure
-    develop: Develop = field(default=to_radiance)  # network's output and exposure to image
+    estimate_exposure: Expose = field(default=autoexposure)  # noisy image to exposure
+    decode: Develop = field(default=to_radiance)  # network's output and exposure to image
 
     def start(self, size: Size) -> None:
         """Nothing: every frame is its own."""
@@ -84,14 +84,14 @@ class Oidn:
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image, from the mean of the samples, albedo and normal."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
-        exposure = self.expose(noisy)
+        exposure = self.estimate_exposure(noisy)
         seen = inputs(noisy * exposure, gbuffer)
         value = crop(self.network(pad(seen, to=STRIDE)), *seen.shape[-2:])
-        return self.develop(value, exposure), None
+        return self.decode(value, exposure), None
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
     """OIDN with our weights, those of a file, or `"random"` ones."""
-    network = UNet(INPUTS, widths=VARIANTS[variant].widths)
+    network = UNet(INPUT_CHANNELS, widths=VARIANTS[variant].widths)
     load_for_inference(network, weights, CARDS / FAMILY.weights(variant), device)
     return Oidn(network)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from baselines.oidn.method import INPUTS, VARIANTS, Oidn
+from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip
 from rlbench.ops.exposure import autoexposure
@@ -23,7 +23,7 @@ PEAK = 1e-3  # learning rate
 TUNING = 4e-5  # the same, where training starts from Intel's weights
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """A seeded U-Net and its loss, 0.16 L1 + 0.84 (1 - MS-SSIM) with five equal scales.
 
     As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
@@ -34,11 +34,11 @@ def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
     LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
     """
     config = VARIANTS[variant]
-    network = UNet(INPUTS, widths=config.widths, seed=seed).to(device)
-    return (tuning if config.intel else learning)(Oidn(network))
+    network = UNet(INPUT_CHANNELS, widths=config.widths, seed=seed).to(device)
+    return (fine_tuning_task if config.starts_from_intel else learning)(Oidn(network))
 
 
-def tuning(method: Oidn) -> TrainingTask:
+def fine_tuning_task(method: Oidn) -> TrainingTask:
     """How a U-Net goes on from Intel's weights. Raises LibraryError without the extra `oidn`."""
     from baselines.oidn_intel import networks
 
@@ -52,13 +52,13 @@ def learning(method: Oidn, peak: float = PEAK, even: bool = False) -> TrainingTa
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
-            loss = _loss(method, InMemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
+            loss = _frame_loss(method, InMemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
             yield log_loss(loss) if even else loss
 
     return TrainingTask(method, method.network, losses, BUDGETS_FROM_1_SPP, peak)
 
 
-def _loss(method: Oidn, still: InMemoryClip, spp: float) -> Tensor:
+def _frame_loss(method: Oidn, still: InMemoryClip, spp: float) -> Tensor:
     reference = still.frames[0].reference.mean
     exposure = autoexposure(reference)
     # the network's output as it is, no clamp: what is clamped gets no gradient

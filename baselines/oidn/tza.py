@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float16
 
 from baselines.oidn import FAMILY
-from baselines.oidn.method import INPUTS, VARIANTS
+from baselines.oidn.method import INPUT_CHANNELS, VARIANTS
 from rlbench.errors import RlbenchError
 from rlbench.ops.unet import UNet
 from rlbench.weights import WeightsError, load_into, read_card
@@ -40,7 +40,7 @@ class TzaError(RlbenchError, ValueError):
     """A file that is no TZA, or tensors that one cannot hold."""
 
 
-def write(tensors: Mapping[str, Array]) -> bytes:
+def encode(tensors: Mapping[str, Array]) -> bytes:
     """A TZA file of weights (4 dimensions) and biases (1), all half floats. Raises TzaError."""
     values = bytearray(HEADER.size)
     table = bytearray(struct.pack("<I", len(tensors)))
@@ -59,7 +59,7 @@ def write(tensors: Mapping[str, Array]) -> bytes:
     return bytes(values + table)
 
 
-def read(content: bytes) -> dict[str, Array]:
+def decode(content: bytes) -> dict[str, Array]:
     """The tensors of a TZA file by name, in the order of its table. Raises TzaError."""
     try:
         return _read(content)
@@ -74,9 +74,9 @@ def export(weights: Path) -> bytes:
     """
     variant = read_card(weights).name.partition("/")[2]
     config = VARIANTS.get(variant, VARIANTS[""])  # of a stranger's weights `load_into` will tell
-    network = UNet(INPUTS, widths=config.widths)
+    network = UNet(INPUT_CHANNELS, widths=config.widths)
     load_into(network, weights)
-    return write({name: tensor.numpy() for name, tensor in network.half().state_dict().items()})
+    return encode({name: tensor.numpy() for name, tensor in network.half().state_dict().items()})
 
 
 def main(asked: Sequence[str] | None = None) -> None:

@@ -27,7 +27,7 @@ class Settings:
     """How the library's ray-tracing filter is set, for HDR colour with albedo and normal."""
 
     quality: str = "high"  # high, balanced, fast
-    clean: bool = False  # albedo and normal are claimed to be free of noise
+    clean_aux: bool = False  # albedo and normal are claimed to be free of noise
     weights: bytes = b""  # a TZA file to use in place of Intel's
 
 
@@ -55,7 +55,7 @@ class Filter:
         for name, image in self._images.items():
             self._filter.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
         self._filter.set_bool("hdr", True)
-        self._filter.set_bool("cleanAux", settings.clean)
+        self._filter.set_bool("cleanAux", settings.clean_aux)
         self._filter.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{settings.quality.upper()}"))
         if self._weights:
             _give_weights(self._filter, self._weights)
@@ -85,7 +85,7 @@ class Filter:
             raise LibraryError(f"Open Image Denoise: {told}")
 
 
-def version() -> str:
+def library_version() -> str:
     """Version of the library that pyoidn brings, as in "2.5.1"."""
     import pyoidn
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.oidn_intel import TRAITS
-from baselines.oidn_intel.library import Filter, Settings, version
+from baselines.oidn_intel.library import Filter, Settings, library_version
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.transfer import HALF_MAX
@@ -23,8 +23,8 @@ class Config:
     """What tells the variants apart."""
 
     quality: str = "high"  # the library's default
-    clean: bool = False  # albedo and normal are claimed to be free of noise
-    library: str = ""  # its version
+    clean_aux: bool = False  # albedo and normal are claimed to be free of noise
+    library_version: str = ""  # its version
 
 
 BASE = Config()
@@ -61,7 +61,7 @@ class OidnIntel:
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image, from the mean of the samples, albedo and normal; clip by clip."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
-        settings = Settings(self.config.quality, self.config.clean)
+        settings = Settings(self.config.quality, self.config.clean_aux)
         run = filter_for(settings, *noisy.shape[-2:], torch.get_num_threads())
         inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)
         return torch.stack([run(*each) for each in inputs]), None
@@ -69,4 +69,4 @@ class OidnIntel:
 
 def build(variant: str, device: torch.device, weights: str | None) -> OidnIntel:
     """The library in one of its qualities, with the weights that it brings."""
-    return OidnIntel(replace(VARIANTS[variant], library=version()))
+    return OidnIntel(replace(VARIANTS[variant], library=library_version()))

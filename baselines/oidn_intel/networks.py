@@ -11,18 +11,18 @@ import numpy as np
 import torch
 
 from baselines.oidn import tza
-from baselines.oidn.method import INPUTS, Oidn
-from baselines.oidn_intel.library import Filter, LibraryError, Settings, version
+from baselines.oidn.method import INPUT_CHANNELS, Oidn
+from baselines.oidn_intel.library import Filter, LibraryError, Settings, library_version
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.unet import BASE, FAST, UNet, Widths
 
 QUALITIES = {BASE: "high", FAST: "fast"}  # of the library, by the network that it takes for it
 LONGEST = 8_000_000  # bytes of a network in the library, at most
 SIDE = 64  # pixels of the image by which a network is known
-ALIKE = 0.02  # relative difference, more than half floats make; other networks differ by 0.19
+MAX_DIFFERENCE = 0.02  # relative difference, more than half floats make; other networks differ by 0.19
 
 
-def inside() -> list[Mapping[str, tza.Array]]:
+def read_library_networks() -> list[Mapping[str, tza.Array]]:
     """All networks that are built into the library that pyoidn brings. Raises LibraryError."""
     try:
         import pyoidn  # an extra
@@ -33,7 +33,7 @@ def inside() -> list[Mapping[str, tza.Array]]:
     core = min(Path(pyoidn.__file__).parent.glob("oidn/*/*OpenImageDenoise_core*"))
     held, magic = core.read_bytes(), struct.pack("<HBB", tza.MAGIC, *tza.VERSION)
     begins = [i for i in range(0, len(held), tza.ALIGNED) if held.startswith(magic, i)]
-    return [tza.read(held[i : i + LONGEST]) for i in begins]
+    return [tza.decode(held[i : i + LONGEST]) for i in begins]
 
 
 @cache
@@ -43,12 +43,12 @@ def network(widths: Widths = BASE) -> UNet:
     Several have that size: it is the one whose image of some noise is the library's. Raises
     LibraryError where none is, or where the extra `oidn` is not installed.
     """
-    made = UNet(INPUTS, widths=widths).eval().requires_grad_(False)
+    made = UNet(INPUT_CHANNELS, widths=widths).eval().requires_grad_(False)
     wanted = {name: tuple(tensor.shape) for name, tensor in made.state_dict().items()}
-    fitting = [n for n in inside() if {k: v.shape for k, v in n.items()} == wanted]
+    fitting = [n for n in read_library_networks() if {k: v.shape for k, v in n.items()} == wanted]
     for held in fitting:
         made.load_state_dict({k: torch.from_numpy(v.astype(np.float32)) for k, v in held.items()})
-        if _difference(made, QUALITIES[widths]) < ALIKE:
+        if _relative_difference(made, QUALITIES[widths]) < MAX_DIFFERENCE:
             return made
     raise LibraryError(
         f"none of the {len(fitting)} networks of {sum(map(np.prod, wanted.values()))} weights in "
@@ -58,10 +58,10 @@ def network(widths: Widths = BASE) -> UNet:
 
 def origin() -> str:
     """What the card of weights says that started from these."""
-    return f"Intel's weights of Open Image Denoise {version()}, Apache-2.0"
+    return f"Intel's weights of Open Image Denoise {library_version()}, Apache-2.0"
 
 
-def _difference(made: UNet, quality: str) -> float:
+def _relative_difference(made: UNet, quality: str) -> float:
     generator = torch.Generator().manual_seed(0)
     colour, albedo, normal = torch.rand(3, 1, 3, SIDE, SIDE, generator=generator)
     gbuffer = GBuffer({"albedo": albedo, "normal": 2 * normal - 1})

@@ -50,9 +50,9 @@ class Config:
     """What is reused, and how. The default is the paper's biased one."""
 
     candidates: int = 32  # M
-    visibility: bool = True  # is a candidate that is in shadow dropped?
-    temporal: bool = True
-    history: float = 20.0  # most M of the past, times the present one
+    visibility_reuse: bool = True  # is a candidate that is in shadow dropped?
+    temporal_reuse: bool = True
+    m_cap: float = 20.0  # most M of the past, times the present one
     neighbours: int = 5
     passes: int = 2
     radius: float = 30.0  # pixels
@@ -61,11 +61,11 @@ class Config:
 
 BIASED = Config()
 UNBIASED = Config(neighbours=3, passes=1, unbiased=True)
-PLAIN = Config(candidates=1, visibility=False, temporal=False, passes=0)
+PLAIN = Config(candidates=1, visibility_reuse=False, temporal_reuse=False, passes=0)
 
 
 @dataclass
-class Past:
+class History:
     """What is remembered of the last frame, lane by lane."""
 
     kept: Reservoir
@@ -83,7 +83,7 @@ class Restir:
     numbers: range  # of the chains: which random numbers they have
     config: Config = BIASED
     indirect: bool = True  # also emission, and light from other surfaces?
-    past: Past | None = field(default=None, repr=False)
+    past: History | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Make what does not change from frame to frame."""
@@ -119,9 +119,9 @@ class Restir:
         dr.eval(hit)
         surface = Surface.of(self.stage.scene, ray, hit)
         kept = self._fresh(surface)
-        if self.config.temporal:
+        if self.config.temporal_reuse:
             kept = self._remembered(surface, kept)
-        past = Past(
+        past = History(
             kept,
             surface.normal,
             surface.hit.t,
@@ -155,7 +155,7 @@ class Restir:
         state = (mi.UInt32(0), numbers.rng, Stream.nothing())
         _, _, stream = dr.while_loop(state, lambda i, *_: i < self.config.candidates, draw)
         found = stream.reservoir(1 / self.config.candidates)
-        if self.config.visibility:
+        if self.config.visibility_reuse:
             _, point = surface.light(found.place, found.weight > 0)
             seen = surface.sees(point, found.weight > 0)
             found.weight = dr.select(seen, found.weight, 0)
@@ -175,7 +175,7 @@ class Restir:
 
         def take(lane: Any, active: Any) -> Reservoir:
             found = past.kept.at(lane, active & self._alike(surface, past, lane, active))
-            found.M = dr.minimum(found.M, self.config.history * own.M)
+            found.M = dr.minimum(found.M, self.config.m_cap * own.M)
             return found
 
         def seen(lane: Any, active: Any) -> Surface:
@@ -193,7 +193,7 @@ class Restir:
         others = Others(1, lambda rng: (lane, inside), take, seen)
         return merge(surface, own, others, lambda: self._numbers(1).rng, self.config.unbiased)
 
-    def _shared(self, surface: Surface, now: Past, number: int) -> Reservoir:
+    def _shared(self, surface: Surface, now: History, number: int) -> Reservoir:
         """With reservoirs of neighbours in the same frame; `number` tells passes apart."""
         import drjit as dr
         import mitsuba as mi
@@ -261,7 +261,7 @@ class Restir:
         pixel += mi.UInt32(dr.select(inside, column, 0))
         return pixel * self._each + self._chain, inside
 
-    def _alike(self, surface: Surface, past: Past, lane: Any, active: Any) -> Any:
+    def _alike(self, surface: Surface, past: History, lane: Any, active: Any) -> Any:
         """Is the surface of another lane about as far away, and does it lie alike?"""
         import drjit as dr
         import mitsuba as mi
@@ -272,14 +272,14 @@ class Restir:
         same = dr.gather(mi.UInt32, past.material, lane, active) == surface.material
         return same & near & (dr.dot(normal, surface.normal) > NORMAL)
 
-    def _nothing(self) -> Past:
+    def _nothing(self) -> History:
         import drjit as dr
         import mitsuba as mi
 
         rooms = [dr.opaque(mi.Float, 0, (self.lanes,)) for _ in range(10)]
         ray = (mi.Point3f(rooms[4:7]), mi.Vector3f(rooms[7:10])) if self.config.unbiased else ()
         material = dr.opaque(mi.UInt32, 0, (self.lanes,))
-        return Past(empty(self.lanes), mi.Normal3f(rooms[:3]), rooms[3], material, ray)
+        return History(empty(self.lanes), mi.Normal3f(rooms[:3]), rooms[3], material, ray)
 
 
 def biased(stage: RenderContext, numbers: range) -> Restir:

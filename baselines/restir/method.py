@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from baselines.mean import Mean
-from baselines.oidn.method import INPUTS, Oidn
+from baselines.oidn.method import INPUT_CHANNELS, Oidn
 from baselines.restir import DENOISED, FAMILY
 from rlbench.ops.unet import UNet
 from rlbench.weights import load_for_inference
@@ -25,6 +25,6 @@ def denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
 
     Its noise is correlated between neighbours, who share samples, unlike that of paths.
     """
-    network = UNet(INPUTS)
+    network = UNet(INPUT_CHANNELS)
     load_for_inference(network, weights, CARDS / DENOISED.weights(variant), device)
     return Oidn(network, DENOISED.variants[variant].traits)

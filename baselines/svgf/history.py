@@ -31,7 +31,7 @@ class History(NamedTuple):
 class TemporalMoments(NamedTuple):
     """Exponential means over the frames of a history, as images."""
 
-    light: Float[Tensor, "n 3 h w"]  # irradiance
+    irradiance: Float[Tensor, "n 3 h w"]  # irradiance
     moments: Float[Tensor, "n 2 h w"]  # luminance and its square
     length: Float[Tensor, "n 1 h w"]  # frames, 0 where there is no surface
 
@@ -41,7 +41,7 @@ class TemporalMoments(NamedTuple):
         return (self.moments[:, 1:] - self.moments[:, :1].square()).clamp_min(0)
 
 
-def nothing(flat: PaddedRows, device: torch.device) -> History:
+def empty_history(flat: PaddedRows, device: torch.device) -> History:
     """The memory before the first frame."""
     empty = flat.pack(torch.zeros(flat.n, 10, flat.h, flat.w, device=device))
     return History(empty[:6], empty[6:7], empty[7:])

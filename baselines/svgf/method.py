@@ -16,7 +16,7 @@ from baselines.svgf.history import (
     TemporalMoments,
     accumulate,
     luminance,
-    nothing,
+    empty_history,
     reproject_history,
 )
 from baselines.svgf.wavelet import Edges, atrous_pass
@@ -37,11 +37,11 @@ LOG2E = 1 / math.log(2)  # exp(x) is 2^(LOG2E x)
 class Config:
     """What tells the variants apart."""
 
-    keep_light: float = 0.2  # least weight of a new frame in the mean of colour, in (0, 1]
-    keep_moments: float = 0.2  # the same for the moments of luminance
+    alpha_color: float = 0.2  # least weight of a new frame in the mean of colour, in (0, 1]
+    alpha_moments: float = 0.2  # the same for the moments of luminance
     passes: int = 5  # of the wavelet, >= 1
-    feedback: int = 0  # the pass, from 0, whose output is remembered; below `passes`
-    sigma_light: float = 4.0  # by how many standard deviations luminance may differ
+    feedback_tap: int = 0  # the pass, from 0, whose output is remembered; below `passes`
+    sigma_luminance: float = 4.0  # by how many standard deviations luminance may differ
     sigma_depth: float = 1.0  # by how many of its gradients depth may differ
 
 
@@ -84,7 +84,7 @@ class Svgf:
 
     def start(self, size: Size) -> History:
         """Nothing is remembered."""
-        return nothing(self._flat(size), self.device)
+        return empty_history(self._flat(size), self.device)
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: History) -> Float[Tensor, "n 1 h w"]:
         """Uniform."""
@@ -102,13 +102,13 @@ class Svgf:
         flat = self._flat(Size(len(noisy), *noisy.shape[2:]))
 
         recalled = reproject_history(flat, state, gbuffer.motion, depth, normal)
-        keep = (self.config.keep_light, self.config.keep_moments)
+        keep = (self.config.alpha_color, self.config.alpha_moments)
         mean = accumulate(light, noisy.isfinite().all(1, keepdim=True), recalled, keep)
 
         slope = torch.where(solid, gradient(depth, solid), 1.0)
         decay = -LOG2E / (self.config.sigma_depth * slope)
         edges = Edges(*(flat.pack(each) for each in (normal, depth, decay)))
-        start = _estimated(flat, edges, mean, solid, self.config.sigma_light)
+        start = _estimated(flat, edges, mean, solid, self.config.sigma_luminance)
         filtered, remembered = wavelet(flat, edges, *start, self.config)
         image = torch.where(solid, flat.unpack(filtered) * shade, sanitize_radiance(noisy))
 
@@ -130,11 +130,11 @@ def wavelet(
     """Irradiance after the last pass, and after the one that is remembered."""
     remembered = light
     for index in range(config.passes):
-        keen = (_blurred(flat, variance) + TINY).rsqrt() * (-LOG2E / config.sigma_light)
+        keen = (_blurred(flat, variance) + TINY).rsqrt() * (-LOG2E / config.sigma_luminance)
         bright = luminance(light[None])[0]
         sums = atrous_pass(flat, atrous_taps(2**index), edges, (bright, keen), light, variance)
         light, variance = sums.values / sums.weight, sums.variance / sums.weight.square()
-        if index == config.feedback:
+        if index == config.feedback_tap:
             remembered = light
     return light, remembered
 
@@ -166,7 +166,7 @@ def _estimated(
     sigma: float,
 ) -> tuple[Float[Tensor, "3 row"], Float[Tensor, "1 row"]]:
     """Irradiance and its variance; where history is short, both come from the neighbourhood."""
-    light, variance = flat.pack(mean.light), flat.pack(mean.variance)
+    light, variance = flat.pack(mean.irradiance), flat.pack(mean.variance)
     short = solid & (mean.length < MIN_HISTORY_LENGTH)
     if not short.any():
         return light, variance

@@ -22,7 +22,7 @@ class Edges:
 
     normal: Float[Tensor, "3 row"]  # unit length; zero where there is no surface
     depth: Float[Tensor, "1 row"]  # finite everywhere
-    decay: Float[Tensor, "1 row"]  # of the weight, in powers of 2 by depth over pixels; <= 0
+    depth_decay: Float[Tensor, "1 row"]  # of the weight, in powers of 2 by depth over pixels; <= 0
 
 
 class Sums(NamedTuple):
@@ -82,7 +82,7 @@ def _exchange(
     near = (tap.down**2 + tap.right**2) ** -0.5
     for to, source in ((here, there), (there, here)):
         torch.mul(lights, keen[:, to], out=weight)
-        weight.addcmul_(depths, edges.decay[:, to], value=near).exp2_().mul_(alike)
+        weight.addcmul_(depths, edges.depth_decay[:, to], value=near).exp2_().mul_(alike)
         sums.values[:, to].addcmul_(values[:, source], weight, value=tap.weight)
         sums.weight[:, to].add_(weight, alpha=tap.weight)
         weight.mul_(weight)

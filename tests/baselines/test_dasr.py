@@ -12,11 +12,11 @@ from scipy import ndimage
 from torch import Tensor, nn
 
 from baselines.dasr import TRAITS
-from baselines.dasr.gamma import draw, gamma, variance
-from baselines.dasr.losses import edges, relative
+from baselines.dasr.gamma import draw_gamma_mean, gamma, sample_variance
+from baselines.dasr.losses import edges, relative_loss
 from baselines.dasr.method import Dasr, build
 from baselines.dasr.network import Networks
-from baselines.dasr.train import trainer
+from baselines.dasr.train import training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
@@ -144,13 +144,13 @@ def test_the_loss_is_relative_to_the_reference() -> None:
     bright = torch.full((1, 3, 24, 24), 1.99)
     # both references are 0.01 short of 1 and 2; float32 sums of 1728
     torch.testing.assert_close(
-        relative(dark + error, dark), 2 * relative(bright + error, bright), rtol=1e-4, atol=0
+        relative_loss(dark + error, dark), 2 * relative_loss(bright + error, bright), rtol=1e-4, atol=0
     )
 
 
 def test_the_loss_is_zero_where_equal() -> None:
     image = drawn(1, 3, 24, 24)
-    assert float(relative(image, image)) == 0
+    assert float(relative_loss(image, image)) == 0
 
 
 def test_stripes_cost_more_than_a_shift_of_brightness_of_equal_size() -> None:
@@ -158,12 +158,12 @@ def test_stripes_cost_more_than_a_shift_of_brightness_of_equal_size() -> None:
     reference = (torch.arange(64) % 16 < 8).float().expand(1, 3, 64, 64) + 1
     fine = 0.1 * ((torch.arange(64) % 8 < 4).float() * 2 - 1)
     shift = torch.full((64,), 0.1)
-    assert relative(reference + fine, reference) > 1.05 * relative(reference + shift, reference)
+    assert relative_loss(reference + fine, reference) > 1.05 * relative_loss(reference + shift, reference)
 
 
 def moved(variant: str, done: float) -> set[str]:
     """The networks that one step changes at this point of a training."""
-    made = trainer(variant, CPU, seed=0)
+    made = training_task(variant, CPU, seed=0)
     nn.init.normal_(made.networks.sampler.last.weight, 0, 0.1, torch.Generator().manual_seed(0))
     before = {name: [p.clone() for p in net.parameters()] for name, net in _children(made)}
     optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
@@ -199,7 +199,7 @@ def test_a_stage_moves_its_networks_alone(variant: str, done: float, names: set[
 
 
 def test_until_the_map_is_trained_sampling_is_uniform() -> None:
-    made = trainer("", CPU, seed=0)
+    made = training_task("", CPU, seed=0)
     (shown,) = run_clip(made.method, small_clip(), 3.0)
     assert torch.equal(shown.samples.counts, torch.full_like(shown.samples.counts, 3))
 
@@ -234,7 +234,7 @@ class Averaging(nn.Module):
 
 @VARIANTS
 def test_the_map_learns_where_noise_is(variant: str) -> None:
-    made = trainer(variant, CPU, seed=0)
+    made = training_task(variant, CPU, seed=0)
     made.networks.denoiser = Averaging()
     optimizer = torch.optim.Adam(made.networks.sampler.parameters(), 1e-3)
     made.on_progress(MAP_ALONE)
@@ -259,7 +259,7 @@ def several(number: float, of_variance: float) -> tuple[Tensor, Tensor, int]:
     count = 400_000
     due = torch.full((1, 1, 1, count), number, requires_grad=True)
     mean, spread = torch.full((1, 1, 1, count), 0.7), torch.full((1, 1, 1, count), of_variance)
-    return draw(mean, spread, due, torch.Generator().manual_seed(7)), due, count
+    return draw_gamma_mean(mean, spread, due, torch.Generator().manual_seed(7)), due, count
 
 
 @GAMMA
@@ -289,7 +289,7 @@ def test_gamma_draws_have_the_slope_of_their_squared_error(
 def test_gamma_draws_are_finite_and_so_are_their_slopes(mean: float, of_variance: float) -> None:
     due = torch.full((1, 1, 1, 1000), 2.0, requires_grad=True)
     means = torch.full((1, 1, 1, 1000), mean)
-    found = draw(means, torch.full_like(means, of_variance), due, torch.Generator().manual_seed(0))
+    found = draw_gamma_mean(means, torch.full_like(means, of_variance), due, torch.Generator().manual_seed(0))
     (found + 0 * due).sum().backward()
     assert torch.isfinite(found).all()
     assert (found >= 0).all()
@@ -300,7 +300,7 @@ def test_gamma_draws_are_finite_and_so_are_their_slopes(mean: float, of_variance
 def test_without_light_or_without_noise_a_draw_is_the_mean(mean: float, of_variance: float) -> None:
     means = torch.full((1, 3, 4, 4), mean)
     spread = torch.full_like(means, of_variance)
-    found = draw(means, spread, torch.ones(1, 1, 4, 4), torch.Generator())
+    found = draw_gamma_mean(means, spread, torch.ones(1, 1, 4, 4), torch.Generator())
     assert torch.equal(found, means)
 
 
@@ -308,7 +308,7 @@ def test_the_variance_is_that_of_samples_around_each_pixels_own_mean() -> None:
     """Of exponential noise around m it is m^2, though neighbours have other means."""
     mean = torch.where(torch.arange(300) % 2 < 1, 0.5, 1.5).expand(1, 1, 3, 300, 300)
     noise = -drawn(1, 8, 3, 300, 300).clamp_min(1e-6).log()
-    found = variance(mean * noise).mean()
+    found = sample_variance(mean * noise).mean()
     expected = (0.5**2 + 1.5**2) / 2
     # one variance of 8 exponential samples has a deviation of about its own size
     assert abs(found - expected) < 4 * 2.25 / (3 * 300 * 300) ** 0.5
@@ -317,7 +317,7 @@ def test_the_variance_is_that_of_samples_around_each_pixels_own_mean() -> None:
 def test_a_bad_sample_has_no_variance() -> None:
     radiance = drawn(1, 8, 3, 5, 5)
     radiance[0, 0, 0, 2, 2] = torch.inf
-    assert torch.isfinite(variance(radiance)).all()
+    assert torch.isfinite(sample_variance(radiance)).all()
 
 
 def test_gamma_gives_the_method_a_mean_and_nothing_of_the_pool() -> None:
@@ -331,7 +331,7 @@ def test_gamma_gives_the_method_a_mean_and_nothing_of_the_pool() -> None:
 def test_gamma_draws_are_the_same_for_the_same_frame() -> None:
     losses = []
     for _ in range(2):
-        made = trainer("gamma", CPU, seed=0)
+        made = training_task("gamma", CPU, seed=0)
         made.on_progress(DENOISER_ALONE)
         losses.append([loss.item() for loss in made.losses(small_clip(2), 2.0)])
     assert losses[0] == losses[1]

@@ -12,10 +12,10 @@ import torch
 from scipy import ndimage
 from torch import Tensor, nn
 
-from baselines.imcd.filter import Past, Windows, filtered
+from baselines.imcd.filter import PreviousFrame, KernelSizes, apply_affinity_kernels
 from baselines.imcd.method import Config, Imcd, State, build
 from baselines.imcd.network import Encoder, Kernels, Networks
-from baselines.imcd.train import losses, strain, trainer
+from baselines.imcd.train import losses, sharpness_penalty, training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
@@ -23,7 +23,7 @@ from rlbench.run import run_clip
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)
-SMALL = Windows(spatial=5, temporal=3)
+SMALL = KernelSizes(spatial=5, temporal=3)
 
 
 def drawn(*shape: int, seed: int = 0) -> Tensor:
@@ -64,9 +64,9 @@ def kernels(h: int, w: int, sharpness: float | None = None, keep: float = 0.0) -
     return Kernels(
         features=drawn(1, 3, 8, h, w, seed=5),
         sharpness=drawn_sharpness if plain else given,
-        centre=drawn(1, 3, 1, h, w, seed=7) if plain else torch.ones(1, 3, 1, h, w),
-        past_sharpness=3 * drawn(1, 1, h, w, seed=8),
-        keep=torch.full((1, 1, h, w), keep),
+        centre_weight=drawn(1, 3, 1, h, w, seed=7) if plain else torch.ones(1, 3, 1, h, w),
+        temporal_sharpness=3 * drawn(1, 1, h, w, seed=8),
+        history_weight=torch.full((1, 1, h, w), keep),
     )
 
 
@@ -78,7 +78,7 @@ def method() -> Imcd:
 @pytest.fixture(scope="module")
 def learner() -> Imcd:
     """One whose weights can be trained, with small windows, for speed."""
-    method = trainer("", CPU, seed=0).method
+    method = training_task("", CPU, seed=0).method
     assert isinstance(method, Imcd)
     return replace(method, config=Config(SMALL))
 
@@ -109,18 +109,18 @@ def test_without_sharpness_it_is_three_dilated_boxes(side: int) -> None:
             for each in (expected, np.ones_like(expected))
         )
         expected = total / area
-    found = filtered(light, kernels(40, 30, sharpness=0.0), None, Windows(side))
+    found = apply_affinity_kernels(light, kernels(40, 30, sharpness=0.0), None, KernelSizes(side))
     # float32 sums of up to 121 terms, three times
     np.testing.assert_allclose(found[0].numpy(), expected, rtol=1e-5)
 
 
 def test_where_no_two_pixels_are_alike_it_is_the_identity() -> None:
     light = drawn(1, 3, 20, 20)
-    found = filtered(light, kernels(20, 20, sharpness=1e6), None, Windows())
+    found = apply_affinity_kernels(light, kernels(20, 20, sharpness=1e6), None, KernelSizes())
     torch.testing.assert_close(found, light, rtol=1e-6, atol=0)  # the last bit of float32
 
 
-def looped(light: Tensor, asked: Kernels, past: Past | None, windows: Windows) -> np.ndarray:
+def looped(light: Tensor, asked: Kernels, past: PreviousFrame | None, windows: KernelSizes) -> np.ndarray:
     """Eq. 4, 6, 7 and 8, a pixel and a neighbour at a time, [3 h w] in double precision."""
     _, _, h, w = light.shape
     image = light[0].double().numpy()
@@ -138,7 +138,7 @@ def looped(light: Tensor, asked: Kernels, past: Past | None, windows: Windows) -
                 remembered, old = past.features[0].double().numpy(), past.image[0].double().numpy()
                 for v, u in _window(windows.temporal, y, x, 1, h, w):
                     distance = ((features[2, :, y, x] - remembered[:, v, u]) ** 2).sum()
-                    weight = np.exp(-float(asked.past_sharpness[0, 0, y, x]) * distance)
+                    weight = np.exp(-float(asked.temporal_sharpness[0, 0, y, x]) * distance)
                     weight *= float(past.valid[0, 0, v, u])
                     total, weights = total + weight * old[:, v, u], weights + weight
             image[:, y, x] = total / weights
@@ -155,10 +155,10 @@ def _window(side: int, y: int, x: int, dilation: int, h: int, w: int) -> list[tu
 def test_the_filter_equals_its_slow_twin(remembers: bool) -> None:
     light, asked = drawn(1, 3, 12, 12), kernels(12, 12)
     valid = drawn(1, 1, 12, 12, seed=9) > 0.3
-    past = Past(drawn(1, 8, 12, 12, seed=10), drawn(1, 3, 12, 12, seed=11), valid)
+    past = PreviousFrame(drawn(1, 8, 12, 12, seed=10), drawn(1, 3, 12, 12, seed=11), valid)
     past = past if remembers else None
     expected = looped(light, asked, past, SMALL)
-    found = filtered(light, asked, past, SMALL)
+    found = apply_affinity_kernels(light, asked, past, SMALL)
     np.testing.assert_allclose(found[0].numpy(), expected, rtol=1e-5)  # float32, 34 terms
 
 
@@ -214,10 +214,10 @@ def test_the_same_frame_again_is_blended_with_the_first(method: Imcd) -> None:
     still = replace(frame.gbuffer, static=True)
     _, first = method.denoise(still, bought(frame), method.start(SIZE))
     _, second, asked = method.step(still, bought(frame), first)
-    past = Past(first.features, first.image, torch.ones(1, 1, 16, 16, dtype=torch.bool))
-    expected = filtered(first.light, asked, past, method.config.windows)
-    assert torch.equal(second.image, expected)
-    assert not torch.equal(second.image, first.image)
+    past = PreviousFrame(first.features, first.denoised, torch.ones(1, 1, 16, 16, dtype=torch.bool))
+    expected = apply_affinity_kernels(first.irradiance, asked, past, method.config.kernel_sizes)
+    assert torch.equal(second.denoised, expected)
+    assert not torch.equal(second.denoised, first.denoised)
 
 
 @pytest.mark.parametrize("age", [0, 1], ids=["without history", "with history"])
@@ -229,7 +229,7 @@ def test_constant_light_stays_constant(method: Imcd, age: int) -> None:
     before = State(*(torch.full((1, c, 16, 16), 0.7) for c in (32, 3, 8, 3)), age)
     image, state = method.denoise(gbuffer, samples, before)
     # float32 sums of 242 weights, and one division by reflectance
-    torch.testing.assert_close(state.image, torch.full_like(state.image, 0.7), rtol=1e-5, atol=0)
+    torch.testing.assert_close(state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0)
     torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
 
 
@@ -237,7 +237,7 @@ def test_later_the_state_counts(method: Imcd) -> None:
     frame = small_clip().frames[0]
     _, state = method.denoise(frame.gbuffer, bought(frame), method.start(SIZE))
     dark, bright = (
-        method.denoise(frame.gbuffer, bought(frame), state._replace(image=state.image + more))[0]
+        method.denoise(frame.gbuffer, bought(frame), state._replace(image=state.denoised + more))[0]
         for more in (0.0, 9.0)
     )
     assert dark.mean() < bright.mean()
@@ -270,7 +270,7 @@ def test_lights_on_black_surfaces_keep_their_radiance() -> None:
     black = GBuffer({**frame.gbuffer.buffers, "albedo": torch.zeros(1, 3, 16, 16)})
     _, state = build("", CPU, "random").denoise(black, bought(frame), State(*_empty(), age=0))
     mean = bought(frame).mean
-    torch.testing.assert_close(state.light, mean / 1.01, rtol=1e-5, atol=0)  # float32 sums of 8
+    torch.testing.assert_close(state.irradiance, mean / 1.01, rtol=1e-5, atol=0)  # float32 sums of 8
 
 
 def _empty() -> list[Tensor]:
@@ -279,7 +279,7 @@ def _empty() -> list[Tensor]:
 
 def test_strain_is_the_mean_of_squares() -> None:
     asked = kernels(4, 4, sharpness=2.0)._replace(past_sharpness=torch.full((1, 1, 4, 4), 3.0))
-    assert float(strain(asked)) == pytest.approx(2.0**2 + 3.0**2)
+    assert float(sharpness_penalty(asked)) == pytest.approx(2.0**2 + 3.0**2)
 
 
 def test_the_loss_is_relative_error_of_images_and_a_quarter_of_that_of_their_change(
@@ -320,7 +320,7 @@ def test_there_is_one_loss_for_each_two_frames(learner: Imcd, frames: int, count
 
 
 def test_a_few_steps_bring_the_loss_down() -> None:
-    made = trainer("", CPU, seed=0)
+    made = training_task("", CPU, seed=0)
     optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
     clip, means = small_clip(2, Size(1, 32, 32), textured=False), []  # no pixel has its own albedo
     for _ in range(24):

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from baselines.ntas import TRAITS
 from baselines.ntas.method import VARIANTS, Ntas, State, build
 from baselines.ntas.network import Networks
-from baselines.ntas.train import trainer
+from baselines.ntas.train import training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
@@ -92,7 +92,7 @@ def test_density_is_positive_with_its_largest_at_one(method: Ntas) -> None:
 
 def test_a_map_of_any_range_still_gives_every_pixel_some_density(method: Ntas) -> None:
     networks = Networks()
-    networks.draw(seed=0)
+    networks.init_weights(seed=0)
     nn.init.normal_(
         networks.sampler.unet.dec_conv0.weight, 0, 1e3, torch.Generator().manual_seed(0)
     )
@@ -124,7 +124,7 @@ def test_later_the_state_counts(method: Ntas) -> None:
 
 def test_history_enters_no_pixel_that_has_only_invalid_taps() -> None:
     networks = Networks()
-    networks.draw(seed=0)
+    networks.init_weights(seed=0)
     seen, light = drawn(1, 13, 16, 16), drawn(1, 3, 16, 16, seed=1)
     valid = torch.zeros(1, 1, 16, 16, dtype=torch.bool)
     valid[..., 8:] = True
@@ -142,7 +142,7 @@ def test_constant_light_stays_constant(method: Ntas, age: int) -> None:
     samples = Samples((0.7 * reflectance)[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
     image, state = method.denoise(gbuffer, samples, State(torch.full((1, 3, 16, 16), 0.7), age))
     # float32 through five levels and one division by reflectance
-    torch.testing.assert_close(state.light, torch.full_like(state.light, 0.7), rtol=1e-5, atol=0)
+    torch.testing.assert_close(state.denoised, torch.full_like(state.denoised, 0.7), rtol=1e-5, atol=0)
     torch.testing.assert_close(image, 0.7 * reflectance, rtol=1e-5, atol=0)
 
 
@@ -153,7 +153,7 @@ def test_a_bad_state_is_forgotten_where_it_is_bad(method: Ntas) -> None:
     light[..., 3, 3] = torch.nan
     image, state = method.denoise(frame.gbuffer, samples, State(light, age=1))
     assert torch.isfinite(image).all()
-    assert torch.isfinite(state.light).all()
+    assert torch.isfinite(state.denoised).all()
 
 
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf, -1.0])
@@ -169,7 +169,7 @@ def test_a_bad_sample_leaves_the_image_finite(method: Ntas, bad: float) -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_one_step_reaches_every_parameter_of_both_networks(variant: str) -> None:
-    made = trainer(variant, CPU, seed=0)
+    made = training_task(variant, CPU, seed=0)
     next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
     silent = [
         name
@@ -181,7 +181,7 @@ def test_one_step_reaches_every_parameter_of_both_networks(variant: str) -> None
 
 @pytest.mark.parametrize(("frames", "losses"), [(1, 1), (2, 1), (4, 2), (5, 3)])
 def test_there_is_one_loss_for_each_two_frames(frames: int, losses: int) -> None:
-    made = trainer("", CPU, seed=0)
+    made = training_task("", CPU, seed=0)
     count = 0
     for loss in made.losses(small_clip(frames), 2.0):
         loss.backward()  # a graph left over from the loss before would raise here
@@ -191,7 +191,7 @@ def test_there_is_one_loss_for_each_two_frames(frames: int, losses: int) -> None
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_a_few_steps_bring_the_loss_down(variant: str) -> None:
-    made = trainer(variant, CPU, seed=0)
+    made = training_task(variant, CPU, seed=0)
     optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
     clip, means = small_clip(2, Size(1, 32, 32)), []
     for _ in range(12):
@@ -204,7 +204,7 @@ def test_a_few_steps_bring_the_loss_down(variant: str) -> None:
 
 
 def test_the_sampler_learns_where_noise_is() -> None:
-    made = trainer("", CPU, seed=0)
+    made = training_task("", CPU, seed=0)
     optimizer = torch.optim.Adam(made.networks.parameters(), 5e-4)
     for seed in range(15):
         for loss in made.losses(half_noisy(seed), 3.0):
@@ -222,7 +222,7 @@ def test_half_precision_gives_the_same_image_but_for_rounding(method: Ntas) -> N
     image, _ = method.denoise(frame.gbuffer, samples, method.start(SIZE))
     with torch.autocast("cpu", torch.bfloat16):
         half, state = method.denoise(frame.gbuffer, samples, method.start(SIZE))
-    assert state.light.dtype == torch.float32
+    assert state.denoised.dtype == torch.float32
     # bfloat16 has 8 bits, so logits of order one are off by 1/256, and weights by as much
     torch.testing.assert_close(half, image, rtol=3e-2, atol=0)
 
@@ -250,13 +250,13 @@ def test_direct_says_light_between_nothing_and_the_largest_half() -> None:
 
 
 def test_every_colour_of_direct_learns_from_the_start() -> None:
-    made = trainer("direct", CPU, seed=0)
+    made = training_task("direct", CPU, seed=0)
     next(made.losses(small_clip(2, Size(2, 32, 32)), 2.0)).backward()
     assert (made.networks.denoiser.unet.dec_conv0.bias.grad != 0).all()
 
 
 def test_seeds_decide_the_weights() -> None:
-    first, again, other = (trainer("", CPU, seed).networks for seed in (1, 1, 2))
+    first, again, other = (training_task("", CPU, seed).networks for seed in (1, 1, 2))
     assert all(
         torch.equal(a, b) for a, b in zip(first.parameters(), again.parameters(), strict=True)
     )

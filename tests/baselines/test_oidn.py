@@ -11,7 +11,7 @@ import torch
 
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, to_radiance
-from baselines.oidn.train import _loss, trainer
+from baselines.oidn.train import _frame_loss, training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
 from rlbench.method import Method
@@ -175,7 +175,7 @@ def test_random_weights_are_the_same_each_time():
 
 
 def test_each_frame_gives_one_loss_that_reaches_every_parameter():
-    made = trainer("", CPU, seed=0)
+    made = training_task("", CPU, seed=0)
     losses = list(made.losses(clip(32, 32, frames=3), BUDGETS_FROM_1_SPP[0]))
     assert len(losses) == 3
     losses[0].backward()
@@ -188,14 +188,14 @@ def test_the_loss_of_a_perfect_output_is_zero():
     (frame,) = clip(32, 32)
     pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
     still = InMemoryClip("", "", "", [Frame(0, frame.gbuffer, pool, frame.reference)])
-    assert float(_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
+    assert float(_frame_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
 
 
 def test_exposure_in_training_comes_from_the_reference():
     (frame,) = clip(32, 32)
     reference, spy = frame.reference.mean, Spy()
     dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    _loss(
+    _frame_loss(
         Oidn(spy), InMemoryClip("", "", "", [Frame(0, frame.gbuffer, dark, frame.reference)]), 4.0
     )
     expected = pu_forward(0.1 * reference * autoexposure(reference))
@@ -203,12 +203,12 @@ def test_exposure_in_training_comes_from_the_reference():
 
 
 def test_seeds_of_training_differ():
-    first, second = (trainer("", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
+    first, second = (training_task("", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
     assert not torch.equal(first, second)
 
 
 def test_a_few_steps_of_training_lower_the_loss():
-    made, scene = trainer("small", CPU, seed=0), clip(32, 32)
+    made, scene = training_task("small", CPU, seed=0), clip(32, 32)
     optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
     history = []
     for _ in range(25):
@@ -221,7 +221,7 @@ def test_a_few_steps_of_training_lower_the_loss():
 
 
 def test_what_was_trained_is_what_runs():
-    made = trainer("", CPU, seed=0)
+    made = training_task("", CPU, seed=0)
     assert isinstance(made.method, Oidn)
     assert made.method.network is made.networks
     (shown,) = run_clip(made.method, clip(), 1.0)
@@ -232,6 +232,6 @@ def test_tuning_starts_from_intels_weights():
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
     from baselines.oidn_intel.networks import network
 
-    theirs, found = network().state_dict(), trainer("tuned", CPU, 0).networks.state_dict()
+    theirs, found = network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(found[name], theirs[name]) for name in theirs)
-    assert trainer("tuned", CPU, 0).max_lr < trainer("", CPU, 0).max_lr
+    assert training_task("tuned", CPU, 0).max_lr < training_task("", CPU, 0).max_lr

@@ -84,11 +84,11 @@ def test_every_frame_equals_its_twin_in_loops(variant):
     method = build(variant, CPU, None)
     config = method.config
     numbers = (
-        config.keep_light,
-        config.keep_moments,
+        config.alpha_color,
+        config.alpha_moments,
         config.passes,
-        config.feedback,
-        config.sigma_light,
+        config.feedback_tap,
+        config.sigma_luminance,
     )
     frames = [frame(index) for index in range(FRAMES)]
     found = run(method, [f.gbuffer for f in frames], [f.radiance for f in frames])
@@ -157,7 +157,7 @@ def test_what_stands_still_is_the_exponential_mean_of_its_frames(variant, frames
     light = [noise(1, 3, 4, 5, seed=seed) for seed in range(frames)]
     expected = torch.zeros(1, 3, 4, 5, dtype=torch.float64)
     for index, each in enumerate(light):
-        share = max(method.config.keep_light, 1 / min(index + 1, 32))
+        share = max(method.config.alpha_color, 1 / min(index + 1, 32))
         expected += share * (each - expected)
     found = run(method, [lonely(4, 5)] * frames, light)[-1]
     torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=1e-6)
@@ -173,10 +173,10 @@ def test_a_pan_over_whole_pixels_averages_what_stays_in_view():
     for each in light:
         found = reproject_history(flat, past, gbuffer.motion, gbuffer.depth, gbuffer.normal)
         mean = accumulate(each, torch.tensor(True), found, (0.2, 0.2))
-        rows = flat.pack(torch.cat((mean.light, mean.moments, mean.length), 1))
+        rows = flat.pack(torch.cat((mean.irradiance, mean.moments, mean.length), 1))
         past = History(rows, flat.pack(gbuffer.depth), flat.pack(gbuffer.normal))
     expected = wall[..., 6:12] * (1 + 2 + 3 + 4) / 4
-    torch.testing.assert_close(mean.light[..., :6], expected)
+    torch.testing.assert_close(mean.irradiance[..., :6], expected)
     # the last column was further outside than a 3 x 3 box around it reaches
     assert mean.length[0, 0, 0, [0, 5, 11]].tolist() == [4, 4, 1]
 

@@ -12,7 +12,7 @@ import torch
 from torch.nn import functional as F
 
 from baselines.oidn import method, tza
-from baselines.oidn.method import INPUTS, VARIANTS, Oidn, build
+from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn, build
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural
 from rlbench.frames import Samples, Size
@@ -118,23 +118,23 @@ def test_our_network_with_intels_weights_shows_what_intels_library_shows(variant
 def test_no_other_network_of_that_size_makes_the_librarys_image():
     """Of those that fit, the one that is taken is told by its image."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import ALIKE, _difference, inside
+    from baselines.oidn_intel.networks import MAX_DIFFERENCE, _relative_difference, read_library_networks
 
-    fitting = [held for held in inside() if numbers(held) == PARAMETERS[""]]
-    made = UNet(INPUTS).eval().requires_grad_(False)
+    fitting = [held for held in read_library_networks() if numbers(held) == PARAMETERS[""]]
+    made = UNet(INPUT_CHANNELS).eval().requires_grad_(False)
     found = []
     for held in fitting:
         made.load_state_dict({k: torch.from_numpy(v.astype(np.float32)) for k, v in held.items()})
-        found.append(_difference(made, "high"))
-    assert sum(difference < ALIKE for difference in found) == 1
-    assert sorted(found)[1] > 4 * ALIKE
+        found.append(_relative_difference(made, "high"))
+    assert sum(difference < MAX_DIFFERENCE for difference in found) == 1
+    assert sorted(found)[1] > 4 * MAX_DIFFERENCE
 
 
 @cards
 def test_reading_gives_what_was_written_bit_for_bit(weights):
-    network = UNet(INPUTS, widths=VARIANTS[weights.stem if weights.stem in VARIANTS else ""].widths)
+    network = UNet(INPUT_CHANNELS, widths=VARIANTS[weights.stem if weights.stem in VARIANTS else ""].widths)
     load_into(network, weights)
-    found = tza.read(tza.export(weights))
+    found = tza.decode(tza.export(weights))
     assert list(found) == list(network.state_dict())
     for name, tensor in network.half().state_dict().items():
         assert found[name].dtype == np.float16
@@ -145,7 +145,7 @@ def test_reading_gives_what_was_written_bit_for_bit(weights):
 def test_untrained_networks_go_there_and_back(variant):
     made = build(variant, CPU, "random").network.state_dict()
     tensors = {name: tensor.half().numpy() for name, tensor in made.items()}
-    found = tza.read(tza.write(tensors))
+    found = tza.decode(tza.encode(tensors))
     assert numbers(found) == PARAMETERS[variant]
     assert {n: (t.shape, t.tobytes()) for n, t in found.items()} == {
         n: (t.shape, t.tobytes()) for n, t in tensors.items()
@@ -157,7 +157,7 @@ def test_the_file_is_as_long_as_intels_own():
 
 
 def test_the_bytes_are_those_of_the_format():
-    found = tza.write({"a": np.array([1, 2], np.float16)})
+    found = tza.encode({"a": np.array([1, 2], np.float16)})
     header = bytes.fromhex("d741 0200 8000000000000000") + bytes(52)
     values = bytes.fromhex("003c 0040") + bytes(60)
     table = bytes.fromhex("01000000 0100 61 01 02000000 78 68 4000000000000000")
@@ -167,37 +167,37 @@ def test_the_bytes_are_those_of_the_format():
 @pytest.mark.parametrize("tensor", [np.zeros(3, "f4"), np.zeros((2, 2), "f2"), np.zeros(3, int)])
 def test_what_the_format_cannot_hold_is_refused(tensor):
     with pytest.raises(tza.TzaError, match="'odd' is"):
-        tza.write({"odd": tensor})
+        tza.encode({"odd": tensor})
 
 
 @pytest.mark.parametrize("kept", [0, 11, 64, 90, 131, 149])
 def test_a_file_that_was_cut_off_is_refused(kept):
-    whole = tza.write({"a": np.array([1, 2], np.float16)})
+    whole = tza.encode({"a": np.array([1, 2], np.float16)})
     with pytest.raises(tza.TzaError):
-        tza.read(whole[:kept])
+        tza.decode(whole[:kept])
 
 
 def test_values_that_lie_beyond_the_end_are_refused():
-    whole = bytearray(tza.write({"a": np.array([1, 2], np.float16)}))
+    whole = bytearray(tza.encode({"a": np.array([1, 2], np.float16)}))
     struct.pack_into("<Q", whole, len(whole) - 8, 10**6)
     with pytest.raises(tza.TzaError, match="'a' ends at byte 1000004"):
-        tza.read(bytes(whole))
+        tza.decode(bytes(whole))
 
 
 def test_values_of_another_type_are_refused():
-    whole = tza.write({"a": np.array([1, 2], np.float16)})
+    whole = tza.encode({"a": np.array([1, 2], np.float16)})
     with pytest.raises(tza.TzaError, match="'a' has values of type b'f'"):
-        tza.read(whole.replace(b"xh", b"xf"))
+        tza.decode(whole.replace(b"xh", b"xf"))
 
 
 def test_another_file_is_refused():
     with pytest.raises(tza.TzaError, match="begins with 50 4b 03 04"):
-        tza.read(b"PK\x03\x04" + bytes(100))
+        tza.decode(b"PK\x03\x04" + bytes(100))
 
 
 def test_the_command_writes_the_file(tmp_path):
     tza.main([str(tmp_path / "ours.tza")])
-    assert numbers(tza.read((tmp_path / "ours.tza").read_bytes())) == PARAMETERS[""]
+    assert numbers(tza.decode((tmp_path / "ours.tza").read_bytes())) == PARAMETERS[""]
 
 
 def test_the_command_says_what_is_missing(tmp_path, capsys):
