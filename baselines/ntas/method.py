@@ -107,8 +107,8 @@ class Ntas:
 
         # modulate
         age = state.age + 1
-        kept = denoised.detach() if age % self.config.bptt == 0 else denoised
-        return denoised * albedo, State(kept, age)
+        next_denoised = denoised.detach() if age % self.config.bptt == 0 else denoised
+        return denoised * albedo, State(next_denoised, age)
 
 
 def _reproject_denoised(

@@ -100,13 +100,13 @@ class Restir:
         surface = Surface.from_intersection(self.stage.scene, ray, intersection)
 
         # initial candidates, visibility reuse, temporal reuse
-        kept = self._initial_candidates(surface)
+        reservoir = self._initial_candidates(surface)
         if self.config.visibility_reuse:
-            kept = self._visibility_reuse(surface, kept)
-        kept.M = dr.select(surface.has_non_delta_lobe, kept.M, 0)
+            reservoir = self._visibility_reuse(surface, reservoir)
+        reservoir.M = dr.select(surface.has_non_delta_lobe, reservoir.M, 0)
         if self.config.temporal_reuse:
-            kept = self._temporal_reuse(surface, kept)
-        current = History.from_frame(kept, surface, with_rays=unbiased)
+            reservoir = self._temporal_reuse(surface, reservoir)
+        current = History.from_frame(reservoir, surface, with_rays=unbiased)
 
         # spatial reuse
         for index in range(self.config.passes):
@@ -190,14 +190,14 @@ class Restir:
             surface, current.kept, source, self._make_rng(purpose), self.config.unbiased
         )
 
-    def _shade(self, surface: Surface, kept: Reservoir) -> Any:
+    def _shade(self, surface: Surface, reservoir: Reservoir) -> Any:
         """Direct light of the reservoirs with a shadow ray, emission, and indirect light."""
         import drjit as dr
         import mitsuba as mi
 
-        value, point = surface.direct_light(kept.sample, kept.weight > 0)
-        visible = surface.is_visible(point, kept.weight > 0)
-        direct = dr.select(visible, value * kept.weight, mi.Color3f(0))
+        value, point = surface.direct_light(reservoir.sample, reservoir.weight > 0)
+        visible = surface.is_visible(point, reservoir.weight > 0)
+        direct = dr.select(visible, value * reservoir.weight, mi.Color3f(0))
         if not self.indirect:
             return direct
         emitted = surface.hit.emitter(surface.scene).eval(surface.hit)

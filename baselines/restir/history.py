@@ -26,13 +26,13 @@ class History:
     ray: tuple[Any, ...]  # origin and direction, for unbiased reuse only
 
     @classmethod
-    def from_frame(cls, kept: Reservoir, surface: Surface, with_rays: bool) -> History:
+    def from_frame(cls, reservoir: Reservoir, surface: Surface, with_rays: bool) -> History:
         """The reservoirs of a frame with their surfaces, evaluated."""
         import drjit as dr
 
         ray = (surface.ray.o, surface.ray.d) if with_rays else ()
-        history = cls(kept, surface.normal, surface.hit.t, surface.bsdf_index, ray)
-        dr.eval(kept, history.normal, history.distance, history.bsdf_index, history.ray)
+        history = cls(reservoir, surface.normal, surface.hit.t, surface.bsdf_index, ray)
+        dr.eval(reservoir, history.normal, history.distance, history.bsdf_index, history.ray)
         return history
 
     @classmethod

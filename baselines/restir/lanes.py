@@ -16,7 +16,7 @@ MAX_CHAINS = 2**16  # distance between the random number streams of a chain's pa
 class Lanes:
     """Pixels and chains of all lanes, their camera rays and their random numbers."""
 
-    stage: RenderContext
+    context: RenderContext
     chain_indices: range  # of the chains; they select the random numbers
 
     def __post_init__(self) -> None:
@@ -25,13 +25,13 @@ class Lanes:
         import mitsuba as mi
 
         self.chains = len(self.chain_indices)
-        self.count = self.stage.height * self.stage.width * self.chains
+        self.count = self.context.height * self.context.width * self.chains
         lane = dr.arange(mi.UInt32, self.count)
         # opaque: other sizes and chains reuse the compiled kernels
         self._chains = dr.opaque(mi.UInt32, self.chains)
         self._first_chain = dr.opaque(mi.UInt32, self.chain_indices.start)
-        self._width = dr.opaque(mi.UInt32, self.stage.width)
-        self._size = [dr.opaque(mi.Float, n) for n in (self.stage.width, self.stage.height)]
+        self._width = dr.opaque(mi.UInt32, self.context.width)
+        self._size = [dr.opaque(mi.Float, n) for n in (self.context.width, self.context.height)]
         self._pixel = lane // self._chains
         self._chain = lane - self._pixel * self._chains
         self._row = self._pixel // self._width
@@ -49,7 +49,7 @@ class Lanes:
 
     def random_numbers(self, purpose: int) -> Any:
         """A sampler for all lanes, independent for each `purpose`; 0 begins with the jitter."""
-        return self.stage.numbers(
+        return self.context.numbers(
             self._pixel, self._first_chain + self._chain + MAX_CHAINS * purpose
         )
 
@@ -58,7 +58,7 @@ class Lanes:
         import drjit as dr
         import mitsuba as mi
 
-        x, y = (dr.gather(mi.Float, part, self._pixel) for part in self.stage.motion())
+        x, y = (dr.gather(mi.Float, part, self._pixel) for part in self.context.motion())
         return self.at_offset(x, y)
 
     def at_offset(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -77,7 +77,7 @@ class Lanes:
     def _camera_rays(self, pixel: Any, chain: Any) -> Any:
         import mitsuba as mi
 
-        jitter = self.stage.numbers(pixel, self._first_chain + chain).next_2d()
+        jitter = self.context.numbers(pixel, self._first_chain + chain).next_2d()
         row = pixel // self._width
         column = pixel - row * self._width
-        return self.stage.rays(mi.Float(column) + jitter.x, mi.Float(row) + jitter.y)
+        return self.context.rays(mi.Float(column) + jitter.x, mi.Float(row) + jitter.y)
