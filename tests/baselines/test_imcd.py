@@ -153,7 +153,7 @@ def filter_in_loops(
             if previous is not None and k == 2:
                 remembered, old = (
                     previous.features[0].double().numpy(),
-                    previous.image[0].double().numpy(),
+                    previous.denoised[0].double().numpy(),
                 )
                 for v, u in _window(kernel_sizes.temporal, y, x, 1, h, w):
                     distance = ((features[2, :, y, x] - remembered[:, v, u]) ** 2).sum()
