@@ -5,12 +5,12 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["display"]
+__all__ = ["encode_display"]
 
 KNEE = 0.0031308  # IEC 61966-2-1: linear value below which the curve is a straight line
 
 
-def display(radiance: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+def encode_display(radiance: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Clipped sRGB in [0, 1] from linear radiance, where 1.0 is display white.
 
     The transfer curve of IEC 61966-2-1 (1999), without quantisation. NaN stays NaN; infinity is

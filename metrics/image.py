@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from metrics.display import display
+from metrics.display import encode_display
 
 __all__ = [
     "bias",
@@ -49,7 +49,7 @@ def psnr(
     >>> psnr(black + 0.214041, black), psnr(black, black)  # 0.5 in sRGB
     (tensor([6.0206]), tensor([100.]))
     """
-    error = (display(image) - display(reference)).square()
+    error = (encode_display(image) - encode_display(reference)).square()
     error = error.masked_fill(nonfinite_mask(image), 1.0)
     mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
     return (-10 * mse.log10()).float()
@@ -73,8 +73,8 @@ def tpsnr(
     >>> tpsnr(brighter, references), psnr(brighter[:, 1], references[:, 1])
     (tensor([100.]), tensor([6.0206]))
     """
-    change = display(frames[:, 1]) - display(frames[:, 0])
-    reference_change = display(references[:, 1]) - display(references[:, 0])
+    change = encode_display(frames[:, 1]) - encode_display(frames[:, 0])
+    reference_change = encode_display(references[:, 1]) - encode_display(references[:, 0])
     error = (change - reference_change).square()
     error = error.masked_fill(nonfinite_mask(frames[:, 0]) | nonfinite_mask(frames[:, 1]), 4.0)
     mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
@@ -108,9 +108,9 @@ def ms_ssim(
             f"pixels, found {h} x {w}, which allow {max_scales(h, w)}. Use "
             "MS_SSIM.at(height, width) of metrics.catalog"
         )
-    reference_srgb = display(reference)
+    reference_srgb = encode_display(reference)
     furthest = (reference_srgb < 0.5).to(reference_srgb.dtype)
-    image_srgb = torch.where(nonfinite_mask(image), furthest, display(image))
+    image_srgb = torch.where(nonfinite_mask(image), furthest, encode_display(image))
     if scales == len(SCALE_WEIGHTS):
         return _five_scales(image_srgb, reference_srgb)
     return _fewer_scales(image_srgb, reference_srgb, scales)

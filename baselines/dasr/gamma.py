@@ -9,14 +9,16 @@ from torch.nn import functional as F
 
 from rlbench.frames import Frame, Samples, StoredPool
 
-__all__ = ["draw_gamma_mean", "gamma", "sample_variance"]
+__all__ = ["draw_gamma_mean", "redraw_as_gamma", "sample_variance"]
 
 WINDOW = 3  # side of the window over which variances are averaged, pixels
 MIN_SHAPE = 1e-2  # lower bound of the gamma shape; below it nearly all draws are black
 MAX_SHAPE = 1e5  # at larger gamma shapes the deviation is below 0.3 %, and the mean is used
 
 
-def gamma(samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
+def redraw_as_gamma(
+    samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame
+) -> Samples:
     """One sample per pixel in place of `samples`: the mean of `relaxed_counts` simulated samples.
 
     After Salehi et al. 2022, Deep Adaptive Sampling and Reconstruction using Analytic

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-__all__ = ["edges", "relative_loss"]
+__all__ = ["laplacian_of_gaussian", "relative_loss"]
 
 EPS = 0.01  # added to the reference before dividing by it
 SIGMA = 1.5  # of the Gaussian and of the Laplacian of Gaussian, pixels
@@ -19,18 +19,18 @@ def relative_loss(
 ) -> Float[Tensor, ""]:
     """Relative L1 error of colour plus relative L1 error of edges, weights 1 and 1.
 
-    mean(|x - y| / (y + 0.01) + |edges(x) - edges(y)| / (y + 0.01)), where `edges` is a Laplacian of
+    mean(|x - y| / (y + 0.01) + |edges(x) - edges(y)| / (y + 0.01)), where `laplacian_of_gaussian` is a Laplacian of
     Gaussian after a Gaussian. Image x and reference y are given as log(1 + L). Kuznetsov et al.
     2018, as in the training code behind `network.UNet`. Computed in float32, also under autocast.
     """
     with torch.autocast(image.device.type, enabled=False):
         difference, scale = (image - reference).float(), reference.float() + EPS
         # filters are linear: the difference of filtered images is the filtered difference
-        error = edges(difference).abs() + difference.abs()
+        error = laplacian_of_gaussian(difference).abs() + difference.abs()
         return (error / scale).mean()
 
 
-def edges(image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
+def laplacian_of_gaussian(image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     """Laplacian of Gaussian of the Gaussian-filtered image; zero beyond the border.
 
     Both filters have a sigma of 1.5 pixels and 11 x 11 taps; the second derivative is that of the

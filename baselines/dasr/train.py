@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.dasr import FAMILY
-from baselines.dasr.gamma import gamma
+from baselines.dasr.gamma import redraw_as_gamma
 from baselines.dasr.losses import relative_loss
 from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
@@ -33,7 +33,7 @@ STAGES = (  # end of each stage as a fraction of the training, and the networks 
 )
 SAMPLE_GRADIENTS: dict[str, SampleGradient] = {
     "": kuznetsov_gradient,
-    "gamma": gamma,  # does the sampler learn better from a smooth sample model?
+    "gamma": redraw_as_gamma,  # does the sampler learn better from a smooth sample model?
 }
 
 

@@ -16,7 +16,7 @@ from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mas
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.stencils import atrous_taps
 
-__all__ = ["Config", "Eaw", "build", "smooth"]
+__all__ = ["Config", "Eaw", "build", "atrous_pass"]
 
 NO_SURFACE = 1e4  # log depth of pixels without a surface: weights to them are exactly 0
 LOG2E = 1 / math.log(2)  # exp(x) = 2^(LOG2E x)
@@ -27,9 +27,9 @@ class Config:
     """Filter widths: the squared distance at which an edge-stopping weight is 1/e."""
 
     passes: int = 5  # >= 1
-    light: float = 16.0  # of log(1 + irradiance) in the first pass; halved in each further pass
-    normal: float = 0.1  # of unit normals, divided by the squared step in pixels
-    depth: float = 1e-3  # of log depth
+    phi_color: float = 16.0  # of log(1 + irradiance) in the first pass; halved in each further pass
+    phi_normal: float = 0.1  # of unit normals, divided by the squared step in pixels
+    phi_depth: float = 1e-3  # of log depth
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Eaw:
         log_depth = rows.pack(gbuffer.depth.log().where(surface, NO_SURFACE), fill=NO_SURFACE)
         for index in range(self.config.passes):
             features = self._scale_features(index, irradiance, normal, log_depth)
-            irradiance = smooth(rows, 2**index, features, irradiance)
+            irradiance = atrous_pass(rows, 2**index, features, irradiance)
 
         # modulate
         return (rows.unpack(irradiance) * albedo).where(surface, noisy), None
@@ -84,15 +84,15 @@ class Eaw:
         self, index: int, irradiance: Tensor, normal: Tensor, log_depth: Tensor
     ) -> Float[Tensor, "7 row"]:
         """Colour, normal and depth, scaled so that a weight is 2^-(squared distance)."""
-        color_scale = (LOG2E * 2**index / self.config.light) ** 0.5
-        normal_scale = (LOG2E / self.config.normal) ** 0.5 / 2**index
-        depth_scale = (LOG2E / self.config.depth) ** 0.5
+        color_scale = (LOG2E * 2**index / self.config.phi_color) ** 0.5
+        normal_scale = (LOG2E / self.config.phi_normal) ** 0.5 / 2**index
+        depth_scale = (LOG2E / self.config.phi_depth) ** 0.5
         return torch.cat(
             (irradiance.log1p() * color_scale, normal * normal_scale, log_depth * depth_scale)
         )
 
 
-def smooth(
+def atrous_pass(
     rows: PaddedRows,
     step: int,
     features: Float[Tensor, "g row"],

@@ -17,7 +17,7 @@ __all__ = ["GRID", "search"]
 
 BUDGETS = (1.0, 4.0)  # samples per pixel
 GRID = [
-    Config(light=light, normal=normal, depth=depth)
+    Config(phi_color=light, phi_normal=normal, phi_depth=depth)
     for light in (1.0, 4.0, 16.0, 64.0)
     for normal in (0.01, 0.1, 0.5)
     for depth in (1e-4, 1e-3, 1e-2)

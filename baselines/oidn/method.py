@@ -19,7 +19,7 @@ from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
 from rlbench.weights import load_for_inference
 
-__all__ = ["INPUT_CHANNELS", "VARIANTS", "Config", "Oidn", "build", "inputs", "to_radiance"]
+__all__ = ["INPUT_CHANNELS", "VARIANTS", "Config", "Oidn", "build", "encode_inputs", "to_radiance"]
 
 CARDS = Path(__file__).parent / "cards"
 INPUT_CHANNELS = 9  # colour, albedo, normal
@@ -43,7 +43,7 @@ VARIANTS = {
 }
 
 
-def inputs(exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer) -> Float[Tensor, "n 9 h w"]:
+def encode_inputs(exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer) -> Float[Tensor, "n 9 h w"]:
     """The network's input: exposed radiance in transfer space, albedo, and normals in [0, 1]."""
     normal = gbuffer.normal.clamp(-1, 1) * 0.5 + 0.5
     return torch.cat((pu_forward(exposed), gbuffer.albedo.clamp(0, 1), normal), dim=1)
@@ -87,7 +87,7 @@ class Oidn:
         """The image in linear radiance, from the mean of the samples, albedo and normal."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
         exposure = self.estimate_exposure(noisy)
-        features = inputs(noisy * exposure, gbuffer)
+        features = encode_inputs(noisy * exposure, gbuffer)
         output = crop(self.network(pad(features, multiple=STRIDE)), *features.shape[-2:])
         return self.decode(output, exposure), None
 

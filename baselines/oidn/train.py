@@ -47,9 +47,9 @@ def fine_tuning_task(method: Oidn) -> TrainingTask:
     """
     from baselines.oidn_intel import networks
 
-    intel_weights = networks.network(method.network.widths).state_dict()
+    intel_weights = networks.load_network(method.network.widths).state_dict()
     method.network.load_state_dict(intel_weights)
-    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=networks.origin())
+    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=networks.weights_origin())
 
 
 def _task(

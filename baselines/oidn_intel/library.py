@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rlbench.errors import RlbenchError
 
-__all__ = ["Filter", "LibraryError", "Settings", "library_version"]
+__all__ = ["Filter", "LibraryError", "FilterSettings", "library_version"]
 
 IMAGES = ("color", "albedo", "normal", "output")
 
@@ -25,7 +25,7 @@ class LibraryError(RlbenchError, RuntimeError):
 
 
 @dataclass(frozen=True)
-class Settings:
+class FilterSettings:
     """Settings of the library's ray-tracing filter for HDR colour with albedo and normal."""
 
     quality: str = "high"  # high, balanced, fast
@@ -39,7 +39,7 @@ class Filter:
     Not thread-safe: it holds the image buffers that the library reads and writes.
     """
 
-    def __init__(self, settings: Settings, h: int, w: int, threads: int) -> None:
+    def __init__(self, settings: FilterSettings, h: int, w: int, threads: int) -> None:
         """Build the library's network. Raises LibraryError, e.g. for weights that are not a TZA."""
         import pyoidn  # an optional dependency that listing methods does not need
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.oidn_intel import TRAITS
-from baselines.oidn_intel.library import Filter, Settings, library_version
+from baselines.oidn_intel.library import Filter, FilterSettings, library_version
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.transfer import HALF_MAX
@@ -63,7 +63,7 @@ class OidnIntel:
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image in linear radiance; the clips of a batch one after another."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
-        settings = Settings(self.config.quality, self.config.clean_aux)
+        settings = FilterSettings(self.config.quality, self.config.clean_aux)
         run_filter = get_filter(settings, *noisy.shape[-2:], torch.get_num_threads())
         inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)
         return torch.stack([run_filter(*clip_inputs) for clip_inputs in inputs]), None

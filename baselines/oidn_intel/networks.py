@@ -12,11 +12,11 @@ import torch
 
 from baselines.oidn import tza
 from baselines.oidn.method import INPUT_CHANNELS, Oidn
-from baselines.oidn_intel.library import Filter, LibraryError, Settings, library_version
+from baselines.oidn_intel.library import Filter, FilterSettings, LibraryError, library_version
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet, UNetWidths
 
-__all__ = ["network", "origin", "read_library_networks"]
+__all__ = ["load_network", "weights_origin", "read_library_networks"]
 
 QUALITIES = {
     BASE_WIDTHS: "high",
@@ -45,7 +45,7 @@ def read_library_networks() -> list[Mapping[str, tza.Array]]:
 
 
 @cache
-def network(widths: UNetWidths = BASE_WIDTHS) -> UNet:
+def load_network(widths: UNetWidths = BASE_WIDTHS) -> UNet:
     """Intel's network with these widths, for HDR colour with albedo and normal.
 
     The library contains several networks of equal size; this is the one that gives the library's
@@ -72,7 +72,7 @@ def network(widths: UNetWidths = BASE_WIDTHS) -> UNet:
     )
 
 
-def origin() -> str:
+def weights_origin() -> str:
     """Origin and licence of these weights, for the model card of weights trained from them."""
     return f"Intel's weights of Open Image Denoise {library_version()}, Apache-2.0"
 
@@ -84,6 +84,6 @@ def _relative_difference(unet: UNet, quality: str) -> float:
     gbuffer = GBuffer({"albedo": albedo, "normal": 2 * normal - 1})
     samples = Samples(colour[:, None], torch.ones(1, 1, TEST_SIDE, TEST_SIDE, dtype=torch.int64))
     image, _ = Oidn(unet).denoise(gbuffer, samples, None)
-    run_filter = Filter(Settings(quality), TEST_SIDE, TEST_SIDE, threads=1)
+    run_filter = Filter(FilterSettings(quality), TEST_SIDE, TEST_SIDE, threads=1)
     library_image = run_filter(colour[0], albedo[0], 2 * normal[0] - 1)
     return float((image[0] - library_image).abs().mean() / library_image.abs().mean())

@@ -69,24 +69,24 @@ PLAIN = Config(candidates=1, visibility_reuse=False, temporal_reuse=False, passe
 class Restir:
     """Chains of reservoirs that advance frame by frame; call it once per frame, in order."""
 
-    stage: RenderContext
+    context: RenderContext
     chain_indices: range  # of the chains; they select the random numbers
     config: Config = BIASED
     indirect: bool = True  # adds emission and indirect light
-    past: History | None = field(default=None, repr=False)
+    history: History | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Compute what does not change from frame to frame."""
         import mitsuba as mi
 
-        self._lanes = Lanes(self.stage, self.chain_indices)
-        max_depth = max(self.stage.max_depth - 1, 0)
+        self._lanes = Lanes(self.context, self.chain_indices)
+        max_depth = max(self.context.max_depth - 1, 0)
         self._path = mi.load_dict({"type": "path", "max_depth": max_depth})
 
     def __call__(self) -> Float[Array, "chains h w 3"]:
         """The next frame of every chain, linear radiance."""
         radiance = self._render()
-        shape = (self.stage.height, self.stage.width, self._lanes.chains, 3)
+        shape = (self.context.height, self.context.width, self._lanes.chains, 3)
         channels = [radiance[c].numpy() for c in range(3)]
         return np.moveaxis(np.stack(channels, axis=-1).reshape(shape), 2, 0)
 
@@ -95,9 +95,9 @@ class Restir:
         import drjit as dr
 
         ray, unbiased = self._lanes.camera_rays(), self.config.unbiased
-        intersection = self.stage.scene.ray_intersect_preliminary(ray, coherent=True)
+        intersection = self.context.scene.ray_intersect_preliminary(ray, coherent=True)
         dr.eval(intersection)
-        surface = Surface.from_intersection(self.stage.scene, ray, intersection)
+        surface = Surface.from_intersection(self.context.scene, ray, intersection)
 
         # initial candidates, visibility reuse, temporal reuse
         reservoir = self._initial_candidates(surface)
@@ -111,18 +111,20 @@ class Restir:
         # spatial reuse
         for index in range(self.config.passes):
             surface = self._surface(intersection)
-            current.kept = self._spatial_reuse(surface, current, SPATIAL + index)
-            dr.eval(current.kept)
+            current.reservoir = self._spatial_reuse(surface, current, SPATIAL + index)
+            dr.eval(current.reservoir)
 
         # shading
-        radiance = self._shade(self._surface(intersection), current.kept)
+        radiance = self._shade(self._surface(intersection), current.reservoir)
         dr.eval(radiance)
-        self.past = current
+        self.history = current
         return radiance
 
     def _surface(self, intersection: Any) -> Surface:
         """The first surfaces again, in a new kernel."""
-        return Surface.from_intersection(self.stage.scene, self._lanes.camera_rays(), intersection)
+        return Surface.from_intersection(
+            self.context.scene, self._lanes.camera_rays(), intersection
+        )
 
     def _initial_candidates(self, surface: Surface) -> Reservoir:
         """Reservoirs of this frame's candidates alone (algorithm 3)."""
@@ -154,11 +156,13 @@ class Restir:
         import drjit as dr
 
         unbiased = self.config.unbiased
-        past = self.past or History.empty(self._lanes.count, with_rays=unbiased)
+        past = self.history or History.empty(self._lanes.count, with_rays=unbiased)
         lane, inside = self._lanes.previous()
 
         def read_reservoir(lane: Any, active: Any) -> Reservoir:
-            reservoir = past.kept.gather(lane, active & past.is_same_surface(surface, lane, active))
+            reservoir = past.reservoir.gather(
+                lane, active & past.is_same_surface(surface, lane, active)
+            )
             reservoir.M = dr.minimum(reservoir.M, self.config.m_cap * own.M)
             return reservoir
 
@@ -180,14 +184,14 @@ class Restir:
         def read_reservoir(lane: Any, active: Any) -> Reservoir:
             if not self.config.unbiased:
                 active &= current.is_same_surface(surface, lane, active)
-            return current.kept.gather(lane, active)
+            return current.reservoir.gather(lane, active)
 
         def read_surface(lane: Any, active: Any) -> Surface:
             return self._intersect(self._lanes.camera_rays_of(lane), active)
 
         source = ReuseSource(self.config.neighbours, choose_neighbour, read_reservoir, read_surface)
         return combine_reservoirs(
-            surface, current.kept, source, self._make_rng(purpose), self.config.unbiased
+            surface, current.reservoir, source, self._make_rng(purpose), self.config.unbiased
         )
 
     def _shade(self, surface: Surface, reservoir: Reservoir) -> Any:
@@ -202,12 +206,12 @@ class Restir:
             return direct
         emitted = surface.hit.emitter(surface.scene).eval(surface.hit)
         numbers = self._lanes.random_numbers(INDIRECT)
-        indirect = trace_indirect(surface, self._path, numbers) if self.stage.max_depth > 1 else 0
+        indirect = trace_indirect(surface, self._path, numbers) if self.context.max_depth > 1 else 0
         return direct + emitted + indirect
 
     def _intersect(self, ray: Any, active: Any) -> Surface:
-        intersection = self.stage.scene.ray_intersect_preliminary(ray, active=active)
-        return Surface.from_intersection(self.stage.scene, ray, intersection)
+        intersection = self.context.scene.ray_intersect_preliminary(ray, active=active)
+        return Surface.from_intersection(self.context.scene, ray, intersection)
 
     def _make_rng(self, purpose: int) -> Any:
         """A function that returns the same generator at every call."""

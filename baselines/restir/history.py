@@ -19,7 +19,7 @@ MIN_NORMAL_COSINE = math.cos(math.radians(25))
 class History:
     """Reservoirs with their surfaces, one per lane."""
 
-    kept: Reservoir
+    reservoir: Reservoir
     normal: Any  # mi.Normal3f, towards the camera
     distance: Any  # mi.Float: from the camera to the surface
     bsdf_index: Any  # mi.UInt32

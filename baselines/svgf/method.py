@@ -26,7 +26,7 @@ from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mas
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.stencils import atrous_taps, box_taps
 
-__all__ = ["VARIANTS", "Config", "Svgf", "build", "gradient", "wavelet"]
+__all__ = ["VARIANTS", "Config", "Svgf", "build", "depth_gradient", "atrous_filter"]
 
 MIN_HISTORY_LENGTH = 4.0  # frames; the variance of a shorter history is estimated spatially
 VARIANCE_RADIUS = 3  # of the window of that estimate, pixels
@@ -112,13 +112,13 @@ class Svgf:
         moments = accumulate(irradiance, finite, history, alphas)
 
         # estimate variance
-        depth_change = torch.where(surface, gradient(depth, surface), 1.0)
+        depth_change = torch.where(surface, depth_gradient(depth, surface), 1.0)
         depth_decay = -LOG2E / (self.config.sigma_depth * depth_change)
         edges = Edges(*(rows.pack(image) for image in (normal, depth, depth_decay)))
         estimate = _estimate_variance(rows, edges, moments, surface, self.config.sigma_luminance)
 
         # a-trous
-        filtered, feedback = wavelet(rows, edges, *estimate, self.config)
+        filtered, feedback = atrous_filter(rows, edges, *estimate, self.config)
 
         # modulate
         image = torch.where(surface, rows.unpack(filtered) * albedo, sanitize_radiance(noisy))
@@ -131,7 +131,7 @@ class Svgf:
         return PaddedRows(*size, margin=max(VARIANCE_RADIUS, 2**self.config.passes))
 
 
-def wavelet(
+def atrous_filter(
     rows: PaddedRows,
     edges: Edges,
     irradiance: Float[Tensor, "3 row"],
@@ -153,7 +153,7 @@ def wavelet(
     return irradiance, feedback
 
 
-def gradient(
+def depth_gradient(
     depth: Float[Tensor, "n 1 h w"], surface: Bool[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 1 h w"]:
     """Change of depth per pixel, horizontal plus vertical, within one surface.

@@ -12,8 +12,8 @@ from scipy import ndimage
 from torch import Tensor, nn
 
 from baselines.dasr import TRAITS
-from baselines.dasr.gamma import draw_gamma_mean, gamma, sample_variance
-from baselines.dasr.losses import edges, relative_loss
+from baselines.dasr.gamma import draw_gamma_mean, redraw_as_gamma, sample_variance
+from baselines.dasr.losses import laplacian_of_gaussian, relative_loss
 from baselines.dasr.method import Dasr, build
 from baselines.dasr.network import Networks
 from baselines.dasr.train import training_task
@@ -135,7 +135,7 @@ def test_edges_equal_scipy() -> None:
     ]
     expected = torch.from_numpy(np.stack(planes)).view_as(image)
     # two sums of 22 terms in double precision
-    torch.testing.assert_close(edges(image), expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(laplacian_of_gaussian(image), expected, rtol=0, atol=1e-12)
 
 
 def test_the_loss_is_relative_to_the_reference() -> None:
@@ -332,7 +332,7 @@ def test_an_infinite_sample_gives_a_finite_variance() -> None:
 def test_gamma_passes_one_mean_per_pixel_to_the_method() -> None:
     (frame,) = small_clip()
     samples = Samples(frame.pool.radiance, torch.full((1, 1, SIZE.h, SIZE.w), 8))
-    simulated = gamma(samples, torch.full((1, 1, SIZE.h, SIZE.w), 2.0), frame)
+    simulated = redraw_as_gamma(samples, torch.full((1, 1, SIZE.h, SIZE.w), 2.0), frame)
     assert simulated.radiance.shape == (1, 1, 3, SIZE.h, SIZE.w)
     assert torch.equal(simulated.mean, simulated.radiance[:, 0])
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from baselines.eaw import search
-from baselines.eaw.method import Config, Eaw, smooth
+from baselines.eaw.method import Config, Eaw, atrous_pass
 from rlbench.clips.stored import open_clip
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.demodulation import reflectance
@@ -33,7 +33,9 @@ def test_metadata_is_readable_without_torch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("config", [Config(), Config(light=1.0, normal=0.02, depth=1e-2)], ids=str)
+@pytest.mark.parametrize(
+    "config", [Config(), Config(phi_color=1.0, phi_normal=0.02, phi_depth=1e-2)], ids=str
+)
 def test_a_frame_equals_plain_loops(config):
     moving = frame(0)
     image = denoise(moving.gbuffer, moving.radiance, config)[0].permute(1, 2, 0)
@@ -55,7 +57,7 @@ def test_constant_irradiance_is_unchanged(seed, light):
 
 def test_infinite_widths_give_the_spline_of_each_pass():
     """Two dilated convolutions, compared away from the border."""
-    wide = Config(passes=2, light=1e12, normal=1e12, depth=1e12)
+    wide = Config(passes=2, phi_color=1e12, phi_normal=1e12, phi_depth=1e12)
     radiance = torch.rand(1, 3, 17, 19, generator=torch.Generator().manual_seed(0))
     buffers = {"albedo": torch.ones_like(radiance), "normal": torch.ones_like(radiance)}
     gbuffer = GBuffer({**buffers, "depth": torch.ones(1, 1, 17, 19)})
@@ -93,7 +95,9 @@ def test_a_pass_filters_images_of_a_batch_independently():
     def filter_images(images: slice) -> Tensor:
         rows = PaddedRows(len(features[images]), 9, 11, margin=4)
         return rows.unpack(
-            smooth(rows, 2, rows.pack(features[images], fill=1e4), rows.pack(irradiance[images]))
+            atrous_pass(
+                rows, 2, rows.pack(features[images], fill=1e4), rows.pack(irradiance[images])
+            )
         )
 
     single = torch.cat((filter_images(slice(0, 1)), filter_images(slice(1, 2))))
@@ -102,7 +106,7 @@ def test_a_pass_filters_images_of_a_batch_independently():
 
 def test_the_search_returns_the_best_config_first(clip_folder):
     """On noise around a smooth image, the wider filter is better."""
-    narrow, wide = Config(light=1e-3), Config(light=100.0)
+    narrow, wide = Config(phi_color=1e-3), Config(phi_color=100.0)
     scores = search.search([open_clip(clip_folder)], [narrow, wide])
     assert list(scores) == [wide, narrow]
     assert scores[wide] > scores[narrow] + 3

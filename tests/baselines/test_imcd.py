@@ -23,7 +23,7 @@ from rlbench.run import run_clip
 
 CPU = torch.device("cpu")
 SIZE = Size(1, 16, 16)
-SMALL_WIDTHS = KernelSizes(spatial=5, temporal=3)
+SMALL = KernelSizes(spatial=5, temporal=3)
 
 
 def random_tensor(*shape: int, seed: int = 0) -> Tensor:
@@ -79,7 +79,7 @@ def kernels(h: int, w: int, sharpness: float | None = None, keep: float = 0.0) -
 
 @pytest.fixture(scope="module")
 def method() -> Imcd:
-    return replace(build("", CPU, "random"), config=Config(SMALL_WIDTHS))
+    return replace(build("", CPU, "random"), config=Config(SMALL))
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def trainable() -> Imcd:
     """IMCD with trainable weights and small kernels, for speed."""
     method = training_task("", CPU, seed=0).method
     assert isinstance(method, Imcd)
-    return replace(method, config=Config(SMALL_WIDTHS))
+    return replace(method, config=Config(SMALL))
 
 
 @pytest.mark.parametrize(("part", "count"), [("unet", 938_944), ("encoder", 2_464)])
@@ -178,8 +178,8 @@ def test_the_filter_equals_plain_loops(has_history: bool) -> None:
         random_tensor(1, 8, 12, 12, seed=10), random_tensor(1, 3, 12, 12, seed=11), valid
     )
     previous = previous if has_history else None
-    expected = filter_in_loops(irradiance, predicted, previous, SMALL_WIDTHS)
-    filtered = apply_affinity_kernels(irradiance, predicted, previous, SMALL_WIDTHS)
+    expected = filter_in_loops(irradiance, predicted, previous, SMALL)
+    filtered = apply_affinity_kernels(irradiance, predicted, previous, SMALL)
     np.testing.assert_allclose(filtered[0].numpy(), expected, rtol=1e-5)  # float32, 34 terms
 
 
@@ -366,7 +366,7 @@ def test_a_few_training_steps_lower_the_loss() -> None:
     optimizer = torch.optim.Adam(task.networks.parameters(), 1e-3)
     clip, means = small_clip(2, Size(1, 32, 32), textured=False), []
     for _ in range(24):
-        for loss in losses(replace(task.method, config=Config(SMALL_WIDTHS)), clip, 2.0):
+        for loss in losses(replace(task.method, config=Config(SMALL)), clip, 2.0):
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

@@ -234,8 +234,8 @@ def test_the_trained_network_is_the_network_that_runs():
 
 def test_tuning_starts_from_intels_weights():
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import network
+    from baselines.oidn_intel.networks import load_network
 
-    theirs, ours = network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
+    theirs, ours = load_network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
     assert training_task("tuned", CPU, 0).max_lr < training_task("", CPU, 0).max_lr

@@ -107,19 +107,19 @@ def test_images_of_other_sizes_in_between_have_no_effect():
 @installed
 @pytest.mark.parametrize("threads", [1, 2])
 def test_it_runs_on_the_given_number_of_threads(threads):
-    from baselines.oidn_intel.library import Filter, Settings
+    from baselines.oidn_intel.library import Filter, FilterSettings
 
     cores = provenance.machine().cores
-    run_filter = Filter(Settings(), 16, 16, threads)
+    run_filter = Filter(FilterSettings(), 16, 16, threads)
     assert run_filter._device.get_int("numThreads") == min(threads, cores)
 
 
 @installed
 def test_invalid_weights_are_rejected():
-    from baselines.oidn_intel.library import Filter, LibraryError, Settings
+    from baselines.oidn_intel.library import Filter, FilterSettings, LibraryError
 
     with pytest.raises(LibraryError, match="Open Image Denoise: "):
-        Filter(Settings(weights=b"no weights at all"), 16, 16, threads=1)
+        Filter(FilterSettings(weights=b"no weights at all"), 16, 16, threads=1)
 
 
 @installed

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from baselines.svgf import FAMILY
 from baselines.svgf.history import History, accumulate, reproject_history
-from baselines.svgf.method import BASE_WIDTHS, VARIANTS, Svgf, build
+from baselines.svgf.method import BASE, VARIANTS, Svgf, build
 from baselines.svgf.wavelet import Edges, atrous_pass
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import reflectance
@@ -73,9 +73,7 @@ def test_every_variant_of_the_family_has_a_config():
 
 def test_falcor_differs_in_alpha_passes_feedback_tap_and_tolerance():
     differ = {
-        f.name
-        for f in fields(BASE_WIDTHS)
-        if getattr(BASE_WIDTHS, f.name) != getattr(VARIANTS["falcor"], f.name)
+        f.name for f in fields(BASE) if getattr(BASE, f.name) != getattr(VARIANTS["falcor"], f.name)
     }
     assert differ == {"alpha_color", "passes", "feedback_tap", "sigma_luminance"}
 

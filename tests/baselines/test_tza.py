@@ -51,10 +51,10 @@ def run_ours(method: Oidn, size: Size = UNPADDED) -> FrameResult:
 def run_intel(result: FrameResult, quality: str = "high", weights: bytes = b"") -> torch.Tensor:
     """The image of Intel's library for the same mean, albedo and normal."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.library import Filter, Settings
+    from baselines.oidn_intel.library import Filter, FilterSettings
 
     _, _, h, w = result.image.shape
-    run_filter = Filter(Settings(quality, weights=weights), h, w, threads=1)
+    run_filter = Filter(FilterSettings(quality, weights=weights), h, w, threads=1)
     gbuffer = result.frame.gbuffer
     return run_filter(result.samples.mean[0], gbuffer.albedo[0], gbuffer.normal[0]).unsqueeze(0)
 
@@ -113,9 +113,9 @@ def test_at_odd_sizes_only_the_padding_differs(monkeypatch):
 @float32_library
 def test_our_network_with_intels_weights_gives_intels_image(variant, quality):
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import network
+    from baselines.oidn_intel.networks import load_network
 
-    result = run_ours(Oidn(network(VARIANTS[variant].widths)))
+    result = run_ours(Oidn(load_network(VARIANTS[variant].widths)))
     torch.testing.assert_close(run_intel(result, quality), result.image, **CLOSE)
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from metrics.display import display
+from metrics.display import encode_display
 from metrics.image import (
     CAP_DB,
     SCALE_WEIGHTS,
@@ -35,7 +35,7 @@ def image_pair(h, w, noise=0.3, seed=0, n=2):
 
 
 def srgb_array(image):
-    return display(image).permute(0, 2, 3, 1).double().numpy()
+    return encode_display(image).permute(0, 2, 3, 1).double().numpy()
 
 
 def skimage_ms_ssim(x, y, scales):
@@ -78,7 +78,9 @@ def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
         for i in (0, 1)
     )
     for n, score in enumerate(tpsnr(images, truths)):
-        changes = [np.diff(display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)]
+        changes = [
+            np.diff(encode_display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)
+        ]
         expected = peak_signal_noise_ratio(*changes, data_range=1)
         assert float(score) == pytest.approx(expected, abs=1e-4)  # float32
 
