@@ -13,7 +13,7 @@ BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 # the nearest rivals, on many clips
 RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
 
-APPENDIX := ppo C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
+APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
 # $(call page,REPORT,RESULTS,NAME): write a report as the page docs/results/NAME.md
 define page
@@ -22,12 +22,12 @@ mv docs/made/$(1).md docs/results/$(3).md && rm -r docs/made
 endef
 
 FROM1 := 1,2,4,6
-TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/ppo:ours-ppo-1+2+4+6spp/ppo ours/A2:ours-A2-1+2+4+6spp/A2
+TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/reinforce:ours-reinforce-1+2+4+6spp/reinforce ours/A2:ours-A2-1+2+4+6spp/A2
 SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen equal takes crossval appendix seeds contact test test-all format clean
+.PHONY: demo docs table1 unseen equal takes crossval appendix seeds contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -59,7 +59,7 @@ unseen: .venv/dev.stamp
 
 # ours and its nearest rivals where none has learned budgets below 1 spp, as ours/A1 cannot: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
-	$(BIN)/rlbench train -m ours,ours/ppo,ours/A2 --frames 6000 --half --budget $(FROM1)
+	$(BIN)/rlbench train -m ours,ours/reinforce,ours/A2 --frames 6000 --half --budget $(FROM1)
 	$(BIN)/rlbench run -m ours/A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
 	set -e; for row in $(TRAINED_FROM1); do \
 	  $(BIN)/rlbench run -m $${row%:*} --weights from1=runs/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
@@ -101,6 +101,10 @@ seeds: .venv/dev.stamp
 contact: .venv/run.stamp
 	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
 
+# the documentation as a site, in site/; a broken link or an undocumented name fails it
+site: .venv/docs.stamp
+	$(BIN)/mkdocs build
+
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -116,7 +120,7 @@ format: .venv/dev.stamp
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv build site *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 
 # entry points are read from installed metadata: a changed pyproject.toml is installed again
 .venv/run.stamp: pyproject.toml constraints.txt | $(BIN)/pip
@@ -125,6 +129,10 @@ clean:
 
 .venv/dev.stamp: pyproject.toml constraints.txt | $(BIN)/pip
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+	touch $@ .venv/run.stamp
+
+.venv/docs.stamp: pyproject.toml constraints.txt | $(BIN)/pip
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[docs]'
 	touch $@ .venv/run.stamp
 
 $(BIN)/pip:

@@ -26,7 +26,7 @@ class Metric:
 
     name: str
     unit: str  # "dB", or empty for a plain number
-    direction: str  # "high", "low", or empty where it is a signed error, best at zero
+    direction: str  # "higher" or "lower" is better; empty for a signed error, best at zero
     convention: str  # what must be known to reproduce the number
     score: Score
     fit: Callable[[int, int], Metric] | None = None
@@ -105,12 +105,12 @@ def _ms_ssim_at(height: int, width: int) -> Metric:
 _SSIM_CONVENTION = "pytorch-msssim, clipped sRGB, range 1, window 11, sigma 1.5"
 
 PSNR = Metric(
-    "psnr", "dB", "high", "peak 1, clipped sRGB, 1.0 = display white, at most 100 dB", _psnr
+    "psnr", "dB", "higher", "peak 1, clipped sRGB, 1.0 = display white, at most 100 dB", _psnr
 )
 TPSNR = Metric(
     "tpsnr",
     "dB",
-    "high",
+    "higher",
     "of the change from frame to frame, not moved; peak 1, clipped sRGB, at most 100 dB",
     _tpsnr,
     temporal=True,
@@ -118,17 +118,17 @@ TPSNR = Metric(
 MS_SSIM = Metric(
     "ms_ssim",
     "",
-    "high",
+    "higher",
     f"5 scales; {_SSIM_CONVENTION}",
     partial(_ms_ssim, scales=5),
     _ms_ssim_at,
     requires=("pytorch-msssim",),
 )
-RELMSE = Metric("relmse", "", "low", "linear radiance, per channel, reference^2 + 0.01", _relmse)
+RELMSE = Metric("relmse", "", "lower", "linear radiance, per channel, reference^2 + 0.01", _relmse)
 MSE_DEBIASED = Metric(
     "mse_debiased",
     "",
-    "low",
+    "lower",
     "linear radiance, mean((x-a)(x-b)) of half references",
     _mse_debiased,
     needs_reference_halves=True,
@@ -141,5 +141,5 @@ BIAS = Metric(
     _bias,
 )
 NONFINITE = Metric(
-    "nonfinite", "pixels", "low", "pixels with a NaN or infinite channel", _nonfinite
+    "nonfinite", "pixels", "lower", "pixels with a NaN or infinite channel", _nonfinite
 )

@@ -75,7 +75,7 @@ def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
 
 def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: str) -> Grid:
     head, body = wide(
-        found, lambda row: "-" if pd.isna(row["total_ms"]) else f"{row['total_ms']:+.1f}"
+        found, lambda row: "-" if pd.isna(row["frame_ms"]) else f"{row['frame_ms']:+.1f}"
     )
     caption = (
         f"Whole frame in ms (plan + denoise, p50, + samples) less that of {family}, mean over "
@@ -99,15 +99,17 @@ def _change_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
 def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, list[str]]:
     rows: list[dict[str, Any]] = [dict(row) for _, row in found.iterrows()]
     odd = [
-        "{method} at {spp:g} spp: {alone} scores without a partner, {pairs} pairs".format(**row)
+        "{method} at {target_spp:g} spp: {alone} scores without a partner, {pairs} pairs".format(
+            **row
+        )
         for row in rows
         if row["alone"]
     ]
-    held = {(row["method"], row["spp"]) for row in rows}
+    held = {(row["method"], row["target_spp"]) for row in rows}
     absent = [
         f"{method} at {spp:g} spp: not scored, or {family} is not"
         for method in variant_differences.families_with_scores(table)[family]
-        for spp in sorted(set(variant_differences.scored(table)["spp"]))
+        for spp in sorted(set(variant_differences.scored(table)["target_spp"]))
         if (method, spp) not in held
     ]
     shown = set(found["method"])

@@ -23,15 +23,21 @@ MARKS = ("<!-- table -->", "<!-- /table -->")
 LOWEST = -0.35  # of the axis; what lies below is drawn at its edge
 LOOKS = {  # colour and dashes; the proposed default has the one that stands out
     "true gradient": (INK, (0, (1, 1.5))),
-    "ppo-pixel+surrogate": ("#D55E00", "-"),
-    "ppo-pixel": ("#E69F00", "-"),
+    "reinforce+surrogate": ("#D55E00", "-"),
+    "reinforce": ("#E69F00", "-"),
     "critic": ("#0072B2", "-"),
     "surrogate": ("#009E73", "-"),
     "gamma": ("#CC79A7", "-"),
     "rllib-appo": ("#7A4FA3", "-"),
-    "ppo-pixel, no price": ("#E69F00", (0, (4, 2))),
-    "ppo-pixel, single pixels": ("#E69F00", (0, (1, 1))),
+    "reinforce, no price": ("#E69F00", (0, (4, 2))),
+    "reinforce, single pixels": ("#E69F00", (0, (1, 1))),
     "rllib-appo, joint ratio": ("#7A4FA3", (0, (4, 2))),
+}
+FORMER_NAMES = {  # learners in tables that were written before
+    "ppo-pixel": "reinforce",
+    "ppo-pixel+surrogate": "reinforce+surrogate",
+    "ppo-pixel, no price": "reinforce, no price",
+    "ppo-pixel, single pixels": "reinforce, single pixels",
 }
 TITLES = {
     "direct": "pixels judged as they are",
@@ -132,7 +138,7 @@ def main(folder: Path) -> None:
 
     A page of the same name, with the marks between which a table belongs, gets it too.
     """
-    rows = pd.read_csv(folder / f"{TABLE}.csv")
+    rows = pd.read_csv(folder / f"{TABLE}.csv").replace({"learner": FORMER_NAMES})
     draw(rows, folder / f"{TABLE}.png")
     sys.stdout.write(table(rows))
     page = folder / f"{TABLE}.md"

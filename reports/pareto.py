@@ -42,7 +42,7 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     per_scene = aggregate.points(table, metric)
     mean = aggregate.overall(per_scene).assign(scene=OVERALL)
     every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
-    every = every[every["total_ms"].notna()].reset_index(drop=True)
+    every = every[every["frame_ms"].notna()].reset_index(drop=True)
     if every.empty:
         found = sorted(set(table.loc[table["value"].notna(), "metric"])) or ["nothing"]
         raise aggregate.ReportError(
@@ -55,9 +55,9 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
             f"scenes, and more than {MOST} have no panels of their own; plot fewer scenes"
         )
     every["front"] = False
-    better = aggregate.column_text(table, metric, "better")
+    better = aggregate.column_text(table, metric, "direction")
     for _, panel in every.groupby("scene"):
-        kept = aggregate.pareto_front(panel["total_ms"], panel["value"], better)
+        kept = aggregate.pareto_front(panel["frame_ms"], panel["value"], better)
         every.loc[panel.index[kept], "front"] = True
     return every
 
@@ -65,11 +65,11 @@ def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
 def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
     unit, better = (
         aggregate.column_text(table, metric, "unit"),
-        aggregate.column_text(table, metric, "better"),
+        aggregate.column_text(table, metric, "direction"),
     )
     title = metric.upper().replace("_", "-") if metric in ("psnr", "ms_ssim") else metric
     value = f"{title} [{unit}]" if unit else title
-    direction = {"high": "  (up is better)", "low": "  (down is better)"}.get(better, "")
+    direction = {"higher": "  (up is better)", "lower": "  (down is better)"}.get(better, "")
     counted = table[(table["metric"] == metric) & table["value"].notna()]
     caption = (
         f"{title}: {aggregate.column_text(table, metric, 'convention')}; {page.clips(counted)}. "
@@ -83,10 +83,10 @@ def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
 def _missing(table: pd.DataFrame, metric: str) -> str:
     """What has no mean over scenes though it was measured, as lines of the caption."""
     per_scene = aggregate.points(table, metric)
-    untimed = set(per_scene.loc[per_scene["total_ms"].isna(), "method"])
+    untimed = set(per_scene.loc[per_scene["frame_ms"].isna(), "method"])
     scored = table.loc[(table["metric"] == metric) & table["value"].notna()]
-    whole = aggregate.overall(per_scene).groupby("method")["spp"].nunique()
-    asked = scored.groupby("method")["spp"].nunique()
+    whole = aggregate.overall(per_scene).groupby("method")["target_spp"].nunique()
+    asked = scored.groupby("method")["target_spp"].nunique()
     partly = {method for method, budgets in asked.items() if whole.get(method, 0) < budgets}
     told = {"Not on every scene and frame": partly, "Without a time on every scene": untimed}
     return "".join(f"\n{what}: {', '.join(sorted(who))}." for what, who in told.items() if who)

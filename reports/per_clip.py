@@ -32,7 +32,7 @@ def write(
         whole = aggregate.overall(aggregate.scene_means(scored, METRIC))
         shots = aggregate.per_frame_scores(scored, METRIC)
         told = aggregate.column_text(scored, METRIC, "convention")
-        budgets = sorted(set(means["spp"]))
+        budgets = sorted(set(means["target_spp"]))
         grids = [_grid(spp, means, whole, shots, told, seed, draws) for spp in budgets]
         lists = {
             "Not run": aggregate.reasons(scored),
@@ -52,7 +52,7 @@ def _grid(
     seed: int,
     draws: int,
 ) -> Grid:
-    means, whole, shots = (part[part["spp"] == spp] for part in (means, whole, shots))
+    means, whole, shots = (part[part["target_spp"] == spp] for part in (means, whole, shots))
     overall = whole.set_index("method")["value"].sort_values(ascending=False)
     # what lacks a scene has no mean, and comes last
     methods = list(dict.fromkeys([*overall.index, *means["method"]]))

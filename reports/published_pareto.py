@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 METRIC = "psnr"
-COLUMNS = ["method", "spp", "value", "total_ms"]
+COLUMNS = ["method", "target_spp", "value", "frame_ms"]
 
 
 def write(table: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
@@ -58,7 +58,7 @@ def figures(table: pd.DataFrame, device: str) -> dict[str, Figure]:
 
 
 def measured(table: pd.DataFrame) -> pd.DataFrame:
-    """Columns method, spp, value, total_ms of the paper's rows: means over scenes, as measured."""
+    """Columns method, spp, value, frame_ms of the paper's rows: means over scenes, as measured."""
     found = aggregate.overall(aggregate.points(table, METRIC))
     found = found[found["method"].map(lambda method: published().of(method) is not None)]
     return pd.DataFrame(found[COLUMNS].reset_index(drop=True))
@@ -70,8 +70,8 @@ def stated(paper: Published) -> pd.DataFrame:
     for point in paper.points():
         row = paper.of(point.row)
         inference_ms = row.inference_ms if row else float("nan")
-        total_ms = inference_ms + point.spp * paper.sample_ms
-        made.append((point.row, point.spp, point.psnr_db, total_ms, point.derived))
+        frame_ms = inference_ms + point.spp * paper.sample_ms
+        made.append((point.row, point.spp, point.psnr_db, frame_ms, point.derived))
     return pd.DataFrame(made, columns=[*COLUMNS, "derived"])
 
 
@@ -84,7 +84,7 @@ def _captions(table: pd.DataFrame, here: pd.DataFrame, device: str) -> dict[str,
         "The two panels share a scale, not a zero: their values cannot be compared, their orders "
         "can."
     )
-    budgets = ", ".join(f"{spp:g}" for spp in sorted(set(here["spp"])))
+    budgets = ", ".join(f"{spp:g}" for spp in sorted(set(here["target_spp"])))
     times = (
         f"\nPoints of a curve, from left to right: {budgets} spp, where it was run. Time here: "
         f"plan + denoise (p50) on {device or 'a device not named'} + samples bought per pixel x "
@@ -107,6 +107,6 @@ def _others(table: pd.DataFrame, here: pd.DataFrame) -> str:
     """The rows that are measured and not drawn, as lines of the caption."""
     scored = table[(table["metric"] == METRIC) & table["value"].notna()]
     left = sorted(set(scored["method"]) - set(here["method"]))
-    untimed = sorted(set(here.loc[here["total_ms"].isna(), "method"]))
+    untimed = sorted(set(here.loc[here["frame_ms"].isna(), "method"]))
     told = {"Measured, but not in the paper or not on every scene": left, "Without a time": untimed}
     return "".join(f"\n{what}: {', '.join(which)}." for what, which in told.items() if which)

@@ -19,7 +19,7 @@ TIME_COLUMNS = {
     "denoise_ms": "denoise p50",
     "denoise_p95_ms": "denoise p95",
     "sampling_ms": "sampling",
-    "total_ms": "total",
+    "frame_ms": "total",
 }
 Show = Callable[[float], str]
 
@@ -68,17 +68,17 @@ def _scene_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Gri
 def _grid(table: pd.DataFrame, rank: pd.DataFrame, of: str, caption: str) -> Grid:
     metric = str(rank["metric"].iloc[0]) if len(rank) else "score"
     unit, better, convention = (
-        aggregate.column_text(table, metric, c) for c in ("unit", "better", "convention")
+        aggregate.column_text(table, metric, c) for c in ("unit", "direction", "convention")
     )
-    budgets, show = sorted(set(rank["spp"])), _shown(unit)
-    cells = {(row.method, row.spp): _cell(row, show) for row in rank.itertuples()}
+    budgets, show = sorted(set(rank["target_spp"])), _shown(unit)
+    cells = {(row.method, row.target_spp): _cell(row, show) for row in rank.itertuples()}
     body = tuple(
         (method, *(cells.get((method, spp), "-") for spp in budgets))
         for method in sorted(set(rank["method"]))
     )
     name = f"{metric} [{unit}]" if unit else metric
     head = ("method", *(f"{spp:g} spp" for spp in budgets))
-    rule = {"high": "Higher is better. ", "low": "Lower is better. "}.get(better, "")
+    rule = {"higher": "Higher is better. ", "lower": "Lower is better. "}.get(better, "")
     return Grid(
         f"{name}, {of}", f"{convention}. {rule}{caption if better else 'Not ranked.'}", head, body
     )
@@ -103,11 +103,11 @@ def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
     if not metrics:
         return []
     means = aggregate.overall(aggregate.points(table, metrics[0]))
-    if means["total_ms"].isna().all():
+    if means["frame_ms"].isna().all():
         return []
     head = ("method", "spp", "spp bought", *TIME_COLUMNS.values())
     body = tuple(
-        (row["method"], f"{row['spp']:g}", f"{row['spp_realised']:.3g}")
+        (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
         + tuple("-" if pd.isna(row[c]) else f"{row[c]:.2f}" for c in TIME_COLUMNS)
         for _, row in means.iterrows()
     )

@@ -58,18 +58,18 @@ def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataF
     table = table[table["method"].map(method_names.weights) == ""]
     means = aggregate.overall(aggregate.points(table, METRIC))
     shots = aggregate.per_frame_scores(table, METRIC).merge(
-        means[["method", "spp"]], on=["method", "spp"]
+        means[["method", "target_spp"]], on=["method", "target_spp"]
     )
-    parts = {key: part for key, part in shots.groupby(["method", "spp"])}
+    parts = {key: part for key, part in shots.groupby(["method", "target_spp"])}
     made = []
     for row in means.to_dict("records"):
-        method, spp, gap = row["method"], row["spp"], UNKNOWN
+        method, spp, gap = row["method"], row["target_spp"], UNKNOWN
         if method != BASE and (BASE, spp) in parts:
             gap = interval(paired(parts[method, spp], parts[BASE, spp]), seed, draws)
         made.append(
             {
                 "method": method,
-                "spp": spp,
+                "target_spp": spp,
                 METRIC: row["value"],
                 "difference": gap.mean,
                 "low": gap.low,
@@ -98,8 +98,8 @@ def _stated(method: str, spp: float) -> dict[str, object]:
 
 
 def _grid(table: pd.DataFrame, found: pd.DataFrame, alike: Agreement, device: str) -> Grid:
-    at, budgets = published().spp, sorted(set(found["spp"]))
-    cells = {(row["method"], row["spp"]): row for row in found.to_dict("records")}
+    at, budgets = published().spp, sorted(set(found["target_spp"]))
+    cells = {(row["method"], row["target_spp"]): row for row in found.to_dict("records")}
     base = published().of(BASE)
     body = []
     for method in _order(found):
@@ -168,7 +168,7 @@ def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
     named = sorted({m for m in table["method"] if method_names.weights(m)})
     absent = [f"{s.name}, here {s.row}" for s in published().table if s.row not in there]
     missing = [] if BASE in there else [f"differences: '{BASE}' was not measured on every scene"]
-    if published().spp not in set(found["spp"]):
+    if published().spp not in set(found["target_spp"]):
         missing.append(f"{published().spp:g} spp, the paper's budget")
     scored = table[table["metric"] == METRIC]
     return {

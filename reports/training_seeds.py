@@ -33,7 +33,7 @@ def write(table: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
             grids = [_grid(trained, found, device)]
             differ = differences_to(_means(trained))
             grids += [_difference_grid(trained, differ)] if len(differ) else []
-            both = found.merge(differ, on=["series", "spp"], how="left")
+            both = found.merge(differ, on=["series", "target_spp"], how="left")
             sections.append(page.Section(device, grids, both, _lists(trained, found)))
     if not sections:
         have = sorted({method for method in table["method"] if method_names.weights(method)})
@@ -64,13 +64,13 @@ def _means(table: pd.DataFrame) -> pd.DataFrame:
 
 def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
     made = []
-    for spp, part in means.groupby("spp"):
+    for spp, part in means.groupby("target_spp"):
         if len(part) < 2:
             continue
         found = std_with_interval(list(part["value"]))
         made.append(
             {
-                "spp": spp,
+                "target_spp": spp,
                 "mean": part["value"].mean(),
                 "deviation": found.value,
                 "low": found.low,
@@ -85,10 +85,12 @@ def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
 
 def _differ(table: pd.DataFrame) -> None:
     """Raise ReportError where two trainings of a series are one: their weights are the same."""
-    known = table[(table["metric"] == METRIC) & table["value"].notna() & (table["weights"] != "")]
-    known = known.drop_duplicates(["method", "weights"])
+    known = table[
+        (table["metric"] == METRIC) & table["value"].notna() & (table["weights_hash"] != "")
+    ]
+    known = known.drop_duplicates(["method", "weights_hash"])
     for (_, weights), part in known.groupby(
-        [known["method"].map(method_names.training_series), "weights"]
+        [known["method"].map(method_names.training_series), "weights_hash"]
     ):
         if len(part) > 1:
             raise aggregate.ReportError(
@@ -102,7 +104,7 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
     body = tuple(
         (
             f"{row['series']}0, ...",
-            f"{row['spp']:g}",
+            f"{row['target_spp']:g}",
             f"{row['trainings']}",
             f"{row['mean']:.2f}",
             f"{row['deviation']:.3f} [{row['low']:.3f}, {row['high']:.3f}]",

@@ -5,7 +5,7 @@
     >>> method = rlbench.load_method("mean")
     >>> result = next(rlbench.run_clip(method, clip, spp=2.0))
     >>> result.image.shape
-    torch.Size([1, 3, 64, 64])
+    torch.Size([1, 3, 96, 128])
 
 Names are imported when they are first used: `import rlbench` alone takes milliseconds and loads no
 torch. The stub beside this file lists them.
@@ -21,15 +21,14 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 class _Package(ModuleType):
-    """This package: `rlbench.run` and `rlbench.render` are functions, whatever is imported.
+    """This package, in which `rlbench.run` is the function, whatever is imported.
 
-    Python would replace them by the submodules of the same names (`rlbench/run.py`,
-    `rlbench/render/`) as soon as one of these is imported. Those are reached by
-    `from rlbench.run import ...`.
+    Python would replace it by the submodule of the same name, the page `rlbench/run.py`, as soon as
+    anything imports that. The module is reached by `from rlbench.run import unroll`.
     """
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (isinstance(value, ModuleType) and name in ("run", "render")):
+        if not (name == "run" and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
 

@@ -1,4 +1,6 @@
-from .benchmark.api import list_installed, render, report, run
+# ruff: noqa: TID252 - lazy_loader reads relative imports only
+from .benchmark.api import render_clips, report, run
+from .benchmark.listing import list_installed
 from .clips.in_memory import InMemoryClip
 from .clips.procedural.clip import procedural_clip
 from .clips.stored import open_clip
@@ -6,8 +8,8 @@ from .errors import RlbenchError
 from .family import Family, Traits, Variant
 from .frames import Clip, Frame, GBuffer, Pool, Reference, Samples, Size
 from .method import Method, State
-from .registry.lookup import load_method
-from .registry.discovery import use_plugin
+from .registry.methods import load_method
+from .registry.plugin_files import use_plugin
 from .run import FrameResult, run_clip, unroll
 from .weights import load_for_inference
 from .wrappers import MethodWrapper
@@ -34,7 +36,7 @@ __all__ = [
     "load_method",
     "open_clip",
     "procedural_clip",
-    "render",
+    "render_clips",
     "report",
     "run",
     "run_clip",

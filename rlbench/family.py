@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 __all__ = ["Family", "Traits", "Variant"]
 
@@ -90,12 +90,13 @@ class Family:
     variants: Mapping[str, Variant]
     build: str
     train: str = ""
+    aliases: Mapping[str, str] = field(default_factory=dict)  # former variant name -> current one
 
-    def names(self) -> list[str]:
+    def method_names(self) -> list[str]:
         """Names of all variants as on the command line: `family` or `family/variant`."""
         return [f"{self.name}/{key}" if key else self.name for key in self.variants]
 
-    def weights(self, variant: str) -> str:
+    def weights_file(self, variant: str) -> str:
         """File name of the shipped weights of `variant`, or of the variant in `weights_from`."""
         source = self.variants[variant].weights_from
         return f"{(variant if source is None else source) or self.name}.safetensors"

@@ -34,7 +34,7 @@ class PoolKind:
     name: str
     title: str
     factory: str = ""
-    recipe: int = 1  # increase it when `factory` draws different samples of the same scene
+    version: int = 1  # increase it when `factory` draws different samples of the same scene
     independent: bool = True  # True if samples are unbiased and independent of all other samples
 
 
@@ -53,13 +53,13 @@ class RenderContext(Protocol):
         """The Mitsuba scene (mi.Scene) at the current frame."""
 
     @property
-    def depth(self) -> int:
+    def max_depth(self) -> int:
         """Maximum path depth, in edges."""
 
-    def rays(self, x: Any, y: Any) -> Any:
+    def camera_rays(self, x: Any, y: Any) -> Any:
         """Camera rays (mi.Ray3f) through film positions (mi.Float)."""
 
-    def numbers(self, pixels: Any, samples: Any) -> Any:
+    def sampler(self, pixels: Any, samples: Any) -> Any:
         """A random sampler with one lane per pair of pixel and sample index (mi.UInt32).
 
         Its numbers depend on pixel, sample index, frame and seed alone. The field `rng` is its

@@ -73,7 +73,7 @@ def allocate_counts(
     total_samples: int,
     min_counts: Int[Tensor, "n 1 h w"],
     max_counts: int | Int[Tensor, "n 1 h w"],
-    keys: tuple[int, ...],
+    rounding_seeds: tuple[int, ...],
 ) -> Int[Tensor, "n 1 h w"]:
     """Sample counts within [min, max] that follow `density` and sum to `total_samples` per image.
 
@@ -104,7 +104,9 @@ def allocate_counts(
             f"density has negative values, down to {float(density.min()):g}; it must be >= 0"
         )
     limits = torch.as_tensor(max_counts, device=min_counts.device).expand_as(min_counts)
-    images = zip(density[:, 0].double(), min_counts[:, 0], limits[:, 0], keys, strict=True)
+    images = zip(
+        density[:, 0].double(), min_counts[:, 0], limits[:, 0], rounding_seeds, strict=True
+    )
     return torch.stack([_allocate_image(*image, total_samples) for image in images]).unsqueeze(1)
 
 

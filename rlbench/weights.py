@@ -1,14 +1,11 @@
-"""Trained weights on disk: half floats in a safetensors file, and a card that says whence."""
+"""Trained weights on disk: a safetensors file in half precision, and its model card in TOML."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -16,44 +13,65 @@ from safetensors import torch as safetensors
 from torch import Tensor, nn
 
 from rlbench.errors import RlbenchError
-from rlbench.system import paths
+from rlbench.system import documents, paths
 
-DTYPE = torch.float16  # of floating weights in the file
+__all__ = [
+    "ModelCard",
+    "WeightsError",
+    "card_path",
+    "digest",
+    "load_for_inference",
+    "load_into",
+    "read_card",
+    "save",
+    "training_clips",
+]
+
+DTYPE = torch.float16  # of floating-point weights in the file
+RENAMED_FIELDS = {
+    "plan": "training_config",
+    "curve": "validation_history",
+    "config": "method_config",
+}  # fields of older model cards, and their names today
 
 
 class WeightsError(RlbenchError, ValueError):
-    """Weights that are missing, changed, or not those of the network."""
+    """Weights that are missing, changed, or made for another network."""
 
 
 @dataclass(frozen=True)
 class ModelCard:
-    """Where weights come from: what they were trained on, for how long, and how well it went.
+    """Model card: what weights were trained on, for how long, and with what result.
 
-    `save` fills in sha256, dtype and parameters.
+    `save` fills in `sha256`, `dtype` and `parameters`.
     """
 
     name: str  # of the method, as on the command line
-    data: tuple[str, ...] = ()  # names or digests of the clips trained on
-    frames_seen: int = 0  # crops, each frame of each clip in a batch counts
-    steps: int = 0  # of the optimiser
-    seconds: float = 0.0  # of training
-    device: str = ""  # trained on
+    data: tuple[str, ...] = ()  # the clips trained on: name, a space, digest; or name alone
+    frames_seen: int = 0  # crops drawn; every frame of every clip in a batch counts
+    steps: int = 0  # of the optimizer
+    seconds: float = 0.0  # training time
+    device: str = ""  # that trained
     seed: int = 0
-    command: str = ""  # that makes these weights again
-    commit: str = ""  # of the code that trained them
-    plan: str = ""  # how long and at what rate, JSON
-    config: str = ""  # of the method, JSON
-    origin: str = ""  # what training started from; empty for random weights
-    curve: tuple[tuple[int, float], ...] = ()  # frames seen, validation PSNR in dB
+    command: str = ""  # that reproduces the weights
+    commit: str = ""  # of the training code
+    training_config: str = ""  # the training configuration, JSON
+    method_config: str = ""  # the configuration of the method, JSON
+    origin: str = ""  # the weights that training started from; empty for random ones
+    validation_history: tuple[tuple[int, float], ...] = ()  # (frames seen, PSNR in dB)
     note: str = ""
     licence: str = "Apache-2.0"
     sha256: str = ""  # of the safetensors file
     dtype: str = ""  # of the stored weights
-    parameters: int = 0  # numbers in the file
+    parameters: int = 0  # number of values in the file
 
 
 def card_path(path: Path) -> Path:
-    """The card that lies beside a weights file."""
+    """The path of the model card for a weights file.
+
+    >>> card_path(Path("cards/oidn.safetensors")).name
+    'oidn.toml'
+    """
     return path.with_suffix(".toml")
 
 
@@ -64,118 +82,126 @@ def digest(path: Path) -> str:
 
 
 def save(module: nn.Module, path: Path, card: ModelCard) -> ModelCard:
-    """Write the weights of `module` to `path`, and their card beside it; returns the whole card.
+    """Write the weights of `module` to `path` with their model card; returns the completed card.
 
-    Each file is written under another name and renamed; a kill between the two leaves a pair that
-    `load_into` refuses. Raises WeightsError for weights that half floats cannot hold.
+    Each of the two files is written atomically. If the process is killed between them, `load_into`
+    refuses the pair. Raises WeightsError for weights outside the range of float16.
     """
-    stored = {name: _half(name, tensor) for name, tensor in module.state_dict().items()}
-    content = safetensors.save(stored)
+    tensors = {name: _to_half(name, tensor) for name, tensor in module.state_dict().items()}
+    content = safetensors.save(tensors)
     card = replace(
         card,
         sha256=hashlib.sha256(content).hexdigest(),
         dtype=str(DTYPE).removeprefix("torch."),
-        parameters=sum(tensor.numel() for tensor in stored.values()),
+        parameters=sum(tensor.numel() for tensor in tensors.values()),
     )
-    for place, told in ((path, content), (card_path(path), _toml(asdict(card)).encode())):
-        with paths.replacing(place) as temporary:
-            temporary.write_bytes(told)
+    with paths.atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+    documents.write_toml(card_path(path), asdict(card))
     return card
 
 
 def load_for_inference(
-    module: nn.Module, asked: str | None, shipped: Path, device: torch.device | str
+    module: nn.Module, weights: str | None, shipped: Path, device: torch.device | str
 ) -> None:
-    """Make a network ready to run, with the weights that a family's `build` is asked for.
+    """Load pretrained, given or random weights into `module` and prepare it for inference.
 
-    `asked` is the path of a file, or None for those `shipped`, or "random" for those it has. Raises
-    WeightsError as `load_into` does.
+    `weights` is what a family's `build` receives: None for the pretrained weights at `shipped`, the
+    path of a file, or "random" to keep the initial weights. The module is moved to `device`, set to
+    eval mode without gradients, and its weights are laid out channels-last. Raises WeightsError as
+    `load_into` does.
     """
-    if asked != "random":
-        load_into(module, Path(asked) if asked else shipped)
+    if weights != "random":
+        load_into(module, Path(weights) if weights else shipped)
     module.to(device).eval().requires_grad_(False)
-    # the order in which convolutions are fastest, on CPU and GPU; most in half precision
+    # the memory order in which convolutions are fastest on CPU and GPU, above all in bfloat16
     module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def load_into(module: nn.Module, path: Path) -> ModelCard:
-    """Put the weights at `path` into `module`, in its own dtype and device; returns their card.
+    """Load the weights at `path` into `module`, in its own dtype and device; returns their card.
 
-    Raises WeightsError where the file or its card is missing, where the file is not the one the
-    card was written for, or where names or shapes are not exactly those of the module.
+    Raises WeightsError if the file or its card is missing, if the file does not have the hash on
+    the card, or if the names and shapes are not exactly those of the module.
     """
     card = read_card(path)
     content = path.read_bytes()
-    if (found := hashlib.sha256(content).hexdigest()) != card.sha256:
+    if (sha256 := hashlib.sha256(content).hexdigest()) != card.sha256:
         raise WeightsError(
-            f"{path} has hash {found[:12]}, its card says {card.sha256[:12]}: "
-            f"one of them was changed; {_remedy(card.name)}"
+            f"{path} has hash {sha256[:12]}, but its card says {card.sha256[:12]}: one of the two "
+            f"files was changed. Train again with 'rlbench train --methods {card.name}'"
         )
     try:
-        stored = safetensors.load(content)
+        tensors = safetensors.load(content)
     except SafetensorError as error:
         raise WeightsError(f"{path} is not a safetensors file: {error}") from error
-    _check(path, {k: v.shape for k, v in stored.items()}, _shapes(module))
-    module.load_state_dict(stored)
+    _check_shapes(path, _shapes(tensors), _shapes(module.state_dict()))
+    module.load_state_dict(tensors)
     return card
 
 
 def read_card(path: Path) -> ModelCard:
-    """The card beside the weights at `path`; raises WeightsError where either is missing."""
-    for needed in (path, card_path(path)):
-        if not needed.is_file():
+    """Read the model card of the weights at `path`.
+
+    Raises WeightsError if one of the two files is missing, or if the card is not TOML, has unknown
+    fields, lacks `name` or `sha256`, or has a value of another type.
+    """
+    file = card_path(path)
+    for required in (path, file):
+        if not required.is_file():
             raise WeightsError(
-                f"no weights: {needed} is missing; 'rlbench train' makes them, and 'rlbench run "
-                "--weights FILE' takes them"
+                f"{required} is missing. Train the weights with 'rlbench train', or select others "
+                "with 'rlbench run --weights FILE'"
             )
     try:
-        found = tomllib.loads(card_path(path).read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise WeightsError(f"{card_path(path)} is not a card: {error}") from error
-    known = {field.name for field in fields(ModelCard)}
-    if unknown := sorted(found.keys() - known):
-        raise WeightsError(f"{card_path(path)} has unknown fields: {', '.join(unknown)}")
-    if absent := sorted({"name", "sha256"} - found.keys()):
-        raise WeightsError(f"{card_path(path)} lacks: {', '.join(absent)}")
-    found["data"] = tuple(found.get("data", ()))
-    found["curve"] = tuple((int(seen), float(psnr)) for seen, psnr in found.get("curve", ()))
-    return ModelCard(**found)
+        document = documents.read_toml(file)
+        if unknown := documents.unknown_keys(document, ModelCard, renamed=RENAMED_FIELDS):
+            raise ValueError(f"unknown fields: {', '.join(unknown)}")
+        if missing := sorted({"name", "sha256"} - document.keys()):
+            raise ValueError(f"missing fields: {', '.join(missing)}")
+        return documents.decode(document, ModelCard, renamed=RENAMED_FIELDS)
+    except ValueError as error:
+        raise WeightsError(f"{file} is not a model card: {error}") from error
 
 
-def _remedy(name: str) -> str:
-    return f"'rlbench train --methods {name}' makes it"
+def training_clips(path: Path | None) -> frozenset[str]:
+    """Names of the clips that the weights at `path` were trained on, according to their card.
+
+    Empty without weights (None) and without a readable card.
+    """
+    try:
+        data = read_card(path).data if path else ()
+    except WeightsError:
+        return frozenset()
+    return frozenset(clip.rpartition(" ")[0] or clip for clip in data)
 
 
-def _shapes(module: nn.Module) -> dict[str, torch.Size]:
-    return {name: tensor.shape for name, tensor in module.state_dict().items()}
+def _shapes(tensors: Mapping[str, Tensor]) -> dict[str, list[int]]:
+    return {name: list(tensor.shape) for name, tensor in tensors.items()}
 
 
-def _check(path: Path, found: Mapping[str, torch.Size], wanted: Mapping[str, torch.Size]) -> None:
-    missing = sorted(wanted.keys() - found.keys())
-    unexpected = sorted(found.keys() - wanted.keys())
+def _check_shapes(
+    path: Path, stored: Mapping[str, list[int]], expected: Mapping[str, list[int]]
+) -> None:
+    missing = sorted(expected.keys() - stored.keys())
+    unexpected = sorted(stored.keys() - expected.keys())
     if missing or unexpected:
         raise WeightsError(
-            f"{path} is of another network: missing {missing or 'nothing'}, "
+            f"{path} was saved from another network: missing {missing or 'nothing'}, "
             f"unexpected {unexpected or 'nothing'}"
         )
-    for name, shape in wanted.items():
-        if found[name] != shape:
+    for name, shape in expected.items():
+        if stored[name] != shape:
             raise WeightsError(
-                f"{path} is of another network: '{name}' has shape {list(found[name])}, "
-                f"wanted {list(shape)}"
+                f"{path} was saved from another network: '{name}' has shape {stored[name]}, "
+                f"expected {shape}"
             )
 
 
-def _half(name: str, tensor: Tensor) -> Tensor:
+def _to_half(name: str, tensor: Tensor) -> Tensor:
     tensor = tensor.detach().cpu()
     if tensor.is_floating_point():
         tensor = tensor.to(DTYPE)
         if not torch.isfinite(tensor).all():
-            raise WeightsError(f"'{name}' has values that half floats cannot hold, or not finite")
+            raise WeightsError(f"'{name}' has values that float16 cannot hold, or not finite ones")
     return tensor.contiguous().clone()
-
-
-def _toml(values: Mapping[str, Any]) -> str:
-    """Strings, numbers and (nested) lists of them, a line each; as JSON, which TOML reads here."""
-    lines = (f"{key} = {json.dumps(value)}" for key, value in values.items())
-    return "\n".join(lines).replace("\x7f", "\\u007f") + "\n"

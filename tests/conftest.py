@@ -16,7 +16,7 @@ from rlbench.clips.stored import Header, write_frame, write_header
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Tests do not touch the user's cache; plugin files are unloaded after each test."""
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv(registry.VARIABLE, raising=False)
+    monkeypatch.delenv(registry.METHODS_VARIABLE, raising=False)
     torch.set_num_threads(1)
     yield
     registry.clear_plugins()

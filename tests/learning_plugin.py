@@ -1,4 +1,4 @@
-"""A loose file with a method whose one kernel learns, and what a test wants of its losses."""
+"""A plugin file with a method that learns one kernel, and whose loss a test can choose."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import torch
 
 from rlbench.family import Family, Traits, Variant
-from rlbench.ops.init import initialise
+from rlbench.ops.init import kaiming_init
 from rlbench.run import unroll
-from rlbench.training.task import Trainer
-from rlbench.weights import equip
+from rlbench.training import TrainingTask
+from rlbench.weights import load_for_inference
 
-TRAITS = Traits(spp=(1.0, 4.0))
+TRAITS = Traits(spp_range=(1.0, 4.0))
 
 
 @dataclass(frozen=True)
@@ -26,43 +26,46 @@ class Blur:
     def start(self, size):
         return None
 
-    def plan(self, view, samples, state):
+    def plan(self, gbuffer, samples, state):
         return torch.ones_like(samples.mean[:, :1])
 
-    def denoise(self, view, samples, state):
+    def denoise(self, gbuffer, samples, state):
         return self.net(samples.mean).float(), None
 
 
 def build(variant, device, weights):
-    made = Blur()
-    initialise(made.net)
-    equip(made.net, weights, None, device)
-    return made
+    method = Blur()
+    kaiming_init(method.net)
+    load_for_inference(method.net, weights, None, device)
+    return method
 
 
-def trainer(variant, device, seed):
-    made, aside = Blur(), ASIDE
-    initialise(made.net, seed)
-    if aside is not None:
-        initialise(aside, seed)
+def training_task(variant, device, seed):
+    method, auxiliary = Blur(), AUXILIARY
+    kaiming_init(method.net, seed)
+    if auxiliary is not None:
+        kaiming_init(auxiliary, seed)
 
     def losses(clip, spp):
-        for step, shown in enumerate(unroll(made, clip, spp)):
-            loss = (shown.image - shown.frame.reference.mean).abs().mean()
+        for step, result in enumerate(unroll(method, clip, spp)):
+            loss = (result.image - result.frame.reference.mean).abs().mean()
             yield LOSS
 
-    return Trainer(made, made.net, losses, (1.0, 2.0), PEAK, aside=aside)
+    return TrainingTask(
+        method, method.net, losses, (1.0, 2.0), MAX_LR, auxiliary_network=auxiliary
+    )
 
 
 ROWS = {"": Variant("?", TRAITS)}
-FAMILY = Family("blur", "Blur", "Nobody 2026", "MIT", ROWS, "blur:build", "blur:trainer")
+FAMILY = Family("blur", "Blur", "Nobody 2026", "MIT", ROWS, "blur:build", "blur:training_task")
 """
 
 
 def write_learner(
-    folder: Path, loss: str = "loss", aside: str = "None", peak: str = "1e-2"
+    folder: Path, loss: str = "loss", auxiliary: str = "None", max_lr: str = "1e-2"
 ) -> Path:
-    """`blur.py`, whose loss of a step is the expression `loss` of loss, step, clip and aside."""
+    """`blur.py`; `loss` is an expression of loss, step, clip, result and auxiliary."""
     file = folder / "blur.py"
-    file.write_text(TEXT.replace("LOSS", loss).replace("ASIDE", aside).replace("PEAK", peak))
+    text = TEXT.replace("LOSS", loss).replace("AUXILIARY", auxiliary).replace("MAX_LR", max_lr)
+    file.write_text(text)
     return file

@@ -1,4 +1,4 @@
-"""What every installed method must do: a new one is tested by being installed."""
+"""Every installed method conforms: a new one is tested by being installed."""
 
 from __future__ import annotations
 
@@ -9,53 +9,46 @@ import pytest
 import torch
 
 from rlbench import registry
-from rlbench.checks.conformance.checks import CHECKS
-from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.suite import run_check, run_checks
-from rlbench.checks.result import Verdict
+from rlbench.checks.conformance import CHECKS, MethodUnderTest, Verdict, run_check, run_checks
 
-GIVEN = os.environ.get(registry.VARIABLE, "")  # methods beside the installed ones
+LOOSE_PLUGINS = os.environ.get(registry.METHODS_VARIABLE, "")  # methods beside the installed ones
 METHODS = [
-    name if registry.variant(name).pretrained else pytest.param(name, marks=pytest.mark.slow)
-    for family in registry.names("methods")
+    name if registry.get_variant(name).pretrained else pytest.param(name, marks=pytest.mark.slow)
+    for family in registry.list_plugins("methods")
     if not registry.import_error("methods", family)
-    for name in registry.family(family).names()
+    for name in registry.load_family(family).method_names()
 ]
 
 
 @pytest.fixture(autouse=True)
-def _given(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv(registry.VARIABLE, GIVEN)
+def _loose_plugins(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(registry.METHODS_VARIABLE, LOOSE_PLUGINS)
 
 
 @cache
-def subject(name: str) -> MethodUnderTest:
-    """The method, run once for all claims that can share a run."""
+def method_under_test(name: str) -> MethodUnderTest:
+    """The method, run once for all checks that can share a run."""
     return MethodUnderTest(name)
 
 
-@pytest.mark.parametrize("family", registry.names("methods"))
-def test_every_installed_family_can_be_loaded(family):
+@pytest.mark.parametrize("family", registry.list_plugins("methods"))
+def test_every_installed_family_can_be_imported(family):
     assert registry.import_error("methods", family) is None
 
 
-@pytest.mark.parametrize("claim", CHECKS)
+@pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize("name", METHODS)
-def test_every_claim_holds_of_every_method(name, claim):
-    finding = run_check(subject(name), claim)
-    if finding.verdict is Verdict.MOOT:
-        pytest.skip(finding.found)
-    told = f"{name}: {CHECKS[claim].sentence}: {finding.found} -> {CHECKS[claim].remedy}"
-    if finding.error:
-        raise AssertionError(told) from finding.error
-    assert finding.verdict is Verdict.HOLDS, told
+def test_every_method_passes_every_check(name, check):
+    result = run_check(method_under_test(name), check)
+    if result.verdict is Verdict.SKIPPED:
+        pytest.skip(result.found)
+    result.raise_if_failed()
+    assert result.verdict is Verdict.PASSED
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", METHODS)
-def test_every_claim_holds_of_every_method_on_a_gpu(name):
+def test_every_method_passes_every_check_on_a_gpu(name):
     on_gpu = MethodUnderTest(name, torch.device("cuda"))
-    wrong = [
-        claim.sentence for claim, found in run_checks(on_gpu) if found.verdict is Verdict.FAILS
-    ]
-    assert wrong == []
+    failed = [str(result) for _, result in run_checks(on_gpu) if result.verdict is Verdict.FAILED]
+    assert failed == []

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from metrics.image import bias
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.errors import PluginError
 from rlbench.family import Traits
 from rlbench.frames import Size
@@ -40,7 +40,7 @@ class CallRecorder:
 
 def recorded_calls(traits: Traits, spp: float, frames: int = 2) -> list[tuple[str, int, object]]:
     method = CallRecorder(traits)
-    list(run_clip(method, procedural(size=SIZE, frames=frames), spp))
+    list(run_clip(method, procedural_clip(size=SIZE, frames=frames), spp))
     return method.calls
 
 
@@ -89,20 +89,20 @@ class Peaked(CallRecorder):
 )
 def test_the_minimum_holds_even_if_the_first_pass_cannot_pay_for_it(share, spp, discard_pilot):
     traits = Traits(adaptive=True, passes=(share, 1.0), min_samples=1, discard_pilot=discard_pilot)
-    (result,) = run_clip(Peaked(traits), procedural(size=SIZE, frames=1), spp)
+    (result,) = run_clip(Peaked(traits), procedural_clip(size=SIZE, frames=1), spp)
     assert int(result.samples.counts.min()) >= 1
     assert int(result.samples.counts.sum()) == round(spp * 99)
 
 
 @pytest.mark.parametrize("min_samples", [0, 1])
 def test_the_minimum_holds_for_any_density(min_samples):
-    clip = procedural(size=SIZE, frames=1)
+    clip = procedural_clip(size=SIZE, frames=1)
     (result,) = run_clip(Peaked(Traits(adaptive=True, min_samples=min_samples)), clip, 1.2)
     assert int(result.samples.counts.min()) == min_samples
 
 
 def test_the_maximum_holds_and_the_rest_goes_to_other_pixels():
-    clip = procedural(size=SIZE, frames=1, pool_spp=16)
+    clip = procedural_clip(size=SIZE, frames=1, pool_spp=16)
     (result,) = run_clip(Peaked(Traits(adaptive=True, max_samples=5)), clip, 2.0)
     assert int(result.samples.counts.max()) == 5
     assert int(result.samples.counts.sum()) == 2 * 99
@@ -117,15 +117,17 @@ def test_a_second_pass_keeps_the_samples_of_the_first():
             passed_samples.append(samples)
             return super().plan(gbuffer, samples, state)
 
-    (result,) = run_clip(TwoPass(Traits(passes=(0.5, 1.0))), procedural(size=SIZE, frames=1), 2.0)
+    (result,) = run_clip(
+        TwoPass(Traits(passes=(0.5, 1.0))), procedural_clip(size=SIZE, frames=1), 2.0
+    )
     before = passed_samples[1]
     assert torch.equal(before.radiance, result.samples.radiance.where(before.valid_mask, 0.0))
 
 
 def test_a_varying_density_must_be_declared():
     with pytest.raises(PluginError, match="declare Traits"):
-        list(run_clip(Peaked(), procedural(size=SIZE), 1.0))
-    list(run_clip(Peaked(Traits(adaptive=True)), procedural(size=SIZE), 1.0))
+        list(run_clip(Peaked(), procedural_clip(size=SIZE), 1.0))
+    list(run_clip(Peaked(Traits(adaptive=True)), procedural_clip(size=SIZE), 1.0))
 
 
 def test_a_nan_density_is_an_error():
@@ -135,7 +137,7 @@ def test_a_nan_density_is_an_error():
             return torch.full((1, 1, 9, 11), torch.nan)
 
     with pytest.raises(BudgetError, match="not finite"):
-        list(run_clip(Broken(), procedural(size=SIZE), 1.0))
+        list(run_clip(Broken(), procedural_clip(size=SIZE), 1.0))
 
 
 def test_the_pilot_is_drawn_before_the_first_plan():
@@ -149,7 +151,7 @@ def test_the_pilot_is_drawn_before_the_first_plan():
 @pytest.mark.parametrize("spp", [0.5, 1.0])
 def test_a_budget_up_to_the_pilot_is_uniform(spp):
     (result,) = run_clip(
-        Peaked(Traits(adaptive=True, pilot_spp=1.0)), procedural(size=SIZE, frames=1), spp
+        Peaked(Traits(adaptive=True, pilot_spp=1.0)), procedural_clip(size=SIZE, frames=1), spp
     )
     counts = result.samples.counts
     assert int(counts.sum()) == round(spp * 99)
@@ -158,7 +160,7 @@ def test_a_budget_up_to_the_pilot_is_uniform(spp):
 
 def test_the_samples_after_a_pilot_include_it():
     (result,) = run_clip(
-        Peaked(Traits(adaptive=True, pilot_spp=2.0)), procedural(size=SIZE, frames=1), 3.0
+        Peaked(Traits(adaptive=True, pilot_spp=2.0)), procedural_clip(size=SIZE, frames=1), 3.0
     )
     assert int(result.samples.counts.min()) == 2
     assert int(result.samples.counts.sum()) == 297
@@ -183,7 +185,11 @@ def test_reading_an_undeclared_buffer_in_plan_is_an_error():
             return gbuffer.depth
 
     with pytest.raises(LookupError, match="'depth' was read but not declared"):
-        list(run_clip(ReadsDepth(Traits(inputs=frozenset({"albedo"}))), procedural(size=SIZE), 1.0))
+        list(
+            run_clip(
+                ReadsDepth(Traits(inputs=frozenset({"albedo"}))), procedural_clip(size=SIZE), 1.0
+            )
+        )
 
 
 def test_a_discarded_pilot_is_paid_for_but_not_denoised():
@@ -191,7 +197,7 @@ def test_a_discarded_pilot_is_paid_for_but_not_denoised():
     assert calls[-2:] == [("plan", 99, 0), ("denoise", 297, 0)]
     (result,) = run_clip(
         CallRecorder(Traits(passes=(0.25, 1.0), discard_pilot=True)),
-        procedural(size=SIZE, frames=1),
+        procedural_clip(size=SIZE, frames=1),
         4.0,
     )
     assert int(result.samples.counts.sum()) == 396
@@ -208,7 +214,7 @@ class TowardsRadiance(CallRecorder):
 def biases(discard_pilot: bool) -> torch.Tensor:
     """Bias in percent of many noisy frames, after a pilot of one sample per pixel."""
     traits = Traits(adaptive=True, passes=(0.25, 1.0), min_samples=1, discard_pilot=discard_pilot)
-    clip = procedural(seed=3, size=Size(8, 40, 48), frames=3)
+    clip = procedural_clip(seed=3, size=Size(8, 40, 48), frames=3)
     results = run_clip(TowardsRadiance(traits), clip, 4.0)
     return torch.cat([bias(result.image, result.frame.reference.mean) for result in results])
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip, unroll
 from tests.test_page import CallRecorder
@@ -24,12 +24,12 @@ def test_only_unroll_keeps_gradients(run, has_gradient):
         def denoise(self, gbuffer, samples, state):
             return samples.mean * weight, state
 
-    result = next(iter(run(Scaled(), procedural(size=SIZE, frames=1), 1.0)))
+    result = next(iter(run(Scaled(), procedural_clip(size=SIZE, frames=1), 1.0)))
     assert result.image.requires_grad is has_gradient
 
 
 def test_interleaved_runs_do_not_change_the_gradient_mode():
-    clips = [procedural(seed, SIZE, frames=2) for seed in (0, 1)]
+    clips = [procedural_clip(seed, SIZE, frames=2) for seed in (0, 1)]
     for _ in zip(*(run_clip(CallRecorder(), clip, 1.0) for clip in clips), strict=True):
         assert not torch.is_inference_mode_enabled()
     assert not torch.is_inference_mode_enabled()

@@ -1,4 +1,4 @@
-"""What docs/training.md shows works as it is shown."""
+"""The example and the commands in docs/how-to/train-a-method.md work."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from typer.testing import CliRunner
 
 from rlbench.benchmark import results
 from rlbench.cli.app import app
+from rlbench.render.jobs import render_clips
 from rlbench.weights import read_card
 from tests.procedural_folder import write_world
 
-PAGE = Path(__file__).parent.parent / "docs" / "training.md"
+PAGE = Path(__file__).parent.parent / "docs" / "how-to" / "train-a-method.md"
 (SNIPPET,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
 def rlbench(*words: object) -> str:
-    found = CliRunner().invoke(app, [str(word) for word in words])
-    assert found.exit_code == 0, found.output
-    return found.output
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    return result.output
 
 
 @pytest.fixture
@@ -32,10 +33,10 @@ def plugin(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """Three clips in the place of generated scenes, whose rendering takes minutes."""
-    made = [write_world(tmp_path / "clips" / f"world-{seed}", seed) for seed in range(3)]
-    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", lambda *asked, **more: made)
-    return made
+    """Three clips in place of generated scenes, whose rendering takes minutes."""
+    clips = [write_world(tmp_path / "clips" / f"world-{seed}", seed) for seed in range(3)]
+    monkeypatch.setattr(render_clips, "ensure", lambda *_, **__: clips)
+    return clips
 
 
 def test_the_example_is_thirty_lines_of_code():
@@ -44,38 +45,38 @@ def test_the_example_is_thirty_lines_of_code():
 
 
 def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_path):
-    words = ("--plugin", plugin, "--frames", 180, "--crop", 32, "--device", "cpu")
-    assert "blur" in rlbench("train", "-m", "blur", *words, "--out", tmp_path / "runs")
+    options = ("--plugin", plugin, "--frames", 180, "--crop", 32, "--device", "cpu")
+    assert "blur" in rlbench("train", "-m", "blur", *options, "--out", tmp_path / "runs")
     weights = tmp_path / "runs" / "blur" / "blur.safetensors"
     assert read_card(weights).frames_seen == 180
-    words = ("--plugin", plugin, "--clips", worlds[0], "--out", tmp_path / "r", "--spp", 1)
-    rlbench("run", "-m", "blur", *words, "--weights", weights)
-    rlbench("run", "-m", "mean", *words)
+    options = ("--plugin", plugin, "--clips", worlds[0], "--out", tmp_path / "r", "--spp", 1)
+    rlbench("run", "-m", "blur", *options, "--weights", weights)
+    rlbench("run", "-m", "mean", *options)
     rows = results.read(tmp_path / "r")
     psnr = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
     assert psnr["blur"] > psnr["mean"] + 1  # dB; the clip validates, so it was not trained on
 
 
-def test_learning_rates_are_tried_by_one_command(plugin, worlds, tmp_path):
-    words = ("--plugin", plugin, "--frames", 30, "--crop", 32, "--device", "cpu", "--range-test")
-    found = rlbench("train", "-m", "blur", *words, "--out", tmp_path / "runs")
-    assert "proposed" in found
+def test_one_command_runs_a_learning_rate_range_test(plugin, worlds, tmp_path):
+    options = ("--plugin", plugin, "--frames", 30, "--crop", 32, "--device", "cpu", "--range-test")
+    output = rlbench("train", "-m", "blur", *options, "--out", tmp_path / "runs")
+    assert "proposed" in output
     files = {file.name for file in (tmp_path / "runs" / "blur-range").iterdir()}
     assert files == {"range.csv", "range.png"}
 
 
-def test_a_training_is_started_anew_by_a_flag(plugin, worlds, tmp_path):
-    words = ("--plugin", plugin, "--frames", 3, "--crop", 32, "--device", "cpu")
-    words = ("train", "-m", "blur", *words, "--out", tmp_path / "runs", "--budget", "1,2")
-    rlbench(*words)
+def test_an_option_restarts_a_run_and_archives_the_old_one(plugin, worlds, tmp_path):
+    options = ("--plugin", plugin, "--frames", 3, "--crop", 32, "--device", "cpu")
+    command = ("train", "-m", "blur", *options, "--out", tmp_path / "runs", "--budget", "1,2")
+    rlbench(*command)
     first = read_card(tmp_path / "runs" / "blur-1+2spp" / "blur.safetensors")
-    assert "blur-1+2spp.old-1" in rlbench(*words, "--fresh")
-    old = tmp_path / "runs" / "blur-1+2spp.old-1" / "blur.safetensors"
-    assert read_card(old) == first
+    assert "blur-1+2spp.old-1" in rlbench(*command, "--fresh")
+    archived = tmp_path / "runs" / "blur-1+2spp.old-1" / "blur.safetensors"
+    assert read_card(archived) == first
     assert read_card(tmp_path / "runs" / "blur-1+2spp" / "blur.safetensors").sha256 == first.sha256
 
 
-def test_every_file_that_the_page_links_is_there():
-    linked = re.findall(r"\]\((\.\./[\w/.-]+)\)", PAGE.read_text())
-    assert linked
-    assert [name for name in linked if not (PAGE.parent / name).exists()] == []
+def test_every_file_that_the_page_links_exists():
+    links = re.findall(r"\]\((\.\./[\w/.-]+)\)", PAGE.read_text())
+    assert links
+    assert [link for link in links if not (PAGE.parent / link).exists()] == []

@@ -1,9 +1,10 @@
-"""Weights come back as they were saved, or not at all."""
+"""Weights are loaded exactly as they were saved, or refused."""
 
 from __future__ import annotations
 
 import hashlib
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from rlbench.ops.unet import SMALL, UNet
+from rlbench.ops.unet import SMALL_WIDTHS, UNet
 from rlbench.weights import (
     ModelCard,
     WeightsError,
@@ -19,7 +20,9 @@ from rlbench.weights import (
     digest,
     load_for_inference,
     load_into,
+    read_card,
     save,
+    training_clips,
 )
 
 CARD = ModelCard(
@@ -32,14 +35,14 @@ CARD = ModelCard(
     seed=3,
     command="rlbench train --methods oidn",
     commit="abc",
-    plan='{"peak": 0.0005}',
-    curve=((100, 21.5), (1200, 27.0)),
+    training_config='{"peak": 0.0005}',
+    validation_history=((100, 21.5), (1200, 27.0)),
     note="stopped early",
 )
 
 
 def net(seed: int = 1) -> UNet:
-    return UNet(4, widths=SMALL, seed=seed)
+    return UNet(4, widths=SMALL_WIDTHS, seed=seed)
 
 
 @pytest.fixture
@@ -47,7 +50,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "cards" / "oidn.safetensors"
 
 
-def test_weights_come_back_to_half_precision(path):
+def test_loaded_weights_are_the_saved_ones_rounded_to_float16(path):
     save(net(), path, CARD)
     loaded = net(2)
     load_into(loaded, path)
@@ -56,14 +59,14 @@ def test_weights_come_back_to_half_precision(path):
         assert mine.dtype == torch.float32
 
 
-def test_the_card_comes_back_whole(path):
+def test_the_card_is_read_back_as_it_was_written(path):
     written = save(net(), path, CARD)
     assert load_into(net(), path) == written
     assert written.data == CARD.data
-    assert written.curve == CARD.curve
+    assert written.validation_history == CARD.validation_history
 
 
-def test_the_card_says_what_the_file_is(path):
+def test_the_card_states_hash_type_and_size_of_the_weights(path):
     card = save(net(), path, CARD)
     assert card.sha256 == digest(path) == hashlib.sha256(path.read_bytes()).hexdigest()
     assert card.dtype == "float16"
@@ -72,17 +75,17 @@ def test_the_card_says_what_the_file_is(path):
 
 def test_the_card_is_plain_toml_beside_the_weights(path):
     save(net(), path, CARD)
-    found = tomllib.loads(card_path(path).read_text())
-    assert (found["name"], found["seed"], found["seconds"]) == ("oidn", 3, 12.5)
+    document = tomllib.loads(card_path(path).read_text())
+    assert (document["name"], document["seed"], document["seconds"]) == ("oidn", 3, 12.5)
     assert card_path(path) == path.parent / "oidn.toml"
 
 
-def test_equal_weights_make_equal_files(path, tmp_path):
+def test_equal_weights_are_saved_as_equal_files(path, tmp_path):
     first, second = (save(net(), p, CARD) for p in (path, tmp_path / "again.safetensors"))
     assert first == second
 
 
-def test_saving_leaves_nothing_else_behind(path):
+def test_saving_leaves_no_temporary_file(path):
     save(net(), path, CARD)
     assert sorted(p.name for p in path.parent.iterdir()) == ["oidn.safetensors", "oidn.toml"]
 
@@ -102,10 +105,12 @@ def test_integer_buffers_keep_their_type(path):
 
 
 @pytest.mark.parametrize("suffix", [".safetensors", ".toml"])
-def test_a_missing_file_says_what_makes_it(path, suffix):
+def test_a_missing_file_is_an_error_that_says_how_to_make_it(path, suffix):
     save(net(), path, CARD)
     path.with_suffix(suffix).unlink()
-    with pytest.raises(WeightsError, match="missing; 'rlbench train' makes them"):
+    with pytest.raises(
+        WeightsError, match=f"{suffix} is missing. Train the weights with 'rlbench train'"
+    ):
         load_into(net(), path)
 
 
@@ -127,7 +132,7 @@ def test_a_card_of_other_weights_is_refused(path, tmp_path):
 
 
 def test_a_refused_file_changes_nothing(path):
-    save(UNet(5, widths=SMALL), path, CARD)
+    save(UNet(5, widths=SMALL_WIDTHS), path, CARD)
     before, module = net(), net()
     with pytest.raises(WeightsError, match=r"'enc_conv0.weight' has shape \[32, 5, 3, 3\]"):
         load_into(module, path)
@@ -137,17 +142,19 @@ def test_a_refused_file_changes_nothing(path):
 
 def test_other_names_are_refused_and_listed(path):
     save(nn.ModuleDict({"a": nn.Linear(1, 1), "b": nn.Linear(1, 1)}), path, CARD)
-    wanted = nn.ModuleDict({"a": nn.Linear(1, 1), "c": nn.Linear(1, 1)})
+    module = nn.ModuleDict({"a": nn.Linear(1, 1), "c": nn.Linear(1, 1)})
     with pytest.raises(WeightsError, match=r"missing \['c.bias', 'c.weight'\].*'b.bias'"):
-        load_into(wanted, path)
+        load_into(module, path)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name = ", "not a card"),
-        ('name = "x"\n', "lacks: sha256"),
+        ("name = ", r"oidn\.toml is not a model card: .* is not TOML"),
+        ('name = "x"\n', "missing fields: sha256"),
         ('name = "x"\nsha256 = "y"\ncolour = 1\n', "unknown fields: colour"),
+        ('name = "x"\nsha256 = "y"\nsteps = "many"\n', "Expected `int`, got `str`.*steps"),
+        ('name = "x"\nsha256 = "y"\ncurve = [[1]]\n', r"length 2.*validation_history\[0\]"),
     ],
 )
 def test_a_broken_card_is_refused(path, text, message):
@@ -157,7 +164,66 @@ def test_a_broken_card_is_refused(path, text, message):
         load_into(net(), path)
 
 
-def test_a_file_that_is_no_safetensors_is_refused(path):
+OLD_CARD = """name = "oidn/tuned"
+data = ["generated-001 ffba21109450", "generated-002 8b74bfd28efc"]
+frames_seen = 6000
+steps = 6000
+seconds = 274
+device = "AMD EPYC, 1 threads"
+seed = 0
+command = "rlbench train -m oidn/tuned --frames 6000 --half"
+commit = "d08d7a7147fc"
+plan = "{\\"frames\\": 6000, \\"peak\\": 4e-05}"
+config = "{\\"keep\\": 0.5}"
+origin = "Intel's weights of Open Image Denoise 2.5.1, Apache-2.0"
+curve = [[1000, 28.413222312927246], [6000, 28.5]]
+note = ""
+licence = "Apache-2.0"
+sha256 = "bc9080429cf97c9a506989b1d584d50213ff9029b826fc385a762e12aa658281"
+dtype = "float16"
+parameters = 919811
+"""
+NEW_CARD = (
+    OLD_CARD.replace("\nplan = ", "\ntraining_config = ")
+    .replace("\nconfig = ", "\nmethod_config = ")
+    .replace("\ncurve = ", "\nvalidation_history = ")
+)
+
+
+@pytest.mark.parametrize("text", [OLD_CARD, NEW_CARD])
+def test_cards_with_old_and_new_field_names_are_read_alike(path, text):
+    path.parent.mkdir()
+    path.write_bytes(b"")
+    card_path(path).write_text(text)
+    card = read_card(path)
+    assert card.training_config == '{"frames": 6000, "peak": 4e-05}'
+    assert card.method_config == '{"keep": 0.5}'
+    assert card.validation_history == ((1000, 28.413222312927246), (6000, 28.5))
+    assert card.data == ("generated-001 ffba21109450", "generated-002 8b74bfd28efc")
+    assert (card.name, card.seconds, card.parameters) == ("oidn/tuned", 274.0, 919811)
+
+
+def test_cards_are_written_with_the_new_field_names(path):
+    save(net(), path, CARD)
+    fields = tomllib.loads(card_path(path).read_text()).keys()
+    assert fields >= {"training_config", "method_config", "validation_history"}
+    assert not fields & {"plan", "config", "curve"}
+
+
+def test_training_clips_are_the_names_on_the_card(path):
+    save(net(), path, replace(CARD, data=("city 0123abcd", "temple night 4567", "hall")))
+    assert training_clips(path) == {"city", "temple night", "hall"}
+
+
+@pytest.mark.parametrize("suffix", [".safetensors", ".toml"])
+def test_weights_without_a_readable_card_have_no_training_clips(path, suffix):
+    assert training_clips(None) == frozenset()
+    save(net(), path, CARD)
+    path.with_suffix(suffix).unlink()
+    assert training_clips(path) == frozenset()
+
+
+def test_a_file_that_is_not_safetensors_is_refused(path):
     card = save(net(), path, CARD)
     path.write_bytes(b"no tensors here")
     text = card_path(path).read_text().replace(card.sha256, digest(path))
@@ -167,23 +233,27 @@ def test_a_file_that_is_no_safetensors_is_refused(path):
 
 
 @pytest.mark.parametrize("value", [1e5, float("nan")])
-def test_weights_that_half_floats_cannot_hold_are_not_saved(path, value):
+def test_weights_outside_float16_are_not_saved(path, value):
     module = nn.Linear(1, 1)
     nn.init.constant_(module.weight, value)
-    with pytest.raises(WeightsError, match="'weight' has values that half floats cannot hold"):
+    with pytest.raises(WeightsError, match="'weight' has values that float16 cannot hold"):
         save(module, path, CARD)
     assert not path.exists()
 
 
-@pytest.mark.parametrize("asked", [None, "random", "file"])
-def test_a_network_is_equipped_with_what_was_asked_for(tmp_path, asked):
+@pytest.mark.parametrize("weights", [None, "random", "file"])
+def test_a_network_is_loaded_with_pretrained_random_or_given_weights(tmp_path, weights):
     own, shipped, other = (nn.Linear(2, 1) for _ in range(3))
     before = own.weight.detach().half().float()
     save(shipped, tmp_path / "shipped.safetensors", ModelCard("shipped"))
     save(other, tmp_path / "other.safetensors", ModelCard("other"))
-    given = str(tmp_path / "other.safetensors") if asked == "file" else asked
+    given = str(tmp_path / "other.safetensors") if weights == "file" else weights
     load_for_inference(own, given, tmp_path / "shipped.safetensors", "cpu")
-    wanted = {None: shipped.weight.half().float(), "random": before, "file": other.weight.half()}
-    torch.testing.assert_close(own.weight, wanted[asked].float(), rtol=1e-3, atol=0)  # half floats
+    expected = {
+        None: shipped.weight.half().float(),
+        "random": before,
+        "file": other.weight.half(),
+    }[weights]
+    torch.testing.assert_close(own.weight, expected.float(), rtol=1e-3, atol=0)  # float16
     assert not own.training
     assert not own.weight.requires_grad

@@ -14,12 +14,12 @@ from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.cli import console
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Traits
 from rlbench.frames import Size
 from rlbench.method import Method, config_json
 from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
-from rlbench.ops.unet import SMALL, UNet
+from rlbench.ops.unet import SMALL_WIDTHS, UNet
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 
@@ -36,12 +36,12 @@ class Doubled(MethodWrapper[Method]):
 
 
 def test_a_wrapper_forwards_all_members_that_it_does_not_override():
-    method = registry.method("ours/A2", CPU, "random")
+    method = registry.load_method("ours/A2", CPU, "random")
     wrapper = Doubled(method)
     assert isinstance(wrapper, Method)
     assert wrapper.traits == method.traits != Traits()
     assert config_json(wrapper) == config_json(method) != "{}"
-    clip = procedural(3, Size(1, 32, 48), 2, 8)
+    clip = procedural_clip(3, Size(1, 32, 48), 2, 8)
     for plain, doubled in zip(
         run_clip(method, clip, 4.0), run_clip(wrapper, clip, 4.0), strict=True
     ):
@@ -50,8 +50,8 @@ def test_a_wrapper_forwards_all_members_that_it_does_not_override():
 
 
 def test_half_precision_images_are_float32_and_nearly_the_same():
-    method = registry.method("oidn", CPU, "random")
-    clip = procedural(3, Size(1, 32, 48), 2, 8)
+    method = registry.load_method("oidn", CPU, "random")
+    clip = procedural_clip(3, Size(1, 32, 48), 2, 8)
     full, half = (
         [result.image for result in run_clip(m, clip, 4.0)]
         for m in (method, HalfPrecision(method, CPU))
@@ -97,5 +97,5 @@ def test_memory_formats_change_no_value_of_a_convolution(shape):
     assert to_contiguous_float32(to_channels_last(x)).is_contiguous()
     with torch.autocast("cpu", torch.bfloat16):
         assert to_channels_last(x).dtype == torch.bfloat16
-        net = UNet(5, widths=SMALL)
+        net = UNet(5, widths=SMALL_WIDTHS)
         assert torch.equal(net(x), net(to_channels_last(x)))

@@ -15,13 +15,13 @@ from baselines.dasr.method import Dasr
 from baselines.dasr.network import Networks
 from rlbench.frames import Clip
 from rlbench.run import unroll
-from rlbench.training.loop import TrainingTask
-from rlbench.training.surrogate_gradient import (
+from rlbench.training import (
+    BUDGETS_FROM_1_SPP,
     SampleGradient,
     SurrogateGradient,
+    TrainingTask,
     kuznetsov_gradient,
 )
-from rlbench.training.task import BUDGETS_FROM_1_SPP
 
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 STAGES = (  # share of the training by which a stage ends, and the networks that learn in it

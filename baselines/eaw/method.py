@@ -66,7 +66,7 @@ class Eaw:
         flat = PaddedRows(n, h, w, margin=2**self.config.passes)
         light = flat.pack((noisy / shade).where(solid, 0.0))
         normal = flat.pack(gbuffer.normal)
-        depth = flat.pack(gbuffer.depth.log().where(solid, FAR), empty=FAR)
+        depth = flat.pack(gbuffer.depth.log().where(solid, FAR), fill=FAR)
         for index in range(self.config.passes):
             guide = self._guide(index, light, normal, depth)
             light = smooth(flat, 2**index, guide, light)
@@ -90,7 +90,7 @@ def smooth(
     A weight is the same both ways, so each is computed once and serves two pixels.
     """
     total, weights = light.clone(), torch.ones_like(light[:1])
-    for start, stop in flat.pieces(light):
+    for start, stop in flat.chunks(light):
         apart = torch.empty(len(guide), stop - start, device=light.device)
         weight = apart[:1].clone()
         for tap in atrous_taps(step):

@@ -30,7 +30,7 @@ def search(clips: Sequence[StoredClip], grid: Sequence[Config] = GRID) -> dict[C
 
 
 def _score(method: Eaw, clips: Sequence[InMemoryClip]) -> float:
-    psnr = registry.load("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr").score
     scores = []
     for spp in BUDGETS:
         for clip in clips:

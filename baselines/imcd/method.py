@@ -135,5 +135,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
     networks = Networks()
     if weights == "random":
         networks.draw(seed=0)
-    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

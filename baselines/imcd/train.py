@@ -17,8 +17,7 @@ from rlbench.family import Traits
 from rlbench.frames import Clip, GBuffer, Samples, Size
 from rlbench.ops.losses import smape
 from rlbench.run import unroll
-from rlbench.training.loop import TrainingTask
-from rlbench.training.task import BUDGETS_FROM_1_SPP
+from rlbench.training import BUDGETS_FROM_1_SPP, TrainingTask
 
 CHANGE = 0.25  # weight of the error of the change since the last frame
 STRAIN = 1e-5  # weight of squared sharpness

@@ -123,5 +123,5 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ntas:
     networks = Networks(config.denoiser)
     if weights == "random":
         networks.draw(seed=0)
-    load_for_inference(networks, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
     return Ntas(networks, config, FAMILY.variants[variant].traits)

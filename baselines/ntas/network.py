@@ -14,7 +14,7 @@ from rlbench.ops.init import kaiming_init
 from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
-from rlbench.ops.unet import BASE, STRIDE, UNet
+from rlbench.ops.unet import BASE_WIDTHS, STRIDE, UNet
 
 VIEW = 7  # normal, albedo, depth
 COLOUR = 3
@@ -78,7 +78,7 @@ class Denoiser(nn.Module):
         """13 channels into the trunk, a head at each level."""
         super().__init__()
         self.unet = UNet(COLOUR + VIEW + COLOUR, 2 * TAPS + 1)
-        widths = BASE.dec4[1], BASE.dec3[1], BASE.dec2[1]
+        widths = BASE_WIDTHS.dec4[1], BASE_WIDTHS.dec3[1], BASE_WIDTHS.dec2[1]
         self.coarsest = nn.Conv2d(widths[0], TAPS, 1)
         self.heads = nn.ModuleList(nn.Conv2d(width, TAPS + 1, 1) for width in widths)
 
@@ -94,7 +94,7 @@ class Denoiser(nn.Module):
         valid: Bool[Tensor, "n 1 h w"],
     ) -> Float[Tensor, "n 3 h w"]:
         """Filtered light, linear as `light` and `history` are; history is finite everywhere."""
-        *coarse, finest = self.unet.decode(pad(seen, STRIDE))
+        *coarse, finest = self.unet.decoder_features(pad(seen, STRIDE))
         pyramid = [pad(light, STRIDE)]
         for _ in range(COARSEST):
             pyramid.append(F.avg_pool2d(pyramid[-1], 2))

@@ -14,9 +14,7 @@ from baselines.ntas.network import Networks
 from rlbench.frames import Clip
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.training.loop import TrainingTask
-from rlbench.training.surrogate_gradient import SurrogateGradient
-from rlbench.training.task import BUDGETS_FROM_1_SPP
+from rlbench.training import BUDGETS_FROM_1_SPP, SurrogateGradient, TrainingTask
 
 SHARES = {"sampler": 0.2}  # of the rate: 1e-4
 

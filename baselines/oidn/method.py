@@ -16,7 +16,7 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
-from rlbench.ops.unet import BASE, FAST, STRIDE, UNet, Widths
+from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
 from rlbench.weights import load_for_inference
 
 CARDS = Path(__file__).parent / "cards"
@@ -30,13 +30,13 @@ Develop = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 1 1"]], Float[T
 class Config:
     """What tells the variants apart."""
 
-    widths: Widths = BASE  # channels of each convolution
+    widths: UNetWidths = BASE_WIDTHS  # channels of each convolution
     intel: bool = False  # does training start from Intel's weights?
 
 
 VARIANTS = {
     "": Config(),
-    "small": Config(widths=FAST),  # is a third of the parameters enough?
+    "small": Config(widths=FAST_WIDTHS),  # is a third of the parameters enough?
     "tuned": Config(intel=True),  # what do our clips add to Intel's weights?
 }
 
@@ -86,12 +86,12 @@ class Oidn:
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
         exposure = self.expose(noisy)
         seen = inputs(noisy * exposure, gbuffer)
-        value = crop(self.network(pad(seen, to=STRIDE)), *seen.shape[-2:])
+        value = crop(self.network(pad(seen, multiple=STRIDE)), *seen.shape[-2:])
         return self.develop(value, exposure), None
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
     """OIDN with our weights, those of a file, or `"random"` ones."""
     network = UNet(INPUTS, widths=VARIANTS[variant].widths)
-    load_for_inference(network, weights, CARDS / FAMILY.weights(variant), device)
+    load_for_inference(network, weights, CARDS / FAMILY.weights_file(variant), device)
     return Oidn(network)

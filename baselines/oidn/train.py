@@ -12,12 +12,11 @@ from baselines.oidn.method import INPUTS, VARIANTS, Oidn
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.losses import EVEN, l1_ms_ssim_loss, log_loss
+from rlbench.ops.losses import UNIFORM_WEIGHTS, l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
-from rlbench.training.loop import TrainingTask
-from rlbench.training.task import BUDGETS_FROM_1_SPP
+from rlbench.training import BUDGETS_FROM_1_SPP, TrainingTask
 
 PEAK = 1e-3  # learning rate
 TUNING = 4e-5  # the same, where training starts from Intel's weights
@@ -64,4 +63,4 @@ def _loss(method: Oidn, still: InMemoryClip, spp: float) -> Tensor:
     # the network's output as it is, no clamp: what is clamped gets no gradient
     method = replace(method, expose=lambda noisy: exposure, develop=lambda value, _: value)
     (shown,) = unroll(method, still, spp)
-    return l1_ms_ssim_loss(shown.image, pu_forward(reference * exposure), EVEN)
+    return l1_ms_ssim_loss(shown.image, pu_forward(reference * exposure), UNIFORM_WEIGHTS)

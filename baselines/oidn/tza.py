@@ -81,7 +81,7 @@ def export(weights: Path) -> bytes:
 
 def main(asked: Sequence[str] | None = None) -> None:
     """Write the TZA file that the command line asks for."""
-    shipped = Path(__file__).parent / "cards" / FAMILY.weights("")
+    shipped = Path(__file__).parent / "cards" / FAMILY.weights_file("")
     about = "Write our weights as a TZA file, for oidnDenoise -w or a filter's data 'weights'."
     parser = argparse.ArgumentParser("baselines.oidn.tza", description=about)
     parser.add_argument("out", type=Path, help="the TZA file to write")

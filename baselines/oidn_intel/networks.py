@@ -14,9 +14,12 @@ from baselines.oidn import tza
 from baselines.oidn.method import INPUTS, Oidn
 from baselines.oidn_intel.library import Filter, LibraryError, Settings, version
 from rlbench.frames import GBuffer, Samples
-from rlbench.ops.unet import BASE, FAST, UNet, Widths
+from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet, UNetWidths
 
-QUALITIES = {BASE: "high", FAST: "fast"}  # of the library, by the network that it takes for it
+QUALITIES = {
+    BASE_WIDTHS: "high",
+    FAST_WIDTHS: "fast",
+}  # of the library, by the network that it takes for it
 LONGEST = 8_000_000  # bytes of a network in the library, at most
 SIDE = 64  # pixels of the image by which a network is known
 ALIKE = 0.02  # relative difference, more than half floats make; other networks differ by 0.19
@@ -37,7 +40,7 @@ def inside() -> list[Mapping[str, tza.Array]]:
 
 
 @cache
-def network(widths: Widths = BASE) -> UNet:
+def network(widths: UNetWidths = BASE_WIDTHS) -> UNet:
     """Intel's network of a size, for HDR colour with albedo and normal; do not train it in place.
 
     Several have that size: it is the one whose image of some noise is the library's. Raises

@@ -102,7 +102,7 @@ class Restir:
         self._row = self._pixel // self._width
         self._column = self._pixel - self._row * self._width
         dr.eval(self._pixel, self._chain, self._row, self._column)
-        depth = max(self.stage.depth - 1, 0)
+        depth = max(self.stage.max_depth - 1, 0)
         self._path = mi.load_dict({"type": "path", "max_depth": depth})
 
     def __call__(self) -> Float[Array, "chains h w 3"]:
@@ -235,20 +235,20 @@ class Restir:
         if not self.indirect:
             return direct
         emitted = surface.hit.emitter(surface.scene).eval(surface.hit)
-        onward = indirect(surface, self._path, self._numbers(7)) if self.stage.depth > 1 else 0
+        onward = indirect(surface, self._path, self._numbers(7)) if self.stage.max_depth > 1 else 0
         return direct + emitted + onward
 
     def _numbers(self, number: int) -> Any:
-        return self.stage.numbers(self._pixel, self._first + self._chain + ROOM * number)
+        return self.stage.sampler(self._pixel, self._first + self._chain + ROOM * number)
 
     def _ray(self, pixel: Any, chain: Any) -> Any:
         """Through the place in each pixel that a chain has chosen for this frame."""
         import mitsuba as mi
 
-        jitter = self.stage.numbers(pixel, self._first + chain).next_2d()
+        jitter = self.stage.sampler(pixel, self._first + chain).next_2d()
         row = pixel // self._width
         column = pixel - row * self._width
-        return self.stage.rays(mi.Float(column) + jitter.x, mi.Float(row) + jitter.y)
+        return self.stage.camera_rays(mi.Float(column) + jitter.x, mi.Float(row) + jitter.y)
 
     def _lane(self, column: Any, row: Any) -> tuple[Any, Any]:
         """The lane of the same chain at another pixel, and whether it is in the image."""

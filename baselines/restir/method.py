@@ -26,5 +26,5 @@ def denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
     Its noise is correlated between neighbours, who share samples, unlike that of paths.
     """
     network = UNet(INPUTS)
-    load_for_inference(network, weights, CARDS / DENOISED.weights(variant), device)
+    load_for_inference(network, weights, CARDS / DENOISED.weights_file(variant), device)
     return Oidn(network, DENOISED.variants[variant].traits)

@@ -8,7 +8,7 @@ from baselines.oidn.method import INPUTS, Oidn
 from baselines.oidn.train import tuning
 from baselines.restir import DENOISED
 from rlbench.ops.unet import UNet
-from rlbench.training.loop import TrainingTask
+from rlbench.training import TrainingTask
 
 
 def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:

@@ -72,11 +72,11 @@ def reproject_history(
     right, down = x - x0, y - y0
     weights = [wy * wx for wy in (1 - down, down) for wx in (1 - right, right)]
     surface = (depth.reshape(-1), normal.transpose(0, 1).reshape(3, -1))
-    place = flat.places(x0, y0).view(-1)
+    place = flat.pixel_index(x0, y0).view(-1)
     found, total = _tapped(flat, past, place, BILINEAR, [w.view(-1) for w in weights], surface)
 
     lost = ((total < ENOUGH) & (surface[1] != 0).any(0)).nonzero()[:, 0]
-    near = flat.places((x + 0.5).floor(), (y + 0.5).floor()).view(-1)[lost]
+    near = flat.pixel_index((x + 0.5).floor(), (y + 0.5).floor()).view(-1)[lost]
     again = (surface[0][lost], surface[1][:, lost])
     equal = [torch.ones_like(again[0])] * len(AROUND)
     refound, retotal = _tapped(flat, past, near, AROUND, equal, again)

@@ -24,7 +24,7 @@ from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
 from rlbench.ops.padded_rows import PaddedRows
-from rlbench.ops.stencils import atrous_taps, box
+from rlbench.ops.stencils import atrous_taps, box_taps
 
 MIN_HISTORY_LENGTH = 4.0  # frames; the variance of a shorter history is estimated in space
 REACH = 3  # pixels, of that estimate
@@ -173,7 +173,7 @@ def _estimated(
     bright = luminance(light[None])[0]
     values = torch.cat((light, flat.pack(mean.moments)))
     keen = torch.full_like(bright, -LOG2E / sigma)
-    sums = atrous_pass(flat, box(REACH), edges, (bright, keen), values, variance)
+    sums = atrous_pass(flat, box_taps(REACH), edges, (bright, keen), values, variance)
     mean_near = sums.values / sums.weight
     first, second = mean_near[3:4], mean_near[4:]
     boost = flat.pack(MIN_HISTORY_LENGTH / mean.length)

@@ -49,7 +49,7 @@ def atrous_pass(
     ten times as long for exp where the result is all but 0, which most weights are.
     """
     sums = Sums(values.clone(), variance.clone(), torch.ones_like(variance))
-    for start, stop in flat.pieces(variance):
+    for start, stop in flat.chunks(variance):
         scratch = torch.empty(4, stop - start, device=values.device, dtype=values.dtype)
         for tap in taps:
             away = flat.offset(tap.down, tap.right)

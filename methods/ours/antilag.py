@@ -1,6 +1,9 @@
-"""How far light of earlier frames still holds: not where new samples say that it has changed."""
+"""Antilag: reduce the weight of the history where new samples contradict it."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from jaxtyping import Float
@@ -8,63 +11,107 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from methods.ours.accumulation import AccumulatedRadiance
+from methods.ours.state import ReprojectedHistory
 from rlbench.ops.color import luminance
 from rlbench.ops.padding import crop
 from rlbench.ops.transfer import log_inverse
 
-CELL = 4  # pixels a side, of which sums are taken before windows are
-WINDOWS = (3, 5, 13)  # cells a side: what changed may be small, or too dim to show in few pixels
-ERRORS = 2.0  # standard errors of a change that are taken for noise
-STEEP = 3.0  # a sure change of one part in so many forgets all
-FEW = 3.0  # pixels that a window needs
-FAINT = 0.1  # radiance beside which what is darker counts no more
+__all__ = [
+    "AntiLag",
+    "HistoryRejection",
+    "KeepHistory",
+    "history_confidence",
+    "relative_change",
+]
+
+CELL = 4  # pixels, side of the cells that windows are summed from
+WINDOWS = (3, 5, 13)  # cells, sides of windows: small changes, and dim ones that need many pixels
+NOISE_ERRORS = 2.0  # standard errors of a change that count as noise
+REJECTION_SLOPE = 3.0  # a certain relative change of 1/3 rejects the whole history
+MIN_PIXELS = 3.0  # a window with fewer sampled pixels says nothing
+DARK_RADIANCE = 0.1  # added to a pixel's radiance before its weight in the window is taken
+
+
+class HistoryRejection(Protocol):
+    """Decides how far the history is kept, given the radiance of the current frame."""
+
+    def apply(
+        self, history: ReprojectedHistory, current: AccumulatedRadiance
+    ) -> ReprojectedHistory:
+        """The history, with less weight where it is rejected."""
+
+
+@dataclass(frozen=True)
+class KeepHistory:
+    """Rejects nothing."""
+
+    def apply(
+        self, history: ReprojectedHistory, current: AccumulatedRadiance
+    ) -> ReprojectedHistory:
+        """The history, unchanged."""
+        return history
+
+
+@dataclass(frozen=True)
+class AntiLag:
+    """Rejects history by `history_confidence`."""
+
+    def apply(
+        self, history: ReprojectedHistory, current: AccumulatedRadiance
+    ) -> ReprojectedHistory:
+        """The history, its weight and similarity multiplied by the confidence."""
+        confidence = history_confidence(history.radiance, current, history.image)
+        return history.with_confidence(confidence)
 
 
 @torch.no_grad()
 def history_confidence(
     old: AccumulatedRadiance, new: AccumulatedRadiance, image: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, "n 1 h w"]:
-    """The share of the old light that is still believed, in [0, 1]; 1 where nothing says otherwise.
+    """History confidence in [0, 1] from a windowed temporal gradient; 1 keeps the history.
 
-    Schied, Peters and Dachsbacher 2018: memory is given up by |change| over the larger of both.
-    They compare samples of the same random numbers; ours are other ones, so the change is a
-    window's mean, of pixels that have both, less what may be chance. Its error is that which is
-    seen or, if larger, that which the old light's spread foretells: where few samples are bright, a
-    window without any looks as if it had gone dark.
+    After Schied, Peters and Dachsbacher 2018, Gradient Estimation for Real-Time Adaptive Temporal
+    Filtering, who reject history by |change| over the larger of both values. Differs from the
+    paper: they compare samples of the same random numbers. Here random numbers differ, so the
+    change is the mean over a window, of pixels sampled in both, less what may be chance. Its
+    standard error is the observed one or, if larger, the one that the variance of the old radiance
+    predicts: where few samples are bright, a window without any looks as if it had gone dark.
 
-    Pixels count by what they are of the last `image` (in log transfer), else a lamp that stays
-    hides what goes dark around it; not of the old light: what is dark there by chance brightens.
+    Pixels are weighted by the inverse of the previous `image` (log transfer); otherwise a lamp that
+    stays on hides what goes dark around it. They are not weighted by the old radiance: a pixel that
+    is dark there by chance gets brighter.
     """
     h, w = new.accumulated_spp.shape[-2:]
-    doubt = F.interpolate(
+    change = F.interpolate(
         relative_change(old, new, image), scale_factor=float(CELL), mode="bilinear"
     )
-    return (1 - STEEP * crop(doubt, h, w)).clamp(0, 1)
+    return (1 - REJECTION_SLOPE * crop(change, h, w)).clamp(0, 1)
 
 
 def relative_change(
     old: AccumulatedRadiance, new: AccumulatedRadiance, image: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, "n 1 h2 w2"]:
-    """What part of the light has surely changed, of cells: that of the window where it is most."""
+    """Relative change of radiance beyond chance, one value a cell: the largest over all windows."""
     h, w = new.accumulated_spp.shape[-2:]
     both = ((new.accumulated_spp > 0) & (old.accumulated_spp > 0)).to(new.mean.dtype)
-    scale = 1 / (luminance(log_inverse(image)).clamp_min(0) + FAINT)
+    scale = 1 / (luminance(log_inverse(image)).clamp_min(0) + DARK_RADIANCE)
     then, now = luminance(old.mean) * scale, luminance(new.mean) * scale
-    change, spread = now - then, old.variance * scale.square()
-    foretold = spread * (
+    change, variance = now - then, old.variance * scale.square()
+    predicted = variance * (
         1 / new.accumulated_spp.clamp_min(1) + 1 / old.accumulated_spp.clamp_min(1)
     )
-    each = both * torch.cat((both, change, change.square(), foretold, then, now), 1)
-    cells = F.avg_pool2d(F.pad(each, (0, -w % CELL, 0, -h % CELL)), CELL)
-    return torch.stack([_doubt(cells, side) for side in WINDOWS]).amax(0)
+    terms = both * torch.cat((both, change, change.square(), predicted, then, now), 1)
+    cells = F.avg_pool2d(F.pad(terms, (0, -w % CELL, 0, -h % CELL)), CELL)
+    return torch.stack([_window_change(cells, side) for side in WINDOWS]).amax(0)
 
 
-def _doubt(cells: Float[Tensor, "n 6 h w"], side: int) -> Float[Tensor, "n 1 h w"]:
-    """The change of each window over the larger of both, less what may be chance."""
+def _window_change(cells: Float[Tensor, "n 6 h w"], side: int) -> Float[Tensor, "n 1 h w"]:
+    """The change of each window beyond chance, over the larger of its values before and now."""
     share, *sums = F.avg_pool2d(cells, side, 1, side // 2).chunk(6, 1)
-    change, square, foretold, then, now = (total / share.clamp_min(1e-6) for total in sums)
+    change, square, predicted, then, now = (total / share.clamp_min(1e-6) for total in sums)
     pixels = share * (side * CELL) ** 2
-    variance = torch.maximum((square - change.square()).clamp_min(0), foretold)
+    variance = torch.maximum((square - change.square()).clamp_min(0), predicted)
     error = (variance / pixels.clamp_min(1)).sqrt()
-    certain = (change.abs() - ERRORS * error).clamp_min(0)
-    return (certain / torch.maximum(then, now).clamp_min(1e-4)).where(pixels > FEW, 0.0)
+    certain = (change.abs() - NOISE_ERRORS * error).clamp_min(0)
+    relative = certain / torch.maximum(then, now).clamp_min(1e-4)
+    return relative.where(pixels > MIN_PIXELS, 0.0)

@@ -1,4 +1,4 @@
-"""`ours` as a world of reinforcement learning: crops of clips, its other networks behind it."""
+"""`ours` as a reinforcement-learning environment: episodes of crops, the sampler acts."""
 
 from __future__ import annotations
 
@@ -15,40 +15,41 @@ from methods.ours.state import RecurrentState
 from rlbench.frames import Frame
 from rlbench.training.batches import Batches, sample_budget
 
+__all__ = ["SamplingEnv"]
+
 
 class SamplingEnv:
-    """Sequences of crops, one at a time, each at a budget of its own; what acts is the sampler.
+    """An `Env` (methods/ours/policy/environment.py) around the other networks of `ours`.
 
-    A `World` (methods/ours/policy/environment.py). `turn` is the frame in which it is to act now.
+    An episode is a sequence of crops from one clip, at a budget drawn for the episode. `problem` is
+    the frame in which the sampler acts next.
     """
 
-    turn: FrameProblem
+    problem: FrameProblem
 
     def __init__(self, method: Ours, batches: Batches, budgets: Sequence[float]) -> None:
-        """From the draws of `batches`, of one clip each; budgets in samples per pixel."""
+        """Episodes are the draws of `batches`, of one clip each; `budgets` in spp."""
         self.method, self.batches, self.budgets = method, batches, tuple(budgets)
-        self.shape = (method.networks.foreseen, batches.crop, batches.crop)
+        self.shape = (method.networks.sampler_channels, batches.crop, batches.crop)
         self._draw = 0
 
     def reset(self) -> Float[Tensor, "1 c h w"]:
-        """The first frame of the next draw."""
+        """Start the next episode; returns the observation of its first frame."""
         clip = self.batches.sequence(self._draw)
         self._spp = sample_budget(self.budgets, self.batches.seed, self._draw)
         self._draw += 1
         self._frames = iter(clip)
-        self._go(next(self._frames), self.method.start(clip.size))
-        return self.turn.seen
+        self._enter(next(self._frames), self.method.start(clip.size))
+        return self.problem.observation
 
     @torch.no_grad()
     def step(self, action: Float[Tensor, "1 1 h w"]) -> StepResult:
-        """Buy, encode and denoise; the error is that of Turn."""
-        errors, counts, state = self.turn.take(action)
-        following = next(self._frames, None)
-        if following is not None:
-            self._go(following, state)
-        return StepResult(errors, counts, self.turn.seen, following is None)
+        """Draw samples by an action, denoise, and enter the next frame."""
+        errors, counts, state = self.problem.step(action)
+        frame = next(self._frames, None)
+        if frame is not None:
+            self._enter(frame, state)
+        return StepResult(errors, counts, self.problem.observation, frame is None)
 
-    def _go(self, frame: Frame, state: RecurrentState) -> None:
-        self.turn = FrameProblem(
-            self.method, frame, frame.gbuffer.select(self.method.traits.inputs), state, self._spp
-        )
+    def _enter(self, frame: Frame, state: RecurrentState) -> None:
+        self.problem = FrameProblem.of_frame(self.method, frame, state, self._spp)

@@ -1,4 +1,4 @@
-"""One frame in which the sampler of `ours` has to act, with its denoiser behind it."""
+"""One frame as an allocation problem: the sampler of `ours` acts, its denoiser answers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -20,72 +21,90 @@ from rlbench.ops.transfer import log_forward
 from rlbench.sampling import draw_samples
 from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
+__all__ = ["FrameProblem", "FrameStep"]
+
+
+class FrameStep(NamedTuple):
+    """The result of one action."""
+
+    errors: Float[Tensor, "n 1 h w"]  # squared error in log transfer, mean over colours
+    counts: Float[Tensor, "n 1 h w"]  # samples drawn
+    state: RecurrentState  # for the next frame
+
 
 @dataclass(frozen=True)
 class FrameProblem:
-    """A situation (`policy/interface.py`): the frame, what was remembered, the budget."""
+    """An AllocationProblem (`policy/interface.py`) made of a frame, a state and a budget."""
 
     method: Ours
     frame: Frame
-    gbuffer: GBuffer  # with what the method declared
+    gbuffer: GBuffer  # the inputs that the method declares
     state: RecurrentState
     spp: float
 
-    @property
-    def multiplicative(self) -> bool:
-        """Does the density grow by factors with the action?"""
-        return self.method.config.density == "exponential"
+    @classmethod
+    def of_frame(
+        cls, method: Ours, frame: Frame, state: RecurrentState, spp: float
+    ) -> FrameProblem:
+        """The problem of a frame, with the G-buffer inputs that the method declares."""
+        return cls(method, frame, frame.gbuffer.select(method.traits.inputs), state, spp)
 
     @property
-    def seen(self) -> Float[Tensor, "n c h w"]:
-        """What the sampler sees."""
+    def multiplicative(self) -> bool:
+        """Does a step of the action multiply the density by a factor, or add to it?"""
+        return self.method.action_density.multiplicative
+
+    @property
+    def observation(self) -> Float[Tensor, "n c h w"]:
+        """The sampler's inputs, without gradient."""
         with torch.no_grad():
-            return self.method.known(self.gbuffer, self.state).sampler_input
+            return self.method.reproject(self.gbuffer, self.state).sampler_inputs
 
     def act(self) -> Float[Tensor, "n 1 h w"]:
         """The sampler's mean action."""
         return self.method.act(self.gbuffer, self.state)
 
-    def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-        """Samples a pixel that are due, before rounding."""
-        wish = self.method.density(action)
-        low = torch.full_like(wish, self.method.traits.min_samples)
+    def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+        """Samples per pixel before rounding."""
+        density = self.method.action_density(action)
+        low = torch.full_like(density, self.method.traits.min_samples)
         return relaxed_counts(
-            wish / wish.detach().amax((2, 3), keepdim=True), self.spp, low, self._cap()
+            density / density.detach().amax((2, 3), keepdim=True), self.spp, low, self._max_samples
         )
 
     @torch.no_grad()
     def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
-        """Squared errors in log transfer, and counts."""
-        errors, counts, _ = zip(*(self.take(action) for action in actions), strict=True)
-        return Rollout(torch.stack(errors), torch.stack(counts))
+        """Squared errors in log transfer, and counts, of k actions."""
+        steps = [self.step(action) for action in actions]
+        return Rollout(
+            torch.stack([step.errors for step in steps]),
+            torch.stack([step.counts for step in steps]),
+        )
 
     @torch.no_grad()
-    def take(
-        self, action: Float[Tensor, "n 1 h w"]
-    ) -> tuple[Float[Tensor, "n 1 h w"], Float[Tensor, "n 1 h w"], RecurrentState]:
-        """Squared errors in log transfer, counts, and what is left for the next frame."""
-        image, samples, left = self.show(action)
+    def step(self, action: Float[Tensor, "n 1 h w"]) -> FrameStep:
+        """Draw samples by an action, denoise them, and compare the image with the reference."""
+        samples = self._draw_samples(action)
+        image, state = self.method.denoise(self.gbuffer, samples, self.state)
         error = (log_forward(image).clamp(0, 1) - self._truth).square().mean(1, keepdim=True)
-        return error, samples.counts.float(), left
+        return FrameStep(error, samples.counts.float(), state)
 
     @torch.no_grad()
-    def show(
-        self, action: Float[Tensor, "n 1 h w"]
-    ) -> tuple[Float[Tensor, "n 3 h w"], Samples, RecurrentState]:
-        """The image of an action, what was bought for it, and what is left for the next frame."""
-        samples = self._buy(action)
-        image, left = self.method.denoise(self.gbuffer, samples, self.state)
-        return image, samples, left
+    def render(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 3 h w"]:
+        """The denoised image of an action, linear radiance."""
+        samples = self._draw_samples(action)
+        return self.method.denoise(self.gbuffer, samples, self.state)[0]
 
-    def surrogate_loss(self, teach: SampleGradient) -> Float[Tensor, ""]:
-        """The loss of the mean action's image, with a gradient to the action through samples.
+    def surrogate_loss(self, sample_gradient: SampleGradient) -> Float[Tensor, ""]:
+        """The loss of the mean action's image, with a gradient to the action through the samples.
 
-        It reaches the sampler alone: the others learn by the image that is shown.
+        The gradient reaches the sampler alone. Encoder and denoiser learn from the training image.
         """
         action = self.act()
-        samples = teach(self._buy(action.detach()), self.relaxed(action), self.frame)
-        with frozen(self.method.networks.encoder, self.method.networks.denoiser):
+        samples = sample_gradient(
+            self._draw_samples(action.detach()), self.relaxed_counts(action), self.frame
+        )
+        with freeze(self.method.networks.encoder, self.method.networks.denoiser):
             image, _ = self.method.denoise(self.gbuffer, samples, self.state)
         return l1_ms_ssim_loss(log_forward(image), log_forward(self.frame.reference.mean))
 
@@ -93,25 +112,25 @@ class FrameProblem:
     def _truth(self) -> Float[Tensor, "n 3 h w"]:
         return log_forward(self.frame.reference.mean).clamp(0, 1)
 
-    def _buy(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
-        pool, floor = self.frame.pool, self.method.traits.min_samples
-        return draw_samples(
-            pool, pool.empty(), self.method.density(action), self.spp, floor, self._cap()
-        )
+    def _draw_samples(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
+        pool, density = self.frame.pool, self.method.action_density(action)
+        bounds = (self.method.traits.min_samples, self._max_samples)
+        return draw_samples(pool, pool.empty(), density, self.spp, *bounds)
 
-    def _cap(self) -> int:
-        cap = self.method.traits.max_samples
-        return self.frame.pool.max_samples if cap is None else min(cap, self.frame.pool.max_samples)
+    @property
+    def _max_samples(self) -> int:
+        limit, stored = self.method.traits.max_samples, self.frame.pool.max_samples
+        return stored if limit is None else min(limit, stored)
 
 
 @contextmanager
-def frozen(*modules: nn.Module | None) -> Iterator[None]:
-    """No gradient reaches the weights of what is run in here; it passes through."""
-    learning = [w for m in modules if m is not None for w in m.parameters() if w.requires_grad]
-    for weight in learning:
+def freeze(*modules: nn.Module | None) -> Iterator[None]:
+    """Within this context no gradient reaches the modules' weights; it passes through to inputs."""
+    trainable = [w for m in modules if m is not None for w in m.parameters() if w.requires_grad]
+    for weight in trainable:
         weight.requires_grad_(False)
     try:
         yield
     finally:
-        for weight in learning:
+        for weight in trainable:
             weight.requires_grad_(True)

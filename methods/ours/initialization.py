@@ -1,4 +1,4 @@
-"""Where training begins: Intel's denoiser, an encoder that passes on, a sampler shown contrast."""
+"""Initial weights: Intel's denoiser, an encoder that passes values on, a contrast-aware sampler."""
 
 from __future__ import annotations
 
@@ -7,138 +7,167 @@ import math
 import torch
 from torch import Tensor, nn
 
-from methods.ours.networks import HISTORY_INPUTS, SPREAD, VIEW, Encoder, Networks, Sampler
-from methods.ours.variants import SAMPLES, Config
+from methods.ours.networks import (
+    DEVIATION_INPUT,
+    GBUFFER_CHANNELS,
+    HISTORY_INPUTS,
+    Encoder,
+    Networks,
+    Sampler,
+)
+from methods.ours.sample_encoding import SAMPLE_ENCODINGS
+from methods.ours.variants import Config
 from rlbench.ops.init import kaiming_init
-from rlbench.ops.unet import BASE, FAST, UNet
+from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet
 
-FAINT = 0.1  # share of a random weight that is left beside a wired one
-LINEAR = 0.5  # where tanh is nearly a line
+__all__ = ["initialize", "wire_contrast"]
 
-SLOTS = ((0,), (1,), (2, 3), (4, 5, 6, 7))  # of samples, by channels 0-2, 3-5, 6-8, 9-11 of state
-SEEN = 12  # the state's first channel for normal, albedo and depth
-GAINED = SEEN + VIEW  # and for what was gathered before
-TRUST, KEPT = 0.7, 0.3  # shares of light gathered before, and of the last image
+RANDOM_SHARE = 0.1  # factor on the random weights that are left beside wired ones
+TANH_LINEAR = 0.5  # up to here tanh is nearly linear
 
-NOTICED = 20.0  # gain of contrasts, which are about a tenth
-LOST = 0.6  # a value that lies below minus this is not there
+# sample slots whose mean passes through channels 0-2, 3-5, 6-8 and 9-11 of the state
+SLOT_GROUPS = ((0,), (1,), (2, 3), (4, 5, 6, 7))
+GBUFFER_OUTPUT = 12  # first state channel for normal, albedo and depth
+HISTORY_OUTPUT = GBUFFER_OUTPUT + GBUFFER_CHANNELS  # and for accumulated radiance
+INITIAL_TRUST = 0.7  # in accumulated radiance
+INITIAL_BLEND = 0.3  # weight of the previous image
+
+CONTRAST_GAIN = 20.0  # contrasts are about 0.1
+MISSING_BELOW = 0.6  # a value below minus this is MISSING
 
 
 @torch.no_grad()
-def start(networks: Networks, config: Config, seed: int) -> str:
-    """Seeded weights, a uniform sampler, an encoder that passes samples and view on.
+def initialize(networks: Networks, config: Config, seed: int) -> str:
+    """Set seeded initial weights; returns their origin for the model card, or "".
 
-    From random weights the encoder hides its input behind a random projection, and thousands of
-    steps are spent on undoing it, while its tanh saturates. So it starts with one hidden unit for
-    each value of samples and view, and a channel of the state for each group of slots and each
-    value of the view; what is left of both stays random. Where the denoiser reads colour and is of
-    a size that Intel has, it starts with Intel's weights, to which the state says nothing yet: the
-    first image is that of Open Image Denoise. Where it reads the state alone, its last three layers
-    are wired to the first slot, averaged over 3x3 twice. Returns what a card says of weights that
-    are not ours, or nothing. Raises LibraryError where Intel's weights are wanted and the extra
-    `oidn` is not installed.
+    The sampler starts uniform. The encoder starts with one hidden unit for each input value of
+    samples and G-buffer, and a state channel for each group of slots and each G-buffer value: from
+    random weights it hides its input behind a random projection, and thousands of steps are spent
+    on undoing it, while its tanh saturates. What is left of its weights stays random. If the
+    denoiser reads radiance and Intel has a network of its size, it starts from Intel's weights with
+    zeros for the state: the first image is that of Open Image Denoise. If it reads the state alone,
+    its last three layers are wired to the first slot, averaged over 3x3 pixels twice.
+
+    Raises LibraryError if Intel's weights are needed and the extra `oidn` is not installed.
     """
     kaiming_init(networks, seed)
     if networks.sampler is not None:
-        show_contrast(networks.sampler, config)
+        wire_contrast(networks.sampler, config)
         networks.sampler.start_uniform()
     if networks.encoder is not None:
-        _pass_on(networks.encoder, config)
+        _wire_identity(networks.encoder, config)
     origin = ""
-    if config.light == "none":
-        _blur(networks.denoiser)
-    elif config.denoiser in (BASE, FAST):
-        origin = _adopt(networks.denoiser)
-    if config.gathers:
-        _bias(networks.denoiser.dec_conv0)[3:] = math.log(KEPT / (1 - KEPT))
+    if config.accumulation == "none":
+        _wire_blur(networks.denoiser)
+    elif config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
+        origin = _load_intel(networks.denoiser)
+    if config.accumulates:
+        _bias(networks.denoiser.dec_conv0)[3:] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
     return origin
 
 
-def _pass_on(encoder: Encoder, config: Config) -> None:
+def _wire_identity(encoder: Encoder, config: Config) -> None:
+    """One hidden unit for each value of samples, G-buffer and history, and outputs that read it."""
     first, *between, last = _convolutions(encoder.layers)
-    values = SAMPLES[config.samples]
-    slots = [group for group in SLOTS if 3 * max(group) + 3 <= values]
-    before = HISTORY_INPUTS * config.gathers
-    hidden = values + VIEW + before
-    for channel in range(hidden):
-        skipped = config.latent if channel >= values + VIEW else 0
+    samples = SAMPLE_ENCODINGS[config.sample_encoding].channels
+    current = samples + GBUFFER_CHANNELS
+    history = HISTORY_INPUTS * config.accumulates
+    for channel in range(current + history):
+        skipped = config.latent if channel >= current else 0
         _wire(first, channel, {channel + skipped: 1.0})
         for layer in between:
             _wire(layer, channel, {channel: 1.0})
-    _bias(first)[values : values + 3] = 1  # normals are signed, hidden units are not
+    _bias(first)[samples : samples + 3] = 1  # normals are signed, hidden units are not
+    _wire_slots(last, samples)
+    for channel in range(GBUFFER_CHANNELS):
+        _wire(last, GBUFFER_OUTPUT + channel, {samples + channel: TANH_LINEAR})
+    _bias(last)[GBUFFER_OUTPUT : GBUFFER_OUTPUT + 3] = -TANH_LINEAR
+    for channel in range(history):
+        _wire(last, HISTORY_OUTPUT + channel, {current + channel: TANH_LINEAR})
+    if config.accumulates:
+        last.weight[config.latent :] *= RANDOM_SHARE
+        _bias(last)[config.latent :] = math.atanh(2 * INITIAL_TRUST - 1)
+
+
+def _wire_slots(last: nn.Conv2d, samples: int) -> None:
+    """The first state channels show the mean of each group of sample slots."""
+    slots = [group for group in SLOT_GROUPS if 3 * max(group) + 3 <= samples]
     for group, members in enumerate(slots):
         for colour in range(3):
-            mean = {3 * slot + colour: LINEAR / len(members) for slot in members}
+            mean = {3 * slot + colour: TANH_LINEAR / len(members) for slot in members}
             _wire(last, 3 * group + colour, mean)
-    for channel in range(VIEW):
-        _wire(last, SEEN + channel, {values + channel: LINEAR})
-    _bias(last)[SEEN : SEEN + 3] = -LINEAR
-    for channel in range(before):
-        _wire(last, GAINED + channel, {values + VIEW + channel: LINEAR})
-    if config.gathers:
-        last.weight[config.latent :] *= FAINT
-        _bias(last)[config.latent :] = math.atanh(2 * TRUST - 1)
 
 
-def _blur(denoiser: UNet) -> None:
+def _wire_blur(denoiser: UNet) -> None:
+    """The last three layers show the first three state channels, averaged over 3x3 twice."""
     skip = denoiser.dec_conv1a.in_channels - denoiser.enc_conv0.in_channels  # the state comes last
     for colour in range(3):
         _wire(denoiser.dec_conv1a, colour, {skip + colour: 1.0}, box=True)
         _wire(denoiser.dec_conv1b, colour, {colour: 1.0}, box=True)
-        _wire(denoiser.dec_conv0, colour, {colour: 1 / LINEAR})
+        _wire(denoiser.dec_conv0, colour, {colour: 1 / TANH_LINEAR})
 
 
-def _adopt(denoiser: UNet) -> str:
+def _load_intel(denoiser: UNet) -> str:
+    """Intel's weights, and zeros for the state's input channels and the blend's output channel."""
     from baselines.oidn_intel.networks import network, origin  # an extra; only training needs it
 
-    theirs = network(denoiser.widths).state_dict()
+    intel = network(denoiser.widths).state_dict()
     for name, weight in denoiser.state_dict().items():
         weight.zero_()
-        known = weight[: len(theirs[name])]  # what is kept of the last image is said last
-        known = known if weight.dim() == 1 else known[:, : theirs[name].shape[1]]
-        known.copy_(theirs[name])  # the state is read last
+        shared = weight[: len(intel[name])]  # the blend is the last output
+        shared = shared if weight.dim() == 1 else shared[:, : intel[name].shape[1]]
+        shared.copy_(intel[name])  # the state is the last input
     return origin()
 
 
 @torch.no_grad()
-def show_contrast(sampler: Sampler, config: Config) -> None:
-    """Show the last layers where the last frame's picture was rough, and how noisy its light.
+def wire_contrast(sampler: Sampler, config: Config) -> None:
+    """Wire the sampler so that its last layers read local contrast and noise of the last frame.
 
-    Behind random layers the policy gradient finds nothing in the time that training has here. So
-    the finest level starts with contrasts (value less its 3x3 mean, absolute), a brightness, and
-    where there is nothing remembered; all pass the skip, and two reach the last layer: contrast,
-    and brightness or the spread of the light. What it makes of them is learned.
+    Behind random layers the policy gradient finds nothing in the training time available. The
+    finest level starts with contrasts (value less its 3x3 mean, absolute), a brightness, and a mask
+    of missing history. All pass the skip connection; two reach the last layer: contrast, and
+    brightness or, with accumulated radiance, its deviation. Their use is learned. A sampler without
+    a coarser level stays as it is.
     """
     if len(sampler.merge) == 0:
         return
-    colour = VIEW if config.remembers != "nothing" else 3  # of what was shown, else albedo
-    other: tuple[int, ...] = (0, 1, 2)  # normals
-    if config.gathers:
-        colour, other = VIEW + config.latent, (VIEW + config.latent + SPREAD,)
-    sources = [tuple(range(colour, colour + 3)), (3, 4, 5), other, (6,)]  # (3, 4, 5) is albedo
-    for to, channels in enumerate(sources):
-        _wire(sampler.tail, to, {channel: 1 / len(channels) for channel in channels})
+    _wire_sources(sampler.tail, config)
     enter, leave = _convolutions(sampler.down[0])
     for to, (source, sign) in enumerate(((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))):
-        _wire(enter, to, {source: -sign * NOTICED}, box=True)
-        enter.weight[to, source, 1, 1] += sign * NOTICED
-    if config.gathers:  # the spread as it is
+        _wire(enter, to, {source: -sign * CONTRAST_GAIN}, box=True)
+        enter.weight[to, source, 1, 1] += sign * CONTRAST_GAIN
+    if config.accumulates:  # the deviation itself, not its contrast
         _wire(enter, 4, {2: 2.0})
         _wire(enter, 5, {2: 0.0})
     _wire(enter, 6, {0: 4.0})
-    _wire(enter, 7, {0: -1 / (1 - LOST)})
-    _bias(enter)[7] = -LOST / (1 - LOST)
+    _wire(enter, 7, {0: -1 / (1 - MISSING_BELOW)})
+    _bias(enter)[7] = -MISSING_BELOW / (1 - MISSING_BELOW)
     gather, forward = _convolutions(sampler.merge[-1])
-    shown = ((0, 1), (4, 5), (7,), (2, 3), (6,)) if config.gathers else _PAPER
-    for to, units in enumerate(shown):
-        _wire(leave, to, dict.fromkeys(units, 1.0), box=True)
+    units = _UNITS_WITH_RADIANCE if config.accumulates else _UNITS
+    for to, sources in enumerate(units):
+        _wire(leave, to, dict.fromkeys(sources, 1.0), box=True)
         _wire(gather, to, {leave.out_channels + to: 1.0}, box=True)
         _wire(forward, to, {to: 1.0}, box=True)
     for to in range(2):
         _wire(sampler.head, to, {to: 1.0})
 
 
-_PAPER = ((0, 1), (6,), (7,), (2, 3), (4, 5))
+def _wire_sources(tail: nn.Conv2d, config: Config) -> None:
+    """The first layer reads colour (or albedo), albedo, deviation (or normal), and depth."""
+    colour = GBUFFER_CHANNELS if config.history_mode != "nothing" else 3
+    other: tuple[int, ...] = (0, 1, 2)  # normals
+    if config.accumulates:
+        colour = GBUFFER_CHANNELS + config.latent
+        other = (colour + DEVIATION_INPUT,)
+    sources = [tuple(range(colour, colour + 3)), (3, 4, 5), other, (6,)]  # (3, 4, 5) is albedo
+    for to, channels in enumerate(sources):
+        _wire(tail, to, {channel: 1 / len(channels) for channel in channels})
+
+
+# hidden units that each channel of the skip connection sums
+_UNITS = ((0, 1), (6,), (7,), (2, 3), (4, 5))
+_UNITS_WITH_RADIANCE = ((0, 1), (4, 5), (7,), (2, 3), (6,))
 
 
 def _convolutions(block: nn.Module) -> list[nn.Conv2d]:
@@ -151,10 +180,10 @@ def _bias(layer: nn.Conv2d) -> Tensor:
 
 
 def _wire(layer: nn.Conv2d, to: int, sources: dict[int, float], box: bool = False) -> None:
-    """Make output `to` of a convolution a weighted sum of inputs, or of their means in its box."""
+    """Make output `to` a weighted sum of inputs or, with `box`, of their means over the kernel."""
     weight = layer.weight
     side = weight.shape[-1]
-    weight[to] *= FAINT
+    weight[to] *= RANDOM_SHARE
     for source, gain in sources.items():
         weight[to, source] = gain / side**2 if box else 0.0
         if not box:

@@ -1,138 +1,131 @@
-"""What `ours` remembers from frame to frame, and what it knows of a frame before it is sampled."""
+"""The recurrent state, and the history that it becomes when it is reprojected to a frame."""
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from methods.ours.accumulation import AccumulatedRadiance, feature_similarity, network_features
-from methods.ours.networks import VIEW
-from methods.ours.variants import SAMPLES, Config
-from rlbench.frames import GBuffer, Size
-from rlbench.ops.reprojection import reproject, reproject_bicubic
-from rlbench.ops.transfer import log_forward, squash_depth
+from methods.ours.accumulation import AccumulatedRadiance
+from rlbench.frames import GBuffer
+from rlbench.ops.transfer import squash_depth
 
-MISSING = -1.0  # a sample that was not bought, a state that is not there
-STILL = 1e-3  # pixels: what moves by less stands still
-SAME = 0.5  # least likeness (0 to 1) of what was there and what is, for it to be the same thing
-LEAST = 0.01  # samples a pixel; a smaller budget is taken for this one
-SHARP = [3, 1, 3]  # channels of what is kept of the past: mean, square, last image
-SOFT = [1, VIEW]  # and weight, view
+__all__ = [
+    "RecurrentState",
+    "ReprojectedHistory",
+    "ReprojectionMemo",
+    "detach",
+    "gbuffer_features",
+]
 
-
-class History(NamedTuple):
-    """What is kept of the frames before, beside the state, where light is gathered."""
-
-    light: AccumulatedRadiance
-    image: Float[Tensor, "n 3 h w"]  # the last one, linear radiance
-    seen: Float[Tensor, "n 7 h w"]  # the last view
-    previous_spp: Float[Tensor, "n 1 1 1"]  # samples a pixel of the last frame; 1 before the first
+MIN_SPP = 0.01  # a previous budget below this is read as this
 
 
-class RecurrentState(NamedTuple):
-    """What one frame leaves for the next; of no frames it has age 0 and is empty."""
+@dataclass(frozen=True, eq=False)
+class RecurrentState:
+    """All that `ours` carries from one frame to the next, at the pixels of the earlier frame.
 
-    state: Float[Tensor, "n c h w"]  # latent, or samples; MISSING everywhere before the first frame
-    past: History | None  # None where the variant gathers no light
-    age: int  # frames
+    A variant that does not accumulate radiance stores `features` only: every other tensor then has
+    zero channels.
+    """
+
+    features: Float[Tensor, "n _ h w"]  # latent, or encoded samples; MISSING before frame 0
+    radiance: AccumulatedRadiance
+    image: Float[Tensor, "n _ h w"]  # previous output, linear radiance
+    gbuffer_features: Float[Tensor, "n _ h w"]  # of the previous frame
+    previous_spp: Float[Tensor, "n _ 1 1"]  # samples per pixel of the previous frame; 1 at first
+    age: int  # frames seen so far
+
+    @classmethod
+    def of_features(cls, features: Float[Tensor, "n c h w"], age: int) -> RecurrentState:
+        """A state without accumulated radiance."""
+        none = features.new_empty(len(features), 0, *features.shape[-2:])
+        spp = none.new_empty(len(features), 0, 1, 1)
+        return cls(features, AccumulatedRadiance(none, none, none), none, none, spp, age)
 
 
 class ReprojectedHistory(NamedTuple):
-    """What was kept of the frames before, where it is now."""
+    """The recurrent state at the pixels of the current frame, known before it is sampled.
 
-    state: Float[Tensor, "n c h w"]  # MISSING where it is from outside
-    light: AccumulatedRadiance  # without weight there
-    image: Float[Tensor, "n 3 h w"]  # in log transfer
-    similarity: Float[Tensor, "n 1 h w"]  # how much what was there is what is here
-    static_mask: Bool[Tensor, "n 1 h w"]  # was the same thing there already?
+    A variant that does not accumulate radiance has `inputs` and `features` only: every other tensor
+    then has zero channels.
+    """
 
-    def with_confidence(self, share: Float[Tensor, "n 1 h w"]) -> ReprojectedHistory:
-        """The same, with so much of the light's weight and of the last image."""
-        light = self.light._replace(accumulated_spp=self.light.accumulated_spp * share)
-        return self._replace(light=light, similarity=self.similarity * share)
-
-
-class FrameContext(NamedTuple):
-    """What is known of a frame before it is sampled."""
-
-    seen: Float[Tensor, "n c h w"]  # by the networks
-    moved: ReprojectedHistory | None
-    previous_spp: Float[Tensor, "n 1 1 1"] | None = None  # where light is gathered
+    inputs: Float[Tensor, "n c h w"]  # networks read this: G-buffer, features, radiance
+    features: Float[Tensor, "n c2 h w"]  # MISSING where the history is not valid
+    radiance: AccumulatedRadiance  # weight 0 where the history is not valid
+    image: Float[Tensor, "n 3 h w"]  # previous output, log transfer
+    similarity: Float[Tensor, "n 1 h w"]  # of surfaces before and now, in [0, 1]; 0 if not valid
+    static_mask: Bool[Tensor, "n 1 h w"]  # True where the same surface did not move
+    previous_spp: Float[Tensor, "n _ 1 1"]
 
     @property
-    def sampler_input(self) -> Float[Tensor, "n c h w"]:
-        """What the sampler sees: last, where light is gathered, the logarithm of the budget.
+    def sampler_inputs(self) -> Float[Tensor, "n c h w"]:
+        """`inputs` and, with accumulated radiance, the logarithm of the previous frame's spp.
 
-        That is how many samples a pixel the last frame got.
+        The previous spp tells the sampler its budget: a map that pays with many samples per pixel
+        is too bold with few.
         """
-        if self.previous_spp is None:
-            return self.seen
-        budget = self.previous_spp.clamp_min(LEAST).log().expand(-1, -1, *self.seen.shape[-2:])
-        return torch.cat((self.seen, budget), dim=1)
+        log_spp = self.previous_spp.clamp_min(MIN_SPP).log()
+        return torch.cat((self.inputs, log_spp.expand(-1, -1, *self.inputs.shape[-2:])), dim=1)
+
+    def with_confidence(self, confidence: Float[Tensor, "n 1 h w"]) -> ReprojectedHistory:
+        """The history with its weight and similarity multiplied by a confidence in [0, 1]."""
+        spp = self.radiance.accumulated_spp * confidence
+        radiance = self.radiance._replace(accumulated_spp=spp)
+        return self._replace(radiance=radiance, similarity=self.similarity * confidence)
+
+    @classmethod
+    def of_features(
+        cls, inputs: Float[Tensor, "n c h w"], features: Float[Tensor, "n c2 h w"]
+    ) -> ReprojectedHistory:
+        """A history without accumulated radiance."""
+        none = inputs.new_empty(len(inputs), 0, *inputs.shape[-2:])
+        radiance, spp = AccumulatedRadiance(none, none, none), none.new_empty(len(inputs), 0, 1, 1)
+        return cls(inputs, features, radiance, none, none, none.bool(), spp)
 
 
-def detached(memory: RecurrentState) -> RecurrentState:
-    """The same, through which no gradient flows."""
-    if (past := memory.past) is not None:
-        light = AccumulatedRadiance(*(part.detach() for part in past.light))
-        past = History(light, past.image.detach(), past.seen.detach(), past.previous_spp)
-    return RecurrentState(memory.state.detach(), past, memory.age)
+class ReprojectionMemo:
+    """The most recent reprojection, so that `plan` and `denoise` of one frame share it.
+
+    The key is the identity of G-buffer and state. Both are referenced weakly, so the memo keeps no
+    input alive; it holds one history at most, until the next frame. It changes no result, only the
+    time: reprojection takes about a tenth of a frame.
+    """
+
+    def __init__(self) -> None:
+        """An empty memo."""
+        self._last: tuple[weakref.ref[GBuffer], weakref.ref[RecurrentState]] | None = None
+
+    def get(
+        self,
+        gbuffer: GBuffer,
+        state: RecurrentState,
+        compute: Callable[[GBuffer, RecurrentState], ReprojectedHistory],
+    ) -> ReprojectedHistory:
+        """compute(gbuffer, state), or its last result if both arguments are the same objects."""
+        if self._last is None or self._last[0]() is not gbuffer or self._last[1]() is not state:
+            self._history = compute(gbuffer, state)
+            self._last = (weakref.ref(gbuffer), weakref.ref(state))
+        return self._history
 
 
-def initial_state(config: Config, size: Size, device: torch.device) -> RecurrentState:
-    """No memory: the sentinel everywhere."""
-    n, h, w = size
-    channels = {"state": config.latent, "samples": SAMPLES[config.samples]}
-    sharp, soft = (torch.zeros(n, sum(x), h, w, device=device) for x in (SHARP, SOFT))
-    state = sharp.new_full((n, channels.get(config.remembers, 0), h, w), MISSING)
-    once = torch.ones(n, 1, 1, 1, device=device)
-    return RecurrentState(state, _past(sharp, soft, once) if config.gathers else None, 0)
-
-
-def reproject_state(config: Config, gbuffer: GBuffer, state: RecurrentState) -> FrameContext:
-    """What is remembered, moved to where it is now, beside the view."""
-    seen = gbuffer_features(gbuffer)
-    if config.remembers == "nothing":
-        return FrameContext(seen, None)
-    state = state if state.age % config.bptt else detached(state)
-    width, history = state.state.shape[1], state.state
-    if state.past is not None:
-        history = torch.cat((history, state.past.light.accumulated_spp, state.past.seen), dim=1)
-    soft, valid = reproject(history, gbuffer.motion)
-    valid = valid & (state.age > 0)
-    remembered = soft[:, :width].where(valid, MISSING)
-    if state.past is None:
-        return FrameContext(torch.cat((seen, remembered), dim=1), None)
-    light, image = state.past.light, log_forward(state.past.image)
-    sharp, _ = reproject_bicubic(
-        torch.cat((light.mean, light.second_moment, image), dim=1), gbuffer.motion
-    )
-    shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)  # is anything left of it?
-    # its image is in log transfer from here on: linear, taps beside a lamp would be all rounding
-    past = _past(sharp, soft[:, width:], state.past.previous_spp.where(shot, 1.0))
-    same = feature_similarity(seen, past.seen).where(valid, 0.0)
-    light = past.light._replace(accumulated_spp=past.light.accumulated_spp * same)
-    gained = torch.cat((past.image, network_features(light), same), dim=1).where(valid, MISSING)
-    every = torch.cat((seen, remembered, gained), dim=1)
-    if gbuffer.motion is not None:
-        valid = valid & (gbuffer.motion.abs().amax(1, keepdim=True) < STILL)
-    valid = valid & (same > SAME)
-    return FrameContext(
-        every, ReprojectedHistory(remembered, light, past.image, same, valid), past.previous_spp
+def detach(state: RecurrentState) -> RecurrentState:
+    """The same state, cut from the autograd graph."""
+    return replace(
+        state,
+        features=state.features.detach(),
+        radiance=AccumulatedRadiance(*(part.detach() for part in state.radiance)),
+        image=state.image.detach(),
+        gbuffer_features=state.gbuffer_features.detach(),
     )
 
 
 def gbuffer_features(gbuffer: GBuffer) -> Float[Tensor, "n 7 h w"]:
-    """A view as networks see it: normal, albedo, 1 / (1 + depth)."""
+    """The G-buffer as networks read it: normal, albedo, 1 / (1 + depth)."""
     return torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), dim=1)
-
-
-def _past(
-    sharp: Float[Tensor, "n 7 h w"], soft: Float[Tensor, "n 8 h w"], spent: Float[Tensor, "n 1 1 1"]
-) -> History:
-    mean, square, image = sharp.split_with_sizes(SHARP, 1)
-    weight, seen = soft.split_with_sizes(SOFT, 1)
-    return History(AccumulatedRadiance(mean, square, weight), image, seen, spent)

@@ -14,110 +14,129 @@ from torch import Tensor
 
 from methods.ours import FAMILY
 from methods.ours.frame_problem import FrameProblem
-from methods.ours.initialization import start
-from methods.ours.method import Ours
+from methods.ours.initialization import initialize
+from methods.ours.method import Ours, assemble
 from methods.ours.networks import Networks
-from methods.ours.policy import BlockPolicyGradient, learner
-from methods.ours.state import RecurrentState, detached
+from methods.ours.policy import BlockPolicyGradient, make_learner
+from methods.ours.state import RecurrentState, detach
 from methods.ours.variants import BASE, VARIANTS
-from rlbench.family import Traits
-from rlbench.frames import Clip, GBuffer, Samples, Size
+from rlbench.frames import Clip, Frame, GBuffer, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
+from rlbench.wrappers import MethodWrapper
 
-PEAK = 3e-4  # learning rate
-SHARES = {"encoder": 0.2, "sampler": 3.0}  # of it; at the full rate the encoder's tanh saturates
-TUNING = 4e-5  # the rate where the denoiser starts from weights that are not ours
-TUNED = {"encoder": 2.0, "sampler": 6.0, "aside": 25.0}  # shares of that one
-BUDGETS = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # samples per pixel, one a sequence
-EVERY = 2  # frames between steps of the sampler
-WEIGHT = 0.1  # of the learner's loss, which the sampler alone hears; matters for clipping only
+__all__ = ["BUDGETS", "ExploringMethod", "training_task"]
+
+MAX_LR = 3e-4  # from random weights
+LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh saturates
+FINETUNING_LR = 4e-5  # where the denoiser starts from Intel's weights
+FINETUNING_MULTIPLIERS = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}
+BUDGETS = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # spp, one drawn for each sequence
+SAMPLER_INTERVAL = 2  # frames between steps of the sampler
+SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it matters for clipping
 
 
 @dataclass
-class ExploringMethod:
-    """`ours` while it trains: acts with noise half of the time, and remembers what it was asked."""
+class _Sequence:
+    """The part of an ExploringMethod that changes while a sequence is unrolled."""
 
-    method: Ours
-    policy: BlockPolicyGradient
-    generator: torch.Generator
-    noisy: bool = True  # in this sequence?
-    asked: list[tuple[GBuffer, RecurrentState]] = field(default_factory=list)
+    noisy: bool = True
+    planned: tuple[GBuffer, RecurrentState] | None = None
 
-    @property
-    def traits(self) -> Traits:
-        """Those of the method."""
-        return self.method.traits
 
-    def start(self, size: Size) -> RecurrentState:
-        """As the method's."""
-        return self.method.start(size)
+@dataclass(frozen=True)
+class ExploringMethod(MethodWrapper[Ours]):
+    """`ours` during training: adds noise to the actions of every second sequence on average.
+
+    It keeps the inputs of the last `plan`, from which the learner builds its FrameProblem.
+    """
+
+    policy: BlockPolicyGradient = BlockPolicyGradient()
+    generator: torch.Generator = field(default_factory=torch.Generator)
+    sequence: _Sequence = field(default_factory=_Sequence)
+
+    def begin_sequence(self, seed: int) -> None:
+        """Seed the noise, and draw whether this sequence has any."""
+        self.generator.manual_seed(seed)
+        self.sequence.noisy = bool(torch.randint(2, (), generator=self.generator))
 
     def plan(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> Float[Tensor, "n 1 h w"]:
-        """The density of the sampler's action, or of one drawn around it."""
-        if self.method.networks.sampler is None:
+        """The density of the sampler's action, or of a noisy action."""
+        if self.method.sampler is None:
             return self.method.plan(gbuffer, samples, state)
-        self.asked = [(gbuffer, detached(state))]
+        self.sequence.planned = (gbuffer, detach(state))
         with torch.no_grad():
-            mean = self.method.act(gbuffer, state)
-        if self.noisy:
-            corner = self.policy.corner(self.generator)
-            mean = self.policy.explore(mean, corner, self.generator)
-        return self.method.density(mean)
+            action = self.method.act(gbuffer, state)
+        if self.sequence.noisy:
+            corner = self.policy.draw_corner(self.generator)
+            action = self.policy.explore(action, corner, self.generator)
+        return self.method.action_density(action)
 
-    def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
-    ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
-        """As the method's."""
-        return self.method.denoise(gbuffer, samples, state)
+    def last_problem(self, frame: Frame, spp: float) -> FrameProblem:
+        """The allocation problem of the frame that was planned last."""
+        assert self.sequence.planned is not None, "last_problem before plan"
+        return FrameProblem(self.method, frame, *self.sequence.planned, spp)
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """Networks with seeded weights and a uniform sampler, and the losses that train them.
 
-    Raises LibraryError where training starts from Intel's weights and the extra `oidn` is missing.
+    Raises LibraryError if training starts from Intel's weights and the extra `oidn` is not
+    installed.
     """
-    config, traits = VARIANTS[variant].training, FAMILY.variants[variant].traits
+    config, traits = VARIANTS[variant].for_training, FAMILY.variants[variant].traits
     networks = Networks(config)
-    origin = start(networks, config, seed)
+    origin = initialize(networks, config, seed)
     networks.to(device)
-    method = Ours(config, traits, networks)
-    learns = learner(config.learner, networks.foreseen)
-    aside = learns.network.to(device) if learns.network is not None else None
-    explorer = ExploringMethod(method, BlockPolicyGradient(), torch.Generator())
+    method = assemble(config, traits, networks)
+    learner = make_learner(config.learner, networks.sampler_channels)
+    auxiliary = learner.network.to(device) if learner.network is not None else None
+    exploring = ExploringMethod(method)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
-        explorer.generator.manual_seed(next(iter(clip)).pool.rounding_seeds[0])
-        explorer.noisy = bool(torch.randint(2, (), generator=explorer.generator))
+        exploring.begin_sequence(next(iter(clip)).pool.rounding_seeds[0])
         total, frames = torch.zeros((), device=device), 0
-        for shown in unroll(explorer, clip, spp):
+        for result in unroll(exploring, clip, spp):
             loss = l1_ms_ssim_loss(
-                log_forward(shown.image), log_forward(shown.frame.reference.mean)
+                log_forward(result.image), log_forward(result.frame.reference.mean)
             )
-            if config.decibels:  # else few samples, and hard scenes, would count most
+            if config.log_loss:  # else small budgets and hard scenes dominate
                 loss = log_loss(loss)
-            if networks.sampler is not None and shown.frame.index % EVERY == 0:
-                turn = FrameProblem(method, shown.frame, *explorer.asked[-1], spp)
-                loss = loss + WEIGHT * learns.loss(turn, explorer.generator)
+            if networks.sampler is not None and result.frame.index % SAMPLER_INTERVAL == 0:
+                problem = exploring.last_problem(result.frame, spp)
+                loss = loss + SAMPLER_WEIGHT * learner.loss(problem, exploring.generator)
             total, frames = total + loss, frames + 1
             if frames % config.bptt == 0 or frames == len(clip):
                 yield total / config.bptt
                 total = torch.zeros_like(total)
 
     budgets = tuple(spp for spp in BUDGETS if traits.unsupported_reason(spp) is None)
-    peak, shares = (PEAK, SHARES) if not origin else (TUNING, TUNED)
-    shares = {**shares, "sampler": shares["sampler"] * narrowed(config.sampler)}
-    return TrainingTask(method, networks, losses, budgets, peak, shares, origin=origin, aside=aside)
+    max_lr, multipliers = (
+        (FINETUNING_LR, FINETUNING_MULTIPLIERS) if origin else (MAX_LR, LR_MULTIPLIERS)
+    )
+    sampler_multiplier = multipliers["sampler"] * width_multiplier(config.sampler)
+    multipliers = {**multipliers, "sampler": sampler_multiplier}
+    return TrainingTask(
+        method,
+        networks,
+        losses,
+        budgets,
+        max_lr,
+        multipliers,
+        origin=origin,
+        auxiliary_network=auxiliary,
+    )
 
 
-def narrowed(widths: tuple[int, ...]) -> float:
-    """What the rate of a sampler that is wider than that of `ours` is multiplied by.
+def width_multiplier(widths: tuple[int, ...]) -> float:
+    """Factor on the learning rate of a sampler that is wider than that of `ours`.
 
-    Steps of Adam move the output of a layer by as much at any width where the rate falls with the
-    width (Yang et al. 2021, table 3). At the full rate a sampler 16 times as wide ends as stripes.
+    A step of Adam changes a layer's output equally at any width if the rate falls with the width
+    (Yang et al. 2021, table 3). At the full rate the map of a sampler 16 times as wide collapses to
+    stripes.
     """
     return min(1.0, BASE.sampler[0] / widths[0]) if widths else 1.0

@@ -1,71 +1,80 @@
-"""The table of variants: one frozen Config each, one changed field for each question."""
+"""The table of variants: one frozen Config a row, one changed field for each question."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from rlbench.ops.unet import BASE as NORMAL
-from rlbench.ops.unet import FAST, Widths
+from rlbench.ops.unet import BASE_WIDTHS as NORMAL
+from rlbench.ops.unet import FAST_WIDTHS, UNetWidths
 
-DOUBLE = Widths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
-SLOTS = 8  # individual samples that the encoder sees, per pixel
-SAMPLES = {"single": 3 * SLOTS, "mean": 3, "mean and count": 4}  # channels
+__all__ = ["BASE", "SLOTS", "VARIANTS", "Config"]
 
-Remembered = Literal["state", "samples", "nothing"]
-Light = Literal["gathered", "frame", "none"]
-Density = Literal["exponential", "linear"]
+DOUBLE = UNetWidths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
+SLOTS = 8  # samples per pixel that the encoder can read one by one
+
+EncodingName = Literal["single", "mean", "mean and count"]
+HistoryMode = Literal["state", "samples", "nothing"]
+Accumulation = Literal["temporal", "frame", "none"]
+DensityName = Literal["exponential", "linear"]
 
 
 @dataclass(frozen=True)
 class Config:
-    """What makes a variant. Channel counts follow from these (methods/ours/networks.py)."""
+    """The settings of a variant, stored as JSON in model cards and results.
 
-    samples: str = "single"  # how it sees them: a key of SAMPLES
-    latent: int = 32  # channels of the state
-    remembers: Remembered = "state"  # what of a frame the next one gets; samples: the sampler alone
-    light: Light = "gathered"  # colour that the denoiser begins from: over frames, or one frame's
-    sampler: tuple[int, ...] = (4, 8, 16, 32)  # widths of the sampler's levels; empty: uniform
-    density: Density = "exponential"  # of its action, in [-1, 1]
-    encoder: tuple[int, ...] = (64,)  # widths of its hidden layers; empty: no encoder
-    kernel: int = 3  # side of the encoder's kernels
-    denoiser: Widths = NORMAL
-    bptt: int = 1  # frames through which gradients flow
-    decibels: bool = True  # is the logarithm of the loss learned from?
-    learner: str = "ppo-pixel+surrogate"  # how the sampler learns (methods/ours/policy)
-    flat: bool = False  # is the sampler's map ignored?
-    antilag: bool = True  # is light forgotten where new samples contradict it?
+    `methods.ours.method.assemble` turns them into parts, `methods.ours.networks` into channels.
+    """
 
-    @property
-    def gathers(self) -> bool:
-        """Is light remembered from frame to frame?"""
-        return self.light == "gathered"
+    sample_encoding: EncodingName = "single"  # how samples enter the encoder
+    latent: int = 32  # channels of the recurrent state
+    history_mode: HistoryMode = "state"  # recurrent input: latent, last samples (sampler only)
+    accumulation: Accumulation = "temporal"  # radiance that the denoiser reads beside the state
+    sampler: tuple[int, ...] = (4, 8, 16, 32)  # channels of the sampler's levels; empty: uniform
+    density: DensityName = "exponential"  # density as a function of the action in [-1, 1]
+    encoder: tuple[int, ...] = (64,)  # channels of the hidden layers; empty: no encoder
+    encoder_kernel: int = 3  # pixels, side of the encoder's kernels
+    denoiser: UNetWidths = NORMAL
+    bptt: int = 1  # frames that gradients flow back through (truncated backpropagation)
+    log_loss: bool = True  # train on the logarithm of the loss?
+    learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
+    ignore_density: bool = False  # sample uniformly in place of the sampler's density?
+    antilag: bool = True  # reduce history where new samples contradict it?
 
     @property
-    def training(self) -> Config:
-        """The same, as it trains: its clips switch no light, and nothing is forgotten."""
+    def accumulates(self) -> bool:
+        """Does the variant accumulate radiance over frames?"""
+        return self.accumulation == "temporal"
+
+    @property
+    def for_training(self) -> Config:
+        """The same variant without antilag: no light is switched in training clips."""
         return replace(self, antilag=False)
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    # the denoiser reads the state alone
-    "paper": replace(BASE, light="none", density="linear", decibels=False, learner="ppo-pixel"),
-    "A1": replace(BASE, learner="surrogate"),  # a gradient's approximation in place of learning
-    "A2": replace(BASE, sampler=()),  # is planning worth its time?
-    "ppo": replace(BASE, learner="ppo-pixel"),  # is trial and error enough?
-    "B1": replace(BASE, encoder=(), remembers="samples", light="frame"),  # no state
-    "B2": replace(BASE, encoder=(), remembers="nothing", light="frame"),  # and no feedback
-    "C": replace(BASE, samples="mean"),  # samples averaged before the encoder
-    "C+count": replace(BASE, samples="mean and count"),
-    "small": replace(BASE, sampler=(1, 2), kernel=1, denoiser=FAST),
-    "flat": replace(BASE, flat=True),  # what does the map give, all else equal?
-    "lag": replace(BASE, antilag=False),  # what if light is never forgotten?
-    "sampler-small": replace(BASE, sampler=(1, 2)),
-    "sampler-large": replace(BASE, sampler=(64, 128, 256, 512, 1024)),
-    "encoder-small": replace(BASE, kernel=1),
-    "encoder-large": replace(BASE, encoder=(64, 64, 64)),
-    "denoiser-small": replace(BASE, denoiser=FAST),
-    "denoiser-large": replace(BASE, denoiser=DOUBLE),
+    # does the paper's own recipe work? the denoiser reads the state alone
+    "paper": replace(
+        BASE, accumulation="none", density="linear", log_loss=False, learner="reinforce"
+    ),
+    "A1": replace(BASE, learner="surrogate"),  # is the surrogate gradient alone as good?
+    "A2": replace(BASE, sampler=()),  # is adaptive sampling worth its time?
+    "reinforce": replace(BASE, learner="reinforce"),  # is REINFORCE alone enough?
+    # does the recurrent state pay? the sampler still reads the last frame's samples
+    "B1": replace(BASE, encoder=(), history_mode="samples", accumulation="frame"),
+    # does any history pay?
+    "B2": replace(BASE, encoder=(), history_mode="nothing", accumulation="frame"),
+    "C": replace(BASE, sample_encoding="mean"),  # do individual samples pay?
+    "C+count": replace(BASE, sample_encoding="mean and count"),  # or is it their number?
+    "small": replace(BASE, sampler=(1, 2), encoder_kernel=1, denoiser=FAST_WIDTHS),  # three at once
+    "flat": replace(BASE, ignore_density=True),  # what does the density give, all else equal?
+    "lag": replace(BASE, antilag=False),  # what does antilag give?
+    "sampler-small": replace(BASE, sampler=(1, 2)),  # is one level enough?
+    "sampler-large": replace(BASE, sampler=(64, 128, 256, 512, 1024)),  # does a full U-Net pay?
+    "encoder-small": replace(BASE, encoder_kernel=1),  # does the encoder need neighbours?
+    "encoder-large": replace(BASE, encoder=(64, 64, 64)),  # do two more layers pay?
+    "denoiser-small": replace(BASE, denoiser=FAST_WIDTHS),  # is OIDN's fast network enough?
+    "denoiser-large": replace(BASE, denoiser=DOUBLE),  # does twice the width pay?
 }

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import pandas as pd
 
-from rlbench.benchmark.results import FOLD, TableError
+from rlbench.benchmark.results import HELD_OUT_PREFIX, TableError
 
-CELL = ["method", "scene", "spp"]
+CELL = ["method", "scene", "target_spp"]
 SHOT = ["scene", "clip", "frame"]  # by which methods are paired
 TIMES = ["plan_ms", "plan_p95_ms", "denoise_ms", "denoise_p95_ms"]
-VERSION = ["dtype", "code", "weights"]  # of one method, these have one value in one report
+VERSION = [
+    "dtype",
+    "code_hash",
+    "weights_hash",
+]  # of one method, these have one value in one report
 
 
 class ReportError(TableError):
@@ -43,9 +47,9 @@ def check(table: pd.DataFrame) -> None:
                 " which share no pixel; measure each into a folder of its own (rlbench run --out)"
             )
     # in a cross-validation each scene has weights of its own
-    apart = known["scene"].where(known["weights"].str.startswith(FOLD), "")
+    apart = known["scene"].where(known["weights_hash"].str.startswith(HELD_OUT_PREFIX), "")
     for column in VERSION:
-        alike = [known["method"], apart] if column == "weights" else [known["method"]]
+        alike = [known["method"], apart] if column == "weights_hash" else [known["method"]]
         for _, rows in known.groupby(alike):
             found = sorted(set(rows[column]))
             if len(found) > 1:
@@ -97,11 +101,11 @@ def incomplete_groups(table: pd.DataFrame, metric: str) -> list[str]:
     counts = _counts(_every_shot(table, metric))
     short = counts[counts["frames"] < counts["asked"]]
     lines = [
-        f"{row.method} on {row.scene} at {row.spp:g} spp: {metric} of {row.frames} frames, "
+        f"{row.method} on {row.scene} at {row.target_spp:g} spp: {metric} of {row.frames} frames, "
         f"others have {row.asked}"
         for row in short.itertuples()
     ]
-    for (method, spp), cells in counts.groupby(["method", "spp"]):
+    for (method, spp), cells in counts.groupby(["method", "target_spp"]):
         if absent := sorted(set(counts["scene"]) - set(cells["scene"])):
             lines.append(f"{method} at {spp:g} spp: no {metric} on {', '.join(absent)}")
     return lines
@@ -121,12 +125,12 @@ def scene_means(table: pd.DataFrame, metric: str) -> pd.DataFrame:
 def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     """One row a method, scene and budget: score, realised budget, and each part of its frame time.
 
-    Columns method, scene, spp, value, spp_realised, plan_ms, plan_p95_ms, denoise_ms,
-    denoise_p95_ms, sample_ms, sampling_ms, total_ms, where
-    total = plan + denoise + spp_realised * sample. What was not measured is nan.
+    Columns method, scene, spp, value, mean_spp, plan_ms, plan_p95_ms, denoise_ms,
+    denoise_p95_ms, sample_ms, sampling_ms, frame_ms, where
+    total = plan + denoise + mean_spp * sample. What was not measured is nan.
     """
     scored = table[(table["metric"] == metric) & table["value"].notna()]
-    realised = scored.groupby(CELL)["spp_realised"].mean().reset_index()
+    realised = scored.groupby(CELL)["mean_spp"].mean().reset_index()
     found = scene_means(table, metric).merge(realised, on=CELL, how="left")
     timed = table[table["metric"].isin(TIMES)]
     parts = timed.pivot_table("value", CELL, "metric").reindex(columns=TIMES).reset_index()
@@ -135,8 +139,8 @@ def points(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
     clips: pd.Series[float] = sampled.groupby(["method", "scene", "clip"])["value"].mean()
     cost = clips.groupby(["method", "scene"]).mean().rename("sample_ms").reset_index()
     found = found.merge(parts, on=CELL, how="left").merge(cost, on=["method", "scene"], how="left")
-    found["sampling_ms"] = found["spp_realised"] * found["sample_ms"]
-    found["total_ms"] = found["plan_ms"] + found["denoise_ms"] + found["sampling_ms"]
+    found["sampling_ms"] = found["mean_spp"] * found["sample_ms"]
+    found["frame_ms"] = found["plan_ms"] + found["denoise_ms"] + found["sampling_ms"]
     return found
 
 
@@ -146,8 +150,8 @@ def overall(per_scene: pd.DataFrame) -> pd.DataFrame:
     A time that a scene lacks has no mean.
     """
     scenes = per_scene["scene"].nunique()
-    groups = per_scene.groupby(["method", "spp"])
-    numbers = per_scene.select_dtypes("number").columns.drop("spp")
+    groups = per_scene.groupby(["method", "target_spp"])
+    numbers = per_scene.select_dtypes("number").columns.drop("target_spp")
     means = groups[list(numbers)].agg(_whole_mean).reset_index()
     whole = groups["scene"].nunique().to_numpy() == scenes
     return pd.DataFrame(means[whole].reset_index(drop=True))
@@ -159,7 +163,7 @@ def _whole_mean(part: pd.Series[float]) -> float:
 
 def pareto_front(times: pd.Series, values: pd.Series, better: str) -> list[int]:
     """Positions that no other beats in both time and value, by rising time."""
-    sign = -1 if better == "low" else 1
+    sign = -1 if better == "lower" else 1
     order = sorted(range(len(times)), key=lambda i: (times.iloc[i], -sign * values.iloc[i]))
     kept: list[int] = []
     for i in order:
@@ -174,7 +178,7 @@ def reasons(table: pd.DataFrame) -> list[str]:
     lines = []
     for (method, note), rows in holes.groupby(["method", "note"], sort=True):
         where = ", ".join(sorted({name for name in rows["scene"] if name})) or "any scene"
-        budgets = ", ".join(f"{spp:g}" for spp in sorted(set(rows["spp"].dropna())))
+        budgets = ", ".join(f"{spp:g}" for spp in sorted(set(rows["target_spp"].dropna())))
         what = ", ".join(sorted(set(rows["metric"])))
         lines.append(f"{method} on {where} at {budgets or 'any'} spp ({what}): {note}")
     return lines

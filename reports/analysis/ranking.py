@@ -11,7 +11,7 @@ from reports.analysis.intervals import DRAWS, interval, paired
 
 EVERY = "all"  # the scene column of means over every scene
 COLUMNS = (
-    "metric", "scene", "spp", "method", "mean", "difference", "low", "high", "best", "tie",
+    "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best", "tie",
     "clips", "frames",
 )  # fmt: skip
 
@@ -23,23 +23,23 @@ def ranking(table: pd.DataFrame, metric: str, seed: int = 0, draws: int = DRAWS)
     `high` its interval (nan with one scene and clip), `tie` whether that holds zero. Nothing is
     best where the metric has no better end. For "all", methods that lack a scene are left out.
     """
-    better = aggregate.column_text(table, metric, "better")
+    better = aggregate.column_text(table, metric, "direction")
     every = aggregate.per_frame_scores(table, metric)
-    whole = aggregate.overall(aggregate.scene_means(table, metric))[["method", "spp"]]
-    parts = [(EVERY, every.merge(whole, on=["method", "spp"]))]
+    whole = aggregate.overall(aggregate.scene_means(table, metric))[["method", "target_spp"]]
+    parts = [(EVERY, every.merge(whole, on=["method", "target_spp"]))]
     parts += [(str(scene), rows) for scene, rows in every.groupby("scene")]
     made = []
     for scene, rows in parts:
-        for spp, methods in rows.groupby("spp"):
+        for spp, methods in rows.groupby("target_spp"):
             ranked = _rank(methods, better, seed, draws)
-            made += [{"metric": metric, "scene": scene, "spp": spp, **row} for row in ranked]
+            made += [{"metric": metric, "scene": scene, "target_spp": spp, **row} for row in ranked]
     return pd.DataFrame(made, columns=list(COLUMNS))
 
 
 def _rank(rows: pd.DataFrame, better: str, seed: int, draws: int) -> list[dict[str, object]]:
     shots = {str(method): part for method, part in rows.groupby("method")}
     means = {method: _mean(part) for method, part in shots.items()}
-    sign = {"high": 1, "low": -1}.get(better, 0)
+    sign = {"higher": 1, "lower": -1}.get(better, 0)
     best = max(means, key=lambda method: sign * means[method]) if sign else ""
     ranked = []
     for method, part in shots.items():

@@ -23,7 +23,7 @@ def differences_to(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) 
     name but for the number; a side with fewer than two trainings at a budget is left out.
     """
     made = []
-    for (words, spp), part in means.groupby([means["method"].map(_words), "spp"]):
+    for (words, spp), part in means.groupby([means["method"].map(_words), "target_spp"]):
         trained = dict(list(part.groupby(part["method"].map(method_names.row))["value"]))
         ours = trained.pop(base, pd.Series(dtype=float))
         for row, theirs in trained.items():
@@ -32,14 +32,14 @@ def differences_to(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) 
                 made.append(
                     {
                         "series": f"{row}@{words}",
-                        "spp": spp,
+                        "target_spp": spp,
                         "difference": theirs.mean() - ours.mean(),
                         "difference_low": low,
                         "difference_high": high,
                     }
                 )
     return pd.DataFrame(
-        made, columns=["series", "spp", "difference", "difference_low", "difference_high"]
+        made, columns=["series", "target_spp", "difference", "difference_low", "difference_high"]
     )
 
 

@@ -14,7 +14,7 @@ FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has 
 METRIC = "psnr"
 PAIR = ("scene", "clip", "frame", "seed")  # at one budget
 COLUMNS = (
-    "method", "spp", "difference", "low", "high", "total_ms", "pairs", "alone", "units",
+    "method", "target_spp", "difference", "low", "high", "frame_ms", "pairs", "alone", "units",
 )  # fmt: skip
 
 
@@ -61,15 +61,15 @@ def differences(
     """A row for each variant and budget: its PSNR and frame time less those of the default.
 
     Pairs have scene, clip, frame, budget and seed in common; `low` and `high` are the interval (nan
-    with one clip). `total_ms` is the difference of the means over the scenes that both have; nan
+    with one clip). `frame_ms` is the difference of the means over the scenes that both have; nan
     where either has no time.
     """
     rows = scored(table)
-    parts = {key: part for key, part in rows.groupby(["method", "spp"])}
+    parts = {key: part for key, part in rows.groupby(["method", "target_spp"])}
     times = aggregate.points(table, METRIC)
     made = []
     for method in families_with_scores(table)[family]:
-        for spp in sorted(set(rows["spp"])):
+        for spp in sorted(set(rows["target_spp"])):
             if (method, spp) not in parts or (family, spp) not in parts:
                 continue
             pairs = paired(parts[method, spp], parts[family, spp], PAIR)
@@ -77,11 +77,11 @@ def differences(
             made.append(
                 {
                     "method": method,
-                    "spp": spp,
+                    "target_spp": spp,
                     "difference": gap.mean,
                     "low": gap.low,
                     "high": gap.high,
-                    "total_ms": _slower(times[times["spp"] == spp], method, family),
+                    "frame_ms": _slower(times[times["target_spp"] == spp], method, family),
                     "pairs": len(pairs),
                     "alone": len(parts[method, spp]) + len(parts[family, spp]) - 2 * len(pairs),
                     "units": gap.units,
@@ -109,6 +109,6 @@ def _told(config: dict[str, object], key: str) -> str:
 def _slower(times: pd.DataFrame, method: str, other: str) -> float:
     """Frame time of one less that of the other, ms, mean over the scenes that both have."""
     one, two = (
-        times[times["method"] == name].set_index("scene")["total_ms"] for name in (method, other)
+        times[times["method"] == name].set_index("scene")["frame_ms"] for name in (method, other)
     )
     return float((one - two).mean())

@@ -33,7 +33,7 @@ def write(
         pages += [f"## {section.device or 'Device not named'}\n"]
         pages += [*map(markdown, section.grids), _lists(section.lists)]
         floats += [f"% {section.device}\n", *map(latex, section.grids)]
-    pages += [f"Runs: {', '.join(sorted(set(table['run'])))}\n"]
+    pages += [f"Runs: {', '.join(sorted(set(table['run_id'])))}\n"]
     records = [section.records.assign(device=section.device) for section in sections]
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{kind}" for kind in ("md", "csv", "tex")]

@@ -33,8 +33,8 @@ class Axis:
 
 
 AXES = {
-    "spp": Axis("spp", "samples per pixel", doubling=True),
-    "time": Axis("total_ms", "whole frame time [ms]"),
+    "spp": Axis("target_spp", "samples per pixel", doubling=True),
+    "time": Axis("frame_ms", "whole frame time [ms]"),
 }
 
 
@@ -107,7 +107,7 @@ def _curves(
 ) -> None:
     ends = []
     for method, curve in points.groupby("method"):
-        look, curve = looks[str(method)], curve.sort_values("spp")
+        look, curve = looks[str(method)], curve.sort_values("target_spp")
         x, y = curve[axis.column], curve["value"]
         axes.plot(
             x, y, c=look.color, ls=look.dash, lw=1.6, marker=look.marker, ms=_size(look),
@@ -122,7 +122,7 @@ def _points(
 ) -> None:
     ends = []
     for method, curve in points.groupby("method"):
-        look, curve = looks[str(method)], curve.sort_values("spp")
+        look, curve = looks[str(method)], curve.sort_values("target_spp")
         x, y = curve[axis.column], curve["value"]
         axes.plot(x, y, c=look.color, ls=":", lw=1.4, zorder=2)
         axes.plot(

@@ -41,7 +41,7 @@ def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
     room = 1.25 + 0.17 * lines + 0.27 * math.ceil((len(looks) + 1) / columns)
     figure = Figure(figsize=(WIDTH, HEIGHT + room))
     panels = _panels(figure, scenes, room / (HEIGHT + room))
-    sizes = _sizes(plotted["spp"])
+    sizes = _sizes(plotted["target_spp"])
     for scene, axes in panels.items():
         points = plotted[plotted["scene"] == scene]
         _scale(axes, points, texts["better"])
@@ -76,8 +76,8 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
     A method that falls out of that window is named, with its range, at the lower edge.
     """
     low, high = points["value"].min(), points["value"].max()
-    bottom = max(low, high - WINDOW) if better == "high" else low
-    seen = points[points["value"] >= bottom]["total_ms"]
+    bottom = max(low, high - WINDOW) if better == "higher" else low
+    seen = points[points["value"] >= bottom]["frame_ms"]
     left, right = seen.min(), seen.max()
     if left > 0 and right / left > LOG_FROM:
         axes.set_xscale("log")
@@ -87,7 +87,7 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
         axes.set_xlim(left / (right / left) ** 0.06, right * (right / left) ** 0.06)
     else:
         axes.set_xlim(left - 0.06 * (right - left or 1), right + 0.06 * (right - left or 1))
-    if better == "low" and low > 0 and high / low > LOG_FROM:
+    if better == "lower" and low > 0 and high / low > LOG_FROM:
         axes.set_yscale("log")
         axes.set_ylim(low / 1.3, high * 1.3)
         return
@@ -98,10 +98,10 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
 
 def _beaten(axes: Axes, best: pd.DataFrame, better: str) -> None:
     """Grey over all that is slower and worse than some point of the front."""
-    best = best.sort_values("total_ms")
-    times = [*best["total_ms"], axes.get_xlim()[1]]
+    best = best.sort_values("frame_ms")
+    times = [*best["frame_ms"], axes.get_xlim()[1]]
     values = [*best["value"], best["value"].iloc[-1]]
-    worst = axes.get_ylim()[1 if better == "low" else 0]
+    worst = axes.get_ylim()[1 if better == "lower" else 0]
     axes.fill_between(times, values, worst, step="post", color=BEATEN, lw=0, zorder=0.5)
 
 
@@ -109,10 +109,10 @@ def _panel(
     axes: Axes, points: pd.DataFrame, looks: dict[str, style.LineStyle], sizes: dict[float, float]
 ) -> None:
     for method, curve in points.groupby("method"):
-        look, curve = looks[str(method)], curve.sort_values("spp")
-        axes.plot(curve["total_ms"], curve["value"], c=look.color, ls=look.dash, lw=1.8, zorder=2)
+        look, curve = looks[str(method)], curve.sort_values("target_spp")
+        axes.plot(curve["frame_ms"], curve["value"], c=look.color, ls=look.dash, lw=1.8, zorder=2)
         axes.scatter(
-            curve["total_ms"], curve["value"], s=[sizes[spp] for spp in curve["spp"]], zorder=3,
+            curve["frame_ms"], curve["value"], s=curve["target_spp"].map(sizes).tolist(), zorder=3,
             color=look.face, marker=look.marker, edgecolors=look.edge, linewidths=look.rim,
         )  # fmt: skip
 

@@ -42,8 +42,8 @@ def wide(
     found: pd.DataFrame, show: Callable[[Mapping[Hashable, Any]], str]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and lines of a table with a line for each `method` and a column for each budget."""
-    budgets = sorted(set(found["spp"]))
-    cells = {(row["method"], row["spp"]): show(row) for row in found.to_dict("records")}
+    budgets = sorted(set(found["target_spp"]))
+    cells = {(row["method"], row["target_spp"]): show(row) for row in found.to_dict("records")}
     lines = [
         (method, *(cells.get((method, spp), "-") for spp in budgets))
         for method in sorted(set(found["method"]))

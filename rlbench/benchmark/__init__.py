@@ -1,1 +1,21 @@
-"""Measuring: the run plan, its runner, scores, latency, cost and the results table."""
+"""The benchmark: a run plan, its runner, scores, latency, cost and the results table.
+
+`measure` writes the rows of a plan into a results folder, `read_cells` returns them as a pandas
+DataFrame; cells that the folder holds already are not measured again::
+
+    from pathlib import Path
+
+    from rlbench.benchmark.clip_sources import StoredSource
+    from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.benchmark.runner import measure, read_cells
+    from rlbench.render.jobs.preset_clips import rendered
+
+    clips = tuple(StoredSource(folder) for folder in rendered(["city"], "mini"))
+    plan = RunPlan(("ours", "ntas"), clips, target_spp=(1.0, 4.0))
+    folder = Path("results")
+    measure(plan, folder, on_cell=lambda cell: print(cell.key))
+    rows = read_cells(plan, folder)
+    rows[rows["metric"] == "psnr"].groupby(["method", "target_spp"])["value"].mean()
+
+A number is a row; its columns are documented in `results.Row`.
+"""

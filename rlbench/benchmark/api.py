@@ -1,36 +1,38 @@
-"""Benchmark, render, list and report from Python, as the commands of the shell do.
+"""Score, render, list and report from Python, as the commands of the shell do.
 
-    >>> import rlbench
-    >>> scores = rlbench.run(["ours", "ntas"], spp=[1, 4], scenes=["city"])  # doctest: +SKIP
-    >>> scores.query("metric == 'psnr'").groupby(["method", "target_spp"])["value"].mean()
-    ... # doctest: +SKIP
+    import rlbench
+
+    scores = rlbench.run(["ours", "ntas"], spp=[1, 4], scenes=["city"])  # a pandas DataFrame
+    psnr = scores[scores["metric"] == "psnr"]
+    print(psnr.groupby(["method", "target_spp"])["value"].mean().unstack())
+    rlbench.report("pareto", out="figures")
 
 `run` stores results as it goes: a second call measures only what is missing or has changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
 
 from rlbench import registry
-from rlbench.benchmark import cost, results
+from rlbench.benchmark import cost as costs
+from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
-from rlbench.benchmark.listing import list_installed
-from rlbench.benchmark.run_plan import SPP, Cell, RunPlan
-from rlbench.benchmark.runner import measure
+from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
+from rlbench.benchmark.runner import CellCallback, measure, read_cells
 from rlbench.clips.stored import find_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
-from rlbench.render.jobs.preset_clips import render_preset
+from rlbench.render.jobs.preset_clips import render_preset_clips
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["list_installed", "plan_run", "render", "report", "run", "select_clips"]
+__all__ = ["render_clips", "report", "run", "select_clips", "select_device"]
 
 RESULTS = Path("results")
 
@@ -38,50 +40,133 @@ RESULTS = Path("results")
 def run(
     methods: Iterable[str] = ("all",),
     *,
-    spp: Iterable[float] = SPP,
+    spp: Iterable[float] = DEFAULT_SPP,
     scenes: Iterable[str] = (),
     preset: str = "mini",
     takes: str | None = None,
-    clips: Iterable[Path | str] = (),
+    clips: Iterable[Path | str] | None = None,
     pool: str = "stored",
     seeds: Iterable[int] = (0,),
-    device: torch.device | str = "auto",
-    cost: str = cost.MEASURED,
+    device: str = "auto",
+    cost: str = costs.MEASURED,
     weights: Path | str | None = None,
     weights_label: str = "",
     bf16: bool = False,
-    first_frames: int | None = None,
+    limit_frames: int | None = None,
     out: Path | str = RESULTS,
     executor: Executor = LOCAL,
-    on_cell: Callable[[Cell], None] = lambda cell: None,
+    on_cell: CellCallback = lambda cell: None,
 ) -> pd.DataFrame:
-    """Score and time methods on clips; the rows that belong to this call, one number a row.
+    """Score and time methods on clips; returns the rows of this call, one number a row.
 
-    `methods` are names such as `ours`, `ours/A1`, `oidn/*` or `all`. `spp` are budgets in samples
-    per pixel. Clips are those of a `preset`, limited to `scenes`, or those in the folders `clips`;
-    missing clips of a preset are rendered first. `weights` is a file, or `"random"`; rows are then
-    named `METHOD@weights_label`. `cost` is `measured`, a profile, or a TOML file. Results are kept
-    in the folder `out`, and cells that are there already are not measured again.
+    `methods` are names and patterns such as `ours`, `ours/A1`, `oidn/*` or `all`; `spp` are budgets
+    in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and `takes`
+    ("main", "all"), and are rendered where they are missing; or those in the folders `clips`.
+    `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
+    takes the shipped weights. `cost` is "measured", the name of a cost profile, or a TOML file.
+    Results are kept in the folder `out`; cells that it holds already are not measured again.
+    `on_cell` is called with each finished cell.
 
-    Raises RlbenchError for names, budgets, files and devices that cannot be used.
+    Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    plan = plan_run(
-        methods,
-        spp=spp,
-        scenes=scenes,
-        preset=preset,
-        takes=takes,
-        clips=clips,
-        pool=pool,
-        seeds=seeds,
-        device=device,
+    names = tuple(registry.expand(methods))
+    pool_kinds = {registry.get_variant(name).traits.pool for name in names}
+    plan = RunPlan(
+        methods=names,
+        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
+        target_spp=tuple(float(budget) for budget in spp),
+        seeds=tuple(seeds),
+        device=select_device(device),
         cost=cost,
-        weights=weights,
+        weights=None if weights is None else str(weights),
         weights_label=weights_label,
         bf16=bf16,
-        first_frames=first_frames,
-        executor=executor,
+        limit_frames=limit_frames,
     )
-    out = Path(out)
-    measure(plan, out, on_cell, executor)
-    return results.rows_of(results.read(out), plan)
+    measure(plan, Path(out), on_cell, executor)
+    return read_cells(plan, Path(out))
+
+
+def render_clips(
+    preset: str = "mini",
+    *,
+    scenes: Iterable[str] = (),
+    takes: str | None = None,
+    seeds: Iterable[int] | None = None,
+    executor: Executor = LOCAL,
+) -> list[Path]:
+    """Render the missing clips of a preset; returns the folders of all requested clips.
+
+    `seeds` are those of generated scenes (presets `train` and `unseen`). Open a folder with
+    `rlbench.open_clip`. Raises RlbenchError for an unknown preset, scene or take.
+    """
+    chosen = None if seeds is None else tuple(seeds)
+    return render_preset_clips(list(scenes), preset, seeds=chosen, takes=takes, executor=executor)
+
+
+def report(
+    name: str,
+    rows: pd.DataFrame | None = None,
+    *,
+    folder: Path | str = RESULTS,
+    out: Path | str | None = None,
+) -> list[Path]:
+    """Write a report, such as "summary" or "pareto"; returns the files.
+
+    `rows` are results as `run` returns them; by default all rows in the results `folder` are read.
+    Files go to the folder `out`, by default `report` in the results folder. Raises RlbenchError for
+    an unknown report and for rows that it cannot use.
+    """
+    table = results.read(Path(folder)) if rows is None else rows
+    write = registry.load_or_explain("reports", name)
+    return list(write(table, Path(folder) / "report" if out is None else Path(out)))
+
+
+def select_clips(
+    clips: Iterable[Path | str] | None,
+    scenes: Iterable[str] = (),
+    preset: str = "mini",
+    takes: str | None = None,
+    pool: str = "stored",
+    pool_kinds: Collection[str] | None = None,
+    executor: Executor = LOCAL,
+) -> tuple[StoredSource, ...]:
+    """The clips in the folders `clips`, or those of a preset, rendered where they are missing.
+
+    `scenes` selects by the name of a scene or a clip. Samples are those that are "stored", or come
+    from a "live" path tracer. Only the preset's pools of the given kinds are rendered; None renders
+    all. Raises RlbenchError where a selection is empty or contradictory.
+    """
+    selected = list(scenes)
+    if pool not in POOLS:
+        raise OptionError(f"no pool '{pool}'; available: {', '.join(POOLS)}")
+    if clips is None:
+        folders = render_preset_clips(
+            selected, preset, executor=executor, pool_kinds=pool_kinds, takes=takes
+        )
+        return tuple(open_source(folder, pool) for folder in folders)
+    if takes is not None:
+        raise OptionError(
+            "--takes applies to preset scenes only. With --clips, select clips by name: "
+            "--scenes NAME"
+        )
+    sources = [open_source(path, pool) for folder in clips for path in find_clips(Path(folder))]
+    names = {source: {source.header.scene, source.header.name} for source in sources}
+    available = sorted(set().union(*names.values()))
+    if unknown := [name for name in selected if name not in available]:
+        raise OptionError(
+            f"the clips show no scene {', '.join(unknown)}; available: {', '.join(available)}"
+        )
+    return tuple(source for source in sources if not selected or names[source] & set(selected))
+
+
+def select_device(name: str = "auto") -> torch.device:
+    """The device of that name; "auto" is CUDA where it is available. Raises OptionError."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise OptionError(f"device {name} cannot be used on this machine: {error}") from error
+    return device

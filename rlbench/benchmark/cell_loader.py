@@ -1,4 +1,4 @@
-"""Cells made ready to run: methods built once for all of them, and clips opened for each."""
+"""Loading cells: each method is built once for all cells, and a clip is opened for each."""
 
 from __future__ import annotations
 
@@ -6,42 +6,45 @@ from dataclasses import dataclass, field
 
 from rlbench import registry
 from rlbench.benchmark.clip_sources import FirstFrames
-from rlbench.benchmark.run_plan import Cell, RunPlan
+from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod
+from rlbench.benchmark.run_plan import RunPlan
 from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.wrappers import HalfPrecision
 
+__all__ = ["CellLoader"]
+
 
 @dataclass(frozen=True)
 class CellLoader:
-    """Methods and clips of a request."""
+    """Methods and clips of a run plan."""
 
-    request: RunPlan
-    _built: dict[str, Method | Exception] = field(default_factory=dict, repr=False, compare=False)
+    plan: RunPlan
+    _methods: dict[str, Method | Exception] = field(default_factory=dict, repr=False, compare=False)
 
-    def unusable(self, cell: Cell) -> str | None:
-        """Why a cell cannot be run, as far as it is known before, or None."""
-        return incompatibility(cell.clip.header, registry.variant(cell.method).traits, cell.spp)
+    def incompatibility(self, cell: ResolvedCell) -> str | None:
+        """Why a cell cannot run, as far as its clip and traits say, or None."""
+        return incompatibility(cell.header, cell.traits, cell.target_spp)
 
-    def method(self, cell: Cell) -> Method:
-        """The cell's method. Raises what building it raised, be it the first time or not."""
-        name = cell.method
-        if name not in self._built:
+    def method(self, cell: ResolvedCell) -> Method:
+        """The cell's method. Raises what building it raised, the first time and every time."""
+        name = cell.method.name
+        if name not in self._methods:
             try:
-                built = registry.method(name, self.request.device, self.request.weights)
+                self._methods[name] = self._build(cell.method)
             except Exception as error:  # missing weights or packages: a reason for each cell
-                self._built[name] = error
-            else:
-                halved = self.request.runs_in_bf16(name)
-                self._built[name] = HalfPrecision(built, self.request.device) if halved else built
-        found = self._built[name]
-        if isinstance(found, Exception):
-            raise found
-        return found
+                self._methods[name] = error
+        method = self._methods[name]
+        if isinstance(method, Exception):
+            raise method
+        return method
 
-    def clip(self, cell: Cell) -> Clip:
-        """The cell's clip, as far as it is asked for and its method can use it."""
-        traits = registry.variant(cell.method).traits
-        clip = cell.clip.open(traits, cell.spp, cell.seed, self.request.device)
-        return FirstFrames(clip, self.request.frames) if self.request.frames else clip
+    def clip(self, cell: ResolvedCell) -> Clip:
+        """The cell's clip, with the frames of the plan and the data that the method can use."""
+        clip = cell.clip.open(cell.traits, cell.target_spp, cell.seed, self.plan.device)
+        return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
+
+    def _build(self, resolved: ResolvedMethod) -> Method:
+        method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
+        return HalfPrecision(method, self.plan.device) if resolved.bf16 else method

@@ -1,4 +1,4 @@
-"""Where a clip of the benchmark comes from: what it holds, and how it is opened for one method."""
+"""Sources of clips: a header, a content hash, and how the clip is opened for one method."""
 
 from __future__ import annotations
 
@@ -16,29 +16,39 @@ import torch
 from rlbench.clips.stored import Header, open_clip, read_header
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Size
-from rlbench.render.jobs.live_pool import open_live, scene_of
+from rlbench.render.jobs.live_pool import open_live_clip, scene_of_folder
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import code_hash, provenance
 
-POOLS = ("stored", "live")  # samples read from the clip's files, or traced when they are bought
+__all__ = [
+    "POOLS",
+    "FirstFrames",
+    "LiveSource",
+    "Source",
+    "StoredSource",
+    "max_samples_needed",
+    "open_source",
+]
+
+POOLS = ("stored", "live")  # samples read from the clip's files, or traced when drawn
 
 
 class Source(Protocol):
-    """A clip that can be opened once for each cell, with what the cell's method declared."""
+    """A clip that each cell opens with the traits of its method."""
 
     @property
     def header(self) -> Header:
-        """What the clip says of itself."""
+        """The clip's metadata."""
 
     def content(self, pool: str) -> str:
-        """Hash of its content, with the samples of one pool, or none where it lacks that pool."""
+        """Hash of the clip with the samples of one pool; without samples if it has no such pool."""
 
     @property
     def cost_key(self) -> str:
-        """What the time of buying a sample depends on, empty if on nothing of the clip."""
+        """What the time to fetch a sample depends on; empty if it is the same for all clips."""
 
-    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip, of which nothing is read that the method cannot use at this budget."""
+    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip; data that the method cannot use at this budget are not read."""
 
 
 @dataclass(frozen=True)
@@ -46,56 +56,59 @@ class StoredSource:
     """A clip folder, format v1."""
 
     folder: Path
-    _known: dict[str, str] = field(default_factory=dict, compare=False, repr=False)  # by pool
+    _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)  # by pool
 
     @cached_property
     def header(self) -> Header:
-        """What clip.toml says."""
+        """The content of clip.toml."""
         return read_header(self.folder)
 
     def content(self, pool: str) -> str:
-        """Hash of the folder's content with the samples of `pool`."""
-        if pool not in self._known:  # every cell asks, and each answer looks at every file
-            there = pool if pool in self.header.pools else self.header.pools[0]
-            found = open_clip(self.folder, inputs=frozenset(), max_samples=1, pool=there).digest
-            self._known[pool] = found if there == pool else f"{found} without {pool}"
-        return self._known[pool]
+        """Hash of the folder with the samples of `pool`."""
+        if pool not in self._digests:  # a digest reads every file, and every cell needs one
+            opened = pool if pool in self.header.pools else self.header.pools[0]
+            clip = open_clip(self.folder, inputs=frozenset(), max_samples=1, pool=opened)
+            missing = "" if opened == pool else f" without {pool}"
+            self._digests[pool] = f"{clip.digest}{missing}"
+        return self._digests[pool]
 
     @property
     def cost_key(self) -> str:
-        """Nothing: stored samples are handed out alike."""
+        """Empty: fetching stored samples takes as long for every clip."""
         return ""
 
-    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip with the buffers and the samples that `traits` can touch at `spp`."""
-        slots = max_samples_needed(traits, spp, self.header.pool_spp)
-        return open_clip(self.folder, traits.inputs, slots, traits.pool, seed, device)
+    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip with the buffers and samples that `traits` can use at `target_spp`."""
+        max_samples = max_samples_needed(traits, target_spp, self.header.pool_spp)
+        return open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
 
 
 @dataclass(frozen=True)
 class LiveSource(StoredSource):
-    """A clip folder whose samples are traced when they are bought."""
+    """A clip folder whose samples are traced when they are drawn."""
 
     def content(self, pool: str) -> str:
-        """Hash of the folder's content and of what traces: two machines' samples may differ."""
+        """Hash of the folder, tracer and machine: samples of two machines may differ."""
         tracer = f"{_tracer()} {select_variant()} {provenance.machine().name}"
         content = f"{super().content(pool)} live {tracer} {provenance.versions()['mitsuba']}"
         return sha256(content.encode()).hexdigest()[:32]
 
     @property
     def cost_key(self) -> str:
-        """The clip's name: each scene takes its own time to trace."""
+        """The clip's name: the time to trace a sample differs between scenes."""
         return self.header.name
 
-    def open(self, traits: Traits, spp: float, seed: int, device: torch.device) -> Clip:
-        """The clip with the buffers that `traits` reads; no stored sample is read."""
-        slots = max_samples_needed(traits, spp, self.header.pool_spp)
-        return open_live(open_clip(self.folder, traits.inputs, slots, traits.pool, seed, device))
+    def open(self, traits: Traits, target_spp: float, seed: int, device: torch.device) -> Clip:
+        """The clip with the buffers that `traits` declare; no stored sample is read."""
+        max_samples = max_samples_needed(traits, target_spp, self.header.pool_spp)
+        return open_live_clip(
+            open_clip(self.folder, traits.inputs, max_samples, traits.pool, seed, device)
+        )
 
 
 @dataclass(frozen=True)
 class FirstFrames:
-    """The first frames of a clip, as a clip."""
+    """A clip of the first frames of another clip."""
 
     clip: Clip
     frames: int
@@ -107,12 +120,12 @@ class FirstFrames:
 
     @property
     def scene(self) -> str:
-        """The scene that it shows."""
+        """The scene of the clip."""
         return self.clip.scene
 
     @property
     def size(self) -> Size:
-        """Clips in the batch and pixels of each."""
+        """Batch size, height and width."""
         return self.clip.size
 
     @property
@@ -136,17 +149,22 @@ def _tracer() -> str:
 
 
 def open_source(folder: Path, pool: str) -> StoredSource:
-    """A clip folder with the pool of that name, one of POOLS.
+    """The source of a clip folder with `pool` samples, one of POOLS.
 
-    Raises ClipError where a live pool is asked for and the clip's scene cannot be traced.
+    Raises ClipError for a live pool if the clip's scene cannot be traced.
     """
     if pool != "live":
         return StoredSource(folder)
-    scene_of(folder)
+    scene_of_folder(folder)
     return LiveSource(folder)
 
 
-def max_samples_needed(traits: Traits, spp: float, stored: int) -> int:
-    """Most samples of one pixel: up to the cap for a method that adapts, else ceil(spp)."""
-    most = stored if traits.max_samples is None else min(stored, traits.max_samples)
-    return most if traits.adaptive else min(most, max(1, traits.min_samples, math.ceil(spp)))
+def max_samples_needed(traits: Traits, target_spp: float, stored: int) -> int:
+    """Most samples of one pixel that a method can draw from `stored` ones.
+
+    Adaptive methods may draw up to their `max_samples` in one pixel, others ceil(target_spp).
+    """
+    limit = stored if traits.max_samples is None else min(stored, traits.max_samples)
+    if traits.adaptive:
+        return limit
+    return min(limit, max(1, traits.min_samples, math.ceil(target_spp)))

@@ -1,103 +1,109 @@
-"""Leave one scene out: train on all scenes but one, score on that one, for every scene in turn.
+"""Cross-validation: train on all scenes but one, score on that one, for each scene in turn.
 
-As Scardigli et al. 2023 evaluate. A training that is done is not done again, nor is a cell that is
-in the results, so that a cross-validation that was killed goes on where it was.
+The protocol of Scardigli et al. 2023. Finished trainings and measured cells are not repeated, so a
+killed cross-validation resumes where it stopped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rlbench import registry
-from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.resolve import resolve_method
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.runner import RunSummary, measure
-from rlbench.cli import console
+from rlbench.benchmark.runner import ProgressCallbacks, RunSummary, measure
 from rlbench.render.jobs import preset_clips
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.dataset import TrainingSplit
 from rlbench.training.runs import TrainingRuns
 
+__all__ = ["Fold", "crossval", "folds", "row_names", "variant_to_train"]
+
+ProgressBar = Callable[[RunPlan], AbstractContextManager[ProgressCallbacks]]
+
 
 @dataclass(frozen=True)
 class Fold:
-    """One scene held out: what is trained on without it, and its clips."""
+    """One held-out scene: the clips to train on without it, and its own clips."""
 
     scene: str
-    chosen: TrainingSplit
+    split: TrainingSplit
     clips: tuple[StoredSource, ...]
+
+
+def _no_progress_bar(plan: RunPlan) -> AbstractContextManager[ProgressCallbacks]:
+    return nullcontext(ProgressCallbacks())
 
 
 def crossval(
     folds: Sequence[Fold],
-    course: TrainingRuns,
-    request: RunPlan,
+    runs: TrainingRuns,
+    plan: RunPlan,
     results: Path,
-    tell: Callable[[str], None] = lambda words: None,
+    on_fold: Callable[[str], None] = lambda message: None,
+    progress_bar: ProgressBar = _no_progress_bar,
 ) -> RunSummary:
-    """Rows of every method of the request on each fold's scene, by weights that never saw it.
+    """Measure every method of `plan` on each fold's scene, with weights trained without it.
 
-    `request` says what is measured; its clips and weights are replaced. Methods that are trained
-    here are called `NAME@crossval` in the results, and their rows say which weights were used;
-    those that have nothing to train are measured as they are, under their own names.
+    The clips and weights of `plan` are replaced. Rows of methods that are trained here are called
+    `NAME@crossval`, and their `weights_hash` names the held-out scene; methods without anything to
+    train are measured under their own names. `on_fold` is called with a message before each method
+    of a fold; `progress_bar` opens a progress bar over the cells of one of these plans.
     """
-    whose = {name: variant_to_train(name) for name in request.methods}
-    course.check([name for name in whose.values() if name])
-    done = RunSummary()
-    for place, fold in enumerate(folds):
-        for name, teacher in whose.items():
-            tell(f"fold {place + 1} of {len(folds)}: {name} without {fold.scene}")
-            asked = replace(request, methods=(name,), clips=fold.clips)
-            if teacher:
-                weights = course.train(teacher, fold.chosen, fold.scene)
-                asked = replace(asked, weights=str(weights), held_out_scene=fold.scene)
-            with console.progress(asked) as bar:
-                more = measure(asked, results, bar.tell, on_timing=bar.timed)
-            done = replace(
-                done,
-                measured=done.measured + more.measured,
-                skipped=done.skipped + more.skipped,
-                cached=done.cached + more.cached,
-                replaced=done.replaced + more.replaced,
-            )
-    return done
+    trained = {name: variant_to_train(name) for name in plan.methods}
+    runs.check([name for name in trained.values() if name])
+    summary = RunSummary()
+    for index, fold in enumerate(folds, 1):
+        for name, variant in trained.items():
+            on_fold(f"fold {index} of {len(folds)}: {name} without {fold.scene}")
+            fold_plan = replace(plan, methods=(name,), clips=fold.clips)
+            if variant:
+                weights = runs.train(variant, fold.split, fold.scene)
+                fold_plan = replace(fold_plan, weights=str(weights), held_out_scene=fold.scene)
+            with progress_bar(fold_plan) as bar:
+                summary += measure(fold_plan, results, bar.on_cell, on_timing=bar.on_timing)
+    return summary
 
 
 def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold]:
-    """A fold for each scene of a preset, or of `scenes`; clips that are missing are rendered now.
+    """One fold for each of `scenes`, or for each scene of the preset; renders missing clips.
 
-    Those that are trained on have the sample pools that the methods `names` buy from. Raises
-    AskedError where the preset has no such scene.
+    Training clips have the sample pools that the methods `names` draw from. Raises OptionError if
+    the preset lacks one of the scenes.
     """
-    kinds = {registry.variant(name).traits.pool for name in names}
-    known = PRESETS[preset].scenes if preset in PRESETS else ()
+    pools = {registry.get_variant(name).traits.pool for name in names}
+    preset_scenes = PRESETS[preset].scenes if preset in PRESETS else ()
     return [
         Fold(
             scene,
-            dataset.holdout(scene, preset, kinds),
+            dataset.split_holdout(scene, preset, pools),
             tuple(
                 StoredSource(folder)
-                for folder in preset_clips.rendered([scene], preset, kinds=kinds)
+                for folder in preset_clips.render_preset_clips([scene], preset, pool_kinds=pools)
             ),
         )
-        for scene in scenes or known or ["any"]
+        for scene in scenes or preset_scenes or ["any"]
     ]
 
 
 def variant_to_train(name: str) -> str:
-    """The method whose training makes the weights of `name`: its own; empty if there is none."""
-    row = registry.variant(name)
+    """The method whose training makes the weights of `name`: often itself; empty if none."""
+    variant = registry.get_variant(name)
     family = name.partition("/")[0]
-    borrowed = f"{family}/{row.weights_from}" if row.weights_from else family
-    whose = name if row.weights_from is None else borrowed
-    return whose if registry.is_trainable(whose) else ""
+    source = f"{family}/{variant.weights_from}" if variant.weights_from else family
+    method = name if variant.weights_from is None else source
+    return method if registry.is_trainable(method) else ""
 
 
-def row_names(request: RunPlan) -> list[str]:
-    """What the methods of a request are called in the results of a cross-validation."""
-    names = CellIds(replace(request, held_out_scene="one"))
-    return [names.method(name) if variant_to_train(name) else name for name in request.methods]
+def row_names(plan: RunPlan) -> list[str]:
+    """Names of the rows of a cross-validation of `plan`."""
+    held_out = replace(plan, held_out_scene="any")
+    return [
+        resolve_method(held_out, name).row_name if variant_to_train(name) else name
+        for name in plan.methods
+    ]

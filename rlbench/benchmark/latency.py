@@ -1,7 +1,7 @@
-"""The only clock: what planning and denoising take, frame by frame, on this device.
+"""The only clock: time to plan and to denoise each frame on this device.
 
-A method never times itself. It goes through the same page as in the benchmark, on real states, and
-a stopwatch stands between it and the page. The device is drained on both sides of each reading.
+A method never times itself. It runs through the same page as in the benchmark, on real states,
+inside a wrapper with a stopwatch. The device is synchronized before and after each reading.
 """
 
 from __future__ import annotations
@@ -15,55 +15,61 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.family import Traits
-from rlbench.frames import Clip, GBuffer, Samples, Size
+from rlbench.frames import Clip, GBuffer, Samples
 from rlbench.method import Method, State
 from rlbench.run import run_clip
 from rlbench.system import provenance
+from rlbench.wrappers import MethodWrapper
 
-WARM_UP = 2  # frames run before the first that counts
-REPEATS = 10  # frames that count
+__all__ = ["REPEATS", "WARM_UP", "TimePercentiles", "Timing", "device_name", "time_method"]
+
+WARM_UP = 2  # frames before the first timed one
+REPEATS = 10  # timed frames
 
 
 @dataclass(frozen=True)
 class TimePercentiles:
-    """A time as what it is: a distribution. Milliseconds."""
+    """Percentiles of a time over frames, milliseconds."""
 
     p50: float
     p95: float
-    n: int
+    n: int  # frames
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of one frame through one method; a frame's passes are added up."""
+    """Times of one frame through one method; the passes of a frame are added up."""
 
     plan: TimePercentiles
-    buy: TimePercentiles  # to hand out stored samples, those of a pilot left out; charged to nobody
+    sample_fetch: TimePercentiles  # reading stored samples after the pilot; not part of frame_ms
     denoise: TimePercentiles
     inference: TimePercentiles  # plan + denoise of the same frame
-    clip: str  # whose frames were timed: clips of one size take as long, and are timed once
+    clip: str  # name of the timed clip; clips that take the same time are timed once
 
 
-def time_method(method: Method, clip: Clip, spp: float, repeats: int = REPEATS) -> Timing:
-    """Times per frame of `method` over `clip`, run again from its start until there are enough.
+def time_method(method: Method, clip: Clip, target_spp: float, repeats: int = REPEATS) -> Timing:
+    """Times per frame of `method`, over `repeats` frames after `WARM_UP` frames.
 
-    The first frames are warm-up and do not count. Buying is timed beside them: in a renderer it is
-    the path tracer's part, which the cost per sample stands for.
+    The clip restarts as often as needed. Fetching samples is timed separately: in a renderer the
+    path tracer takes its place, which the cost of a sample accounts for.
     """
     device = next(iter(clip)).pool.empty().counts.device
-    watch = TimedMethod(method, _Stopwatch(device))
-    runs = chain.from_iterable(run_clip(watch, clip, spp) for _ in repeat(None))
-    readings = []
-    for _ in islice(runs, WARM_UP + repeats):
-        readings.append(watch.clock.reading())
-    plan, buy, denoise = zip(*readings[WARM_UP:], strict=True)
-    both = [p + d for p, d in zip(plan, denoise, strict=True)]
-    return Timing(_spread(plan), _spread(buy), _spread(denoise), _spread(both), clip.name)
+    timed = TimedMethod(method, _Stopwatch(device))
+    frames = chain.from_iterable(run_clip(timed, clip, target_spp) for _ in repeat(None))
+    readings = [timed.clock.read_and_reset() for _ in islice(frames, WARM_UP + repeats)]
+    plan, fetch, denoise = zip(*readings[WARM_UP:], strict=True)
+    inference = [p + d for p, d in zip(plan, denoise, strict=True)]
+    return Timing(
+        plan=_percentiles(plan),
+        sample_fetch=_percentiles(fetch),
+        denoise=_percentiles(denoise),
+        inference=_percentiles(inference),
+        clip=clip.name,
+    )
 
 
 def device_name(device: torch.device) -> str:
-    """The model name of what runs a method, of a processor with its threads: a time needs both."""
+    """Model name of a device; of a processor with its threads, because times depend on both."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     if device.type == "cpu":
@@ -74,58 +80,48 @@ def device_name(device: torch.device) -> str:
 @dataclass
 class _Stopwatch:
     device: torch.device
-    left: float | None = None  # when the method last returned from plan
+    plan_end: float | None = None  # when the method last returned from plan
     plan: float = 0.0
-    buy: float = 0.0
+    sample_fetch: float = 0.0
     denoise: float = 0.0
 
-    def reading(self) -> tuple[float, float, float]:
-        """Milliseconds of plan, buy and denoise since the last reading."""
-        told = (self.plan, self.buy, self.denoise)
-        self.left, self.plan, self.buy, self.denoise = None, 0.0, 0.0, 0.0
-        return told
+    def read_and_reset(self) -> tuple[float, float, float]:
+        """Milliseconds of plan, sample fetch and denoise since the last reading."""
+        reading = (self.plan, self.sample_fetch, self.denoise)
+        self.plan_end, self.plan, self.sample_fetch, self.denoise = None, 0.0, 0.0, 0.0
+        return reading
 
     def enter(self) -> float:
-        """The time now; what went by since the last plan was spent buying."""
+        """The time now; the time since the last plan went into fetching samples."""
         now = _now(self.device)
-        if self.left is not None:
-            self.buy += now - self.left
-        self.left = None
+        if self.plan_end is not None:
+            self.sample_fetch += now - self.plan_end
+        self.plan_end = None
         return now
 
 
 @dataclass(frozen=True)
-class TimedMethod:
-    """The same method with a stopwatch between it and the page."""
+class TimedMethod(MethodWrapper[Method]):
+    """The same method with a stopwatch around `plan` and `denoise`."""
 
-    method: Method
     clock: _Stopwatch = field(compare=False)
 
-    @property
-    def traits(self) -> Traits:
-        """Those of the method."""
-        return self.method.traits
-
-    def start(self, size: Size) -> State:
-        """As the method's."""
-        return self.method.start(size)
-
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
-        """As the method's, timed."""
+        """The method's density, timed."""
         entered = self.clock.enter()
-        density = self.method.plan(gbuffer, samples, state)
-        self.clock.left = _now(self.clock.device)
-        self.clock.plan += self.clock.left - entered
+        density = super().plan(gbuffer, samples, state)
+        self.clock.plan_end = _now(self.clock.device)
+        self.clock.plan += self.clock.plan_end - entered
         return density
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """As the method's, timed."""
+        """The method's image and next state, timed."""
         entered = self.clock.enter()
-        shown = self.method.denoise(gbuffer, samples, state)
+        result = super().denoise(gbuffer, samples, state)
         self.clock.denoise += _now(self.clock.device) - entered
-        return shown
+        return result
 
 
 def _now(device: torch.device) -> float:
@@ -135,7 +131,7 @@ def _now(device: torch.device) -> float:
     return time.perf_counter() * 1e3
 
 
-def _spread(readings: Sequence[float]) -> TimePercentiles:
+def _percentiles(readings: Sequence[float]) -> TimePercentiles:
     ordered = torch.tensor(list(readings), dtype=torch.float64)
     p50, p95 = ordered.quantile(torch.tensor([0.5, 0.95], dtype=torch.float64)).tolist()
     return TimePercentiles(p50, p95, len(ordered))

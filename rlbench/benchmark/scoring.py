@@ -1,40 +1,131 @@
-"""Images to rows of the results table."""
+"""Rows of the results table from images and times; no other module makes rows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.benchmark.results import Row
+from rlbench.benchmark import latency
+from rlbench.benchmark.cost import Cost
+from rlbench.benchmark.latency import Timing
+from rlbench.benchmark.resolve import ResolvedCell
+from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.run import FrameResult
 
-
-def _with(before: FrameResult, images: Sequence[Tensor]) -> list[Tensor]:
-    """Image and halves of the reference, each with that of the frame before: [n 2 3 h w]."""
-    earlier = (before.image, before.frame.reference.half_a, before.frame.reference.half_b)
-    return [torch.stack(pair, 1) for pair in zip(earlier, images, strict=True)]
+__all__ = ["refusal_row", "row_template", "score_frame", "timing_rows"]
 
 
-def _row(
-    blank: Row, metric: str, value: float, unit: str, better: str, how: str, note: str = ""
-) -> Row:
-    """A number; one that is not finite is no number, and the note says so."""
-    if not math.isfinite(value):
-        note, value = note or f"the value is {value}", math.nan
-    return replace(
-        blank, metric=metric, value=value, unit=unit, better=better, convention=how, note=note
+def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
+    """A row of this cell, without a number."""
+    return Row(
+        run_id=run_id,
+        method=cell.method.row_name,
+        clip=cell.header.name,
+        scene=cell.header.scene,
+        target_spp=cell.target_spp,
+        mean_spp=math.nan,
+        frame=WHOLE_CLIP,
+        metric="",
+        value=math.nan,
+        seed=cell.seed,
+        preset=cell.header.preset,
+        device=cell.key.device,
+        dtype="bfloat16" if cell.method.bf16 else "float32",
+        code_hash=code_hash,
+        weights_hash=weights_hash,
     )
 
 
-def _check(method: str, image: Tensor, like: Tensor) -> None:
-    """Raise PluginError for an image that metrics would broadcast or round without a word."""
-    if image.shape != like.shape or image.dtype != like.dtype:
+def refusal_row(template: Row, reason: str) -> Row:
+    """The only row of a cell without numbers."""
+    return replace(template, metric="psnr", value=math.nan, note=reason)
+
+
+def score_frame(
+    template: Row,
+    metrics: Iterable[Any],  # as metrics.catalog.Metric
+    result: FrameResult,
+    previous: FrameResult | None,
+    header: Header,
+) -> Iterator[Row]:
+    """One row of each metric; temporal metrics need the `previous` frame.
+
+    Raises PluginError for an image of another shape or dtype than the reference.
+    """
+    images = _images(result)
+    _check_image(template.method, images[0], images[1])
+    mean_spp = float(result.samples.counts.double().mean())
+    frame = replace(template, frame=result.frame.index, mean_spp=mean_spp)
+    for generic in metrics:
+        metric = generic.at(*result.image.shape[-2:])  # as defined at this size
+        if metric.temporal and previous is None:
+            continue
+        scored = _paired(_images(previous), images) if metric.temporal and previous else images
+        undefined = metric.needs_reference_halves and "halves" in header.limitations
+        score = math.nan if undefined else float(metric.score(*scored)[0])
+        note = LIMITATIONS["halves"] if undefined else ""
+        if math.isnan(score) and not undefined:
+            note = f"the value is nan: {metric.convention}"
+        row = replace(frame, unit=metric.unit, direction=metric.direction)
+        yield _with_value(row, metric.name, score, metric.convention, note)
+
+
+def timing_rows(template: Row, timing: Timing, cost: Cost) -> list[Row]:
+    """Rows of a cell's times: of the method, of a sample, and of the whole frame.
+
+    `frame_ms` is plan p50 + denoise p50 + mean_spp x sample_ms; `template` has the mean_spp.
+    """
+    row = replace(template, unit="ms", direction="lower")
+    sampling = row.mean_spp * cost.sample_ms
+    frame = timing.plan.p50 + timing.denoise.p50 + sampling
+    reason = cost.note if math.isnan(cost.sample_ms) else ""
+    sums = f"plan p50 + denoise p50 + sampling; {cost.convention}"
+    return [
+        *_percentile_rows(row, timing),
+        _with_value(row, "sample_ms", cost.sample_ms, cost.convention, cost.note),
+        _with_value(row, "sampling_ms", sampling, cost.convention, reason),
+        _with_value(row, "frame_ms", frame, sums, reason),
+    ]
+
+
+def _percentile_rows(row: Row, timing: Timing) -> Iterator[Row]:
+    frames = f"{timing.inference.n} frames of {timing.clip} after {latency.WARM_UP} warm-up frames"
+    for name in ("plan", "denoise", "sample_fetch", "inference"):
+        time = getattr(timing, name)
+        excluded = "; not part of frame_ms" if name == "sample_fetch" else ""
+        yield _with_value(row, f"{name}_ms", time.p50, f"median of {frames}{excluded}")
+        yield _with_value(row, f"{name}_p95_ms", time.p95, f"p95 of {frames}{excluded}")
+
+
+def _with_value(row: Row, metric: str, value: float, convention: str, note: str = "") -> Row:
+    """The row with a number; a value that is not finite becomes nan with a note."""
+    if not math.isfinite(value):
+        note, value = note or f"the value is {value}", math.nan
+    return replace(row, metric=metric, value=value, convention=convention, note=note)
+
+
+def _images(result: FrameResult) -> list[Tensor]:
+    """The image and both halves of its reference."""
+    reference = result.frame.reference
+    return [result.image, reference.half_a, reference.half_b]
+
+
+def _paired(previous: Sequence[Tensor], images: Sequence[Tensor]) -> list[Tensor]:
+    """Each image with that of the previous frame: [n 2 3 h w]."""
+    return [torch.stack(pair, 1) for pair in zip(previous, images, strict=True)]
+
+
+def _check_image(method: str, image: Tensor, reference: Tensor) -> None:
+    """Raise PluginError for an image that metrics would silently broadcast or round."""
+    if image.shape != reference.shape or image.dtype != reference.dtype:
         raise registry.PluginError(
             f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "
-            f"wanted {like.dtype} {list(like.shape)}"
+            f"expected {reference.dtype} {list(reference.shape)}"
         )

@@ -1,7 +1,7 @@
-"""What cells take in time and samples cost: each taken once, when nothing else is running here.
+"""Times and costs that cells share, each measured once and while nothing else runs here.
 
-Where cells run one after another that is when the first of them asks. Where they run beside one
-another, `take` has to come before: on this machine, for it is this machine that rows are of.
+If cells run one after another, the first cell that needs a time measures it. If they run in
+parallel, `measure_all` has to come before them, on this machine, whose name the rows carry.
 """
 
 from __future__ import annotations
@@ -9,78 +9,83 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from rlbench import registry
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.cost import Cost, CostProfile
 from rlbench.benchmark.latency import Timing
-from rlbench.benchmark.run_plan import Cell
+from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.parallel.executor import Executor, ProgressCallback, Resources
 from rlbench.system import provenance
 
-Key = tuple[object, ...]
+__all__ = ["TimingCache"]
+
+TimingKey = tuple[object, ...]
 
 
 @dataclass(frozen=True)
 class TimingCache:
-    """Times and costs that are known by now."""
+    """Times of methods and costs of samples measured so far."""
 
-    ready: CellLoader
-    profile: CostProfile | None  # None where samples are charged by what this machine takes
-    _known: dict[Key, Timing] = field(default_factory=dict, repr=False)
+    loader: CellLoader
+    profile: CostProfile | None  # None: samples cost what they take on this machine
+    _timings: dict[TimingKey, Timing] = field(default_factory=dict, repr=False)
     _costs: dict[tuple[str, str], Cost] = field(default_factory=dict, repr=False)
 
-    def __call__(self, cell: Cell, tell: ProgressCallback) -> Timing:
-        """Times of a cell, taken now: work for an engine."""
-        return self._taken(cell, self.ready.method(cell), self.ready.clip(cell))
+    def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> Timing:
+        """Times of a cell, measured now: the work that `measure_all` hands to an executor."""
+        return self._measure(cell, self.loader.method(cell), self.loader.clip(cell))
 
     def measure_all(
         self,
-        todo: Iterable[Cell],
-        engine: Executor,
-        share: Resources,
-        timed: Callable[[Cell], None],
-    ) -> list[tuple[Cell, Exception]]:
-        """Take all that cells will ask for, one after another; the cells that raised an error.
+        cells: Iterable[ResolvedCell],
+        executor: Executor,
+        resources: Resources,
+        on_timing: Callable[[ResolvedCell], None],
+    ) -> list[tuple[ResolvedCell, Exception]]:
+        """Measure all times and costs of `cells`, one after another; the cells that failed.
 
-        Where one did, the next one whose time would be the same is asked. `timed` hears of each
-        cell that times were taken of.
+        Where one fails, the next cell with the same time is measured. `on_timing` is called with
+        each cell that was measured.
         """
-        able = [cell for cell in todo if not self.ready.unusable(cell)]
-        errors: list[tuple[Cell, Exception]] = []
-        waiting = able
+        runnable = [cell for cell in cells if not self.loader.incompatibility(cell)]
+        errors: list[tuple[ResolvedCell, Exception]] = []
+        waiting = runnable
         while waiting:
-            firsts = {self.key(cell): cell for cell in reversed(waiting)}
-            for outcome in engine.local_exclusive().map(self, list(firsts.values()), share):
+            firsts = list({self.key(cell): cell for cell in reversed(waiting)}.values())
+            for outcome in executor.local_exclusive().map(self, firsts, resources):
                 if outcome.error:
                     errors.append((outcome.job, outcome.error))
                 else:
-                    self._known[self.key(outcome.job)] = outcome.result()
-                timed(outcome.job)
-            asked = list(firsts.values())
-            waiting = [c for c in waiting if self.key(c) not in self._known and c not in asked]
-        for cell in able:
+                    self._timings[self.key(outcome.job)] = outcome.result()
+                on_timing(outcome.job)
+            waiting = [
+                cell
+                for cell in waiting
+                if self.key(cell) not in self._timings and cell not in firsts
+            ]
+        for cell in runnable:
             self.cost(cell)
         return errors
 
-    def key(self, cell: Cell) -> Key:
-        """What a time depends on: where nothing moves nothing is warped, which takes less."""
-        header = cell.clip.header
-        size, moves = (header.height, header.width), header.frames > 1 and not header.static
-        return cell.method, size, cell.spp, moves, header.pool_spp, cell.clip.cost_key
+    def key(self, cell: ResolvedCell) -> TimingKey:
+        """What a time depends on. Static clips are faster, because nothing is reprojected."""
+        header = cell.header
+        size, is_moving = (header.height, header.width), header.frames > 1 and not header.static
+        fetched = header.pool_spp, cell.clip.cost_key
+        return cell.method.name, size, cell.target_spp, is_moving, *fetched
 
-    def of(self, cell: Cell, method: Method, clip: Clip) -> Timing:
-        """Times of a method on an open clip, taken now unless they are known."""
+    def timing(self, cell: ResolvedCell, method: Method, clip: Clip) -> Timing:
+        """Times of a method on an open clip, measured now unless they are known."""
         key = self.key(cell)
-        if key not in self._known:
-            self._known[key] = self._taken(cell, method, clip)
-        return self._known[key]
+        if key not in self._timings:
+            self._timings[key] = self._measure(cell, method, clip)
+        return self._timings[key]
 
-    def cost(self, cell: Cell) -> Cost:
-        """What a sample of a cell's clip and pool costs, measured now unless it is known."""
-        header, pool = cell.clip.header, registry.variant(cell.method).traits.pool
+    def cost(self, cell: ResolvedCell) -> Cost:
+        """Cost of a sample of a cell's clip and pool, measured now unless it is known."""
+        header, pool = cell.header, cell.traits.pool
         key = (header.name, pool)
         if key not in self._costs:
             self._costs[key] = (
@@ -90,5 +95,5 @@ class TimingCache:
             )
         return self._costs[key]
 
-    def _taken(self, cell: Cell, method: Method, clip: Clip) -> Timing:
-        return latency.time_method(method, clip, cell.spp, self.ready.request.repeats)
+    def _measure(self, cell: ResolvedCell, method: Method, clip: Clip) -> Timing:
+        return latency.time_method(method, clip, cell.target_spp, self.loader.plan.repeats)

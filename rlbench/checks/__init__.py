@@ -1,1 +1,1 @@
-"""Checks of methods and of clips."""
+"""Checks: conformance of methods, and lint of clips."""

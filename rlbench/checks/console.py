@@ -1,40 +1,43 @@
-"""The tick list of a clip, on the terminal."""
+"""The tick list: one line per check on the terminal, printed as results arrive."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Iterable
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from rlbench.checks.finding import Finding, Verdict
+from rlbench.checks.result import CheckResult, Verdict
 
-if TYPE_CHECKING:
-    from rlbench.checks.lint.clip_arrays import ClipArrays
+__all__ = ["print_results"]
 
 MARKS = {
-    Verdict.PASS: "[green]pass[/green]",
-    Verdict.WARN: "[yellow]warn[/yellow]",
-    Verdict.FAIL: "[bold red]FAIL[/bold red]",
+    Verdict.PASSED: "[green]✓[/green]",
+    Verdict.WARNING: "[yellow]![/yellow]",
+    Verdict.FAILED: "[bold red]✗[/bold red]",
+    Verdict.SKIPPED: "[dim]-[/dim]",
 }
 
 
-def tick_list(footage: ClipArrays, findings: Sequence[Finding], console: Console) -> None:
-    """One line a check: verdict, name, what was found, and what would do."""
-    header = footage.header
-    seen = f"{len(footage)} of {header.frames} frames" if len(footage) < header.frames else ""
-    seen = seen or f"{header.frames} frames"
-    title = f"{header.name}: {header.width} x {header.height}, {seen}"
-    shown = Table(title=escape(title), title_justify="left", show_header=False, box=None)
-    for _ in range(3):
-        shown.add_column(overflow="fold")
-    for each in findings:
-        told = escape(each.found)
-        if each.remedy:
-            told += f"\n[bold]-> {escape(each.remedy)}[/bold]"
-        shown.add_row(MARKS[each.verdict], escape(each.check), told)
-    console.print(shown)
-    counts = [f"{sum(f.verdict is v for f in findings)} {v.value}" for v in Verdict]
-    console.print(", ".join(counts), highlight=False)
+def print_results(results: Iterable[CheckResult], console: Console, title: str = "") -> bool:
+    """Print a tick list and the number of results of each verdict.
+
+    A line holds the mark, the check, what was found, and after `->` how to fix it. Returns False if
+    a check failed.
+    """
+    if title:
+        console.print(f"[bold]{escape(title)}[/bold]", highlight=False, soft_wrap=True)
+    counts: Counter[Verdict] = Counter()
+    for result in results:
+        console.print(_format_line(result), highlight=False, soft_wrap=True)
+        counts[result.verdict] += 1
+    summary = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict)
+    console.print(f"  {summary}", highlight=False, soft_wrap=True)
+    return not counts[Verdict.FAILED]
+
+
+def _format_line(result: CheckResult) -> str:
+    found = f": {escape(result.found)}" if result.found else ""
+    remedy = f" [bold]-> {escape(result.remedy)}[/bold]" if result.remedy else ""
+    return f"  {MARKS[result.verdict]} {escape(result.check)}{found}{remedy}"

@@ -84,9 +84,10 @@ def list_(
       rlbench list methods --json
     """
     load_plugins(plugin, listed=True)
-    from rlbench.cli import console, listing
+    from rlbench.benchmark import listing
+    from rlbench.cli import console
 
-    found = listing.listed(kind)
+    found = listing.list_installed(kind)
     typer.echo(json.dumps(found, indent=1)) if as_json else console.listed(found)
 
 
@@ -115,7 +116,9 @@ def doctor(plugin: Plugins = None) -> None:
       rlbench doctor
     """
     load_plugins(plugin)
-    from rlbench.cli import console
-    from rlbench.cli.doctor import examine
+    from rich.console import Console
 
-    console.findings(examine())
+    from rlbench.checks.console import print_results
+    from rlbench.cli.doctor import inspect_machine
+
+    print_results(inspect_machine(), Console())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from rlbench.errors import OptionError
-from rlbench.render.jobs.preset_clips import rendered
+from rlbench.render.jobs.preset_clips import render_preset_clips
 
 if TYPE_CHECKING:
     import torch
@@ -71,7 +71,9 @@ def clips(
     if pool not in POOLS:
         raise OptionError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
     if own is None:
-        made = rendered(split(scenes or []), preset, engine=engine, kinds=kinds, takes=takes)
+        made = render_preset_clips(
+            split(scenes or []), preset, executor=engine, pool_kinds=kinds, takes=takes
+        )
         return tuple(open_source(folder, pool) for folder in made)
     if takes is not None:
         raise OptionError(
@@ -108,7 +110,7 @@ def minutes(number: float | None) -> float:
 
 def weights(text: str | None) -> tuple[str, str | None]:
     """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
-    from rlbench.benchmark.results import CROSSVAL, HALF
+    from rlbench.benchmark.row_name import RESERVED_LABELS
 
     if text is None or text == "random":
         return "", text
@@ -117,7 +119,7 @@ def weights(text: str | None) -> tuple[str, str | None]:
         called, file = "", text
     elif not re.fullmatch(r"[\w+-]+", called, re.ASCII):
         raise OptionError(f"--weights {text}: the name before = is of letters, digits, _, + and -")
-    elif (kind := called.partition("-")[0]) in (HALF, CROSSVAL):
+    elif (kind := called.partition("-")[0]) in RESERVED_LABELS:
         raise OptionError(
             f"--weights {text}: METHOD@{kind} is what rows of another kind are called"
         )

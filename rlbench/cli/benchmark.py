@@ -18,7 +18,7 @@ from rlbench.errors import OptionError, RlbenchError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rlbench.benchmark.regression import Baseline
+    from rlbench.benchmark.baseline import Baseline
 
 Results = Annotated[Path, typer.Option(help="folder of the results table")]
 
@@ -43,12 +43,12 @@ def rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.Dat
     Raises AskedError where a single name has none, and PluginError for one that is in neither.
     """
     from rlbench import registry
-    from rlbench.benchmark.results import AT, select_methods
+    from rlbench.benchmark.results import RowName, select_methods
 
     known = set(table["method"])  # of plugins too, which need not be here
-    exact = [name for name in methods if AT in name or name in known]
+    exact = [name for name in methods if RowName.parse(name).label or name in known]
     patterns = [name for name in methods if name not in exact]
-    wanted = exact + registry.expand(patterns, trained=False)  # what has rows had weights
+    wanted = exact + registry.expand(patterns, pretrained_only=False)  # what has rows had weights
     found = table[select_methods(table, wanted)]
     single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
     absent = [name for name in single if not select_methods(table, [name]).any()]
@@ -83,7 +83,7 @@ def run(
         typer.Option(help="NAME=FILE (rows METHOD@NAME), a file, or random; default the shipped"),
     ] = None,
     half: Annotated[
-        bool, typer.Option("--half", help="networks in bfloat16 (rows METHOD@half)")
+        bool, typer.Option("--half", help="networks in bfloat16 (rows METHOD@bf16)")
     ] = False,
     plugin: Plugins = None,
     limit_frames: Annotated[
@@ -119,28 +119,28 @@ def run(
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure
     from rlbench.cli import console
-    from rlbench.parallel.ray_executor import opened
+    from rlbench.parallel.ray_executor import open_executor
 
     names = arguments.methods(methods)
     called, weights = arguments.weights(weights)
-    if (half or weights) and not any(registry.variant(name).learned for name in names):
+    if (half or weights) and not any(registry.get_variant(name).learned for name in names):
         typer.echo("--half, --weights: no method that was asked for has networks", err=True)
-    kinds = {registry.variant(name).traits.pool for name in names}
-    with opened(engine, ray_address) as workers:
+    kinds = {registry.get_variant(name).traits.pool for name in names}
+    with open_executor(engine, ray_address) as workers:
         request = RunPlan(
             methods=names,
             clips=arguments.clips(clips, scenes, preset, pool, workers, kinds, takes),
-            spp=arguments.numbers("--spp", spp, float),
+            target_spp=arguments.numbers("--spp", spp, float),
             seeds=arguments.numbers("--seed", seed, int),
             device=arguments.device(device),
             cost=cost,
             weights=weights,
-            half=half,
+            bf16=half,
             weights_label=called,
-            frames=limit_frames,
+            limit_frames=limit_frames,
         )
         with console.progress(request) as bar:
-            done = measure(request, out, bar.tell, workers, bar.timed)
+            done = measure(request, out, bar.on_cell, workers, bar.on_timing)
     console.done(done, out)
     if not console.table(request, out):
         raise typer.Exit(1)
@@ -175,7 +175,7 @@ def report(
     failed: dict[str, list[str]] = {}  # by reason
     if wanted := arguments.split(methods or []):
         rows = benchmark.rows(rows, wanted, results)
-    for each in registry.names("reports") if name == "all" else [name]:
+    for each in registry.list_plugins("reports") if name == "all" else [name]:
         try:
             for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
                 typer.echo(file)
@@ -211,16 +211,17 @@ def regress(
     """
     from rlbench.benchmark import regression
     from rlbench.benchmark import results as table
+    from rlbench.benchmark.baseline import load_baseline
 
     wanted = arguments.split(only or [])
     if update and wanted:
         raise errors.OptionError("--update writes the whole baseline anew; run it without --only")
     rows = table.read(results)
     if update:
-        written = regression.update(rows, baseline)
+        written = regression.update_baseline(rows, baseline)
         typer.echo(f"{baseline}: {len(written.entries)} entries")
         return
-    known = regression.load(baseline)
+    known = load_baseline(baseline)
     if wanted:
         rows, known = benchmark.part(rows, known, wanted)
     outcome = regression.compare(rows, known, subset=bool(wanted))

@@ -79,7 +79,7 @@ def render(
 
       rlbench render --cap 64
 
-      rlbench render --views object,normal_behind
+      rlbench render --views object,normal_psr
 
       rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
 
@@ -91,10 +91,10 @@ def render(
 
       rlbench render --preset standard --retime
     """
-    from rlbench.parallel.ray_executor import opened
+    from rlbench.parallel.ray_executor import open_executor
 
     own = (camera, frames, size, exposure, define, out, tracer)
-    with opened(engine, ray_address) as workers:
+    with open_executor(engine, ray_address) as workers:
         if scene or any(own):
             for option, value in (
                 ("retime", retime),
@@ -108,7 +108,7 @@ def render(
             folders = [user_scene.own_scene(scene, given, preset, *own, workers)]
         else:
             chosen = arguments.seeds(seeds)
-            folders = preset_clips.rendered(
+            folders = preset_clips.render_preset_clips(
                 arguments.split(scenes or []),
                 preset,
                 cap,
@@ -145,7 +145,7 @@ def lint(
 
       rlbench lint my_renders/ --picture lint.png --frames 0
     """
-    from rlbench.checks.lint.run import lint as examine
+    from rlbench.checks.lint.run import lint_clips as examine
     from rlbench.clips.stored import find_clips
 
     folders = [folder for place in clips for folder in find_clips(place)]

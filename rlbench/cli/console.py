@@ -5,47 +5,40 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rlbench.benchmark import results
-from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.run_plan import Cell, RunPlan, cells
+from rlbench.benchmark import latency, results
+from rlbench.benchmark.resolve import ResolvedCell, resolve_cells, resolve_method
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.runner import ProgressCallbacks
 
 if TYPE_CHECKING:
     from rlbench.benchmark.runner import RunSummary
-    from rlbench.cli.doctor import Finding
 
 PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
 COLUMNS = {  # of `rlbench list`, in their order
     "methods": ("name", "question", "needs", "spp", "adapts", "weights"),
-    "metrics": ("name", "unit", "better", "convention"),
+    "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }
-
-
-class ProgressCallbacks(NamedTuple):
-    """What shows how far a run is."""
-
-    tell: Callable[[Cell], None]  # of a cell that is done
-    timed: Callable[[Cell], None]  # of one whose times were taken first
 
 
 @contextmanager
 def progress(request: RunPlan) -> Iterator[ProgressCallbacks]:
     """A bar over the cells of a request, on the error stream."""
     with _bar() as bar:
-        task = bar.add_task("measuring", total=len(cells(request)))
+        task = bar.add_task("measuring", total=len(resolve_cells(request)))
 
-        def tell(cell: Cell) -> None:
-            told = f"{cell.method} on {cell.clip.header.name}, {cell.spp:g} spp"
+        def tell(cell: ResolvedCell) -> None:
+            told = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
             bar.update(task, advance=1, description=told)
 
-        def timed(cell: Cell) -> None:
-            bar.update(task, description=f"timed {cell.method}, {cell.spp:g} spp")
+        def timed(cell: ResolvedCell) -> None:
+            bar.update(task, description=f"timed {cell.method.name}, {cell.target_spp:g} spp")
 
         yield ProgressCallbacks(tell, timed)
 
@@ -57,9 +50,8 @@ def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
         task = bar.add_task(name, total=frames)
 
         def tell(stands: Any, loss: float) -> None:
-            bar.update(
-                task, completed=stands.seen, description=f"{name}, {training_status(stands, loss)}"
-            )
+            status = f"{name}, {training_status(stands, loss)}"
+            bar.update(task, completed=stands.frames_seen, description=status)
 
         yield tell
 
@@ -67,8 +59,8 @@ def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
 def training_status(stands: Any, loss: float) -> str:
     """How a training goes: its loss, the last validation, frames a second."""
     told = [f"loss {loss:.4f}"]
-    told += [f"validation {stands.curve[-1][1]:.2f} dB"] if stands.curve else []
-    return ", ".join([*told, f"{stands.speed:.1f} frames/s"])
+    told += [f"validation {psnr:.2f} dB" for _, psnr in stands.validation_history[-1:]]
+    return ", ".join([*told, f"{stands.frames_per_second:.1f} frames/s"])
 
 
 def done(what: RunSummary, out: Path) -> None:
@@ -91,17 +83,16 @@ def table(request: RunPlan, out: Path, methods: Iterable[str] = ()) -> bool:
     """
     rows = results.read(out)
     names = [clip.header.name for clip in request.clips]
-    told = CellIds(request)
-    called = methods or [told.method(name) for name in request.methods]
+    called = methods or [resolve_method(request, name).row_name for name in request.methods]
     rows = rows[rows["method"].isin(called) & rows["clip"].isin(names)]
-    rows = rows[rows["spp"].isin(request.spp) & rows["seed"].isin(request.seeds)]
-    rows = rows[rows["device"] == told.device]
+    rows = rows[rows["target_spp"].isin(request.target_spp) & rows["seed"].isin(request.seeds)]
+    rows = rows[rows["device"] == latency.device_name(request.device)]
     shown = Table(title=f"mean over {len(names)} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
         shown.add_column(column, justify="left" if column == "method" else "right")
-    for (method, spp), group in rows.groupby(["method", "spp"]):
+    for (method, spp), group in rows.groupby(["method", "target_spp"]):
         means = group.groupby("metric")["value"].mean()
-        figures = [means.get(name) for name in ("psnr", "inference_ms", "total_ms")]
+        figures = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
         some = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
         of = f" ({some} of them)" if 0 < some < len(names) else ""
         shown.add_row(f"{method}{of}", f"{spp:g}", *(_figure(value) for value in figures))
@@ -135,15 +126,6 @@ def listed(found: dict[str, list[dict[str, Any]]]) -> None:
             if "broken" in row:
                 told = f"{row['name']} (from {row['from']}) is broken: {row['broken']}"
                 console.print(told, style="red", markup=False)
-
-
-def findings(found: Iterable[Finding]) -> None:
-    """What the doctor says, line by line as it is found."""
-    console = Console()
-    for each in found:
-        mark = "[green]ok  [/green]" if each.fine else "[yellow]note[/yellow]"
-        console.print(f"{mark} [bold]{each.topic}[/bold]", end="  ")
-        console.print(each.told, markup=False, highlight=False)
 
 
 def _bar() -> Progress:

@@ -1,4 +1,4 @@
-"""What this machine has and lacks, and what would help."""
+"""The checks of `rlbench doctor`: what is installed on this machine, and what would help."""
 
 from __future__ import annotations
 
@@ -8,123 +8,131 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from rlbench import registry
+from rlbench.checks.result import CheckResult, passed, warning
 from rlbench.clips.header import ClipError
 from rlbench.clips.stored import read_header
 from rlbench.system import paths, provenance
 
-EXTRAS = {  # extra: what it gives, and a module of each package in it
+MIN_FREE_GIB = 2  # of disk space, below which a warning is shown
+EXTRAS = {  # extra: what it adds, and a module of each of its packages
     "oidn": ("Intel's own Open Image Denoise beside our retrained network", ("pyoidn",)),
-    "train": ("reinforcement learning by ray's RLlib", ("ray", "gymnasium")),
-    "ray": ("many workers for render and run", ("ray",)),
+    "train": ("reinforcement learning with Ray RLlib", ("ray", "gymnasium")),
+    "ray": ("parallel workers for render and run", ("ray",)),
     "noisebase": ("clips of Noisebase", ("numcodecs",)),
-    "dev": ("what make test needs", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
+    "dev": ("tools for make test", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
 }
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at."""
-
-    topic: str
-    fine: bool
-    told: str  # what was found, and if it is not fine what would do
-
-
-def examine() -> Iterator[Finding]:
-    """Everything, one finding after the other; nothing is changed."""
-    looks: tuple[Callable[[], Iterator[Finding]], ...] = (
-        _versions,
-        _device,
-        _tracer,
-        _cycles,
-        _cache,
-        _plugins,
-        _extras,
+def inspect_machine() -> Iterator[CheckResult]:
+    """The result of every check of this machine, one after the other. Nothing is changed."""
+    checks: tuple[Callable[[], Iterator[CheckResult]], ...] = (
+        _check_versions,
+        _check_devices,
+        _check_path_tracer,
+        _check_cycles,
+        _check_clips,
+        _check_disk,
+        _check_plugins,
+        _check_extras,
     )
-    for look in looks:
-        yield from look()
+    for check in checks:
+        yield from check()
 
 
-def _versions() -> Iterator[Finding]:
-    yield Finding("python", True, f"{platform.python_version()} on {platform.platform()}")
+def _check_versions() -> Iterator[CheckResult]:
+    yield passed("python", f"{platform.python_version()} on {platform.platform()}")
     for package in ("rlbench", "torch", "mitsuba", "OpenEXR", "numpy", "pandas"):
         try:
-            yield Finding(package, True, importlib.metadata.version(package))
+            yield passed(package, importlib.metadata.version(package))
         except importlib.metadata.PackageNotFoundError:
-            yield Finding(package, False, "not installed; pip install -e .")
+            yield warning(package, "not installed", "pip install -e .")
 
 
-def _device() -> Iterator[Finding]:
+def _check_devices() -> Iterator[CheckResult]:
     import torch
 
     cores = f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads"
-    yield Finding("processor", True, f"{provenance.machine().cpu}, {cores}")
+    yield passed("processor", f"{provenance.machine().cpu}, {cores}")
     if torch.cuda.is_available():
-        yield Finding("cuda", True, provenance.machine().gpu)
+        yield passed("cuda", provenance.machine().gpu)
     else:
-        yield Finding("cuda", True, "no device; everything runs on the processor")
+        yield passed("cuda", "no device; everything runs on the processor")
 
 
-def _tracer() -> Iterator[Finding]:
+def _check_path_tracer() -> Iterator[CheckResult]:
     from rlbench.render.mitsuba import llvm
 
-    told = llvm.report()
-    yield Finding("path tracer", "scalar" not in told.splitlines()[0], told)
+    report = llvm.describe_variant().removeprefix("path tracer: ")
+    if "scalar" in report.splitlines()[0]:
+        found = report.removesuffix(llvm.INSTALL_HINT).rstrip()
+        yield warning("path tracer", found, llvm.INSTALL_HINT)
+    else:
+        yield passed("path tracer", report)
 
 
-def _cycles() -> Iterator[Finding]:
+def _check_cycles() -> Iterator[CheckResult]:
     from rlbench.render.cycles import process
 
-    version, python = process.installed(), process.interpreter()
+    version, python = process.bpy_version(), process.interpreter()
     if not version:
-        told = f"a second tracer for .blend, USD, glTF: no bpy in {python}; {process.INSTALL}"
-        yield Finding("extra cycles", True, told)
-    elif version != process.VERSION:
-        told = f"bpy {version} in {python}; rlbench was measured with {process.VERSION}"
-        yield Finding("extra cycles", False, told)
+        found = f"not installed in {python}; a second path tracer for .blend, USD and glTF"
+        yield passed("extra cycles", f"{found}: {process.INSTALL_HINT}")
+    elif version != process.TESTED_BPY_VERSION:
+        found = f"bpy {version} in {python}; rlbench was tested with {process.TESTED_BPY_VERSION}"
+        yield warning("extra cycles", found, f"pip install bpy=={process.TESTED_BPY_VERSION}")
     else:
-        yield Finding("extra cycles", True, f"bpy {version} in {python}")
+        yield passed("extra cycles", f"bpy {version} in {python}")
 
 
-def _cache() -> Iterator[Finding]:
-    whole, unfinished = [], []
-    for folder in sorted(paths.clips().glob("*/*/")):
+def _check_clips() -> Iterator[CheckResult]:
+    finished, unfinished = [], []
+    for folder in sorted(paths.clips_folder().glob("*/*/")):
         try:
-            whole.append(f"{folder.parent.name}/{read_header(folder).name}")
+            finished.append(f"{folder.parent.name}/{read_header(folder).name}")
         except ClipError:
             unfinished.append(f"{folder.parent.name}/{folder.name}")
-    told = f"{paths.clips()}: {len(whole)} clips"
+    found = f"{paths.clips_folder()}: {len(finished)} clips"
     if unfinished:
-        told += f"; unfinished, rlbench render resumes: {', '.join(unfinished)}"
-    yield Finding("clips", not unfinished, told)
-    there = next(p for p in (paths.cache(), *paths.cache().parents) if p.exists())
-    free = shutil.disk_usage(there).free / 2**30
-    told = f"{free:.1f} GiB free for {paths.cache()}, which holds {_gib(paths.cache()):.2f} GiB"
-    yield Finding("disk", free > 2, told + ("" if free > 2 else "; set RLBENCH_CACHE elsewhere"))
+        found += f"; unfinished: {', '.join(unfinished)}"
+        yield warning("clips", found, "rlbench render resumes unfinished clips")
+    else:
+        yield passed("clips", found)
 
 
-def _plugins() -> Iterator[Finding]:
+def _check_disk() -> Iterator[CheckResult]:
+    cache = paths.cache_folder()
+    existing = next(path for path in (cache, *cache.parents) if path.exists())
+    free = shutil.disk_usage(existing).free / 2**30
+    found = f"{free:.1f} GiB free for {cache}, which holds {_size_gib(cache):.2f} GiB"
+    if free > MIN_FREE_GIB:
+        yield passed("disk", found)
+    else:
+        yield warning("disk", found, "set RLBENCH_CACHE to a folder on a larger disk")
+
+
+def _check_plugins() -> Iterator[CheckResult]:
     for group in registry.GROUPS:
-        names = registry.names(group)
-        broken = {name: why for name in names if (why := registry.import_error(group, name))}
-        told = ", ".join(names) or "none"
-        told += "".join(f"; {name} is broken: {why}" for name, why in broken.items())
-        yield Finding(group, not broken, told)
-
-
-def _extras() -> Iterator[Finding]:
-    for extra, (gives, modules) in EXTRAS.items():
-        absent = [name for name in modules if importlib.util.find_spec(name) is None]
-        if absent:
-            hint = f"{gives}: without {', '.join(absent)}; pip install 'rlbench[{extra}]'"
-            yield Finding(f"extra {extra}", True, hint)
+        names = registry.list_plugins(group)
+        errors = {name: error for name in names if (error := registry.import_error(group, name))}
+        found = ", ".join(names) or "none"
+        found += "".join(f"; {name} cannot be imported: {why}" for name, why in errors.items())
+        if errors:
+            yield warning(group, found, f"correct or uninstall: {', '.join(errors)}")
         else:
-            yield Finding(f"extra {extra}", True, f"{gives}: installed")
+            yield passed(group, found)
 
 
-def _gib(folder: Path) -> float:
+def _check_extras() -> Iterator[CheckResult]:
+    for extra, (purpose, modules) in EXTRAS.items():
+        missing = [name for name in modules if importlib.util.find_spec(name) is None]
+        found = "installed"
+        if missing:
+            found = f"{', '.join(missing)} not installed: pip install 'rlbench[{extra}]'"
+        yield passed(f"extra {extra}", f"{purpose}; {found}")
+
+
+def _size_gib(folder: Path) -> float:
     return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 2**30

@@ -41,26 +41,26 @@ def images(
     """
     load_plugins(plugin)
     from rlbench import registry
-    from rlbench.benchmark.image_sheet import write
+    from rlbench.benchmark.frame_images import write_images
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
     names = arguments.methods(methods)
     called, weights = arguments.weights(weights)
-    kinds = {registry.variant(name).traits.pool for name in names}
+    kinds = {registry.get_variant(name).traits.pool for name in names}
     request = RunPlan(
         methods=names,
         clips=arguments.clips(clips, scenes, preset, kinds=kinds, takes=takes),
-        spp=arguments.numbers("--spp", spp, float),
+        target_spp=arguments.numbers("--spp", spp, float),
         seeds=(seed,),
         device=arguments.device(device),
         weights=weights,
         weights_label=called,
-        half=half,
+        bf16=half,
     )
     with console.progress(request) as bar:
-        sheets = list(write(request, frame, out, bar.tell))
+        sheets = list(write_images(request, frame, out, bar.on_cell))
     for sheet in sheets:
         typer.echo(sheet.file)
-        for method, why in sheet.without.items():
+        for method, why in sheet.missing.items():
             typer.echo(f"{sheet.file.name} is without {method}: {why}", err=True)

@@ -37,14 +37,14 @@ def import_(
       rlbench import my_renders/ --format oidn --out clips/ && rlbench run -m mean --clips clips/
     """
     from rlbench.clips.importers import formats, writer
-    from rlbench.clips.importers.sequence import span
+    from rlbench.clips.importers.sequence import parse_frame_range
 
-    found = formats.sequences(source, format_, span(frames) if frames else None)
+    found = formats.find_sequences(source, format_, parse_frame_range(frames) if frames else None)
     plans = [(each, writer.clip_header(each, samples, exposure), out / each.name) for each in found]
-    todo = [plan for plan in plans if not writer.finished(*plan)]
+    todo = [plan for plan in plans if not writer.is_finished(*plan)]
     with _bar(sum(header.frames for _, header, _ in todo)) as tell:
         for plan in todo:
-            writer.store(*plan, tell)
+            writer.write_clip(*plan, tell)
     for plan in plans:
         _tell(*plan[1:], news="imported" if plan in todo else "known before")
 

@@ -49,6 +49,6 @@ def check(
       rlbench check all
     """
     load_plugins(plugin, listed="all" in arguments.split(methods))
-    from rlbench.checks.conformance.run import check as examine
+    from rlbench.checks.conformance.run import check_methods as examine
 
     raise typer.Exit(0 if examine(arguments.split(methods), arguments.device(device)) else 1)

@@ -76,37 +76,44 @@ def train(
 
       rlbench train -m mine --plugin mine.py --range-test --frames 1200
 
-      rlbench train --replay runs/ours/halted-at-draw-71.safetensors
+      rlbench train --replay runs/ours/failed-sequence-71.safetensors
     """
     load_plugins(plugin)
     from rlbench import registry
+    from rlbench.cli import console
     from rlbench.training import dataset, logger, runs
 
     if replay is not None:
-        from rlbench.training.loop import replay as again
+        from rlbench.training import replay_sequence
 
-        found = again(replay, str(arguments.device(device)))
+        found = replay_sequence(replay, str(arguments.device(device)))
         typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
         return
     names = arguments.methods(methods, trained=False)
-    learning = runs.learners(names)
+    learning = runs.select_trainable(names)
     for name in set(names) - set(learning):
         typer.echo(f"{name} has nothing to train")
     plan = planned(frames, batch, crop, budget, half, norm, seed)
     command = shlex.join(["rlbench", *sys.argv[1:]])
     lessons = runs.TrainingRuns(
-        out, plan, str(arguments.device(device)), arguments.minutes(minutes), command, altered
+        out,
+        plan,
+        str(arguments.device(device)),
+        arguments.minutes(minutes),
+        command,
+        altered,
+        console.training,
     )
     lessons.check(learning)
-    kinds = {registry.variant(name).traits.pool for name in learning}
-    chosen = dataset.NONE
+    kinds = {registry.get_variant(name).traits.pool for name in learning}
+    chosen = dataset.EMPTY_SPLIT
     if learning:
-        chosen = dataset.chosen(preset, arguments.seeds(seeds), holdout, kinds)
-        typer.echo(logger.lacking(), err=True) if logger.lacking() else None
+        chosen = dataset.select_split(preset, arguments.seeds(seeds), holdout, kinds)
+        typer.echo(logger.tensorboard_hint(), err=True) if logger.tensorboard_hint() else None
     for name in learning:
         if range_test:
-            tried = lessons.range_test(name, chosen)
-            typer.echo(f"{name}: peak {tried.peak:.1e} proposed; see {tried.figure}")
+            tried = lessons.find_learning_rate(name, chosen)
+            typer.echo(f"{name}: peak {tried.suggested_lr:.1e} proposed; see {tried.figure}")
             continue
         folder = lessons.folder(name, holdout)
         if fresh and (old := runs.archive_run(folder)):
@@ -163,14 +170,22 @@ def crossval(
     names = arguments.methods(methods)
     plan = planned(frames, batch, crop, budget, half, norm, seed)
     where, command = arguments.device(device), shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = runs.TrainingRuns(out, plan, str(where), arguments.minutes(minutes), command, altered)
+    lessons = runs.TrainingRuns(
+        out,
+        plan,
+        str(where),
+        arguments.minutes(minutes),
+        command,
+        altered,
+        console.training,
+    )
     lessons.check([name for name in map(leaving.variant_to_train, names) if name])
     folds = leaving.folds(preset, arguments.split(scenes or []), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)
     budgets = arguments.numbers("--spp", spp, float)
-    request = RunPlan(names, clips, budgets, (seed,), where, cost, frames=limit_frames)
+    request = RunPlan(names, clips, budgets, (seed,), where, cost, limit_frames=limit_frames)
     results = out / "results"
-    done = leaving.crossval(folds, lessons, request, results, lambda words: typer.echo(words))
+    done = leaving.crossval(folds, lessons, request, results, typer.echo, console.progress)
     console.done(done, results)
     console.table(request, results, leaving.row_names(request))
 
@@ -181,4 +196,4 @@ def planned(
     """The plan that the options of a command ask for. Raises AskedError."""
     arguments.positive("--norm", norm)
     spp = () if budget == "any" else arguments.numbers("--budget", budget, float)
-    return TrainingConfig(frames, batch, crop, seed=seed, norm=norm, half=half, spp=spp)
+    return TrainingConfig(frames, batch, crop, seed=seed, max_grad_norm=norm, bf16=half, spp=spp)

@@ -34,8 +34,8 @@ def own_scene(
         )
     from rlbench.parallel.executor import LOCAL
     from rlbench.render.cycles.clip import ensure_cycles
-    from rlbench.render.presets import preset as preset_of
-    from rlbench.render.user.clip import UserSceneOptions, ensure_own
+    from rlbench.render.presets import get_preset as preset_of
+    from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
 
     if exposure is not None and not 0 < exposure < float("inf"):
         raise OptionError(f"--exposure takes a number above 0 and was given {exposure}")
@@ -53,7 +53,7 @@ def own_scene(
     )
     plan, tell = preset_of(preset), lambda words: typer.echo(words, err=True)
     if tracer_of(scene, tracer) == "mitsuba":
-        return ensure_own(wish, plan, tell, engine or LOCAL)
+        return ensure_user_clip(wish, plan, tell, engine or LOCAL)
     if engine not in (None, LOCAL):
         raise OptionError(
             "--engine ray does not render with Cycles, which uses all cores by itself"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rlbench import registry
-from rlbench.clips.header import EXTRAS, Header
+from rlbench.clips.header import OPTIONAL_BUFFERS, Header
 from rlbench.family import Traits
 
 __all__ = ["compatibility_summary", "incompatibility"]
@@ -12,9 +12,9 @@ __all__ = ["compatibility_summary", "incompatibility"]
 def compatibility_summary(header: Header) -> str:
     """The budgets and the methods that can be measured on a clip, and why other methods cannot."""
     runnable, reasons = [], []
-    for name in registry.names("methods"):
+    for name in registry.list_plugins("methods"):
         reason = registry.import_error("methods", name)
-        reason = reason or incompatibility(header, registry.variant(name).traits, 1.0)
+        reason = reason or incompatibility(header, registry.get_variant(name).traits, 1.0)
         reasons.append(f"{name} ({reason})") if reason else runnable.append(name)
     budget = header.pool_spp
     text = f"budgets up to {budget} spp can be measured with: {', '.join(runnable) or 'no method'}"
@@ -35,7 +35,7 @@ def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
     missing = traits.inputs - set(header.buffers) - ({"motion"} if header.static else set())
     if missing:
         buffers = ", ".join(header.buffers)
-        hint = "; render the clip with them" if missing <= EXTRAS.keys() else ""
+        hint = "; render the clip with them" if missing <= OPTIONAL_BUFFERS.keys() else ""
         return f"needs buffers {', '.join(sorted(missing))}, the clip has: {buffers}{hint}"
     if spp > header.pool_spp:
         return (
@@ -47,7 +47,10 @@ def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
 
 def _pool_hint(pool: str) -> str:
     """How to add a pool that a plugin traces, for the end of a message."""
-    if pool not in registry.names("pools") or not registry.load("pools", pool).factory:
+    if (
+        pool not in registry.list_plugins("pools")
+        or not registry.load_plugin("pools", pool).factory
+    ):
         return ""
     return (
         "; `rlbench render` adds it to clips of presets that have it, if Mitsuba can trace with "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlbench.clips.exr import read_exr
-from rlbench.clips.frame_files import channels, exr_path, not_finite
+from rlbench.clips.frame_files import channel_names, exr_path, nonfinite_mask
 from rlbench.clips.header import ClipError, Header
 from rlbench.system import code_hash, paths
 
@@ -46,12 +46,12 @@ class DecodeCache:
         if missing:
             decoded = decode_images(exr_path(self.folder, kind, index), missing, self.header)
             for name, array in decoded.items():
-                with paths.replacing(files[name]) as temporary, temporary.open("wb") as file:
+                with paths.atomic_write(files[name]) as temporary, temporary.open("wb") as file:
                     np.save(file, array)
         return {name: np.load(path, mmap_mode="r") for name, path in files.items()}
 
     def _cache_file(self, kind: str, index: int, name: str) -> Path:
-        folder = paths.decoded() / f"{self.digest}-{_decoder_hash()}" / kind
+        folder = paths.decoded_folder() / f"{self.digest}-{_decoder_hash()}" / kind
         return folder / f"{name}.{index:04d}.npy"
 
 
@@ -68,10 +68,10 @@ def decode_images(path: Path, names: Sequence[str], header: Header) -> Arrays:
     Raises ClipError where the file is missing, broken, of another size or holds values that are
     not finite; depth may be +inf, which is background.
     """
-    planes = iter(read_exr(path, channels(names), header.height, header.width))
-    arrays = {n: np.stack([next(planes) for _ in channels([n])]) for n in names}
+    planes = iter(read_exr(path, channel_names(names), header.height, header.width))
+    arrays = {n: np.stack([next(planes) for _ in channel_names([n])]) for n in names}
     for name, array in arrays.items():
-        if count := int(not_finite(name, array).sum()):
+        if count := int(nonfinite_mask(name, array).sum()):
             raise ClipError(
                 f"{path}: {count} of {array.size} values of {name} are not finite; "
                 "delete the file and run `rlbench render` to trace that frame again"

@@ -27,7 +27,7 @@ def clip_digest(folder: Path, header: Header, pool: str) -> str:
             path = exr_path(folder, kind, index)
             stamps[path.name] = _stamp(path, cached.get(path.name))
     if (merged := cached | stamps) != cached:
-        with paths.replacing(_stamps_file(folder)) as temporary:
+        with paths.atomic_write(_stamps_file(folder)) as temporary:
             temporary.write_text(json.dumps(merged))
     hashes = {name: stamp[2] for name, stamp in stamps.items()}
     content = json.dumps([header.digest_fields(pool), hashes])
@@ -48,7 +48,7 @@ def _stamp(path: Path, cached: Stamp | None) -> Stamp:
 def _stamps_file(folder: Path) -> Path:
     """The cache file with the stamps of a folder."""
     name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:32]
-    return paths.decoded() / "stamps" / f"{name}.json"
+    return paths.decoded_folder() / "stamps" / f"{name}.json"
 
 
 def _read_stamps(folder: Path) -> dict[str, Stamp]:

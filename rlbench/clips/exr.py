@@ -10,7 +10,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from rlbench.clips.header import ClipError, version_1_names
-from rlbench.system.paths import replacing
+from rlbench.system.paths import atomic_write
 
 TYPES: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
 
@@ -19,7 +19,7 @@ def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
     """Write [h w] arrays of float16 or float32 as a ZIP-compressed scan-line file, atomically."""
     layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     pixels = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    with replacing(path) as temporary, OpenEXR.File(layout, pixels) as file:
+    with atomic_write(path) as temporary, OpenEXR.File(layout, pixels) as file:
         file.write(str(temporary))
 
 
@@ -50,7 +50,7 @@ def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArr
     return np.stack(planes)
 
 
-def precision(path: Path, name: str) -> type[np.floating]:
+def channel_dtype(path: Path, name: str) -> type[np.floating]:
     """The type of channel `name` in a file, float16 or float32; no pixel is unpacked.
 
     Raises ClipError where the file is missing, broken, or has no such channel.

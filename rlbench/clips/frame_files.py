@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlbench.clips.exr import write_exr
-from rlbench.clips.header import VIEWS, ClipError, Header
+from rlbench.clips.header import BUFFER_CHANNELS, ClipError, Header
 
 __all__ = [
     "CHANNELS",
-    "channels",
+    "channel_names",
     "exr_path",
     "file_kinds",
     "has_frame",
-    "images",
-    "not_finite",
+    "image_names",
+    "nonfinite_mask",
     "write_frame",
     "write_pool",
 ]
@@ -49,17 +49,17 @@ def exr_path(folder: Path, kind: str, index: int) -> Path:
     return folder / f"{kind}.{index:04d}.exr"
 
 
-def channels(names: Iterable[str]) -> list[str]:
+def channel_names(names: Iterable[str]) -> list[str]:
     """The EXR channels of the named images of one file, in order.
 
-    >>> channels(["depth", "s1"])
+    >>> channel_names(["depth", "s1"])
     ['depth.Z', 's1.R', 's1.G', 's1.B']
     """
     rgb = CHANNELS["rgb"]
     return [c for n in names for c in CHANNELS.get(n, [f"{n}.{letter}" for letter in rgb])]
 
 
-def images(header: Header, kind: str) -> list[str]:
+def image_names(header: Header, kind: str) -> list[str]:
     """The names of the images that a file of one kind must hold."""
     if kind == "view":
         return list(header.buffers)
@@ -118,7 +118,7 @@ def write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> No
     name = f"pool.{pool}"
     if np.ndim(samples) != 4 or np.shape(samples)[-1] != 3:
         raise ClipError(f"frame {index}: {name} has shape {np.shape(samples)}, expected s h w 3")
-    if count := int(not_finite(name, samples).sum()):
+    if count := int(nonfinite_mask(name, samples).sum()):
         raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")
     _write_pool(folder, index, pool, samples)
 
@@ -136,7 +136,7 @@ def _write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> N
     write_exr(exr_path(folder, f"pool.{pool}", index), planes)
 
 
-def not_finite(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
+def nonfinite_mask(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
     """Mask of the values that no clip may hold: NaN and infinity, except +inf in depth buffers."""
     bad: NDArray[np.bool_] = ~np.isfinite(array)
     return np.logical_and(bad, ~np.isposinf(array)) if name.startswith("depth") else bad
@@ -145,7 +145,7 @@ def not_finite(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
 def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:
     """The planes [h w] of an image [h w c], by channel name."""
     planes = np.moveaxis(image, -1, 0).astype(precision)
-    return dict(zip(channels([name]), planes, strict=True))
+    return dict(zip(channel_names([name]), planes, strict=True))
 
 
 def _exceeds_half(samples: NDArray[Any]) -> bool:
@@ -162,17 +162,19 @@ def _check(
 ) -> None:
     """Raise ClipError for the first array with another shape or a value that is not finite."""
     if not gbuffer:
-        raise ClipError(f"frame {index}: no buffer; write at least one of {', '.join(VIEWS)}")
-    if unknown := sorted(set(gbuffer) - set(VIEWS)):
+        raise ClipError(
+            f"frame {index}: no buffer; write at least one of {', '.join(BUFFER_CHANNELS)}"
+        )
+    if unknown := sorted(set(gbuffer) - set(BUFFER_CHANNELS)):
         raise ClipError(
             f"frame {index}: unknown buffer {', '.join(unknown)}; the format has: "
-            f"{', '.join(VIEWS)}"
+            f"{', '.join(BUFFER_CHANNELS)}"
         )
-    arrays = {name: (image, (*size, VIEWS[name])) for name, image in gbuffer.items()}
+    arrays = {name: (image, (*size, BUFFER_CHANNELS[name])) for name, image in gbuffer.items()}
     arrays |= {f"pool.{k}": (p, (np.shape(p)[0], *size, 3)) for k, p in pools.items()}
     arrays |= {"referenceA": (half_a, (*size, 3)), "referenceB": (half_b, (*size, 3))}
     for name, (array, shape) in arrays.items():
         if np.shape(array) != shape:
             raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {shape}")
-        if count := int(not_finite(name, array).sum()):
+        if count := int(nonfinite_mask(name, array).sum()):
             raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")

@@ -13,11 +13,11 @@ from rlbench.errors import RlbenchError
 from rlbench.system.documents import decode, read_toml, write_toml
 
 __all__ = [
-    "EXTRAS",
+    "OPTIONAL_BUFFERS",
     "FILE",
     "LIMITATIONS",
     "VERSION",
-    "VIEWS",
+    "BUFFER_CHANNELS",
     "ClipError",
     "Header",
     "read_header",
@@ -29,21 +29,24 @@ VERSION = 2  # of the format that is written
 READABLE_VERSIONS = (1, 2)
 FILE = "clip.toml"
 STANDARD_BUFFERS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each
-EXTRAS = {  # channels of the buffers that only some clips have
+OPTIONAL_BUFFERS = {  # channels of the buffers that only some clips have
     "object": 1,
     "albedo_first": 3,
     "normal_psr": 3,
     "depth_psr": 1,
     "object_psr": 1,
 }
-VIEWS = STANDARD_BUFFERS | EXTRAS
+BUFFER_CHANNELS = STANDARD_BUFFERS | OPTIONAL_BUFFERS
 LIMITATIONS = {  # what an imported clip may not have, although the format requires it
     "halves": "referenceA and referenceB are one image, so the noise of the reference is unknown",
     "independence": "samples share their seeds with other frames or with the reference",
     "linear": "radiance was converted from display values and is clipped to [0, 1], "
     "and so are the means of samples",
     "first motion": "motion of the first frame is zero, because the frame before it is unknown",
-    **{name: f"{name} has another space, scale or range, or an unknown one" for name in VIEWS},
+    **{
+        name: f"{name} has another space, scale or range, or an unknown one"
+        for name in BUFFER_CHANNELS
+    },
 }
 RENAMED_FIELDS = {"lacks": "limitations"}  # version 1: today
 RENAMED_BUFFERS = {  # version 1: today
@@ -134,7 +137,7 @@ class Header:
         self._check_lengths()
         if not (self.buffers and self.pools):
             raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
-        self._check_words("buffers", VIEWS)
+        self._check_words("buffers", BUFFER_CHANNELS)
         self._check_words("limitations", LIMITATIONS)
         self._check_cuts()
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from rlbench.clips.decode_cache import DecodeCache, decode_images
 from rlbench.clips.digest import clip_digest
-from rlbench.clips.frame_files import exr_path, file_kinds, has_frame, images, write_frame
+from rlbench.clips.frame_files import exr_path, file_kinds, has_frame, image_names, write_frame
 from rlbench.clips.header import FILE, ClipError, Header, read_header, write_header
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import BUFFERS, Frame, GBuffer, Pool, Reference, Size, StoredPool
@@ -34,7 +34,7 @@ __all__ = [
     "write_header",
 ]
 
-ALL = frozenset(BUFFERS)
+DEFAULT_INPUTS = frozenset(BUFFERS)
 FULL_WINDOW = (slice(None), slice(None))
 
 
@@ -113,7 +113,7 @@ class StoredClip:
 
 def open_clip(
     folder: Path | str,
-    inputs: frozenset[str] = ALL,
+    inputs: frozenset[str] = DEFAULT_INPUTS,
     max_samples: int = 8,
     pool: str = "path",
     seed: int = 0,
@@ -175,7 +175,7 @@ def verify(folder: Path | str) -> list[str]:
     for kind in file_kinds(header.pools):
         for index in range(header.frames):
             try:
-                decode_images(exr_path(folder, kind, index), images(header, kind), header)
+                decode_images(exr_path(folder, kind, index), image_names(header, kind), header)
             except ClipError as error:
                 problems.append(str(error))
     return problems

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 __all__ = [
-    "EVEN",
+    "UNIFORM_WEIGHTS",
     "MS_SSIM_WEIGHTS",
     "l1",
     "l1_ms_ssim_loss",
@@ -23,7 +23,7 @@ __all__ = [
 WINDOW_SIZE, SIGMA = 11, 1.5  # Gaussian window of SSIM, pixels
 C1, C2 = 0.01**2, 0.03**2  # (K1 L)^2 and (K2 L)^2 at a data range L of 1
 MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # Wang et al. 2003, fine to coarse
-EVEN = (0.2, 0.2, 0.2, 0.2, 0.2)  # as OIDN trains its ray-tracing filter
+UNIFORM_WEIGHTS = (0.2, 0.2, 0.2, 0.2, 0.2)  # as OIDN trains its ray-tracing filter
 L1_WEIGHT = 0.16  # in l1_ms_ssim_loss: Zhao et al. 2017
 SMAPE_EPS = 1e-2  # as in OIDN's training toolkit
 LOG_LOSS_SCALE = 0.02  # the loss at which log_loss has slope 1

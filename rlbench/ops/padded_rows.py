@@ -46,17 +46,19 @@ class PaddedRows:
         """Elements from a pixel to another that is at most `margin` pixels away."""
         return down * self.pitch + right
 
-    def pack(self, image: Float[Tensor, "n c h w"], empty: float = 0.0) -> Float[Tensor, "c row"]:
+    def pack(self, image: Float[Tensor, "n c h w"], fill: float = 0.0) -> Float[Tensor, "c row"]:
         """Pack the images into a row, with a constant (the second argument) in the margins."""
         m = self.margin
-        return F.pad(image, (0, m, m, m), value=empty).transpose(0, 1).reshape(image.shape[1], -1)
+        return F.pad(image, (0, m, m, m), value=fill).transpose(0, 1).reshape(image.shape[1], -1)
 
     def unpack(self, row: Float[Tensor, "c row"]) -> Float[Tensor, "n c h w"]:
         """Unpack the images from a row; undoes `pack`."""
         images = row.view(row.shape[0], self.n, -1, self.pitch).transpose(0, 1)
         return images[:, :, self.margin : self.margin + self.h, : self.w]
 
-    def places(self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]) -> Int[Tensor, "n h w"]:
+    def pixel_index(
+        self, x: Float[Tensor, "n h w"], y: Float[Tensor, "n h w"]
+    ) -> Int[Tensor, "n h w"]:
         """Index in the row of the pixel at whole-numbered position (x, y) of each image.
 
         Positions outside the image give an empty element whose neighbours at a distance of one
@@ -67,7 +69,7 @@ class PaddedRows:
         line = first + y.clamp(-2, self.h + 1).long()
         return line * self.pitch + x.clamp(-2, self.w + 1).long()
 
-    def pieces(self, row: Tensor) -> Iterator[tuple[int, int]]:
+    def chunks(self, row: Tensor) -> Iterator[tuple[int, int]]:
         """Start and stop of slices that cover all pixels and stay `margin` pixels from the ends.
 
         One slice on a GPU; several on a CPU, so that each fits its cache.

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 __all__ = ["crop", "pad"]
 
 
-def pad(image: Float[Tensor, "n c h w"], to: int) -> Float[Tensor, "n c h2 w2"]:
+def pad(image: Float[Tensor, "n c h w"], multiple: int) -> Float[Tensor, "n c h2 w2"]:
     """The image, extended to the right and down so that both sides are multiples of a number.
 
     Border pixels are replicated. An image that already fits is returned unchanged.
@@ -19,7 +19,7 @@ def pad(image: Float[Tensor, "n c h w"], to: int) -> Float[Tensor, "n c h2 w2"]:
     torch.Size([1, 3, 16, 16])
     """
     h, w = image.shape[-2:]
-    right, down = -w % to, -h % to
+    right, down = -w % multiple, -h % multiple
     return F.pad(image, (0, right, 0, down), mode="replicate") if right or down else image
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["Tap", "atrous_taps", "box"]
+__all__ = ["Tap", "atrous_taps", "box_taps"]
 
 B3_SPLINE = (3 / 8, 1 / 4, 1 / 16)  # weight by distance from the centre, in steps
 
@@ -17,10 +17,10 @@ class Tap(NamedTuple):
     weight: float  # relative to a centre weight of 1
 
 
-def box(reach: int) -> list[Tap]:
+def box_taps(reach: int) -> list[Tap]:
     """Taps of a box filter of (2 reach + 1)^2 pixels, each of weight 1 like the centre.
 
-    >>> len(box(1))  # of 8 neighbours
+    >>> len(box_taps(1))  # of 8 neighbours
     4
     """
     return [Tap(*offset, 1.0) for offset in _half_plane(reach)]

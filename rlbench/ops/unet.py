@@ -13,12 +13,12 @@ from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_channels_last
 from rlbench.ops.upsample import UpsampleConcatConv
 
-__all__ = ["BASE", "FAST", "SMALL", "STRIDE", "UNet", "Widths"]
+__all__ = ["BASE_WIDTHS", "FAST_WIDTHS", "SMALL_WIDTHS", "STRIDE", "UNet", "UNetWidths"]
 
 STRIDE = 16  # both sides of the input must be multiples of this: four poolings
 
 
-class Widths(NamedTuple):
+class UNetWidths(NamedTuple):
     """Output channels of each convolution; a decoder level has two convolutions, `a` and `b`."""
 
     enc1: int  # enc_conv0 and enc_conv1, full resolution
@@ -32,9 +32,11 @@ class Widths(NamedTuple):
     dec1: tuple[int, int]  # full resolution
 
 
-BASE = Widths(32, 48, 64, 80, 96, (112, 112), (96, 96), (64, 64), (64, 32))  # OIDN "balanced"
-FAST = Widths(32, 32, 32, 32, 32, (64, 64), (64, 64), (64, 32), (32, 32))  # OIDN "fast"
-SMALL = Widths(
+BASE_WIDTHS = UNetWidths(
+    32, 48, 64, 80, 96, (112, 112), (96, 96), (64, 64), (64, 32)
+)  # OIDN "balanced"
+FAST_WIDTHS = UNetWidths(32, 32, 32, 32, 32, (64, 64), (64, 64), (64, 32), (32, 32))  # OIDN "fast"
+SMALL_WIDTHS = UNetWidths(
     32, 24, 32, 40, 48, (56, 56), (48, 48), (32, 32), (32, 16)
 )  # OIDN "balanced" / 2, except enc1
 
@@ -55,7 +57,7 @@ class UNet(nn.Module):
         self,
         in_channels: int,
         out_channels: int = 3,
-        widths: Widths = BASE,
+        widths: UNetWidths = BASE_WIDTHS,
         seed: int = 0,
     ) -> None:
         """Create all layers; `widths` gives the channels between input and output."""
@@ -82,10 +84,10 @@ class UNet(nn.Module):
 
     def forward(self, x: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c2 h w"]:
         """The output at full resolution; h and w must be multiples of 16."""
-        result: Tensor = self.dec_conv0(self.decode(x)[-1])
+        result: Tensor = self.dec_conv0(self.decoder_features(x)[-1])
         return result
 
-    def decode(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n _ _ _"]]:
+    def decoder_features(self, x: Float[Tensor, "n c h w"]) -> list[Float[Tensor, "n _ _ _"]]:
         """Decoder features at 1/8, 1/4, 1/2 and full resolution, for custom output heads.
 
         Their channel counts are `widths.dec4[1]`, `dec3[1]`, `dec2[1]` and `dec1[1]`.

@@ -1,1 +1,1 @@
-"""Where jobs run: in this process, or on many by Ray."""
+"""Executors: jobs run in this process, or in parallel on Ray."""

@@ -1,95 +1,113 @@
-"""Where jobs run: here, one after another, or beside one another on the workers of Ray."""
+"""Executors run independent jobs: in this process one after another, or in parallel on Ray."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, cast
 
 from rlbench.errors import RlbenchError
+
+__all__ = [
+    "LOCAL",
+    "ONE_CPU",
+    "Executor",
+    "ExecutorError",
+    "JobResult",
+    "LocalExecutor",
+    "ProgressCallback",
+    "Resources",
+    "Work",
+    "ignore_progress",
+]
 
 J = TypeVar("J")
 R = TypeVar("R")
 J_in = TypeVar("J_in", contravariant=True)
 R_out = TypeVar("R_out", covariant=True)
 
-ProgressCallback = Callable[
-    [float], None
-]  # hears how much of the work has been done since it last heard
+ProgressCallback = Callable[[float], None]  # receives the work done since the previous call
 
 
-class EngineError(RlbenchError, RuntimeError):
-    """An engine that cannot run jobs, or a job that no worker came back from."""
+class ExecutorError(RlbenchError, RuntimeError):
+    """An executor that cannot run jobs, or a job that was lost with its worker."""
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What one job takes of a machine while it runs."""
+    """The share of a machine that one job takes while it runs."""
 
-    cpus: int = 1  # of a machine with fewer, all of them
+    cpus: int = 1  # all CPUs on a machine with fewer
     gpus: int = 0
 
 
-ONE = Resources()
+ONE_CPU = Resources()
 
 
 @dataclass(frozen=True)
 class JobResult(Generic[J, R]):
-    """What became of one job."""
+    """A finished job, with the value that its work returned or the error that it raised."""
 
     job: J
-    made: tuple[R, ...] = ()  # what the work returned, or nothing where it failed
+    value: R | None = None
     error: Exception | None = None
 
     def result(self) -> R:
-        """What the work returned. Raises what the work raised."""
+        """The value. Raises the error of a job that failed."""
         if self.error:
             raise self.error
-        return self.made[0]
+        return cast("R", self.value)
 
 
 class Work(Protocol[J_in, R_out]):
-    """What is done to each job. Every process has a copy, which may keep what is dear to make."""
+    """The function applied to each job.
 
-    def __call__(self, job: J_in, tell: ProgressCallback, /) -> R_out:
-        """What is made of a job; `tell` hears of it on the way."""
+    Each process has a copy of it, which may cache what is expensive to set up.
+    """
+
+    def __call__(self, job: J_in, on_progress: ProgressCallback, /) -> R_out:
+        """The value of a job; calls `on_progress` while it runs."""
+
+
+def ignore_progress(done: float) -> None:
+    """A progress callback that does nothing."""
 
 
 class Executor(Protocol):
-    """Runs jobs and hands back what became of each, as soon as it is there."""
+    """Runs jobs and yields the result of each as soon as it has finished."""
 
     @property
     def exclusive(self) -> bool:
-        """Does no job run beside another one, so that each may take times?"""
+        """Whether jobs never run at the same time, so that each may measure times."""
 
     @property
-    def where(self) -> str:
-        """Who runs the jobs, in words, or empty where it is this process."""
+    def description(self) -> str:
+        """Description of the machines that run the jobs; empty for this process."""
 
     def local_exclusive(self) -> Executor:
-        """The same on this machine, one job after another, so that each may take times."""
+        """An executor for jobs that measure times: on this machine, one after another."""
 
     def map(
         self,
         work: Work[J, R],
         jobs: Sequence[J],
-        share: Resources = ONE,
-        tell: ProgressCallback = lambda done: None,
+        resources: Resources = ONE_CPU,
+        on_progress: ProgressCallback = ignore_progress,
     ) -> Iterator[JobResult[J, R]]:
-        """One outcome for each job, in the order in which they end.
+        """Apply `work` to every job; yields one result for each, in the order of completion.
 
-        A job that raises does not stop the others. Raises EngineError where no job can be run.
+        A job that raises does not stop the others. Raises ExecutorError if no job can be run.
         """
 
 
 @dataclass(frozen=True)
-class Local:
-    """Runs jobs in this process, each when its outcome is asked for."""
+class LocalExecutor:
+    """Runs jobs in this process, each when its result is requested."""
 
     exclusive: bool = True
-    where: str = ""
+    description: str = ""
 
-    def local_exclusive(self) -> Local:
+    def local_exclusive(self) -> LocalExecutor:
         """Itself."""
         return self
 
@@ -97,17 +115,23 @@ class Local:
         self,
         work: Work[J, R],
         jobs: Sequence[J],
-        share: Resources = ONE,
-        tell: ProgressCallback = lambda done: None,
+        resources: Resources = ONE_CPU,
+        on_progress: ProgressCallback = ignore_progress,
     ) -> Iterator[JobResult[J, R]]:
-        """One outcome for each job, in the order of the jobs."""
+        """Apply `work` to every job; yields one result for each, in the order of the jobs.
+
+        >>> def double(job, on_progress):
+        ...     return 2 * job
+        >>> [result.value for result in LocalExecutor().map(double, [1, 2])]
+        [2, 4]
+        """
         for job in jobs:
             try:
-                made = work(job, tell)
-            except Exception as error:  # of whatever kind: it is the outcome
+                value = work(job, on_progress)
+            except Exception as error:  # of any type: it is the result of the job
                 yield JobResult(job, error=error)
             else:
-                yield JobResult(job, (made,))
+                yield JobResult(job, value)
 
 
-LOCAL = Local()
+LOCAL = LocalExecutor()

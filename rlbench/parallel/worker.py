@@ -1,10 +1,11 @@
-"""In a worker process: the sender's settings, its plugins and code, and one job after another."""
+"""Runs jobs in a worker process, in the environment of the process that submitted them."""
 
 from __future__ import annotations
 
 import os
 import platform
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,108 +15,126 @@ from typing import Any
 
 import torch
 
-from rlbench.parallel.executor import EngineError
-from rlbench.registry import discovery
+from rlbench.parallel.executor import ExecutorError
+from rlbench.registry import GROUPS, clear_plugins, discovery, plugin_files, use_plugin
 from rlbench.system import code_hash, provenance
 
-PREFIX = "RLBENCH_"  # of the variables that a worker takes over
+__all__ = ["JobReply", "TaskBundle", "WorkerEnvironment", "code_version", "run_job"]
+
+PREFIX = "RLBENCH_"  # of the environment variables that a worker takes over
 THREADS = f"{PREFIX}THREADS"  # of the path tracer
-Unpickle = Callable[[bytes], Any]  # Ray's own, for what Ray itself has sent
+Unpickle = Callable[[bytes], Any]  # Ray's own, for data that Ray itself has sent
 
 
 @dataclass(frozen=True)
 class WorkerEnvironment:
-    """What the results of the sender depend on beside the job, for a worker to take over."""
+    """The submitter's settings on which results depend beside the job.
+
+    Ray starts workers with `variables` (see `runtime_env`). The rest is applied in the worker,
+    since Ray cannot: it copies a working directory, so that relative paths of outputs would be
+    lost, it cannot unset a variable, and its set-up hook is the same for all jobs of a session.
+    """
 
     variables: dict[str, str]
-    folder: str  # relative paths begin here
-    search: tuple[str, ...]  # where modules are found
-    plugins: tuple[Path, ...]
-    torch_threads: int
-    code: str  # see `code`
+    folder: str  # the working directory
+    plugins: tuple[Path, ...]  # files given with --plugin
+    code_version: str  # see `code_version`
+
+    @staticmethod
+    def of_this_process(cpus: int) -> WorkerEnvironment:
+        """The settings of this process, for workers with `cpus` CPUs each."""
+        settings = {name: value for name, value in os.environ.items() if name.startswith(PREFIX)}
+        return WorkerEnvironment(
+            variables={
+                THREADS: str(cpus),
+                "OMP_NUM_THREADS": str(torch.get_num_threads()),  # of torch, in the worker
+                "PYTHONPATH": os.pathsep.join(_module_folders()),
+                **settings,
+            },
+            folder=os.getcwd(),
+            plugins=plugin_files.plugin_files(),
+            code_version=code_version(),
+        )
+
+    def runtime_env(self) -> dict[str, Any]:
+        """The part that Ray sets when it starts a worker."""
+        return {"env_vars": self.variables}
 
     def apply(self) -> None:
-        """Make this process like the sender. Raises EngineError where its code is other code."""
-        if code() != self.code:
-            raise EngineError(
-                f"{platform.node()} has {code()}, but the command was given where there is "
-                f"{self.code}; install the same on both"
+        """Set the rest in this process. Raises ExecutorError if its code is another version."""
+        if code_version() != self.code_version:
+            raise ExecutorError(
+                f"{platform.node()} has {code_version()}, but the command was given on a machine "
+                f"with {self.code_version}. Install the same version on both"
             )
         if os.path.isdir(self.folder):
             os.chdir(self.folder)
         for name in [name for name in os.environ if name.startswith(PREFIX)]:
-            del os.environ[name]
-        os.environ.update(self.variables)
-        sys.path += [place for place in self.search if place not in sys.path]
-        torch.set_num_threads(self.torch_threads)
-        discovery.clear_plugins()
+            if name not in self.variables:
+                del os.environ[name]
+        clear_plugins()
         for file in self.plugins:
-            discovery.use_plugin(file)
+            use_plugin(file)
 
 
 @dataclass(frozen=True)
 class TaskBundle:
-    """Work as it is sent to workers, once for all of its jobs."""
+    """Work with its environment, sent to a worker once for all of its jobs."""
 
-    name: str  # no other parcel's
-    setting: WorkerEnvironment
-    work: bytes
+    name: str  # unique
+    environment: WorkerEnvironment
+    work: bytes  # pickled
 
 
 @dataclass
 class JobReply:
-    """What comes back: what was made, or the error that was raised."""
+    """The reply of a worker: the value of the job, or the error that it raised."""
 
-    made: tuple[Any, ...] = ()
+    value: Any = None
     error: Exception | None = None
-    told: float = 0.0  # the sum of what the work told of its progress
+    progress: float = 0.0  # the sum of what the work reported
 
 
 @dataclass
-class _Opened:
-    """The work that this process has opened last, and goes on with."""
+class _LoadedWork:
+    """The work that this process has unpickled last, kept for its next job."""
 
     name: str = ""
     work: Any = field(default=None, repr=False)
 
 
-_opened = _Opened()
+_loaded = _LoadedWork()
 
 
-def setting(cpus: int) -> WorkerEnvironment:
-    """This process's, for workers of which each has so many processors."""
-    mine = {name: value for name, value in os.environ.items() if name.startswith(PREFIX)}
-    return WorkerEnvironment(
-        variables={THREADS: str(cpus), **mine},
-        folder=os.getcwd(),
-        search=tuple(os.path.abspath(place) for place in sys.path),
-        plugins=discovery.loose_files(),
-        torch_threads=torch.get_num_threads(),
-        code=code(),
-    )
-
-
-def run(parcel: Callable[[], TaskBundle], name: str, job: bytes, loads: Unpickle) -> JobReply:
-    """The answer to one job of the parcel called `name`, which is fetched if it is not open."""
-    told: list[float] = []
+def run_job(fetch: Callable[[], TaskBundle], name: str, job: bytes, loads: Unpickle) -> JobReply:
+    """Run a pickled job with the work of the bundle `name`, fetched unless it is loaded."""
+    progress: list[float] = []
     try:
-        if _opened.name != name:
-            _opened.name, _opened.work = "", None  # before the next one needs the memory
-            got = parcel()
-            got.setting.apply()
-            _opened.name, _opened.work = name, loads(got.work)
-        made = _opened.work(loads(job), told.append)
-    except Exception as error:  # of whatever kind: the sender is told
-        where = f"in a worker on {platform.node()}:\n{traceback.format_exc()}"
-        error.add_note(where)
+        if _loaded.name != name:
+            _loaded.name, _loaded.work = "", None  # frees memory before the next work is loaded
+            bundle = fetch()
+            bundle.environment.apply()
+            _loaded.name, _loaded.work = name, loads(bundle.work)
+        value = _loaded.work(loads(job), progress.append)
+    except Exception as error:  # of any type: the submitter gets it
+        error.add_note(f"in a worker on {platform.node()}:\n{traceback.format_exc()}")
         return JobReply(error=error)
-    return JobReply((made,), told=sum(told))
+    return JobReply(value, progress=sum(progress))
 
 
 @lru_cache(maxsize=1)
-def code() -> str:
-    """Versions that decide results, and a hash of the code of rlbench and of installed plugins."""
-    found = {e.target for group in discovery.GROUPS for e in discovery.installed(group)}
-    tops = {"rlbench", *(target.partition(":")[0].partition(".")[0] for target in found)}
+def code_version() -> str:
+    """Versions that decide results, and a hash of rlbench and of the installed plugins."""
+    targets = {entry.target for group in GROUPS for entry in discovery.installed_entries(group)}
+    packages = {"rlbench", *(target.partition(":")[0].partition(".")[0] for target in targets)}
     versions = " ".join(f"{name} {version}" for name, version in provenance.versions().items())
-    return f"{versions}, code {code_hash.code_hash(tops, core=())}"
+    return f"{versions}, code {code_hash.code_hash(packages, core=())}"
+
+
+def _module_folders() -> list[str]:
+    """The folders of `sys.path` that a Python process does not search by itself."""
+    installed = tuple(
+        sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")
+    )
+    folders = map(os.path.abspath, sys.path)
+    return [path for path in folders if os.path.exists(path) and not path.startswith(installed)]

@@ -1,49 +1,55 @@
 """Plugins by name: methods, metrics, reports, pools and scenes, imported when they are used."""
 
-from rlbench.registry.lookup import (
+from rlbench.errors import PluginError
+from rlbench.registry.discovery import (
     GROUPS,
-    VARIABLE,
-    PluginEntry,
-    PluginError,
-    clear_plugins,
-    entries,
-    expand,
-    family,
-    import_error,
-    is_trainable,
-    load,
-    load_or_explain,
-    method,
-    metrics,
+    METHODS_VARIABLE,
+    list_entries,
     module_file,
-    names,
-    plugin_file,
     resolve,
-    training_task,
-    use_plugin,
-    variant,
 )
+from rlbench.registry.entry import PluginEntry
+from rlbench.registry.lookup import (
+    current_name,
+    get_variant,
+    import_error,
+    list_plugins,
+    load_family,
+    load_metrics,
+    load_or_explain,
+    load_plugin,
+)
+from rlbench.registry.methods import (
+    expand,
+    is_trainable,
+    load_method,
+    shipped_weights,
+    training_task,
+)
+from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
 
 __all__ = [
     "GROUPS",
-    "VARIABLE",
+    "METHODS_VARIABLE",
     "PluginEntry",
     "PluginError",
     "clear_plugins",
-    "entries",
+    "current_name",
+    "list_entries",
     "expand",
-    "family",
+    "load_family",
     "import_error",
     "is_trainable",
-    "load",
+    "load_plugin",
     "load_or_explain",
-    "method",
-    "metrics",
+    "load_method",
+    "load_metrics",
     "module_file",
-    "names",
+    "list_plugins",
     "plugin_file",
     "resolve",
+    "shipped_weights",
     "training_task",
     "use_plugin",
-    "variant",
+    "get_variant",
 ]

@@ -1,13 +1,13 @@
-"""Where plugins come from: entry points, a variable, and loose files; known before imported.
+"""Finds plugins by name, without importing them.
 
-Three places are searched: entry points of installed packages (`rlbench.methods` and so on), the
-variable RLBENCH_METHODS="name=module:FAMILY,...", and loose files given with `--plugin path.py`,
-which hold `FAMILY` or a list `METHODS` of families. In a loose file `my_method.py`,
-`build="my_method:build"` names its own function, whatever else is called `my_method`.
+Plugins come from three places: entry points of installed packages (`rlbench.methods` and so on),
+the variable RLBENCH_METHODS="name=module:FAMILY,...", and plugin files given with
+`--plugin path.py`, which define `FAMILY` or a list `METHODS` of families. In a plugin file
+`my_method.py`, `build="my_method:build"` names its own function, even if an installed module is
+also called `my_method`.
 
-A name belongs to whom it was given first, and nothing is overwritten: the same name twice with
-different targets is an error that says where both come from. A plugin that cannot be imported is
-listed as broken, and raises its own error when it is asked for.
+No plugin overwrites another: one name with two targets is an error that states both origins. A
+plugin that cannot be imported is listed, and raises its own error when it is loaded.
 """
 
 from __future__ import annotations
@@ -16,175 +16,113 @@ import importlib
 import importlib.metadata
 import importlib.util
 import os
-import sys
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from rlbench.errors import PluginError
+from rlbench.registry.entry import PluginEntry
+from rlbench.registry.plugin_files import file_entries, import_file, plugin_file, plugin_files
+
+__all__ = [
+    "GROUPS",
+    "METHODS_VARIABLE",
+    "list_entries",
+    "installed_entries",
+    "module_file",
+    "plugin_file_error",
+    "resolve",
+]
 
 GROUPS = ("methods", "metrics", "reports", "pools", "scenes")
-VARIABLE = "RLBENCH_METHODS"
-
-
-@dataclass(frozen=True)
-class PluginEntry:
-    """One plugin that is known by name and not yet imported."""
-
-    name: str
-    target: str  # module:attribute, or the path of a loose file
-    origin: str  # who brought it: a distribution and its version, the variable, or the file
-    load: Callable[[], Any] = field(compare=False, repr=False)
-
-
-_files: dict[str, Path] = {}  # loose files by their names without .py, in the order given
-
-
-def use_plugin(path: str | Path) -> None:
-    """Make the families of a loose file known; it is imported when methods are next asked for."""
-    file = Path(path).resolve()
-    if not file.is_file():
-        raise PluginError(f"no plugin file at {file}; --plugin takes the path of a Python file")
-    if _files.setdefault(file.stem, file) != file:
-        raise PluginError(f"two plugin files are called {file.name}: {_files[file.stem]}, {file}")
+METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 
 def plugin_file_error(path: str | Path) -> str | None:
-    """Why a loose file cannot be imported, and where, or None if it can."""
+    """The error and its line if a plugin file cannot be imported, else None."""
     file = Path(path).resolve()
-    for entry in _from_file(file):
+    for entry in file_entries(file):
         try:
             entry.load()
         except PluginError as error:
             return str(error)
-        except Exception as error:  # whatever a stranger's file may raise is what is told
-            went = traceback.extract_tb(error.__traceback__)
-            own = [frame for frame in went if frame.filename == str(file)]
-            where = f" (line {own[-1].lineno})" if own else ""
-            return f"{type(error).__name__}: {error}{where}"
+        except Exception as error:  # third-party code may raise anything
+            frames = traceback.extract_tb(error.__traceback__)
+            lines = [frame.lineno for frame in frames if frame.filename == str(file)]
+            location = f" (line {lines[-1]})" if lines else ""
+            return f"{type(error).__name__}: {error}{location}"
     return None
 
 
-def clear_plugins() -> None:
-    """Undo every `use_plugin`."""
-    _files.clear()
-
-
-def entries(group: str) -> dict[str, PluginEntry]:
+def list_entries(group: str) -> dict[str, PluginEntry]:
     """All plugins of a group by name, sorted. Raises PluginError if two share a name."""
     if group not in GROUPS:
         raise PluginError(f"'{group}' is not a kind of plugin; there are: {', '.join(GROUPS)}")
-    found = installed(group)
+    candidates = installed_entries(group)
     if group == "methods":
-        found += _from_variable(os.environ.get(VARIABLE, ""))
-        found += [entry for file in _files.values() for entry in _from_file(file)]
-    known: dict[str, PluginEntry] = {}
-    for entry in found:
-        other = known.setdefault(entry.name, entry)
-        if other.target != entry.target:
+        candidates += _variable_entries(os.environ.get(METHODS_VARIABLE, ""))
+        candidates += [entry for file in plugin_files() for entry in file_entries(file)]
+    by_name: dict[str, PluginEntry] = {}
+    for entry in candidates:
+        first = by_name.setdefault(entry.name, entry)
+        if first.target != entry.target:
             raise PluginError(
-                f"'{entry.name}' is given twice: by {other.origin} ({other.target}) and by "
-                f"{entry.origin} ({entry.target}); rename or remove one"
+                f"two plugins are called '{entry.name}': {first.target} from {first.origin}, and "
+                f"{entry.target} from {entry.origin}. Rename or remove one"
             )
-    return dict(sorted(known.items()))
+    return dict(sorted(by_name.items()))
 
 
 def resolve(target: str) -> Any:
-    """What `module:attribute` names, imported now."""
+    """Import the object that `module:attribute` names.
+
+    >>> resolve("rlbench.family:Family").__name__
+    'Family'
+    """
     module, _, attribute = target.partition(":")
-    loose = _files.get(module)
-    found: Any = _import_file(loose) if loose else importlib.import_module(module)
+    file = plugin_file(module)
+    value: Any = import_file(file) if file else importlib.import_module(module)
     for part in attribute.split("."):
-        found = getattr(found, part)
-    return found
-
-
-def loose_files() -> tuple[Path, ...]:
-    """The files given with `--plugin`, in the order given."""
-    return tuple(_files.values())
-
-
-def plugin_file(module: str) -> Path | None:
-    """The file given with `--plugin` that goes by this module name, or None."""
-    return _files.get(module)
+        value = getattr(value, part)
+    return value
 
 
 def module_file(target: str) -> Path:
-    """The file of the module that `module:attribute` names; the module is not imported.
+    """The file of the module in `module:attribute`; the module itself is not imported.
 
-    Raises PluginError where it cannot be found.
+    Raises PluginError if there is no such module.
     """
     module = target.partition(":")[0]
-    if module in _files:
-        return _files[module]
+    if file := plugin_file(module):
+        return file
     try:
         spec = importlib.util.find_spec(module)
-    except ModuleNotFoundError:  # of the package that would hold it
+    except ModuleNotFoundError:  # raised for a missing parent package
         spec = None
     if spec is None or not spec.origin:
-        raise PluginError(f"'{target}' names no module that can be found")
+        raise PluginError(f"no module '{module}', named by '{target}'. Check that it is installed")
     return Path(spec.origin)
 
 
-def installed(group: str) -> list[PluginEntry]:
-    """The plugins of installed packages alone, ours first."""
-    found = importlib.metadata.entry_points(group=f"rlbench.{group}")
-    ours_first = sorted(found, key=lambda point: (_origin(point) != "rlbench", point.name))
-    return [PluginEntry(p.name, p.value, _origin(p), p.load) for p in ours_first]
+def installed_entries(group: str) -> list[PluginEntry]:
+    """The plugins of installed packages, those of rlbench first."""
+    points = importlib.metadata.entry_points(group=f"rlbench.{group}")
+    own_first = sorted(points, key=lambda point: (_origin(point) != "rlbench", point.name))
+    return [PluginEntry(p.name, p.value, _origin(p), p.load) for p in own_first]
 
 
 def _origin(point: importlib.metadata.EntryPoint) -> str:
     return point.dist.name if point.dist else "an unnamed package"
 
 
-def _from_variable(text: str) -> list[PluginEntry]:
-    found = []
+def _variable_entries(text: str) -> list[PluginEntry]:
+    plugins = []
     for item in filter(None, (part.strip() for part in text.split(","))):
         name, equals, target = item.partition("=")
         if not (name and equals and ":" in target):
-            raise PluginError(f"{VARIABLE} holds '{item}'; an item is name=module:FAMILY")
-        found.append(PluginEntry(name, target, VARIABLE, partial(resolve, target)))
-    return found
-
-
-def _from_file(file: Path) -> list[PluginEntry]:
-    origin = f"--plugin {file.name}"
-    try:
-        module = _import_file(file)
-        families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
-        if None in families:
-            raise PluginError(f"{file.name} has neither FAMILY nor METHODS; see docs/plugins.md")
-        if odd := [type(each).__name__ for each in families if not hasattr(each, "variants")]:
-            raise PluginError(f"{file.name} holds a {odd[0]} where a Family is wanted")
-    except Exception as error:  # listed as broken, raised again when asked for
-        return [PluginEntry(file.stem, str(file), origin, partial(_raise, error))]
-    return [PluginEntry(f.name, f"{file}:{f.name}", origin, partial(_itself, f)) for f in families]
-
-
-def _import_file(file: Path) -> Any:
-    name = f"rlbench_plugin_{sha256(str(file).encode()).hexdigest()[:12]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, file)
-    if spec is None or spec.loader is None:
-        raise PluginError(f"{file} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
-
-
-def _raise(error: Exception) -> Any:
-    raise error
-
-
-def _itself(family: Any) -> Any:
-    return family
+            raise PluginError(
+                f"{METHODS_VARIABLE} has the item '{item}'; an item is written name=module:FAMILY"
+            )
+        plugins.append(PluginEntry(name, target, METHODS_VARIABLE, partial(resolve, target)))
+    return plugins

@@ -1,1 +1,1 @@
-"""Path tracing of clips with Mitsuba 3: probe, load, move, trace, look, record."""
+"""Rendering: scenes as data, tracers of Mitsuba 3 and Cycles, and the jobs that render clips."""

@@ -1,4 +1,4 @@
-"""What the pixels of a scene depend on, as a short hash that two machines agree on."""
+"""Fingerprint of a scene: a hash of everything its pixels depend on, equal on all machines."""
 
 from __future__ import annotations
 
@@ -11,54 +11,60 @@ import numpy as np
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 
-RECIPE = 2  # raised whenever the tracer makes other pixels of the same scene
+__all__ = ["RENDERER_VERSION", "fingerprint"]
+
+RENDERER_VERSION = 2  # raised whenever the tracer renders different pixels for the same scene
 
 
 def fingerprint(scene: Scene, frames: int) -> str:
-    """Hash of a scene's shapes, materials, lights, and poses at its first and last frame.
+    """16 hex digits that identify shapes, BSDFs, emitters and poses of a scene.
 
-    Also at those around its cuts, and of the lights that change, frame by frame.
-
-    Numbers enter rounded, and arrays as sums, so that the last bit of a sine, which differs from
-    one machine to another, does not matter; a change too small to be seen may be missed.
-    A user's scene has an `origin` in place of all this.
+    Poses are compared at the first frame, at the last, and on both sides of each cut; light factors
+    at every frame. Numbers are rounded and arrays enter as moments, because the last bit of a sine
+    differs between machines; a change too small to be visible may go unnoticed. For a user's scene,
+    `Scene.source_hash` replaces all of this.
     """
-    if scene.origin:
-        return _hash(f"{RECIPE} {scene.origin}")
-    words = [f"{RECIPE} {scene.exposure} {scene.depth} {scene.static}", _words(scene.sky)]
+    if scene.source_hash:
+        return _hash(f"{RENDERER_VERSION} {scene.source_hash}")
+    lines = [
+        f"{RENDERER_VERSION} {scene.exposure} {scene.max_depth} {scene.static}",
+        _describe(scene.sky),
+    ]
     for mesh in scene.meshes:
-        words += [mesh.name, str(mesh.smooth), f"{len(mesh.faces)} faces"]
-        words += [_words(part) for part in (mesh.uv, mesh.material, mesh.emission)]
-    for time in _times(scene, frames):
-        pose = Pose.of(scene, time)
-        words += [_words([pose.axes(), pose.camera.origin, pose.camera.fov, *pose.vertices])]
+        lines += [mesh.name, str(mesh.smooth), f"{len(mesh.faces)} faces"]
+        lines += [_describe(part) for part in (mesh.uv, mesh.material, mesh.emission)]
+    for time in _compared_times(scene, frames):
+        pose = Pose.at_time(scene, time)
+        lines += [
+            _describe([pose.camera_axes(), pose.camera.origin, pose.camera.fov, *pose.vertices])
+        ]
     factors = [scene.lights(float(time)) for time in range(frames)]
-    words += [f"lights {_words(factors)}"] * any(factors)
-    return _hash("\n".join(words))
+    lines += [f"lights {_describe(factors)}"] * any(factors)
+    return _hash("\n".join(lines))
 
 
-def _times(scene: Scene, frames: int) -> list[float]:
-    """Frames whose poses tell a scene from another: the first, the last, and those at its cuts."""
+def _compared_times(scene: Scene, frames: int) -> list[float]:
+    """The first frame, the last, and for each cut the frames before and after it."""
     cuts = [cut for cut in scene.cuts if cut < frames]
     return [0.0, frames - 1.0, *(float(time) for cut in cuts for time in (cut - 1, cut))]
 
 
-def _hash(words: str) -> str:
-    return hashlib.blake2b(words.encode(), digest_size=8).hexdigest()
+def _hash(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _words(value: Any) -> str:
+def _describe(value: Any) -> str:
     if isinstance(value, Mapping):
-        return " ".join(f"{key}: {_words(part)}" for key, part in sorted(value.items()))
+        return " ".join(f"{key}: {_describe(part)}" for key, part in sorted(value.items()))
     if isinstance(value, np.ndarray):
         return f"{value.shape} {_moments(value.astype(np.float64).reshape(-1))}"
     if isinstance(value, list | tuple):
-        return f"[{' '.join(map(_words, value))}]"
+        return f"[{' '.join(map(_describe, value))}]"
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _moments(values: np.ndarray) -> str:
-    """Mean, mean square, and mean against a ramp that notices a changed order; three digits."""
+    """Scale, then mean, mean square, and mean times a ramp, which depends on the order."""
     scale = np.abs(values).max(initial=0.0)
     if scale == 0:
         return "0"

@@ -1,4 +1,4 @@
-"""What to render, as data: scenes, sizes, and samples for pools and references."""
+"""Presets: named sets of clips with their scenes, sizes and sample counts."""
 
 from __future__ import annotations
 
@@ -7,84 +7,124 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
-from rlbench.clips.header import EXTRAS
+from rlbench.clips.header import OPTIONAL_BUFFERS
 from rlbench.errors import RlbenchError
 
-FOUR = ("city", "temple", "hall", "ripples")
-BOTH = ("path", "restir")  # pools, by entry point of the group rlbench.pools
-GENERATED = "generated"  # clips of rlbench.scenes.generator.scene are named generated-<seed>
-Takes = Literal["main", "all"]
+__all__ = [
+    "GENERATED",
+    "PRESETS",
+    "TEST_SCENES",
+    "Preset",
+    "PresetError",
+    "TakeSelection",
+    "UnknownPresetError",
+    "get_preset",
+]
+
+TEST_SCENES = ("city", "temple", "hall", "ripples")
+PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
+GENERATED = "generated"  # scene entry point that takes a seed; its clips are generated-<seed>
+TakeSelection = Literal["main", "all"]
 
 
 class PresetError(RlbenchError, ValueError):
-    """A preset that cannot be rendered."""
+    """A preset option that cannot be used."""
+
+
+class UnknownPresetError(RlbenchError, LookupError):
+    """The name of a preset that does not exist."""
 
 
 @dataclass(frozen=True)
 class Preset:
-    """One set of clips. A reference is two halves, so a round has twice `reference_spp` samples."""
+    """One set of clips.
+
+    A reference consists of two halves, so one round of it has twice `reference_spp` samples.
+    """
 
     name: str
     purpose: str
     size: tuple[int, int]  # pixels: height, width
     frames: int  # of each clip
-    reference_spp: int  # samples per pixel of each half of the reference
-    scenes: tuple[str, ...] = FOUR  # by entry point of the group rlbench.scenes
+    reference_spp: int  # samples per pixel of each half of the reference, in each round
+    scenes: tuple[str, ...] = TEST_SCENES  # entry points in the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated scenes
-    is_test_set: bool = True  # are methods scored on it? Then nothing may be trained on it
-    takes: Takes = "main"  # of each scene, that are clips of their own
+    is_test_set: bool = True  # scored clips, which must not be trained on?
+    takes: TakeSelection = "main"  # clips per scene: the main one, or one for each take as well
     pool_spp: int = 8  # stored 1-spp images per frame
-    cap: float = math.inf  # brightest that a sample may be, times display white
-    ceiling_db: float = math.inf  # PSNR by which the noise of a reference must not limit a score
-    max_reference_rounds: int = 1  # of `reference_spp` each, at most, until it does not
-    pools: tuple[str, ...] = ("path",)  # others are of plugins, and added where they can be traced
-    extras: tuple[str, ...] = ()  # view buffers beside those that every clip has
+    radiance_cap: float = math.inf  # upper bound of each sample, in display whites
+    min_noise_ceiling_db: float = (
+        math.inf
+    )  # PSNR: more rounds follow until the reference reaches it
+    max_reference_rounds: int = 1
+    pools: tuple[str, ...] = (
+        "path",
+    )  # others come from plugins, where this machine can trace them
+    extra_buffers: tuple[str, ...] = ()  # G-buffer channels beside those that every clip has
 
     @property
-    def clip_samples(self) -> int:
-        """Light paths that one clip costs at most; two cores trace a million a second."""
-        return self.frames * self.frame_samples
+    def paths_per_clip(self) -> int:
+        """Upper bound of light paths per clip; two CPU cores trace about a million a second."""
+        return self.frames * self.paths_per_frame
 
     @property
-    def frame_samples(self) -> int:
-        """Light paths that one frame costs at most: the pool and all rounds of both halves."""
-        most = self.pool_spp + 2 * self.reference_spp * self.max_reference_rounds
-        return self.size[0] * self.size[1] * most
+    def paths_per_frame(self) -> int:
+        """Upper bound of light paths per frame: the pool and all rounds of both halves."""
+        spp = self.pool_spp + 2 * self.reference_spp * self.max_reference_rounds
+        return self.size[0] * self.size[1] * spp
 
-    def capped(self, cap: float) -> Preset:
-        """The same with a cap, under a name of its own. Raises PresetError unless it is above 0."""
+    def with_radiance_cap(self, cap: float) -> Preset:
+        """This preset with a radiance cap and a name of its own.
+
+        Raises PresetError unless `cap` > 0.
+
+        >>> PRESETS["mini"].with_radiance_cap(64).name
+        'mini-cap64'
+        """
         if not cap > 0:
-            raise PresetError(f"a radiance cap of {cap:g} was asked for; it must be above 0")
-        return replace(self, name=f"{self.name}-cap{cap:g}", cap=cap)
+            raise PresetError(f"the radiance cap is {cap:g}; it must be above 0")
+        return replace(self, name=f"{self.name}-cap{cap:g}", radiance_cap=cap)
 
-    def with_buffers(self, extras: Collection[str]) -> Preset:
-        """The same with more view buffers, under a name of its own. Raises PresetError."""
-        chosen = tuple(name for name in EXTRAS if name in set(extras))
-        if unknown := sorted(set(extras) - set(EXTRAS)):
+    def with_buffers(self, buffers: Collection[str]) -> Preset:
+        """This preset with extra G-buffer channels and a name of its own.
+
+        Raises PresetError for an unknown buffer; the message lists those available.
+        """
+        if unknown := sorted(set(buffers) - set(OPTIONAL_BUFFERS)):
             raise PresetError(
-                f"no view buffer {', '.join(unknown)} to add; there are: {', '.join(EXTRAS)}"
+                f"no G-buffer channel {', '.join(unknown)} to add; "
+                f"available: {', '.join(OPTIONAL_BUFFERS)}"
             )
-        return replace(self, name=f"{self.name}-views", extras=chosen)
+        chosen = tuple(name for name in OPTIONAL_BUFFERS if name in set(buffers))
+        return replace(self, name=f"{self.name}-views", extra_buffers=chosen)
 
     def with_takes(self, takes: str) -> Preset:
-        """The same, under its name, with the main take of each scene, or all. PresetError."""
-        if takes not in get_args(Takes):
-            raise PresetError(f"--takes is main or all, and was given '{takes}'")
-        return replace(self, takes=cast(Takes, takes))
+        """This preset, under the same name, with `main` or `all` takes of each scene.
+
+        Raises PresetError for any other word.
+        """
+        if takes not in get_args(TakeSelection):
+            raise PresetError(f"--takes was given '{takes}'; it must be main or all")
+        return replace(self, takes=cast(TakeSelection, takes))
 
     def with_pools(self, kinds: Collection[str]) -> Preset:
-        """The same, under its name, with no pools but these kinds and the path tracer's."""
+        """This preset, under the same name, without pools other than `path` and `kinds`."""
         return replace(self, pools=tuple(p for p in self.pools if p == "path" or p in kinds))
 
 
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city"), pools=BOTH),
+        Preset("tiny", "tests", (96, 96), 4, 16, ("temple", "city"), pools=PATH_AND_RESTIR),
         Preset(
-            "mini", "the first command: about 4 minutes on two cores", (192, 192), 8, 64, pools=BOTH
+            "mini",
+            "the first command: about 4 minutes on two cores",
+            (192, 192),
+            8,
+            64,
+            pools=PATH_AND_RESTIR,
         ),
-        # 33 dB adds 0.4 dB to an error of 23 dB, for all methods alike; not to mse_debiased
+        # a ceiling of 33 dB changes a score of 23 dB by 0.4 dB for all methods, not mse_debiased
         Preset(
             "standard",
             "a workstation: all takes",
@@ -92,11 +132,11 @@ PRESETS = {
             20,
             32,
             takes="all",
-            ceiling_db=33.0,
+            min_noise_ceiling_db=33.0,
             max_reference_rounds=12,
-            pools=BOTH,
+            pools=PATH_AND_RESTIR,
         ),
-        # of each scene one take, as in the paper: a clip is 10^10 paths, three hours of two cores
+        # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
         Preset(
             "train",
@@ -107,7 +147,7 @@ PRESETS = {
             (),
             tuple(range(28)),
             is_test_set=False,
-            pools=BOTH,
+            pools=PATH_AND_RESTIR,
         ),
         Preset(
             "unseen",
@@ -122,8 +162,8 @@ PRESETS = {
 }
 
 
-def preset(name: str) -> Preset:
-    """The preset of that name. Raises LookupError, which lists those that exist."""
+def get_preset(name: str) -> Preset:
+    """The preset called `name`. Raises UnknownPresetError, which lists all presets."""
     if name not in PRESETS:
-        raise LookupError(f"no preset '{name}'; there are: {', '.join(PRESETS)}")
+        raise UnknownPresetError(f"no preset '{name}'; available: {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -1,4 +1,8 @@
-"""A scene as data: meshes, sky, and the takes that are filmed in it; knows no renderer."""
+"""A scene as plain data: meshes, emitters, camera and takes. No renderer is imported.
+
+A scene plugin is a function without arguments that returns a `Scene`, registered as an entry point
+in the group `rlbench.scenes`. The exception is `generated`, which takes a seed.
+"""
 
 from __future__ import annotations
 
@@ -12,108 +16,116 @@ from numpy.typing import NDArray
 
 from rlbench.errors import RlbenchError
 
-Vertices = Mapping[str, NDArray[np.float32]]  # v 3, by mesh name
-Plugin = Mapping[str, Any]  # a Mitsuba plugin as a dictionary; "bitmap" textures may hold arrays
+__all__ = ["Camera", "Mesh", "MitsubaDict", "Scene", "SceneError", "Take", "Vertices", "XmlFile"]
+
+Vertices = Mapping[str, NDArray[np.float32]]  # [v 3] in world space, by mesh name
+MitsubaDict = Mapping[str, Any]  # a Mitsuba scene dict; bitmap textures may hold numpy arrays
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles of one material. Merge what shares a material: every mesh costs time per launch."""
+    """Triangles with one BSDF.
+
+    Merge meshes that share a BSDF: each mesh adds about 0.25 ms to every launch.
+    """
 
     name: str
-    vertices: NDArray[np.float32]  # v 3, world space, metres, z up
-    faces: NDArray[np.uint32]  # f 3, counter-clockwise from outside
-    material: Plugin  # a BSDF, for example {"type": "diffuse", "reflectance": {...}}
-    uv: NDArray[np.float32] | None = None  # v 2
-    emission: Plugin | None = None  # an area emitter; many lights = one mesh with a bitmap atlas
+    vertices: NDArray[np.float32]  # [v 3], world space, metres, z up
+    faces: NDArray[np.uint32]  # [f 3], counter-clockwise from outside
+    material: MitsubaDict  # a BSDF, for example {"type": "diffuse", "reflectance": {...}}
+    uv: NDArray[np.float32] | None = None  # [v 2]
+    emission: MitsubaDict | None = (
+        None  # an area emitter; for many lights, one mesh with a bitmap atlas
+    )
     smooth: bool = False  # interpolate vertex normals?
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at one moment."""
+    """A pinhole camera at one time. Positions are in world space, in metres."""
 
     origin: tuple[float, float, float]
     target: tuple[float, float, float]
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    fov: float = 60.0  # horizontal, degrees
+    fov: float = 60.0  # horizontal field of view, degrees
 
 
 @dataclass(frozen=True)
-class Document:
-    """A Mitsuba XML file, whose shapes, materials and lights only Mitsuba knows."""
+class XmlFile:
+    """A Mitsuba XML file. Only Mitsuba reads its shapes, BSDFs and emitters."""
 
-    file: Path
-    parameters: tuple[tuple[str, str], ...] = ()  # values for names that it has a <default> of
+    path: Path
+    parameters: tuple[tuple[str, str], ...] = ()  # values that replace the file's <default> values
 
 
 class SceneError(RlbenchError, ValueError):
-    """A user's scene that cannot be rendered as asked."""
+    """A scene that cannot be rendered with the given options."""
 
 
-def _steady(time: float) -> Mapping[str, float]:
-    """Lights as they were made."""
+def _unchanged_lights(time: float) -> Mapping[str, float]:
+    """No emitter is scaled."""
     return {}
 
 
 @dataclass(frozen=True)
 class Take:
-    """A clip that shows a scene in another way than the scene does by itself.
+    """A further clip of a scene, with its own camera and, if given, its own animation and lights.
 
-    What a take does not say is as in the scene. `lights` gives, at a time, factors >= 0 on the
-    emission of meshes by their names, and of `Scene.sky` by `sky0`, `sky1`, ...; a light that is
-    not in it shines as it was made. From each frame of `cuts` on, another shot is seen, and history
-    is worthless there: see `rlbench.render.mitsuba.gbuffer`.
+    Everything else comes from the scene. `lights(time)` returns factors >= 0 on the radiance of
+    emitters: by mesh name, or `sky0`, `sky1`, ... for `Scene.sky`. Emitters that it does not name
+    are unchanged. Another shot begins at each frame in `cuts`, and the history is invalid there:
+    see `rlbench.render.mitsuba.gbuffer`.
     """
 
-    name: str  # the clip is called <scene>-<name>; without a hyphen
+    name: str  # the clip is called <scene>-<name>; must not contain a hyphen
     camera: Callable[[float], Camera]
-    moving: Callable[[float], Vertices] | None = None
-    lights: Callable[[float], Mapping[str, float]] = _steady
+    vertex_animation: Callable[[float], Vertices] | None = None
+    lights: Callable[[float], Mapping[str, float]] = _unchanged_lights
     cuts: tuple[int, ...] = ()
     static: bool = False  # neither camera nor meshes move; lights may change
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One animated scene. Time is in frames from 0; the same time always gives the same pose.
+    """One animated scene. Time is in frames from 0; equal times always give equal poses.
 
-    By itself it is its own main clip; `takes` are further ones. `lights` and `cuts` are as in Take.
+    The scene itself is the main clip, `takes` are further clips. `lights` and `cuts` are documented
+    in `Take`.
     """
 
     name: str
     title: str
     meshes: tuple[Mesh, ...]
     camera: Callable[[float], Camera]
-    sky: tuple[Plugin, ...] = ()  # emitters without a surface: constant, sunsky, directional
+    sky: tuple[MitsubaDict, ...] = ()  # emitters without a surface: constant, sunsky, directional
     vertex_animation: Callable[[float], Vertices] = field(
         default=lambda time: {}
-    )  # of the meshes that move
-    lights: Callable[[float], Mapping[str, float]] = _steady
+    )  # vertices of the meshes that move
+    lights: Callable[[float], Mapping[str, float]] = _unchanged_lights
     cuts: tuple[int, ...] = ()  # frames at which another shot begins
     takes: tuple[Take, ...] = ()
-    exposure: float = 1.0  # radiance is multiplied by this so that 1.0 is display white
-    depth: int = 8  # longest light path, in edges
+    exposure: float = 1.0  # factor on radiance after which 1.0 is display white
+    max_depth: int = 8  # longest light path, in edges (Mitsuba's max_depth)
     static: bool = False  # neither camera nor meshes move
-    document: Document | None = None  # replaces sky and all meshes; `meshes` are those that move
-    origin: str = ""  # hash of what a user's scene is made of; replaces its fingerprint
-    licence: str = "Apache-2.0"  # of the pixels
+    xml_file: XmlFile | None = None  # replaces sky and all meshes but the animated ones
+    source_hash: str = ""  # hash of a user's scene files; replaces the computed fingerprint
+    licence: str = "Apache-2.0"  # of the rendered images
 
-    def take(self, name: str) -> Scene:
-        """The scene as its take of that name shows it; it has no takes itself.
+    def select_take(self, name: str) -> Scene:
+        """The scene as the take `name` shows it, without takes of its own.
 
-        Raises SceneError, which lists the takes that there are.
+        Raises SceneError if there is no such take; the message lists the takes.
         """
-        found = next((take for take in self.takes if take.name == name), None)
-        if found is None:
-            have = ", ".join(take.name for take in self.takes) or "none"
-            raise SceneError(f"scene '{self.name}' has no take '{name}'; it has: {have}")
+        take = next((take for take in self.takes if take.name == name), None)
+        if take is None:
+            names = ", ".join(take.name for take in self.takes) or "none"
+            raise SceneError(f"scene '{self.name}' has no take '{name}'; available takes: {names}")
         return replace(
             self,
-            camera=found.camera,
-            vertex_animation=found.moving or self.vertex_animation,
-            lights=found.lights,
-            cuts=found.cuts,
-            static=found.static,
+            camera=take.camera,
+            vertex_animation=take.vertex_animation or self.vertex_animation,
+            lights=take.lights,
+            cuts=take.cuts,
+            static=take.static,
             takes=(),
         )

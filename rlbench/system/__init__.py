@@ -1,1 +1,1 @@
-"""Where files are kept, what machine this is, and what code decides a number."""
+"""Infrastructure: cache folders, documents, provenance and code hashes."""

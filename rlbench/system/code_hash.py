@@ -1,4 +1,8 @@
-"""What code decides a number: hashes of modules and of all that they import."""
+"""Code hashes: which source files decide a number, and one hash of their contents.
+
+Imports are followed here by name, and not with `grimp`: that sees which module imports which, so
+through the re-exports of one `__init__` a change to any operation would count for every method.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,16 @@ import ast
 import hashlib
 import importlib.util
 import sys
-from collections.abc import Collection, Iterable
-from importlib.machinery import ModuleSpec
+from collections.abc import Collection, Iterable, Iterator
+from functools import lru_cache
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
+from typing import NamedTuple
+
+__all__ = ["CORE", "closure_of_file", "code_hash", "import_closure"]
+
+OWN = "rlbench"  # the top-level package that every closure follows
+INIT = ".__init__"  # suffix of a package that counts with its `__init__.py` alone
 
 CORE = (
     "rlbench.frames",
@@ -16,7 +27,6 @@ CORE = (
     "rlbench.sampling",
     "rlbench.ops.dither",
     "rlbench.run",
-    "rlbench.ops",
     "rlbench.clips.stored",
     "rlbench.clips.frame_files",
     "rlbench.clips.header",
@@ -25,109 +35,147 @@ CORE = (
     "rlbench.clips.exr",
     "rlbench.benchmark.clip_sources",
     "rlbench.weights",
-)  # the core's modules that decide what image a method makes of a clip
+)  # modules of rlbench that decide the image a method makes of a clip, whatever it imports itself
 
 
 def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
-    """Hash of the sources of `modules` and of the core modules that decide results, 16 hex digits.
+    """Hash of the sources of `modules` and `core`, 16 hex digits.
 
-    A package counts with all of its Python files, a module with its own. Nothing is imported but
-    the packages that hold them. What they import in turn counts only if named (see `closure`).
-    Raises LookupError for a module that cannot be found.
+    A module counts with its own file, a package with all of its Python files, and
+    `package.__init__` with that file alone. Imports are not followed; see `import_closure`. No
+    module is imported. Raises LookupError for a module without a source.
     """
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in sorted({*modules, *core}):
-        for place, path in _sources(name):
+        for label, path in _sources(name):
             source = hashlib.sha256(path.read_bytes()).hexdigest()
-            told.update(f"{name} {place} {source}\n".encode())
-    return told.hexdigest()[:16]
+            digest.update(f"{name} {label} {source}\n".encode())
+    return digest.hexdigest()[:16]
 
 
 def import_closure(module: str, also: Collection[str] = ()) -> set[str]:
-    """A module and all modules of its top-level package that it imports in turn, by name.
+    """The module and all modules that it imports, directly or not, as names for `code_hash`.
 
-    Those of the top-level packages `also` count too. Imports are read from the sources, those
-    inside functions too; nothing is imported but the packages that hold the modules.
+    Imports are followed into the module's own top-level package, rlbench, and the top-level
+    packages `also`; those inside functions count too. Of `from package import name` only the module
+    that defines the name counts, wherever the package's `__init__` (or its stub) imports it from. A
+    package that is imported whole counts with its `__init__` and all that this imports. The sources
+    are parsed; no module is imported.
     """
-    return _reached([module], {module.partition(".")[0], *also})
+    followed = {module.partition(".")[0], OWN, *also}
+    return _follow([_Import(module)], followed)
 
 
 def closure_of_file(file: Path, also: Collection[str]) -> set[str]:
-    """The modules that a loose file imports in turn, of the packages `also` and of its folder."""
-    beside = {each.stem for each in file.parent.iterdir() if each.suffix == ".py" or each.is_dir()}
-    followed = {*also, *beside - {file.stem}}
-    return _reached(_followed(_asked(file, ""), followed), followed)
+    """The modules that a plugin file imports, from rlbench, the packages `also` and its folder.
+
+    The file itself is not among them, since it has no module name.
+    """
+    siblings = {p.stem for p in file.parent.iterdir() if p.suffix == ".py" or p.is_dir()}
+    return _follow(_parse(file.read_bytes(), ""), {OWN, *also, *siblings - {file.stem}})
 
 
-def _reached(todo: list[str], followed: Collection[str]) -> set[str]:
-    """The modules `todo`, and all that they import in turn of the top-level packages `followed`."""
-    found: set[str] = set()
-    while todo:
-        name = todo.pop()
-        if name not in found:
-            found.add(name)
-            todo += _followed(_imports(name), followed)
-    return found
+class _Import(NamedTuple):
+    """`import module`, or `from module import name as alias`."""
+
+    module: str
+    name: str = ""
+    alias: str = ""
 
 
-def _followed(names: Iterable[str], followed: Collection[str]) -> list[str]:
-    """Those of names that are modules of the top-level packages `followed`."""
-    return [name for name in names if name.partition(".")[0] in followed and _is_module(name)]
+def _follow(imports: Iterable[_Import], followed: Collection[str]) -> set[str]:
+    """The modules that these imports reach inside the top-level packages `followed`."""
+    closure: set[str] = set()
+    queue = list(imports)
+    while queue:
+        for module in _defining_modules(queue.pop(), followed):
+            if module not in closure:
+                closure.add(module)
+                queue += _imports(module)
+    return closure
 
 
-def _imports(name: str) -> list[str]:
-    """What a module imports, as its source says, with the names that may be modules."""
-    spec = _spec(name)
-    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
-        return []
-    package = name if spec.submodule_search_locations else name.rpartition(".")[0]
-    return _asked(Path(spec.origin), package)
+def _defining_modules(item: _Import, followed: Collection[str]) -> Iterator[str]:
+    """The module whose source decides what is imported; none outside `followed`."""
+    spec = _spec(item.module) if item.module.partition(".")[0] in followed else None
+    if spec is None:
+        return
+    if spec.submodule_search_locations is None:
+        yield item.module
+        return
+    package = f"{item.module}{INIT}"
+    has_init = spec.origin is not None  # a folder without __init__.py is a package, too
+    for reexport in _imports(package) if item.name and has_init else ():
+        if reexport.alias == item.name and reexport.module != item.module:
+            yield from _defining_modules(reexport, followed)
+            return
+    submodule = f"{item.module}.{item.name}"
+    if item.name and _spec(submodule):
+        yield from _defining_modules(_Import(submodule), followed)
+    elif has_init:
+        yield package
 
 
-def _asked(file: Path, package: str) -> list[str]:
-    """What a file of a package imports, with the names that may be modules."""
+def _imports(name: str) -> tuple[_Import, ...]:
+    """The imports of a module, or of `package.__init__` and its stub."""
+    package = name.removesuffix(INIT) if name.endswith(INIT) else name.rpartition(".")[0]
+    files = [path for _, path in _sources(name) if path.suffix == ".py"]
+    stubs = [path.with_suffix(".pyi") for path in files if path.name == "__init__.py"]
+    return tuple(
+        item
+        for path in [*files, *filter(Path.is_file, stubs)]
+        for item in _parse(path.read_bytes(), package)
+    )
+
+
+@lru_cache(maxsize=4096)
+def _parse(source: bytes, package: str) -> tuple[_Import, ...]:
+    """The imports of a source; relative ones are resolved against `package`."""
     try:
-        tree = ast.parse(file.read_bytes())
-    except SyntaxError:  # whoever imports it will hear of it
-        return []
-    asked: list[str] = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            asked += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level and not package:
-                continue  # of a loose file, which is in none
-            if node.level:
-                base = importlib.util.resolve_name("." * node.level + base, package)
-            asked += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    return asked
+        tree = ast.parse(source)
+    except SyntaxError:  # importing the module reports it
+        return ()
+    return tuple(item for node in ast.walk(tree) for item in _read_import(node, package))
 
 
-def _is_module(name: str) -> bool:
-    """Is it a module, and not what one holds? A parent that is no package is not imported."""
-    parent = name.rpartition(".")[0]
-    above = _spec(parent) if parent else None
-    return not (above and not above.submodule_search_locations) and _spec(name) is not None
+def _read_import(node: ast.AST, package: str) -> Iterator[_Import]:
+    if isinstance(node, ast.Import):
+        yield from (_Import(alias.name) for alias in node.names)
+    if isinstance(node, ast.ImportFrom) and (package or not node.level):
+        base = "." * node.level + (node.module or "")
+        module = importlib.util.resolve_name(base, package) if node.level else base
+        for alias in node.names:
+            name = "" if alias.name == "*" else alias.name
+            yield _Import(module, name, alias.asname or name)
 
 
 def _spec(name: str) -> ModuleSpec | None:
+    """Where a module lies. Unlike `importlib.util.find_spec`, imports no parent package."""
+    top, *parts = name.split(".")
     try:
-        return importlib.util.find_spec(name)
-    except Exception:  # what a parent raises that is imported for it; of a loose file, no spec
+        spec = importlib.util.find_spec(top)
+    except ValueError:  # imported from a file, so it has no spec
         return None
+    for part in parts:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        spec = PathFinder.find_spec(f"{spec.name}.{part}", spec.submodule_search_locations)
+    return spec
 
 
 def _sources(name: str) -> list[tuple[str, Path]]:
-    """The Python files of a module or package, each with its place in it."""
+    """The Python files that a name counts with, each with its path inside the package."""
     spec = _spec(name)
-    if spec and not spec.origin and spec.submodule_search_locations:  # a folder without __init__
-        folders = [Path(each) for each in spec.submodule_search_locations]
-        return [(p.relative_to(f).as_posix(), p) for f in folders for p in sorted(f.rglob("*.py"))]
+    if spec and not spec.origin and spec.submodule_search_locations:  # a folder without __init__.py
+        return [pair for folder in spec.submodule_search_locations for pair in _files(Path(folder))]
     origin = spec.origin if spec else getattr(sys.modules.get(name), "__file__", None)
     if origin is None:
-        raise LookupError(f"no source found for module '{name}'; is it installed?")
+        raise LookupError(f"no source file found for module '{name}'. Check that it is installed")
     file = Path(origin)
-    if file.name != "__init__.py":
+    if file.name != "__init__.py" or name.endswith(INIT):
         return [(file.name, file)]
-    return [(p.relative_to(file.parent).as_posix(), p) for p in sorted(file.parent.rglob("*.py"))]
+    return _files(file.parent)
+
+
+def _files(folder: Path) -> list[tuple[str, Path]]:
+    return [(path.relative_to(folder).as_posix(), path) for path in sorted(folder.rglob("*.py"))]

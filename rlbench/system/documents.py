@@ -1,6 +1,6 @@
-"""TOML and JSON documents as frozen dataclasses: decoded with types checked, written whole.
+"""TOML and JSON documents as typed dataclasses: decoding with type checks, and writing.
 
-`msgspec` checks types and names the key that is wrong; `tomli_w` writes TOML.
+`msgspec` checks the types and names the key that is wrong; `tomli_w` writes TOML.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 import tomli_w
 
-from rlbench.system.paths import replacing
+from rlbench.system.paths import atomic_write
 
 __all__ = ["decode", "read_toml", "to_toml", "unknown_keys", "write_toml"]
 
@@ -24,24 +24,30 @@ T = TypeVar("T")
 def decode(
     document: Mapping[str, Any], kind: type[T], *, renamed: Mapping[str, str] | None = None
 ) -> T:
-    """A dataclass of type `kind` from a document's keys; keys that it does not have are ignored.
+    """Decode a document into a dataclass of type `kind`; keys without a field are ignored.
 
-    `renamed` maps keys of older documents to today's. A list becomes a tuple and an int a float
-    where the type asks for it. Raises ValueError, naming the key, for a value of another type and
-    for a key that is missing.
+    `renamed` maps the keys of older documents to the fields of today. A list becomes a tuple, and
+    an int a float, where the field has that type.
+
+    >>> from rlbench.system.provenance import Machine
+    >>> decode({"cpu": "EPYC", "cores": 4, "gpu": "", "os": "Linux"}, Machine).cores
+    4
+
+    Raises ValueError, naming the key, for a value of another type or a missing key.
     """
-    today = {(renamed or {}).get(key, key): value for key, value in document.items()}
-    return msgspec.convert(today, kind)
+    return msgspec.convert(_rename(document, renamed), kind)
 
 
-def unknown_keys(document: Mapping[str, Any], kind: type) -> list[str]:
-    """Keys of a document that a dataclass does not have."""
-    known = {each.name for each in dataclasses.fields(kind)}
-    return sorted(document.keys() - known)
+def unknown_keys(
+    document: Mapping[str, Any], kind: type, *, renamed: Mapping[str, str] | None = None
+) -> list[str]:
+    """The keys of a document for which the dataclass `kind` has no field, sorted."""
+    fields = {field.name for field in dataclasses.fields(kind)}
+    return sorted(_rename(document, renamed).keys() - fields)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The keys of a TOML file. Raises ValueError where it is not TOML in UTF-8."""
+    """Read a TOML file. Raises ValueError for a file that is not TOML in UTF-8."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -49,11 +55,15 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def to_toml(document: Mapping[str, Any]) -> str:
-    """A document as TOML, in the order of its keys; tuples become arrays."""
+    """Format a document as TOML, keys in order; tuples become arrays."""
     return tomli_w.dumps(dict(document))
 
 
 def write_toml(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a document as a TOML file, whole or not at all."""
-    with replacing(path) as temporary:
+    """Write a document to a TOML file atomically."""
+    with atomic_write(path) as temporary:
         temporary.write_text(to_toml(document), encoding="utf-8")
+
+
+def _rename(document: Mapping[str, Any], renamed: Mapping[str, str] | None) -> dict[str, Any]:
+    return {(renamed or {}).get(key, key): value for key, value in document.items()}

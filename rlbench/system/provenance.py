@@ -1,4 +1,4 @@
-"""Where a number came from: this machine, the versions, the commit, the code that made it."""
+"""Provenance of a result: the machine, the package versions and the commit."""
 
 from __future__ import annotations
 
@@ -11,61 +11,75 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-PACKAGES = ("torch", "mitsuba", "rlbench")
+__all__ = [
+    "PACKAGES",
+    "Machine",
+    "commit",
+    "machine",
+    "missing_packages",
+    "package_versions",
+    "versions",
+]
+
+PACKAGES = ("torch", "mitsuba", "rlbench")  # their versions decide results
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What a time was measured on. `gpu` is empty where there is none."""
+    """A machine on which times are measured."""
 
     cpu: str
-    cores: int  # that this process may use
-    gpu: str
+    cores: int  # available to this process
+    gpu: str  # empty without a CUDA device
     os: str
 
     @property
     def name(self) -> str:
-        """The processor and the cores of it that work: a tracer's time needs both."""
+        """Processor and number of cores: the time of a path tracer depends on both."""
         return f"{self.cpu}, {self.cores} cores"
 
 
 def machine() -> Machine:
-    """This machine."""
-    allowed = getattr(os, "sched_getaffinity", None)
-    cores = len(allowed(0)) if allowed else os.cpu_count() or 1
+    """Describe this machine."""
+    affinity = getattr(os, "sched_getaffinity", None)  # Linux only
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     return Machine(_cpu(), cores, _gpu(), f"{platform.system()} {platform.release()}")
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide results; "none" if not installed."""
+    """Versions of Python and of `PACKAGES`; "none" for a package that is not installed."""
     return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
 
 
 def package_versions(packages: Iterable[str]) -> str:
-    """The packages and their versions, `pyoidn 2.5.1.0`; of one that is not installed, "none"."""
+    """The packages with their versions, as one text; "none" for one that is not installed.
+
+    >>> package_versions(["no-such-package"])
+    'no-such-package none'
+    """
     return ", ".join(f"{name} {_version(name)}" for name in packages)
 
 
-def missing(packages: Iterable[str]) -> list[str]:
-    """Those of the packages that are not installed."""
+def missing_packages(packages: Iterable[str]) -> list[str]:
+    """The packages that are not installed."""
     return [name for name in packages if _version(name) == "none"]
 
 
 def commit(folder: Path = Path(__file__).parents[1]) -> str:
-    """The commit of the checkout that tracks this code, 12 hex digits, with "+" if it was changed.
+    """The commit of the checkout that holds this code: 12 hex digits, and "+" if files changed.
 
-    Empty where the code is no checkout, as when it was installed from a package.
+    Empty if the code is not tracked by git, for example if it was installed from a wheel.
     """
-    tracked = _git(folder, "ls-files", "--error-unmatch", "--", ".")
-    head = _git(folder, "rev-parse", "--short=12", "HEAD") if tracked else ""
-    changed = _git(folder, "status", "--porcelain") if head else ""
-    return f"{head}+" if changed else head
+    tracked_files = _git(folder, "ls-files", "--error-unmatch", "--", ".")
+    head = _git(folder, "rev-parse", "--short=12", "HEAD") if tracked_files else ""
+    changes = _git(folder, "status", "--porcelain") if head else ""
+    return f"{head}+" if changes else head
 
 
 def _cpu() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
@@ -86,13 +100,14 @@ def _version(package: str) -> str:
         return "none"
 
 
-def _git(folder: Path, *words: str) -> str:
-    """What git prints, or nothing where it fails or is absent."""
-    clean = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}  # as set in hooks
+def _git(folder: Path, *arguments: str) -> str:
+    """The output of a git command; empty if it fails or git is not installed."""
+    # a git hook sets GIT_DIR and others, which would point to another repository
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), *words], capture_output=True, text=True, env=clean
+        process = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, env=environment
         )
     except FileNotFoundError:
         return ""
-    return done.stdout.strip() if done.returncode == 0 else ""
+    return process.stdout.strip() if process.returncode == 0 else ""

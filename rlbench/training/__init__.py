@@ -1,1 +1,63 @@
-"""Training: task, config, loop, checkpoint, dataset and logger."""
+"""Training of learned methods: the same loop, clips and schedule for every method.
+
+A learned method provides a `TrainingTask` (see `rlbench.training.task` for a guide with an
+example). Three functions work with it: `train` trains the method and writes its weights,
+`find_learning_rate` runs a learning-rate range test, and `replay_sequence` repeats a sequence that
+stopped a training run. The names below are imported on first use, so that importing this package
+does not import torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+__all__ = [
+    "BUDGETS_FROM_1_SPP",
+    "LrRangeResult",
+    "Progress",
+    "SampleGradient",
+    "SurrogateGradient",
+    "TrainingConfig",
+    "TrainingError",
+    "TrainingResult",
+    "TrainingTask",
+    "find_learning_rate",
+    "kuznetsov_gradient",
+    "relaxed_counts",
+    "replay_sequence",
+    "train",
+]
+
+if TYPE_CHECKING:
+    from rlbench.training.config import TrainingConfig
+    from rlbench.training.loop import TrainingResult, train
+    from rlbench.training.lr_range_test import LrRangeResult, find_learning_rate
+    from rlbench.training.progress import Progress
+    from rlbench.training.replay import replay_sequence
+    from rlbench.training.surrogate_gradient import (
+        SampleGradient,
+        SurrogateGradient,
+        kuznetsov_gradient,
+        relaxed_counts,
+    )
+    from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingError, TrainingTask
+else:
+    import lazy_loader
+
+    __getattr__, __dir__, _ = lazy_loader.attach(
+        __name__,
+        submod_attrs={
+            "config": ["TrainingConfig"],
+            "loop": ["TrainingResult", "train"],
+            "lr_range_test": ["LrRangeResult", "find_learning_rate"],
+            "progress": ["Progress"],
+            "replay": ["replay_sequence"],
+            "surrogate_gradient": [
+                "SampleGradient",
+                "SurrogateGradient",
+                "kuznetsov_gradient",
+                "relaxed_counts",
+            ],
+            "task": ["BUDGETS_FROM_1_SPP", "TrainingError", "TrainingTask"],
+        },
+    )

@@ -1,4 +1,4 @@
-"""Training batches: random crops of random clips, kept over their frames; seeded by draw."""
+"""Training batches: random crops of random clips, augmented alike over all frames of a sequence."""
 
 from __future__ import annotations
 
@@ -12,141 +12,177 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rlbench.clips.stored import ALL, InMemoryClip, open_clip
+from rlbench.clips.stored import DEFAULT_INPUTS, InMemoryClip, open_clip
 from rlbench.errors import RlbenchError
 from rlbench.family import Traits
 from rlbench.frames import Frame, GBuffer, Reference, StoredPool
 from rlbench.training.config import TrainingConfig
 
+__all__ = ["Augmentation", "BatchError", "Batches", "prefetch", "sample_budget"]
+
 
 class BatchError(RlbenchError, ValueError):
-    """Clips of which no batch can be cut."""
+    """Clips from which no batch can be cut."""
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How a crop is turned. Drawn once a sequence and kept over its frames."""
+    """How a crop is transformed. Drawn once for each sequence and kept over its frames."""
 
-    mirror: bool  # left to right
-    flip: bool  # top to bottom
-    transpose: bool  # rows become columns
-    gain: float  # exposure, factor on radiance
-    colours: tuple[int, ...]  # the order of red, green and blue, in radiance and albedo
+    mirror: bool  # swap left and right
+    flip: bool  # swap top and bottom
+    transpose: bool  # swap rows and columns
+    gain: float  # exposure, a factor on radiance
+    channels: tuple[int, ...]  # a permutation of red, green and blue, of radiance and albedo
 
     def transform(self, image: Tensor) -> Tensor:
         """An image [... h w], mirrored, flipped and transposed."""
-        axes = [axis for axis, wanted in ((-1, self.mirror), (-2, self.flip)) if wanted]
+        axes = [axis for axis, reverse in ((-1, self.mirror), (-2, self.flip)) if reverse]
         image = image.flip(axes) if axes else image
         return image.transpose(-1, -2) if self.transpose else image
 
     def permute_channels(self, image: Tensor) -> Tensor:
-        """Radiance or albedo [... 3 h w], turned, with its colours in another order."""
-        return self.transform(image)[..., list(self.colours), :, :]
+        """Radiance or albedo [... 3 h w], transformed, with permuted colour channels."""
+        return self.transform(image)[..., list(self.channels), :, :]
 
     def transform_motion(self, motion: Tensor) -> Tensor:
-        """The same for motion [n 2 h w], whose vectors turn with the image."""
+        """Motion [n 2 h w], transformed as an image; the vectors are reflected too."""
         sign = motion.new_tensor([-1.0 if self.mirror else 1.0, -1.0 if self.flip else 1.0])
         motion = self.transform(motion) * sign.view(1, 2, 1, 1)
         return motion.flip(1) if self.transpose else motion
 
     def apply(self, frame: Frame) -> Frame:
-        """The frame, turned and exposed; a static view gets motion zero, so that clips can mix."""
-        gbuffer = frame.gbuffer
-        motion = (
-            gbuffer.motion
-            if gbuffer.motion is not None
-            else torch.zeros_like(gbuffer.normal[:, :2])
-        )
-        kept = {k: v for k, v in gbuffer.buffers.items() if k != "motion"}
-        buffers = {
-            k: (self.permute_channels if "albedo" in k else self.transform)(v)
-            for k, v in kept.items()
-        }
-        buffers |= {"motion": self.transform_motion(motion)}
-        pool = frame.pool
+        """The frame, transformed; a frame without motion gets zeros, so that clips can be mixed."""
+        pool, reference = frame.pool, frame.reference
         assert isinstance(pool, StoredPool)
         return Frame(
             frame.index,
-            GBuffer(buffers),
+            GBuffer(self._transform_buffers(frame.gbuffer)),
             StoredPool(self.permute_channels(pool.radiance) * self.gain, pool.rounding_seeds),
             Reference(
-                self.permute_channels(frame.reference.half_a) * self.gain,
-                self.permute_channels(frame.reference.half_b) * self.gain,
+                self.permute_channels(reference.half_a) * self.gain,
+                self.permute_channels(reference.half_b) * self.gain,
             ),
         )
+
+    def _transform_buffers(self, gbuffer: GBuffer) -> dict[str, Tensor]:
+        motion = gbuffer.motion
+        if motion is None:
+            motion = torch.zeros_like(gbuffer.normal[:, :2])
+        buffers = {
+            name: self.permute_channels(buffer) if "albedo" in name else self.transform(buffer)
+            for name, buffer in gbuffer.buffers.items()
+            if name != "motion"
+        }
+        return buffers | {"motion": self.transform_motion(motion)}
 
 
 @dataclass(frozen=True)
 class Batches:
-    """Draws of clips for training; draw `index` is the same in every run with the same seed.
+    """Random sequences of crops; sequence `index` is the same in every run with the same seed.
 
-    Raises BatchError where there is no clip, and at a draw of one that is smaller than a crop.
+    Raises BatchError if there are no clips, or if a drawn clip is smaller than a crop.
     """
 
-    folders: Sequence[Path]
-    batch: int  # clips advanced together
-    crop: int  # side, pixels; clips are at least as large
-    length: int  # frames of a sequence
+    clips: Sequence[Path]  # clip folders
+    batch: int  # clips stacked in a batch
+    crop: int  # side of a crop, pixels; no larger than a clip
+    sequence_length: int  # frames
     seed: int
     device: str = "cpu"
-    pool: str = "path"
-    inputs: frozenset[str] = ALL  # view buffers, beside those that are turned in a way of their own
+    pool: str = "path"  # kind of sample pool
+    inputs: frozenset[str] = (
+        DEFAULT_INPUTS  # G-buffer channels to load besides albedo, normal and motion
+    )
 
     @classmethod
-    def planned(
-        cls, folders: Sequence[Path], plan: TrainingConfig, traits: Traits, device: str
+    def from_config(
+        cls, clips: Sequence[Path], config: TrainingConfig, traits: Traits, device: str
     ) -> Batches:
-        """As a plan has them, for a method of those traits."""
-        how = (plan.batch, plan.crop, plan.length, plan.seed)
-        return cls(folders, *how, device, traits.pool, traits.inputs)
+        """Batches for a training config and a method with these traits."""
+        shape = (config.batch, config.crop, config.sequence_length)
+        return cls(clips, *shape, config.seed, device, traits.pool, traits.inputs)
 
     def __post_init__(self) -> None:
-        """Refuse to draw from nothing."""
-        if not self.folders:
-            raise BatchError("no clips to train on; 'rlbench render --preset train' makes some")
+        """Raise BatchError if there are no clips."""
+        if not self.clips:
+            raise BatchError(
+                "There are no clips to train on. To render some: rlbench render --preset train"
+            )
 
-    def contents(self) -> list[str]:
-        """Name and hash of each clip, as cards and checkpoints tell what was trained on."""
-        opened = [open_clip(folder, pool=self.pool) for folder in self.folders]
+    def clip_digests(self) -> list[str]:
+        """Name and hash of each clip, for model cards and checkpoints."""
+        opened = [open_clip(folder, pool=self.pool) for folder in self.clips]
         return [f"{clip.name} {clip.digest[:12]}" for clip in opened]
 
     def sequence(self, index: int) -> InMemoryClip:
-        """A clip of `batch` crops side by side, `length` frames long or as long as the shortest."""
+        """A clip with a batch of crops as its frames; as long as the shortest of them."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + index)
-        parts = [self._part(generator) for _ in range(self.batch)]
-        frames = [_stack(together) for together in zip(*parts, strict=False)]
-        return InMemoryClip(f"draw {index}", "training", "", frames)
+        crops = [self._draw_crop(generator) for _ in range(self.batch)]
+        frames = [_stack(batch) for batch in zip(*crops, strict=False)]
+        return InMemoryClip(f"sequence {index}", "training", "", frames)
 
-    def _part(self, generator: torch.Generator) -> list[Frame]:
-        folder = self.folders[_integer(generator, len(self.folders))]
-        order = _integer(generator, 2**31)
-        needs = self.inputs | {"albedo", "normal", "motion"}
-        clip = open_clip(folder, needs, pool=self.pool, seed=order, device=self.device)
+    def _draw_crop(self, generator: torch.Generator) -> list[Frame]:
+        folder = self.clips[_draw_integer(generator, len(self.clips))]
+        sample_order = _draw_integer(generator, 2**31)
+        inputs = self.inputs | {"albedo", "normal", "motion"}
+        clip = open_clip(folder, inputs, pool=self.pool, seed=sample_order, device=self.device)
         if self.crop > min(clip.size.h, clip.size.w):
             raise BatchError(
-                f"crops of {self.crop} x {self.crop} asked for, clip '{clip.name}' has "
-                f"{clip.size.h} x {clip.size.w} pixels; ask for smaller crops"
+                f"Crops of {self.crop} x {self.crop} pixels were requested, but clip '{clip.name}' "
+                f"has {clip.size.h} x {clip.size.w} pixels. Choose a smaller --crop"
             )
-        top = _integer(generator, clip.size.h - self.crop + 1)
-        left = _integer(generator, clip.size.w - self.crop + 1)
+        top = _draw_integer(generator, clip.size.h - self.crop + 1)
+        left = _draw_integer(generator, clip.size.w - self.crop + 1)
         window = (slice(top, top + self.crop), slice(left, left + self.crop))
-        mirror, flip, transpose = (bool(_integer(generator, 2)) for _ in range(3))
-        gain = 2.0 ** float(torch.rand((), generator=generator) - 0.5)
-        colours = tuple(torch.randperm(3, generator=generator).tolist())
-        turned = Augmentation(mirror, flip, transpose, gain, colours)
-        first = _integer(generator, max(1, len(clip) - self.length + 1))
-        chosen = range(first, min(first + self.length, len(clip)))
-        return [turned.apply(clip.frame(i, window)) for i in chosen]
+        augmentation = _draw_augmentation(generator)
+        first = _draw_integer(generator, max(1, len(clip) - self.sequence_length + 1))
+        indices = range(first, min(first + self.sequence_length, len(clip)))
+        return [augmentation.apply(clip.frame(index, window)) for index in indices]
 
 
-def sample_budget(budgets: Sequence[float], seed: int, draw: int) -> float:
-    """The budget, in samples per pixel, of one draw of a training with that seed.
+def sample_budget(budgets: Sequence[float], seed: int, index: int) -> float:
+    """The budget of sequence `index` in a run with that seed, in samples per pixel.
 
-    It is drawn apart from the clip: were both from one generator, some scenes would never be seen
-    at some budgets.
+    It is hashed from the index, independently of the clip: with one generator for both, some scenes
+    would never be seen at some budgets.
+
+    >>> [sample_budget((1.0, 2.0, 4.0), seed=0, index=index) for index in range(4)]
+    [1.0, 2.0, 1.0, 1.0]
     """
-    told = hashlib.blake2b(f"{seed}/{draw}/budget".encode(), digest_size=8).digest()
-    return budgets[int.from_bytes(told) % len(budgets)]
+    key = hashlib.blake2b(f"{seed}/{index}/budget".encode(), digest_size=8).digest()
+    return budgets[int.from_bytes(key) % len(budgets)]
+
+
+@contextmanager
+def prefetch(batches: Batches) -> Iterator[Callable[[int], InMemoryClip]]:
+    """`Batches.sequence`, with the next sequence read in a thread of its own.
+
+    The sequences are the same as without. An error while reading a sequence is raised when that
+    sequence is requested.
+    """
+    pending: dict[int, Future[InMemoryClip]] = {}
+    with ThreadPoolExecutor(1, thread_name_prefix="prefetch") as reader:
+
+        def sequence(index: int) -> InMemoryClip:
+            future = pending.pop(index, None) or reader.submit(batches.sequence, index)
+            pending.clear()
+            clip = future.result()
+            pending[index + 1] = reader.submit(batches.sequence, index + 1)
+            return clip
+
+        yield sequence
+
+
+def _draw_augmentation(generator: torch.Generator) -> Augmentation:
+    mirror, flip, transpose = (bool(_draw_integer(generator, 2)) for _ in range(3))
+    gain = 2.0 ** float(torch.rand((), generator=generator) - 0.5)
+    channels = tuple(torch.randperm(3, generator=generator).tolist())
+    return Augmentation(mirror, flip, transpose, gain, channels)
+
+
+def _draw_integer(generator: torch.Generator, below: int) -> int:
+    return int(torch.randint(below, (), generator=generator))
 
 
 def _stack(frames: Sequence[Frame]) -> Frame:
@@ -154,31 +190,8 @@ def _stack(frames: Sequence[Frame]) -> Frame:
     pools = [frame.pool for frame in frames]
     gbuffer = GBuffer({k: torch.cat([f.gbuffer.buffers[k] for f in frames]) for k in names})
     radiance = torch.cat([p.radiance for p in pools if isinstance(p, StoredPool)])
-    keys = tuple(key for pool in pools for key in pool.rounding_seeds)
-    a = torch.cat([f.reference.half_a for f in frames])
-    b = torch.cat([f.reference.half_b for f in frames])
-    return Frame(frames[0].index, gbuffer, StoredPool(radiance, keys), Reference(a, b))
-
-
-def _integer(generator: torch.Generator, below: int) -> int:
-    return int(torch.randint(below, (), generator=generator))
-
-
-@contextmanager
-def prefetch(batches: Batches) -> Iterator[Callable[[int], InMemoryClip]]:
-    """`Batches.draw`, one draw ahead of what is asked for, in a thread of its own.
-
-    The draws are the same as without. What stops the reading of a draw is raised when that draw is
-    asked for.
-    """
-    waiting: dict[int, Future[InMemoryClip]] = {}
-    with ThreadPoolExecutor(1, thread_name_prefix="draw") as reader:
-
-        def draw(index: int) -> InMemoryClip:
-            asked = waiting.pop(index, None) or reader.submit(batches.sequence, index)
-            waiting.clear()
-            clip = asked.result()
-            waiting[index + 1] = reader.submit(batches.sequence, index + 1)
-            return clip
-
-        yield draw
+    rounding_seeds = tuple(seed for pool in pools for seed in pool.rounding_seeds)
+    half_a = torch.cat([f.reference.half_a for f in frames])
+    half_b = torch.cat([f.reference.half_b for f in frames])
+    pool = StoredPool(radiance, rounding_seeds)
+    return Frame(frames[0].index, gbuffer, pool, Reference(half_a, half_b))

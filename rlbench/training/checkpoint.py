@@ -1,4 +1,4 @@
-"""Where a training stands, on disk: weights, their average, the optimiser, and the progress."""
+"""Checkpoint files: tensors and JSON metadata in one safetensors file."""
 
 from __future__ import annotations
 
@@ -7,101 +7,64 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor, nn
+from torch import Tensor
 
 from rlbench.errors import RlbenchError
 from rlbench.system import paths
 
+__all__ = ["CheckpointError", "read", "read_metadata", "select_prefix", "write"]
+
+RENAMED_PREFIXES = {  # of tensors in files written before these were renamed
+    "average.": "ema.",
+    "aside.": "auxiliary_network.",
+}
+
 
 class CheckpointError(RlbenchError, ValueError):
-    """A file that is not there, or of another kind."""
+    """A file that is missing, or was not written by a training run."""
 
 
-def save(
-    path: Path,
-    networks: nn.Module,
-    average: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    progress: dict[str, Any],
-    aside: nn.Module | None = None,
-) -> None:
-    """Write all of it to one file, at once: a kill leaves the old file or the new one."""
-    tensors = state_tensors(networks, optimizer, aside)
-    tensors |= {f"average.{k}": v for k, v in average.state_dict().items()}
-    write(path, tensors, progress)
-
-
-def load(
-    path: Path,
-    networks: nn.Module,
-    average: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    aside: nn.Module | None = None,
-) -> dict[str, Any]:
-    """Read it all back into place; returns the progress."""
-    progress, tensors = read(path)
-    unpack(tensors, networks, optimizer, aside)
-    average.load_state_dict(under("average.", tensors))
-    return progress
-
-
-def state_tensors(
-    networks: nn.Module, optimizer: torch.optim.Optimizer, aside: nn.Module | None
-) -> dict[str, Tensor]:
-    """All tensors that the next step depends on, by name; they are not copied."""
-    tensors = {f"weights.{k}": v for k, v in networks.state_dict().items()}
-    if aside is not None:
-        tensors |= {f"aside.{k}": v for k, v in aside.state_dict().items()}
-    for index, moments in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
-    return tensors
-
-
-def unpack(
-    tensors: Mapping[str, Tensor],
-    networks: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    aside: nn.Module | None,
-) -> None:
-    """Put tensors of `packed` back into place."""
-    networks.load_state_dict(under("weights.", tensors))
-    if aside is not None:
-        aside.load_state_dict(under("aside.", tensors))
-    moments: dict[int, dict[str, Tensor]] = {}
-    for key, value in under("optimizer.", tensors).items():
-        index, name = key.split(".", 1)
-        moments.setdefault(int(index), {})[name] = value
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": moments, "param_groups": groups})
-
-
-def write(path: Path, tensors: Mapping[str, Tensor], told: dict[str, Any]) -> None:
-    """A file of tensors with a few words, which is whole or not there."""
-    whole = {k: v.contiguous() for k, v in tensors.items()}
-    with paths.replacing(path) as temporary:
-        save_file(whole, temporary, {"progress": json.dumps(told)})
+def write(path: Path, tensors: Mapping[str, Tensor], metadata: dict[str, Any]) -> None:
+    """Write tensors and metadata to one file. A kill leaves the old file or the new one."""
+    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    with paths.atomic_write(path) as temporary:
+        save_file(contiguous, temporary, {"progress": json.dumps(metadata)})
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """The words of a file that `write` made. Raises CheckpointError for another one, or none."""
+    """The metadata of a file that `write` wrote. Raises CheckpointError for any other file."""
     try:
         with safe_open(path, "pt") as file:
-            told: dict[str, Any] = json.loads(file.metadata()["progress"])
-            return told
+            metadata: dict[str, Any] = json.loads(file.metadata()["progress"])
+            return metadata
     except (OSError, SafetensorError, TypeError, KeyError, ValueError) as error:
-        raise CheckpointError(f"{path} is no file that a training wrote: {error!r}") from error
+        raise CheckpointError(
+            f"{path} is not a file written by a training run ({error!r}). Give a checkpoint or a "
+            "failed sequence from the folder of a run"
+        ) from error
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The words and the tensors of a file that `write` made."""
-    told = read_metadata(path)
+    """The metadata and the tensors of a file that `write` wrote, under their present names."""
+    metadata = read_metadata(path)
     with safe_open(path, "pt") as file:
-        return told, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        names = list(file.keys())  # safe_open objects are not iterable
+        return metadata, {_rename_prefix(name): file.get_tensor(name) for name in names}
 
 
-def under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors whose names begin so, without that beginning."""
+def select_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors whose names start with `prefix`, with the prefix removed.
+
+    >>> select_prefix("ema.", {"ema.bias": 1, "weights.bias": 2})
+    {'bias': 1}
+    """
     return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _rename_prefix(name: str) -> str:
+    for old, new in RENAMED_PREFIXES.items():
+        if name.startswith(old):
+            return new + name.removeprefix(old)
+    return name

@@ -1,46 +1,77 @@
-"""How long a training is and on what, how its learning rate goes, and where it stands."""
+"""Training configuration: number of frames, crops, precision and learning-rate schedule."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-WARM_UP = 0.15  # share of the training in which the learning rate rises
-START, END = 1 / 25, 1e-4  # learning rate at the first and at the last step, of the peak
+__all__ = ["TrainingConfig"]
+
+WARM_UP_FRACTION = 0.15  # of the frames, in which the learning rate rises
+START_FACTOR, END_FACTOR = 1 / 25, 1e-4  # first and last learning rate, relative to the peak
+
+RENAMED_KEYS = {  # in checkpoints and model cards written before the fields were renamed
+    "length": "sequence_length",
+    "average": "ema_decay",
+    "norm": "max_grad_norm",
+    "half": "bf16",
+    "every": "eval_interval",
+    "peak": "max_lr",
+}
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How long and on what; equal for all methods that are to be compared."""
+    """How a method is trained; use the same values for all methods that are compared."""
 
-    frames: int = 12_000  # crops to see, each frame of each clip in a batch counts
-    batch: int = 1  # crops advanced together; on few frames, more steps are worth more
+    frames: int = 12_000  # crops to train on; each frame of each clip in a batch counts
+    batch: int = 1  # clips in a batch; on few frames, more steps are worth more
     crop: int = 128  # side of a crop, pixels
-    length: int = 6  # frames of a sequence
-    average: float = 0.998  # decay of the averaged weights, which are the ones shipped
+    sequence_length: int = 6  # frames
+    ema_decay: float = 0.998  # of the averaged weights, which are validated and saved
     seed: int = 0
-    norm: float = 1.0  # gradients are clipped to this length
-    half: bool = False  # bfloat16 autocast of the forward pass
-    every: int = 1_000  # frames between validations and checkpoints
-    spp: tuple[float, ...] = ()  # budgets, one drawn a sequence; empty for those of the method
+    max_grad_norm: float = 1.0  # longer gradients are scaled down to this L2 norm
+    bf16: bool = False  # bfloat16 autocast of the forward pass
+    eval_interval: int = 1_000  # frames between validations, and between checkpoints
+    spp: tuple[float, ...] = ()  # training budgets; empty for those of the method's TrainingTask
 
-    def lr_factor(self, seen: int) -> float:
-        """One-cycle learning rate after `seen` frames, as a share of the peak.
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> TrainingConfig:
+        """The config in a stored dictionary, such as the JSON of a model card.
 
-        It rises by a cosine, then falls by one.
-
-        Smith and Topin 2018, as in torch's OneCycleLR with pct_start 0.15, div_factor 25,
-        final_div_factor 400 (that is 1e4 / 25 from the start).
+        Accepts keys from before the fields were renamed. Ignores keys that are no field.
         """
-        share = min(seen / self.frames, 1.0)
-        if share < WARM_UP:
-            low, high, along = START, 1.0, share / WARM_UP
-        else:
-            low, high, along = END, 1.0, 1 - (share - WARM_UP) / (1 - WARM_UP)
-        return low + (high - low) * (1 - math.cos(math.pi * along)) / 2
+        names = {field.name for field in fields(cls)}
+        values = {key: value for key, value in rename_keys(stored).items() if key in names}
+        return cls(**values | {"spp": tuple(values.get("spp", ()))})
 
-    def told(self) -> dict[str, Any]:
-        """The plan as JSON keeps it; budgets only where they are not the method's own."""
+    def to_dict(self) -> dict[str, Any]:
+        """The config as it is stored in JSON; without `spp` if the method's budgets are used."""
         budgets = {"spp": list(self.spp)} if self.spp else {}
         return {key: value for key, value in asdict(self).items() if key != "spp"} | budgets
+
+    def lr_factor(self, frames_seen: int) -> float:
+        """One-cycle learning rate after `frames_seen` frames, relative to the peak, in (0, 1].
+
+        It rises by a half cosine, then falls by one (Smith and Topin 2018), as in torch's
+        OneCycleLR with pct_start 0.15, div_factor 25, final_div_factor 400 (1e4 / 25). Kept as a
+        pure function, because OneCycleLR has a state that a checkpoint would have to contain, and
+        counts steps, whose number is not known in advance; a test compares the two.
+
+        >>> config = TrainingConfig(frames=1000)
+        >>> [config.lr_factor(frames) for frames in (0, 150, 1000)]
+        [0.04, 1.0, 0.0001]
+        """
+        fraction = min(frames_seen / self.frames, 1.0)
+        if fraction < WARM_UP_FRACTION:
+            low, position = START_FACTOR, fraction / WARM_UP_FRACTION
+        else:
+            low, position = END_FACTOR, 1 - (fraction - WARM_UP_FRACTION) / (1 - WARM_UP_FRACTION)
+        return low + (1.0 - low) * (1 - math.cos(math.pi * position)) / 2
+
+
+def rename_keys(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """The same dictionary with the present names of renamed fields."""
+    return {RENAMED_KEYS.get(key, key): value for key, value in stored.items()}

@@ -1,4 +1,4 @@
-"""Which clips a training sees and which validate it: generated ones, or all scenes but one."""
+"""Training and validation clips: generated scenes, or all scenes of a preset except one."""
 
 from __future__ import annotations
 
@@ -7,85 +7,109 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rlbench.errors import OptionError
-from rlbench.render.jobs.preset_clips import rendered
+from rlbench.render.jobs.preset_clips import render_preset_clips
 
-VALIDATING = (0, 14)  # seeds of generated scenes, where it is not these that are trained on
+__all__ = ["EMPTY_SPLIT", "TrainingSplit", "select_split", "split_generated", "split_holdout"]
+
+VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
 
 
 class TrainingSplit(NamedTuple):
-    """Clip folders; no clip is in both."""
+    """Clip folders to train and to validate on; no clip is in both."""
 
     train: list[Path]
-    validate: list[Path]
+    validation: list[Path]
 
 
-NONE = TrainingSplit([], [])  # of a training in which nothing learns
+EMPTY_SPLIT = TrainingSplit([], [])  # for methods that have nothing to train
 
 
-def chosen(
+def select_split(
     preset: str | None,
     seeds: tuple[int, ...] | None,
-    without: str | None,
-    kinds: Collection[str] | None = None,
+    held_out_scene: str | None,
+    pool_kinds: Collection[str] | None = None,
 ) -> TrainingSplit:
-    """What --preset, --seeds and --holdout ask for together, with those kinds of sample pools.
+    """The clips that the options --preset, --seeds and --holdout select.
 
-    Raises AskedError.
+    Clips get the sample pools named in `pool_kinds`; missing clips are rendered. Raises
+    OptionError if the options contradict each other, and as `generated` and `holdout` do.
     """
-    if without is None:
-        return generated(preset or "train", seeds, kinds)
+    if held_out_scene is None:
+        return split_generated(preset or "train", seeds, pool_kinds)
     if seeds is not None:
-        raise OptionError("--seeds are of generated scenes; --holdout trains on those scored")
-    return holdout(without, preset or "mini", kinds)
-
-
-def generated(
-    preset: str, seeds: tuple[int, ...] | None = None, kinds: Collection[str] | None = None
-) -> TrainingSplit:
-    """Generated scenes, a preset's or those of some seeds; the first and the middle validate.
-
-    Clips that are missing are rendered now. Raises AskedError where the preset or one of the seeds
-    is scored, or where there are too few clips to keep one for validation.
-    """
-    from rlbench.render.presets import PRESETS
-
-    if seeds is not None and len(seeds) < 2:
-        raise OptionError(f"--seeds {seeds[0]} is one clip; at least 2 are needed, 1 validates")
-    if seeds is None and preset in PRESETS and PRESETS[preset].is_test_set:
-        fit = ", ".join(name for name, plan in PRESETS.items() if not plan.is_test_set)
-        shown = ", ".join(PRESETS[preset].scenes) or "generated ones"
         raise OptionError(
-            f"preset '{preset}' has scenes that methods are scored on ({shown}), so "
-            f"nothing may be trained on it; there is: {fit}"
+            "--seeds applies to generated scenes only. With --holdout, training uses the other "
+            "test scenes of a preset: omit --seeds or --holdout"
         )
-    for name, plan in PRESETS.items():
-        if plan.is_test_set and (kept := sorted(set(seeds or ()) & set(plan.seeds))):
-            raise OptionError(
-                f"--seeds: methods are scored on {', '.join(map(str, kept))} (preset '{name}'), so "
-                f"nothing may be trained on them; free are those that are not among "
-                f"{min(plan.seeds)} to {max(plan.seeds)}"
-            )
-    folders = rendered(None, preset, chosen=seeds, kinds=kinds)
+    return split_holdout(held_out_scene, preset or "mini", pool_kinds)
+
+
+def split_generated(
+    preset: str,
+    seeds: tuple[int, ...] | None = None,
+    pool_kinds: Collection[str] | None = None,
+) -> TrainingSplit:
+    """Generated scenes of a preset, or those of `seeds`; the first and the middle one validate.
+
+    Missing clips are rendered. Raises OptionError if the preset or a seed belongs to a test set, or
+    if there are too few clips to keep one for validation.
+    """
+    if seeds is not None and len(seeds) < 2:
+        raise OptionError(
+            f"--seeds {seeds[0]} gives one clip. Training needs at least 2 clips, because one of "
+            "them validates"
+        )
+    _check_not_test_set(preset, seeds)
+    folders = render_preset_clips(None, preset, seeds=seeds, pool_kinds=pool_kinds)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     return TrainingSplit([folder for folder in folders if folder not in validate], validate)
 
 
-def holdout(scene: str, preset: str, kinds: Collection[str] | None = None) -> TrainingSplit:
-    """All scenes of a preset but one, which is to be scored: leave-one-scene-out.
+def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
+    from rlbench.render.presets import PRESETS
 
-    As Scardigli et al. 2023 evaluate. Two generated scenes validate, so that nothing of the
-    scene held out decides anything. Clips that are missing are rendered now. Raises AskedError
-    where the preset has no such scene.
+    if seeds is None and preset in PRESETS and PRESETS[preset].is_test_set:
+        allowed = ", ".join(name for name, other in PRESETS.items() if not other.is_test_set)
+        scenes = ", ".join(PRESETS[preset].scenes) or "generated scenes"
+        raise OptionError(
+            f"preset '{preset}' is a test set ({scenes}), so methods must not be trained on it. "
+            f"Choose: {allowed}"
+        )
+    for name, other in PRESETS.items():
+        shared = sorted(set(seeds or ()) & set(other.seeds)) if other.is_test_set else []
+        if shared:
+            raise OptionError(
+                f"--seeds {', '.join(map(str, shared))}: these belong to test set '{name}', so "
+                "methods must not be trained on them. Choose seeds outside "
+                f"{min(other.seeds)} to {max(other.seeds)}"
+            )
+
+
+def split_holdout(
+    scene: str, preset: str, pool_kinds: Collection[str] | None = None
+) -> TrainingSplit:
+    """All scenes of a preset except one, which is the test scene: leave-one-scene-out.
+
+    The protocol of Scardigli et al. 2023. Two generated scenes validate, so that the held-out scene
+    influences no decision. Missing clips are rendered. Raises OptionError if the preset has no such
+    scene.
     """
     from rlbench.render.presets import PRESETS
 
-    known = PRESETS[preset].scenes if preset in PRESETS else ()
-    if known and scene not in known:
+    scenes = PRESETS[preset].scenes if preset in PRESETS else ()
+    if not scenes:
+        allowed = ", ".join(name for name, other in PRESETS.items() if other.scenes)
         raise OptionError(
-            f"no scene {scene} to leave out: preset '{preset}' has: {', '.join(known)}"
+            f"holding out a scene needs a preset with named scenes, and '{preset}' has none. "
+            f"Choose --preset {allowed}"
         )
-    if not known:
-        fit = ", ".join(name for name, plan in PRESETS.items() if plan.scenes)
-        raise OptionError(f"--holdout takes a preset with scenes that are scored: --preset {fit}")
-    folders = rendered([name for name in known if name != scene], preset, kinds=kinds)
-    return TrainingSplit(folders, rendered(None, "train", chosen=VALIDATING, kinds=kinds))
+    if scene not in scenes:
+        raise OptionError(
+            f"no scene '{scene}' to hold out: preset '{preset}' has: {', '.join(scenes)}"
+        )
+    folders = render_preset_clips(
+        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds
+    )
+    validate = render_preset_clips(None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds)
+    return TrainingSplit(folders, validate)

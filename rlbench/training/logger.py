@@ -1,11 +1,9 @@
-"""What a training tells over time: lines of JSON, and TensorBoard where it is installed."""
+"""The log of a training run: a JSON line per validation, and TensorBoard if it is installed."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,72 +11,92 @@ from rlbench.system import paths
 from rlbench.training.progress import Progress
 from rlbench.training.validation import ValidationResult
 
-LOG = "log.jsonl"  # one line a validation
+__all__ = ["TrainingLogger", "tensorboard_hint"]
+
+LOG = "log.jsonl"  # one line per validation
 FOLDER = "tensorboard"
-GAMMA = 1 / 2.2  # of pictures, which are there to be looked at and not measured
+PREVIEW_GAMMA = 1 / 2.2  # previews are for viewing only, not for measuring
 
 
 class TrainingLogger:
-    """The curves of one training; those of a resumed one go on where its checkpoint was."""
+    """Logs one training run. The log of a resumed run continues where its checkpoint was saved.
 
-    def __init__(self, folder: Path, seen: int) -> None:
-        """Forget what was told after `seen` frames, by a training that was killed after them."""
+    Use it with `contextlib.closing`.
+    """
+
+    def __init__(self, folder: Path, frames_seen: int) -> None:
+        """Drop log entries written after `frames_seen` frames, by a run that was then killed."""
         self.log = folder / LOG
-        self.board = _board(folder / FOLDER, seen)
-        _trim(self.log, seen)
+        self.tensorboard = _open_tensorboard(folder / FOLDER, frames_seen)
+        _truncate_log(self.log, frames_seen)
 
-    def sequence(self, progress: Progress, loss: float, rate: float) -> None:
-        """Tell of one sequence; `rate` is the learning rate."""
-        told = {"loss": loss, "learning rate": rate, "frames a second": progress.speed}
-        for name, value in told.items() if self.board else ():
-            self.board.add_scalar(name, value, progress.seen)
+    def log_sequence(self, progress: Progress, loss: float, learning_rate: float) -> None:
+        """Log one sequence to TensorBoard."""
+        if self.tensorboard is None:
+            return
+        scalars = {
+            "loss": loss,
+            "learning rate": learning_rate,
+            "frames a second": progress.frames_per_second,
+        }
+        for name, value in scalars.items():
+            self.tensorboard.add_scalar(name, value, progress.frames_seen)
 
-    def validated(self, progress: Progress, loss: float, found: ValidationResult) -> None:
-        """Tell of a validation, and have all of it on disk."""
-        line = {"seen": progress.seen, "loss": loss, "seconds": progress.seconds}
+    def log_validation(self, progress: Progress, loss: float, result: ValidationResult) -> None:
+        """Log one validation, and write all entries to disk."""
+        line = {
+            "frames_seen": progress.frames_seen,
+            "loss": loss,
+            "seconds": progress.seconds,
+            "psnr": result.psnr,
+        }
         self.log.parent.mkdir(parents=True, exist_ok=True)
         with self.log.open("a") as file:
-            file.write(json.dumps({**line, "psnr": found.psnr}) + "\n")
-        if self.board:
-            self.board.add_scalar("validation PSNR", found.psnr, progress.seen)
-            if found.picture is not None:
-                shown = found.picture.clamp(0, 1).pow(GAMMA).nan_to_num().cpu()
-                self.board.add_image("validation, reference at the right", shown, progress.seen)
-            self.board.flush()
+            file.write(json.dumps(line) + "\n")
+        if self.tensorboard is None:
+            return
+        self.tensorboard.add_scalar("validation PSNR", result.psnr, progress.frames_seen)
+        if result.preview is not None:
+            preview = result.preview.clamp(0, 1).pow(PREVIEW_GAMMA).nan_to_num().cpu()
+            title = "validation, reference at the right"
+            self.tensorboard.add_image(title, preview, progress.frames_seen)
+        self.tensorboard.flush()
+
+    def close(self) -> None:
+        """Close TensorBoard's file."""
+        if self.tensorboard is not None:
+            self.tensorboard.close()
 
 
-@contextmanager
-def told(folder: Path, seen: int) -> Iterator[TrainingLogger]:
-    """The curves of a training that stands at `seen` frames, closed at the end."""
-    curves = TrainingLogger(folder, seen)
-    try:
-        yield curves
-    finally:
-        if curves.board:
-            curves.board.close()
-
-
-def lacking() -> str:
-    """What is missed where TensorBoard is not installed, in one line; empty where it is."""
+def tensorboard_hint() -> str:
+    """One line that says how to install TensorBoard; empty if it is installed."""
     if importlib.util.find_spec("tensorboard"):
         return ""
-    return f'no TensorBoard here, only {LOG}: pip install "rlbench[train]" brings it'
+    return (
+        f"TensorBoard is not installed, so training logs to {LOG} only. To install it: "
+        'pip install "rlbench[train]"'
+    )
 
 
-def _board(folder: Path, seen: int) -> Any:
-    """TensorBoard's writer, or None; of what was written before, it hides all after `seen`."""
-    if lacking():
+def _open_tensorboard(folder: Path, frames_seen: int) -> Any:
+    """TensorBoard's writer, which hides older entries after `frames_seen`; None without it."""
+    if tensorboard_hint():
         return None
     from torch.utils.tensorboard import SummaryWriter
 
-    purge = {"purge_step": seen + 1} if folder.exists() else {}
+    purge = {"purge_step": frames_seen + 1} if folder.exists() else {}
     return SummaryWriter(str(folder), **purge)
 
 
-def _trim(log: Path, seen: int) -> None:
-    """Drop lines of a log that were written after `seen` frames, or cut short."""
+def _truncate_log(log: Path, frames_seen: int) -> None:
+    """Drop lines that were written after `frames_seen` frames, or are incomplete."""
     lines = log.read_text().splitlines(keepends=True) if log.exists() else []
-    kept = [line for line in lines if line.endswith("\n") and json.loads(line)["seen"] <= seen]
-    if kept != lines:
-        with paths.replacing(log) as temporary:
-            temporary.write_text("".join(kept))
+    valid = [line for line in lines if line.endswith("\n") and _frames_seen(line) <= frames_seen]
+    if valid != lines:
+        with paths.atomic_write(log) as temporary:
+            temporary.write_text("".join(valid))
+
+
+def _frames_seen(line: str) -> int:
+    entry = json.loads(line)
+    return int(entry["frames_seen"] if "frames_seen" in entry else entry["seen"])  # older logs

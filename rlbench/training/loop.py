@@ -1,212 +1,159 @@
-"""Training: what is equal for every method that learns, so that only the method differs."""
+"""The training loop: the same for every learned method, so that only the methods differ."""
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import torch
-
-from rlbench import registry, weights
+from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.method import config_json
-from rlbench.system import provenance
-from rlbench.training import checkpoint, logger, validation
-from rlbench.training import replay as postmortem
+from rlbench.training import checkpoint, replay, validation
 from rlbench.training.batches import Batches, prefetch, sample_budget
 from rlbench.training.config import TrainingConfig
-from rlbench.training.progress import Progress
-from rlbench.training.replay import replay
+from rlbench.training.logger import TrainingLogger
+from rlbench.training.progress import Progress, describe_changes
 from rlbench.training.task import TrainingError, TrainingTask
-from rlbench.training.train_state import NotFiniteError, TrainState
+from rlbench.training.train_state import NonFiniteStepError, TrainState
+from rlbench.training.trained_weights import frames_in_weights, save_weights, weights_path
 
-__all__ = [
-    "TrainingConfig",
-    "Progress",
-    "TrainingTask",
-    "TrainingError",
-    "check",
-    "replay",
-    "shipped",
-    "train",
-]
+__all__ = ["TrainingResult", "check_budgets", "train"]
 
 CHECKPOINT = "checkpoint.safetensors"
 
 
+class TrainingResult(NamedTuple):
+    """What a training run produced."""
+
+    weights: Path  # safetensors file, with its model card beside it
+    progress: Progress
+
+
 def train(
-    name: str,
-    train_on: Sequence[Path],
-    validate_on: Sequence[Path],
+    method: str,
+    train_clips: Sequence[Path],
+    validation_clips: Sequence[Path],
     out: Path,
-    plan: TrainingConfig,
+    config: TrainingConfig,
     device: str = "cpu",
     minutes: float = math.inf,
     command: str = "",
-    report: Callable[[Progress, float], None] = lambda progress, loss: None,
-    altered: bool = False,
-) -> Progress:
-    """Train method `name`, resuming what lies in `out`; writes weights and card when it is done.
+    on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
+    allow_config_change: bool = False,
+) -> TrainingResult:
+    """Train a method on clip folders, and write its weights and model card to `out`.
 
-    `out` gets checkpoint.safetensors, log.jsonl and, where it is installed, curves for TensorBoard
-    while it runs, and NAME.safetensors with its card NAME.toml at the end, or when `minutes` are
-    over. A training that is done is left as it is. One that was killed goes on from its last
-    checkpoint, with weights that on a CPU are bit by bit those of one that was not. A checkpoint of
-    another plan is refused, or gone on from where `altered`; the card then says what was changed,
-    and when.
-    Raises PluginError where there is nothing to train, and TrainingError where the method cannot
-    take a budget, where plan or clips are others than those of the checkpoint, and where a loss or
-    a gradient is not finite: the sequence is then kept in a file, for `replay`.
+    While it runs, `out` gets checkpoint.safetensors, log.jsonl and, if TensorBoard is installed,
+    its event files; after `config.frames` frames, or after `minutes`, NAME.safetensors and its
+    card NAME.toml. `command` is recorded in the card; `on_progress` is called with progress and
+    loss after each sequence.
+
+    A finished run is left unchanged. An interrupted run resumes from its last checkpoint; on a CPU
+    the final weights are bit-identical to those of an uninterrupted run. A checkpoint with a
+    different config or different clips is refused, unless `allow_config_change`; the card then
+    records what changed, and when.
+
+    Raises PluginError if the method has nothing to train, BatchError if no crops can be cut from
+    the clips, and TrainingError if the method does not support a budget, if the checkpoint has a
+    different config, or if a loss or a gradient is not finite. In the last case the sequence is
+    stored in a file for `replay_sequence`.
     """
-    check(name, plan)
-    trainer: TrainingTask = registry.training_task(name, device, plan.seed)
-    learner = TrainState(trainer, plan.norm, plan.average, plan.half, device)
-    traits = trainer.method.traits
-    batches = Batches.planned(train_on, plan, traits, device)
-    budgets = validation.budgets(trainer.method, trainer.spp, plan.spp)
-    progress = _begin(learner, out, _asked(name, plan, batches.contents()), altered)
-    if progress.seen >= plan.frames and _frames_shipped(name, out) == progress.seen:
-        return progress
-    began, before = time.monotonic(), progress.seconds
-    with prefetch(batches) as draw, logger.told(out, progress.seen) as told:
-        while progress.seen < plan.frames and time.monotonic() - began < 60 * minutes:
-            due, started = progress.seen // plan.every, time.monotonic()
-            rate = plan.lr_factor(progress.seen)
-            loss, frames = _sequence(name, learner, draw(progress.draws), plan, progress, out)
-            progress.seconds = before + time.monotonic() - began
-            progress.speed = frames / max(time.monotonic() - started, 1e-9)
-            told.sequence(progress, loss, trainer.max_lr * rate)
-            if progress.seen // plan.every > due or progress.seen >= plan.frames:
-                given = (trainer.method, learner.networks, learner.average)
-                found = validation.validate(*given, validate_on, budgets, device)
-                progress.curve.append((progress.seen, found.psnr))
-                told.validated(progress, loss, found)
-                _keep(learner, out, progress)
-            report(progress, loss)
-    _keep(learner, out, progress)
-    _ship(name, out, learner, plan, progress, device, command)
+    check_budgets(method, config)
+    task: TrainingTask = registry.training_task(method, device, config.seed)
+    state = TrainState(task, config, device)
+    batches = Batches.from_config(train_clips, config, task.method.traits, device)
+    requested = {"method": method, **config.to_dict(), "data": batches.clip_digests()}
+    progress = _start_or_resume(state, out / CHECKPOINT, requested, allow_config_change)
+    result = TrainingResult(weights_path(method, out), progress)
+    if config.frames <= progress.frames_seen == frames_in_weights(result.weights):
+        return result
+    spp = validation.validation_budgets(task.method, task.spp, config.spp)
+    began = time.monotonic() - progress.seconds
+    stop = time.monotonic() + 60 * minutes
+    with prefetch(batches) as sequence, closing(TrainingLogger(out, progress.frames_seen)) as log:
+        while progress.frames_seen < config.frames and time.monotonic() < stop:
+            intervals, started = progress.frames_seen // config.eval_interval, time.monotonic()
+            learning_rate = task.max_lr * config.lr_factor(progress.frames_seen)
+            clip = sequence(progress.sequences)
+            loss = _train_sequence(method, state, clip, progress, out)
+            progress.seconds = time.monotonic() - began
+            progress.frames_per_second = _count_frames(clip) / max(time.monotonic() - started, 1e-9)
+            log.log_sequence(progress, loss, learning_rate)
+            finished = progress.frames_seen >= config.frames
+            if finished or progress.frames_seen // config.eval_interval > intervals:
+                networks = (task.method, state.networks, state.ema_networks)
+                score = validation.validate(*networks, validation_clips, spp, device)
+                progress.validation_history.append((progress.frames_seen, score.psnr))
+                log.log_validation(progress, loss, score)
+                checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
+            on_progress(progress, loss)
+    checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
+    save_weights(method, result.weights, state, progress, command)
+    return result
+
+
+def check_budgets(method: str, config: TrainingConfig) -> None:
+    """Raise TrainingError if a method cannot be trained at a budget of the config."""
+    traits = registry.get_variant(method).traits
+    for spp in config.spp:
+        if reason := traits.unsupported_reason(spp):
+            raise TrainingError(f"'{method}' cannot be trained at {spp:g} spp: {reason}")
+
+
+def _start_or_resume(
+    state: TrainState, file: Path, requested: dict[str, Any], allow_config_change: bool
+) -> Progress:
+    """The progress of the checkpoint, whose tensors are loaded; or of a new run without one."""
+    if not file.exists():
+        return Progress(config=requested)
+    metadata, tensors = checkpoint.read(file)
+    progress = Progress.from_dict(metadata)
+    trained = progress.config.setdefault("method", requested["method"])  # absent in old checkpoints
+    if trained != requested["method"]:
+        raise TrainingError(
+            f"{file} belongs to method '{trained}', but '{requested['method']}' was requested. "
+            "Choose another --out"
+        )
+    changes = describe_changes(progress.config, requested)
+    if changes and not allow_config_change:
+        raise TrainingError(
+            f"{file} was written with a different config (changed: {'; '.join(changes)}). Repeat "
+            "the options, choose another --out, or pass --allow-config-change to resume anyway"
+        )
+    progress.switch_config(requested)
+    state.load_state_dict(tensors, progress.steps)
     return progress
 
 
-def check(name: str, plan: TrainingConfig) -> None:
-    """Raise TrainingError where method `name` cannot be trained at a budget of the plan."""
-    traits = registry.variant(name).traits
-    for spp in plan.spp:
-        if why := traits.unsupported_reason(spp):
-            raise TrainingError(f"'{name}' cannot be trained at {spp:g} spp: {why}")
-
-
-def shipped(name: str, out: Path) -> Path:
-    """The weights file that a training of `name` into `out` ends with."""
-    family, _, variant = name.partition("/")
-    return out / f"{variant or family}.safetensors"
-
-
-def _frames_shipped(name: str, out: Path) -> int | None:
-    """The frames that whole weights in `out` have seen; a kill may leave others, or a part."""
-    file = shipped(name, out)
+def _train_sequence(
+    method: str, state: TrainState, clip: InMemoryClip, progress: Progress, out: Path
+) -> float:
+    """Train on the next sequence and advance the progress; returns the mean loss."""
+    config, index = state.config, progress.sequences
+    spp = sample_budget(config.spp or state.task.spp, config.seed, index)
+    lr_factor = config.lr_factor(progress.frames_seen)
+    fraction = progress.frames_seen / config.frames
     try:
-        card = weights.read_card(file)
-    except weights.WeightsError:
-        return None
-    return card.frames_seen if weights.digest(file) == card.sha256 else None
-
-
-def _asked(name: str, plan: TrainingConfig, data: list[str]) -> dict[str, Any]:
-    return {"method": name, **plan.told(), "data": data}
-
-
-def _begin(learner: TrainState, out: Path, asked: dict[str, Any], altered: bool) -> Progress:
-    """Where the training stands: at the start, or where its checkpoint was."""
-    kept, trainer = out / CHECKPOINT, learner.trainer
-    if not kept.exists():
-        return Progress(plan=asked)
-    progress = Progress(**checkpoint.read_metadata(kept))
-    whose = progress.plan.setdefault("method", asked["method"])  # older checkpoints do not say
-    if whose != asked["method"]:
+        loss = state.train_sequence(clip, spp, lr_factor, fraction)
+    except NonFiniteStepError as error:
+        failed = replay.FailedSequence(method, clip, index, spp, lr_factor, fraction)
+        file = replay.write(out, state, failed, error.failure)
         raise TrainingError(
-            f"{kept} is of '{whose}', asked for is '{asked['method']}'; train into another folder"
-        )
-    if progress.plan != asked and not altered:
-        raise TrainingError(
-            f"{kept} was trained by another plan: {progress.plan}, asked for {asked}; "
-            "ask for the same, train into another folder, or go on all the same with --altered"
-        )
-    progress.switch_config(asked)
-    checkpoint.load(kept, learner.networks, learner.average, learner.optimizer, trainer.aside)
-    learner.steps = progress.steps
-    return progress
-
-
-def _sequence(
-    name: str,
-    learner: TrainState,
-    clip: InMemoryClip,
-    plan: TrainingConfig,
-    progress: Progress,
-    out: Path,
-) -> tuple[float, int]:
-    """Learn from the next draw; returns its mean loss and its number of frames."""
-    spp = sample_budget(plan.spp or learner.trainer.spp, plan.seed, progress.draws)
-    rate, done = plan.lr_factor(progress.seen), progress.seen / plan.frames
-    try:
-        loss = learner.sequence(clip, spp, rate, done)
-    except NotFiniteError as error:
-        halted = postmortem.FailedSequence(name, clip, progress.draws, spp, rate, done)
-        file = postmortem.write(out, learner, plan, halted, error.found)
-        raise TrainingError(
-            f"'{name}' halted in draw {progress.draws} at {spp:g} spp: {error}; the sequence is in "
-            f"{file}, 'rlbench train --replay {file}' takes it again; the last checkpoint stands: "
-            "--altered goes on from it by another plan, such as --norm 0.1"
+            f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. The "
+            f"sequence is stored in {file}; 'rlbench train --replay {file}' repeats it. To resume "
+            "from the last checkpoint with a different config, pass --allow-config-change, for "
+            "example with --max-grad-norm 0.1"
         ) from error
-    frames = len(clip) * clip.size.n
-    progress.seen += frames
-    progress.draws += 1
-    progress.steps = learner.steps
-    return loss, frames
+    progress.frames_seen += _count_frames(clip)
+    progress.sequences += 1
+    progress.steps = state.steps
+    return loss
 
 
-def _keep(learner: TrainState, out: Path, progress: Progress) -> None:
-    parts = (learner.networks, learner.average, learner.optimizer)
-    checkpoint.save(out / CHECKPOINT, *parts, asdict(progress), learner.trainer.aside)
-
-
-def _device(device: str) -> str:
-    machine = provenance.machine()
-    cpu = f"{machine.cpu}, {torch.get_num_threads()} threads"
-    return cpu if torch.device(device).type == "cpu" else machine.gpu
-
-
-def _ship(
-    name: str,
-    out: Path,
-    learner: TrainState,
-    plan: TrainingConfig,
-    progress: Progress,
-    device: str,
-    command: str,
-) -> None:
-    trainer = learner.trainer
-    budgets = {"spp": plan.spp or trainer.spp, "peak": trainer.max_lr}
-    card = weights.ModelCard(
-        name=name,
-        data=tuple(progress.plan["data"]),
-        frames_seen=progress.seen,
-        steps=progress.steps,
-        seconds=round(progress.seconds),
-        device=_device(device),
-        seed=plan.seed,
-        command=command,
-        commit=provenance.commit(),
-        plan=json.dumps({**plan.told(), **budgets}),
-        config=config_json(trainer.method),
-        origin=trainer.origin,
-        curve=tuple(progress.curve),
-        note=progress.note(plan.frames),
-    )
-    weights.save(learner.average, shipped(name, out), card)
+def _count_frames(clip: InMemoryClip) -> int:
+    """Crops in a batch: each frame of each clip counts."""
+    return len(clip) * clip.size.n

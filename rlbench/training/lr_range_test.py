@@ -1,4 +1,4 @@
-"""The learning-rate range test: train while the rate grows, and see where the loss falls."""
+"""Learning-rate range test: train while the rate grows, and find where the loss is least."""
 
 from __future__ import annotations
 
@@ -17,119 +17,128 @@ from rlbench.training.batches import Batches, sample_budget
 from rlbench.training.config import TrainingConfig
 from rlbench.training.progress import Progress
 from rlbench.training.task import TrainingTask
-from rlbench.training.train_state import NotFiniteError, TrainState
+from rlbench.training.train_state import NonFiniteStepError, TrainState
 
-LOW, HIGH = 1e-6, 1e-1  # learning rates at the first and at the last sequence
-BLUR = 0.25  # standard deviation of the window that losses are averaged in, decades of the rate
-DIVERGED = 2.0  # times the least averaged loss at which the test is over
-BELOW = 10.0  # how far below the rate of the least loss the peak is proposed
+__all__ = ["LrPoint", "LrRangeResult", "find_learning_rate"]
+
+MIN_LR, MAX_LR = 1e-6, 1e-1  # learning rates of the first and the last sequence
+WINDOW_DECADES = 0.25  # standard deviation of the Gaussian that smooths the losses
+DIVERGENCE_RATIO = 2.0  # the test ends when the smoothed loss is so many times its minimum
+MARGIN = 10.0  # the suggested rate is so many times lower than that of the least loss
+COLUMNS = ("frames", "rate", "loss", "averaged")  # of the table
 
 
-class Point(NamedTuple):
+class LrPoint(NamedTuple):
     """One sequence of the test."""
 
-    frames: int  # seen before it
-    rate: float  # learning rate
+    frames_seen: int  # before it
+    learning_rate: float
     loss: float
 
 
 @dataclass(frozen=True)
 class LrRangeResult:
-    """What a range test found."""
+    """The measured losses, and the learning rate that they suggest."""
 
-    points: tuple[Point, ...]
-    peak: float  # learning rate that is proposed
-    table: Path  # all points as CSV
-    figure: Path  # the same as PNG
+    points: tuple[LrPoint, ...]
+    suggested_lr: float  # for `TrainingTask.max_lr`; nan if the first loss was not finite
+    table: Path  # all points, CSV
+    figure: Path  # loss against learning rate, PNG
 
 
-def run(
-    name: str,
-    train_on: Sequence[Path],
+def find_learning_rate(
+    method: str,
+    train_clips: Sequence[Path],
     out: Path,
-    plan: TrainingConfig,
+    config: TrainingConfig,
     device: str = "cpu",
-    report: Callable[[Progress, float], None] = lambda progress, loss: None,
+    on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
 ) -> LrRangeResult:
-    """Train `name` from its first weights over `plan.frames`, the rate rising from 1e-6 to 1e-1.
+    """Train a method from its initial weights over `config.frames`, at rates from 1e-6 to 1e-1.
 
-    The rate grows by the same factor with every frame; a network that has a share of it keeps its
-    share. The test ends early where the loss is no longer finite or, averaged, twice its least.
-    What is proposed as peak is a tenth of the rate at which the averaged loss is least.
+    The rate grows by the same factor with every frame; networks with an lr multiplier keep it. The
+    test ends early if the loss is not finite, or if the smoothed loss is twice its minimum. The
+    suggested rate is a tenth of the rate at which the smoothed loss is least. Writes range.csv and
+    range.png to `out`. `on_progress` is called with progress and loss after each sequence.
 
-    Smith 2017, Cyclical Learning Rates for Training Neural Networks, section 3.3. Differs: the rate
-    grows geometrically, since it spans five decades, and the peak is a rule of thumb, where Smith
-    reads the bounds off the curve: do look at it.
+    Smith 2017, Cyclical Learning Rates for Training Neural Networks, section 3.3. Differs from it:
+    the rate grows geometrically, since it spans five decades, and the suggestion is a rule of
+    thumb, where Smith reads the bounds off the curve. So look at the figure.
+
+    Raises PluginError if the method has nothing to train, and BatchError if no crops can be cut
+    from the clips.
     """
-    trainer: TrainingTask = registry.training_task(name, device, plan.seed)
-    learner = TrainState(trainer, plan.norm, plan.average, plan.half, device)
-    batches = Batches.planned(train_on, plan, trainer.method.traits, device)
-    points: list[Point] = []
+    task: TrainingTask = registry.training_task(method, device, config.seed)
+    state = TrainState(task, config, device)
+    batches = Batches.from_config(train_clips, config, task.method.traits, device)
+    points: list[LrPoint] = []
     progress = Progress()
-    while progress.seen < plan.frames and not _diverged(points):
-        done = progress.seen / plan.frames
-        rate, clip = LOW * (HIGH / LOW) ** done, batches.sequence(progress.draws)
-        spp = sample_budget(plan.spp or trainer.spp, plan.seed, progress.draws)
+    while progress.frames_seen < config.frames and not _has_diverged(points):
+        fraction = progress.frames_seen / config.frames
+        learning_rate = MIN_LR * (MAX_LR / MIN_LR) ** fraction
+        clip = batches.sequence(progress.sequences)
+        spp = sample_budget(config.spp or task.spp, config.seed, progress.sequences)
         try:
-            loss = learner.sequence(clip, spp, rate / trainer.max_lr, done)
-        except NotFiniteError:
+            loss = state.train_sequence(clip, spp, learning_rate / task.max_lr, fraction)
+        except NonFiniteStepError:
             break
-        points.append(Point(progress.seen, rate, loss))
-        progress.seen += len(clip) * clip.size.n
-        progress.draws += 1
-        report(progress, loss)
-    peak = proposed(points)
-    return LrRangeResult(tuple(points), peak, _table(points, out), _figure(name, points, peak, out))
+        points.append(LrPoint(progress.frames_seen, learning_rate, loss))
+        progress.frames_seen += len(clip) * clip.size.n
+        progress.sequences += 1
+        on_progress(progress, loss)
+    suggested = suggest_lr(points)
+    table, figure = _write_table(points, out), _plot(method, points, suggested, out)
+    return LrRangeResult(tuple(points), suggested, table, figure)
 
 
-def averaged(points: Sequence[Point]) -> list[float]:
-    """The losses, each the mean of its neighbours under a Gaussian in the rate's logarithm."""
-    decades = np.log10([point.rate for point in points])
+def smooth_losses(points: Sequence[LrPoint]) -> list[float]:
+    """The losses, averaged with a Gaussian window over the logarithm of the learning rate."""
+    decades = np.log10([point.learning_rate for point in points])
     losses = np.array([point.loss for point in points])
-    away = (decades[:, None] - decades[None, :]) / BLUR
-    weights = np.exp(-(away**2) / 2)
+    distances = (decades[:, None] - decades[None, :]) / WINDOW_DECADES
+    weights = np.exp(-(distances**2) / 2)
     return [float(value) for value in weights @ losses / weights.sum(1)]
 
 
-def proposed(points: Sequence[Point]) -> float:
-    """A tenth of the rate at which the averaged loss is least; nan without a point."""
+def suggest_lr(points: Sequence[LrPoint]) -> float:
+    """A tenth of the learning rate at which the smoothed loss is least; nan without points."""
     if not points:
         return math.nan
-    smooth = averaged(points)
-    return points[smooth.index(min(smooth))].rate / BELOW
+    smooth = smooth_losses(points)
+    return points[smooth.index(min(smooth))].learning_rate / MARGIN
 
 
-def _diverged(points: Sequence[Point]) -> bool:
-    """Is the averaged loss far above its least, at the end of at least two decades?"""
-    if not points or points[-1].rate < 100 * LOW:
+def _has_diverged(points: Sequence[LrPoint]) -> bool:
+    """Whether the smoothed loss is far above its minimum, after at least two decades."""
+    if not points or points[-1].learning_rate < 100 * MIN_LR:
         return False
-    smooth = averaged(points)
-    return smooth[-1] > DIVERGED * min(smooth)
+    smooth = smooth_losses(points)
+    return smooth[-1] > DIVERGENCE_RATIO * min(smooth)
 
 
-def _table(points: Sequence[Point], out: Path) -> Path:
+def _write_table(points: Sequence[LrPoint], out: Path) -> Path:
     file = out / "range.csv"
-    with paths.replacing(file) as temporary, temporary.open("w", newline="") as opened:
+    with paths.atomic_write(file) as temporary, temporary.open("w", newline="") as opened:
         writer = csv.writer(opened)
-        writer.writerow((*Point._fields, "averaged"))
-        smooth = averaged(points) if points else []
+        writer.writerow(COLUMNS)
+        smooth = smooth_losses(points) if points else []
         writer.writerows((*point, mean) for point, mean in zip(points, smooth, strict=True))
     return file
 
 
-def _figure(name: str, points: Sequence[Point], peak: float, out: Path) -> Path:
+def _plot(method: str, points: Sequence[LrPoint], suggested: float, out: Path) -> Path:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
-    rates = [point.rate for point in points]
+    rates = [point.learning_rate for point in points]
     axes.plot(rates, [point.loss for point in points], ".", color="0.7", label="one sequence")
     if points:
-        axes.plot(rates, averaged(points), label="averaged")
-        axes.axvline(peak, color="0.4", linestyle="--", label=f"a tenth of the least: {peak:.1e}")
-    axes.set(xscale="log", xlabel="learning rate", ylabel="loss", title=name)
+        axes.plot(rates, smooth_losses(points), label="smoothed")
+        axes.axvline(suggested, color="0.4", linestyle="--", label=f"suggested: {suggested:.1e}")
+    axes.set(xscale="log", xlabel="learning rate", ylabel="loss", title=method)
     axes.legend()
     file = out / "range.png"
-    with paths.replacing(file) as temporary:
+    with paths.atomic_write(file) as temporary:
         figure.savefig(temporary, format="png", dpi=150)
     return file

@@ -1,4 +1,4 @@
-"""Where the time of a training goes: python -m rlbench.training.profiler ours --frames 60."""
+"""Profile of a training run, part by part: python -m rlbench.training.profiler ours --frames 60."""
 
 from __future__ import annotations
 
@@ -20,111 +20,118 @@ from rlbench.training.config import TrainingConfig
 from rlbench.training.task import TrainingTask
 from rlbench.training.train_state import TrainState
 
-PARTS = {  # functions of the core, in the order in which they run
-    ("batches.py", "draw"): "read and cut a draw",
-    ("train_state.py", "_remember"): "keep what a replay needs",
+__all__ = ["ProfiledPart", "TrainingProfile", "profile"]
+
+PARTS = {  # functions of rlbench, in the order in which they run
+    ("batches.py", "sequence"): "read and crop a sequence",
+    ("train_state.py", "_take_snapshot"): "snapshot for a replay",
     ("train_state.py", "_forward"): "forward, with the loss",
-    ("losses.py", "mixed"): "of that, L1 and MS-SSIM",
+    ("losses.py", "l1_ms_ssim_loss"): "of that, L1 and MS-SSIM",
     ("train_state.py", "_backward"): "backward",
-    ("train_state.py", "_clip"): "clip the gradient",
+    ("train_state.py", "_clip_gradients"): "clip the gradient",
     ("train_state.py", "_step"): "Adam",
-    ("train_state.py", "_follow"): "average the weights",
+    ("train_state.py", "_update_ema"): "average the weights",
 }
-OWN = 6  # functions of the method's own that are shown, the longest first
+METHOD_FUNCTIONS = 6  # how many functions of the method's own package are listed
+WARM_UP_LR_FACTOR = 1e-3
 
 
-class Part(NamedTuple):
-    """One function, with all that it calls."""
+class ProfiledPart(NamedTuple):
+    """One function, including everything that it calls."""
 
-    told: str
+    label: str
     seconds: float
 
 
-class Profile(NamedTuple):
-    """What was measured."""
+class TrainingProfile(NamedTuple):
+    """How long a number of frames took, and each part of it."""
 
     frames: int
     seconds: float
-    parts: tuple[Part, ...]
+    parts: tuple[ProfiledPart, ...]
 
-    def text(self) -> str:
-        """A table in Markdown."""
-        head = f"{self.frames} frames in {self.seconds:.1f} s, {self.frames / self.seconds:.2f}/s"
-        lines = [head, "", "| part | share | ms a frame |", "| --- | ---: | ---: |"]
-        for told, seconds in self.parts:
-            each = 1e3 * seconds / self.frames
-            lines.append(f"| {told} | {seconds / self.seconds:.1%} | {each:.1f} |")
+    def to_markdown(self) -> str:
+        """A table with the share and the milliseconds per frame of each part."""
+        rate = self.frames / self.seconds
+        head = f"{self.frames} frames in {self.seconds:.1f} s, {rate:.2f} frames/s"
+        lines = [head, "", "| part | share | ms per frame |", "| --- | ---: | ---: |"]
+        for label, seconds in self.parts:
+            frame_ms = 1e3 * seconds / self.frames
+            lines.append(f"| {label} | {seconds / self.seconds:.1%} | {frame_ms:.1f} |")
         return "\n".join(lines)
 
 
 def profile(
-    name: str,
-    folders: Sequence[Path],
-    plan: TrainingConfig,
+    method: str,
+    clips: Sequence[Path],
+    config: TrainingConfig,
     device: str = "cpu",
     clock: Callable[[], float] = time.perf_counter,
-) -> Profile:
-    """Train `name` for `plan.frames` and say what each part of it took, one after the other.
+) -> TrainingProfile:
+    """Train a method for `config.frames` and measure each part, one after the other.
 
-    Nothing is read ahead, so that what reading takes is seen; each draw was read once before, as
-    most draws of a long training were. On a GPU, where work is queued, parts wait for each other.
+    Sequences are not prefetched, so that reading is measured too; each was read once before, as
+    most sequences of a long run were. On a GPU, work is queued, so parts wait for each other.
     """
-    trainer: TrainingTask = registry.training_task(name, device, plan.seed)
-    learner = TrainState(trainer, plan.norm, plan.average, plan.half, device)
-    batches = Batches.planned(folders, plan, trainer.method.traits, device)
-    learner.sequence(
-        batches.sequence(0), trainer.spp[0], 1e-3, 0.0
-    )  # what is compiled or planned once
-    draws = range(-(-plan.frames // (plan.batch * plan.length)))
-    for index in draws:
+    task: TrainingTask = registry.training_task(method, device, config.seed)
+    state = TrainState(task, config, device)
+    batches = Batches.from_config(clips, config, task.method.traits, device)
+    # once without measuring: compilation and other work of the first sequence
+    state.train_sequence(batches.sequence(0), task.spp[0], WARM_UP_LR_FACTOR, 0.0)
+    indices = range(-(-config.frames // (config.batch * config.sequence_length)))
+    for index in indices:
         batches.sequence(index)
-    seen, watched = 0, cProfile.Profile(clock)
-    for index in draws:
-        spp = sample_budget(plan.spp or trainer.spp, plan.seed, index)
-        watched.enable()
+    frames, profiler = 0, cProfile.Profile(clock)
+    for index in indices:
+        spp = sample_budget(config.spp or task.spp, config.seed, index)
+        profiler.enable()
         clip = batches.sequence(index)
-        learner.sequence(clip, spp, 1e-3, index / len(draws))
-        watched.disable()
-        seen += len(clip) * clip.size.n
-    own = discovery.module_file(registry.family(name).train).parent
-    return _read(pstats.Stats(watched), seen, own)
+        state.train_sequence(clip, spp, WARM_UP_LR_FACTOR, index / len(indices))
+        profiler.disable()
+        frames += len(clip) * clip.size.n
+    method_folder = discovery.module_file(registry.load_family(method).train).parent
+    return _summarize(pstats.Stats(profiler), frames, method_folder)
 
 
-def _read(stats: pstats.Stats, frames: int, own: Path) -> Profile:
-    """The parts of the core, then the longest functions of the method's own folder."""
-    core: dict[str, Part] = {}
-    theirs: list[Part] = []
-    found: dict[tuple[str, int, str], tuple[int, int, float, float, object]] = stats.stats  # type: ignore[attr-defined]
-    for (file, _, function), (_, _, _, seconds, _) in found.items():
-        told = PARTS.get((Path(file).name, function))
-        if told and Path(file).is_relative_to(Path(__file__).parents[1]):
-            core[told] = Part(told, seconds)
-        elif Path(file).parent == own:
-            theirs.append(Part(f"`{Path(file).name}` {function}", seconds))
-    longest = sorted(theirs, key=lambda part: -part.seconds)[:OWN]
-    order = [core[told] for told in PARTS.values() if told in core]
+def _summarize(stats: pstats.Stats, frames: int, method_folder: Path) -> TrainingProfile:
+    """The parts in PARTS, then the longest functions in the method's own folder."""
+    core: dict[str, ProfiledPart] = {}
+    own: list[ProfiledPart] = []
+    functions: dict[tuple[str, int, str], tuple[int, int, float, float, object]] = stats.stats  # type: ignore[attr-defined]
+    for (file, _, function), (_, _, _, seconds, _) in functions.items():
+        label = PARTS.get((Path(file).name, function))
+        if label and Path(file).is_relative_to(Path(__file__).parents[1]):
+            core[label] = ProfiledPart(label, seconds)
+        elif Path(file).parent == method_folder:
+            own.append(ProfiledPart(f"`{Path(file).name}` {function}", seconds))
+    longest = sorted(own, key=lambda part: -part.seconds)[:METHOD_FUNCTIONS]
+    ordered = [core[label] for label in PARTS.values() if label in core]
     total: float = stats.total_tt  # type: ignore[attr-defined]
-    return Profile(frames, total, (*order, *longest))
+    return TrainingProfile(frames, total, (*ordered, *longest))
 
 
-def main(words: Sequence[str] | None = None) -> str:
-    """The table of what the command line asks for."""
+def main(argv: Sequence[str] | None = None) -> str:
+    """The table for the given command-line arguments."""
     parser = argparse.ArgumentParser("python -m rlbench.training.profiler", description=__doc__)
     parser.add_argument("method")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--crop", type=int, default=128)
-    parser.add_argument("--half", action="store_true", help="bfloat16 forward pass")
+    parser.add_argument("--bf16", "--half", action="store_true", help="bfloat16 forward pass")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
-    parser.add_argument("--busy", action="store_true", help="time of the processor, on one shared")
-    parser.add_argument("--clips", type=Path, nargs="+", help="folders; default preset train's")
-    asked = parser.parse_args(words)
-    torch.set_num_threads(asked.threads)
-    pool = registry.variant(asked.method).traits.pool
-    folders = asked.clips or dataset.generated("train", kinds={pool}).train
-    plan = TrainingConfig(frames=asked.frames, crop=asked.crop, half=asked.half)
-    clock = time.process_time if asked.busy else time.perf_counter
-    return profile(asked.method, folders, plan, asked.device, clock).text()
+    parser.add_argument(
+        "--cpu-time", "--busy", action="store_true", help="CPU time, for a shared machine"
+    )
+    parser.add_argument(
+        "--clips", type=Path, nargs="+", help="clip folders; default: those of preset train"
+    )
+    options = parser.parse_args(argv)
+    torch.set_num_threads(options.threads)
+    pool = registry.get_variant(options.method).traits.pool
+    clips = options.clips or dataset.split_generated("train", pool_kinds={pool}).train
+    config = TrainingConfig(frames=options.frames, crop=options.crop, bf16=options.bf16)
+    clock = time.process_time if options.cpu_time else time.perf_counter
+    return profile(options.method, clips, config, options.device, clock).to_markdown()
 
 
 if __name__ == "__main__":

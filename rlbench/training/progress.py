@@ -1,45 +1,76 @@
-"""Where a training stands."""
+"""The progress of a training run: frames seen, validation history, changes of the config."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-PLATEAU_DB = 0.1  # dB: a validation curve that rose by less between its last two points is flat
+from rlbench.training.config import rename_keys
+
+__all__ = ["Progress"]
+
+PLATEAU_DB = 0.1  # a smaller rise between the last two validations counts as converged
+
+RENAMED_KEYS = {  # in checkpoints written before the fields were renamed
+    "seen": "frames_seen",
+    "draws": "sequences",
+    "speed": "frames_per_second",
+    "curve": "validation_history",
+    "plan": "config",
+    "changes": "config_changes",
+}
 
 
 @dataclass
 class Progress:
-    """Where a training stands; all that a resumed one needs beside the tensors."""
+    """Everything a resumed run needs besides the tensors of its checkpoint."""
 
-    seen: int = 0  # frames
-    draws: int = 0  # sequences
-    steps: int = 0
+    frames_seen: int = 0
+    sequences: int = 0
+    steps: int = 0  # of the optimiser
     seconds: float = 0.0
-    speed: float = 0.0  # frames a second in the last sequence, validation left out
-    curve: list[tuple[int, float]] = field(default_factory=list)  # frames, validation PSNR
-    plan: dict[str, Any] = field(default_factory=dict)  # that it follows
-    changes: list[str] = field(default_factory=list)  # of the plan, made on the way
+    frames_per_second: float = 0.0  # in the last sequence, without validation
+    # pairs of frames seen and validation PSNR in dB
+    validation_history: list[tuple[int, float]] = field(default_factory=list)
+    config: dict[str, Any] = field(default_factory=dict)  # with the method and the training clips
+    config_changes: list[str] = field(default_factory=list)
 
-    def switch_config(self, plan: dict[str, Any]) -> None:
-        """Go on by another plan, and write down what changes."""
-        names = sorted(key for key in self.plan | plan if self.plan.get(key) != plan.get(key))
-        for name in names:
-            change = f"{name} {self.plan.get(name)} -> {plan.get(name)}"
-            self.changes.append(f"after {self.seen} frames: {change}")
-        self.plan = plan
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Progress:
+        """The progress in a checkpoint's metadata, also one from before the renaming of fields."""
+        values = {RENAMED_KEYS.get(key, key): value for key, value in stored.items()}
+        return cls(**values | {"config": rename_keys(values.get("config", {}))})
+
+    def switch_config(self, config: dict[str, Any]) -> None:
+        """Continue with another config, and record what changed."""
+        changes = describe_changes(self.config, config)
+        self.config_changes += [f"after {self.frames_seen} frames: {change}" for change in changes]
+        self.config = config
 
     def note(self, frames: int) -> str:
-        """What whoever uses the weights should know: changed on the way, cut short, too short?"""
-        return "; ".join(filter(None, (*self.changes, self._rest(frames))))
+        """What users of the weights should know: config changes, early stop, no convergence yet.
 
-    def _rest(self, frames: int) -> str:
-        """Was it cut short of `frames`, or too short?"""
-        if self.seen < frames:
-            return f"stopped at {self.seen} of {frames} frames"
-        if len(self.curve) < 2:
+        `frames` is the intended length of the run. Empty if there is nothing to report.
+        """
+        return "; ".join(filter(None, (*self.config_changes, self._warn_if_too_short(frames))))
+
+    def _warn_if_too_short(self, frames: int) -> str:
+        if self.frames_seen < frames:
+            return f"stopped at {self.frames_seen} of {frames} frames"
+        if len(self.validation_history) < 2:
             return ""
-        (before, low), (_, high) = self.curve[-2:]
-        if high - low < PLATEAU_DB:
+        (before, previous), (_, last) = self.validation_history[-2:]
+        if last - previous < PLATEAU_DB:
             return ""
-        return f"not yet flat: validation rose by {high - low:.2f} dB after {before} frames"
+        return f"not converged: validation rose by {last - previous:.2f} dB after {before} frames"
+
+
+def describe_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """The keys whose values differ, with both values.
+
+    >>> describe_changes({"crop": 64, "seed": 0}, {"crop": 128, "seed": 0})
+    ['crop 64 -> 128']
+    """
+    keys = sorted(key for key in {**old, **new} if old.get(key) != new.get(key))
+    return [f"{key} {old.get(key)} -> {new.get(key)}" for key in keys]

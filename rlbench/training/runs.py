@@ -1,83 +1,100 @@
-"""A course of trainings: method after method by one plan, each in a folder of its own."""
+"""Training runs of several methods with one config, each in a folder of its own."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rlbench import registry
-from rlbench.cli import console
 from rlbench.training import lr_range_test
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
-from rlbench.training.loop import check, shipped, train
+from rlbench.training.loop import check_budgets, train
+from rlbench.training.lr_range_test import LrRangeResult
+from rlbench.training.progress import Progress
 
-Bar = Callable[[str, int], AbstractContextManager[Callable[[Any, float], None]]]
+__all__ = ["TrainingRuns", "archive_run", "select_trainable"]
+
+OnProgress = Callable[[Progress, float], None]  # progress and loss, after each sequence
+# (title, total frames) -> a context in which the returned callback shows the progress
+ProgressBar = Callable[[str, int], AbstractContextManager[OnProgress]]
+
+
+def hidden_progress(title: str, frames: int) -> AbstractContextManager[OnProgress]:
+    """A progress bar that shows nothing."""
+    return nullcontext(lambda progress, loss: None)
 
 
 @dataclass(frozen=True)
 class TrainingRuns:
-    """How methods are trained, and where."""
+    """How and where methods are trained."""
 
-    out: Path
-    plan: TrainingConfig
+    out: Path  # the folder of all runs
+    config: TrainingConfig
     device: str = "cpu"
-    minutes: float = math.inf  # of each method
-    command: str = ""
-    allow_config_change: bool = False  # may it go on from a checkpoint of another plan?
-    bar: Bar = console.training
+    minutes: float = math.inf  # for each method
+    command: str = ""  # recorded in the model cards
+    allow_config_change: bool = False  # resume checkpoints that have a different config
+    progress_bar: ProgressBar = hidden_progress
 
-    def folder(self, name: str, without: str | None = None) -> Path:
-        """Where a method's training lies: one folder for a variant, fold, and choice of budgets."""
-        fold = f"-without-{without}" if without else ""
-        budgets = "+".join(f"{spp:g}" for spp in self.plan.spp)
-        return self.out / (name.replace("/", "-") + fold + (f"-{budgets}spp" if budgets else ""))
+    def folder(self, method: str, held_out_scene: str | None = None) -> Path:
+        """The folder of a run; one for each combination of method, held-out scene and budgets.
 
-    def check(self, names: Sequence[str]) -> None:
-        """Raise TrainingError where one of the methods cannot be trained, before any is."""
-        for name in names:
-            check(name, self.plan)
+        >>> runs = TrainingRuns(Path("runs"), TrainingConfig(spp=(0.5, 4.0)))
+        >>> runs.folder("ours/A1", held_out_scene="hall").as_posix()
+        'runs/ours-A1-without-hall-0.5+4spp'
+        """
+        fold = f"-without-{held_out_scene}" if held_out_scene else ""
+        budgets = "+".join(f"{spp:g}" for spp in self.config.spp)
+        suffix = f"-{budgets}spp" if budgets else ""
+        return self.out / (method.replace("/", "-") + fold + suffix)
 
-    def train(self, name: str, chosen: TrainingSplit, without: str | None = None) -> Path:
-        """The weights of a method, trained now or before on those clips."""
-        folder = self.folder(name, without)
-        with self.bar(name, self.plan.frames) as tell:
-            train(
-                name,
-                chosen.train,
-                chosen.validate,
+    def check(self, methods: Sequence[str]) -> None:
+        """Raise TrainingError if one of the methods does not support a training budget."""
+        for method in methods:
+            check_budgets(method, self.config)
+
+    def train(self, method: str, split: TrainingSplit, held_out_scene: str | None = None) -> Path:
+        """Train a method, resume its run, or reuse it if it is finished; returns the weights."""
+        folder = self.folder(method, held_out_scene)
+        with self.progress_bar(method, self.config.frames) as on_progress:
+            result = train(
+                method,
+                split.train,
+                split.validation,
                 folder,
-                self.plan,
+                self.config,
                 self.device,
                 self.minutes,
                 self.command,
-                tell,
+                on_progress,
                 self.allow_config_change,
             )
-        return shipped(name, folder)
+        return result.weights
 
-    def range_test(self, name: str, chosen: TrainingSplit) -> lr_range_test.LrRangeResult:
-        """The learning rates of a method, tried on the same clips."""
-        folder = self.out / f"{self.folder(name).name}-range"
-        with self.bar(f"{name}, range test", self.plan.frames) as tell:
-            return lr_range_test.run(name, chosen.train, folder, self.plan, self.device, tell)
+    def find_learning_rate(self, method: str, split: TrainingSplit) -> LrRangeResult:
+        """Run a learning-rate range test of a method on the training clips of `split`."""
+        folder = self.out / f"{self.folder(method).name}-range"
+        with self.progress_bar(f"{method}, lr range test", self.config.frames) as on_progress:
+            return lr_range_test.find_learning_rate(
+                method, split.train, folder, self.config, self.device, on_progress
+            )
 
 
 def archive_run(folder: Path) -> Path | None:
-    """Move a training out of the way; returns where it is now, or None where there was none."""
+    """Rename the folder of a run to NAME.old-N; returns its new path, or None if there is none."""
     if not folder.exists():
         return None
     number = 1
-    while (aside := folder.with_name(f"{folder.name}.old-{number}")).exists():
+    while (archived := folder.with_name(f"{folder.name}.old-{number}")).exists():
         number += 1
-    folder.rename(aside)
-    return aside
+    folder.rename(archived)
+    return archived
 
 
-def learners(names: Sequence[str]) -> list[str]:
-    """Those of the methods that there is something to train of."""
-    return [name for name in names if registry.is_trainable(name)]
+def select_trainable(methods: Sequence[str]) -> list[str]:
+    """The methods that can be trained."""
+    return [method for method in methods if registry.is_trainable(method)]

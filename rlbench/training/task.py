@@ -1,4 +1,56 @@
-"""What a family hands over to be trained: networks, their losses, their budgets."""
+"""How to make a method trainable: return its networks, losses and budgets as a `TrainingTask`.
+
+Write a function that takes the variant's name, a device and a seed, and returns a `TrainingTask`.
+Name the function in the family: `Family(..., train="my_method.train:training_task")`. Then
+`rlbench train --methods my_method` trains the method with the loop, crops, schedule and number of
+frames that all other methods get.
+
+A method with one convolution, and its training task:
+
+>>> from dataclasses import dataclass
+>>> import torch
+>>> from rlbench.family import Traits
+>>> from rlbench.ops.init import kaiming_init
+>>> from rlbench.run import unroll
+>>> from rlbench.training import BUDGETS_FROM_1_SPP, TrainingTask
+>>> @dataclass(frozen=True)
+... class Blur:
+...     network: torch.nn.Module
+...     traits: Traits = Traits()
+...
+...     def start(self, size):
+...         return None
+...
+...     def plan(self, gbuffer, samples, state):
+...         return torch.ones_like(samples.mean[:, :1])
+...
+...     def denoise(self, gbuffer, samples, state):
+...         return self.network(samples.mean), None
+>>> def training_task(variant, device, seed):
+...     method = Blur(torch.nn.Conv2d(3, 3, 5, padding=2))
+...     kaiming_init(method.network, seed)
+...     method.network.to(device)
+...
+...     def losses(clip, spp):
+...         for result in unroll(method, clip, spp):
+...             yield (result.image - result.frame.reference.mean).abs().mean()
+...
+...     return TrainingTask(method, method.network, losses, BUDGETS_FROM_1_SPP)
+>>> task = training_task("", torch.device("cpu"), seed=0)
+>>> task.max_lr
+0.0005
+
+Rules for `losses`:
+
+- It is a generator. The loop takes one optimiser step for each loss that it yields, and only then
+  asks for the next one. Detach the state that is carried over a `yield`, or yield one loss for all
+  frames.
+- Everything that changes during training must be in `networks` or `auxiliary_network`, because a
+  checkpoint contains only these, the optimiser's moments and the progress. Seed random numbers from
+  the clip (`frame.pool.rounding_seeds`), so that a resumed run repeats them.
+- A sampler that learns by gradient wraps the method in `SurrogateGradient`; see
+  `baselines/ntas/train.py`. A sampler that learns from rewards: see `methods/ours/train.py`.
+"""
 
 from __future__ import annotations
 
@@ -11,40 +63,39 @@ from rlbench.errors import RlbenchError
 from rlbench.frames import Clip
 from rlbench.method import Method
 
-BUDGETS_FROM_1_SPP = (
-    1.0,
-    1.0,
-    2.0,
-    2.0,
-    4.0,
-    4.0,
-    6.0,
-)  # budgets of what needs a sample in every pixel
+__all__ = ["BUDGETS_FROM_1_SPP", "TrainingError", "TrainingTask"]
+
+# training budgets in samples per pixel, for methods that need a sample in every pixel; repeated
+# values are drawn more often
+BUDGETS_FROM_1_SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)
 
 
 class TrainingError(RlbenchError, RuntimeError):
-    """A training that cannot start or go on."""
+    """A training run that cannot start, resume or continue."""
+
+
+def ignore_progress(fraction_done: float) -> None:
+    """The default `TrainingTask.on_progress`: does nothing."""
 
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """What is trained: made by the function that a family's `train` names.
+    """What the training loop needs from a learned method; see the module's guide.
 
-    All that changes while it is trained lies in `networks` and `aside`: a training that was killed
-    goes on from them, the optimiser and the number of the draw alone. A loss may reach `aside`, a
-    network that is needed while the others learn and no longer after, such as a critic.
+    The function that a family names as `train` returns it. One Adam optimiser (Kingma and Ba 2015)
+    trains `networks` and `auxiliary_network`; the gradient norm is clipped for each of the two
+    separately. `auxiliary_network` is a network needed only during training, such as a critic:
+    checkpoints contain it, weights files do not.
     """
 
-    method: Method  # unrolled with gradients; state must be detached where `losses` yields
-    networks: nn.Module  # what is trained and saved
-    losses: Callable[[Clip, float], Iterator[Tensor]]  # one optimiser step for each that it yields
-    spp: tuple[float, ...]  # budgets, one drawn for each sequence
-    max_lr: float = 5e-4  # highest learning rate of Adam, by a range test of this architecture
-    lr_multipliers: Mapping[str, float] = field(
-        default_factory=dict
-    )  # of it, by child of `networks`
-    on_progress: Callable[[float], None] = lambda done: (
-        None
-    )  # before each sequence, share of frames seen
-    origin: str = ""  # of the first weights, for the card; empty for random ones
-    aside: nn.Module | None = None  # trained at shares["aside"] and kept, but not shipped
+    method: Method  # unrolled with gradients
+    networks: nn.Module  # trained, averaged and saved
+    losses: Callable[[Clip, float], Iterator[Tensor]]  # (clip, spp) -> one scalar per step
+    spp: tuple[float, ...]  # training budgets, samples per pixel; one is drawn for each sequence
+    max_lr: float = 5e-4  # peak of Adam's learning rate; choose it by `find_learning_rate`
+    # factors on the learning rate, by name of a child of `networks` or "auxiliary_network"
+    lr_multipliers: Mapping[str, float] = field(default_factory=dict)
+    # called before each sequence with the fraction of frames trained on, in [0, 1)
+    on_progress: Callable[[float], None] = ignore_progress
+    origin: str = ""  # source of the initial weights, for the model card; empty if random
+    auxiliary_network: nn.Module | None = None

@@ -1,148 +1,185 @@
-"""Networks that learn, their average and their optimiser: one sequence after another."""
+"""The state of a training run: networks, their moving average and the optimiser; one step."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from rlbench.frames import Clip
-from rlbench.training import checkpoint
+from rlbench.training.checkpoint import select_prefix
+from rlbench.training.config import TrainingConfig
+from rlbench.training.ema import warmed_up_ema
 from rlbench.training.task import TrainingError, TrainingTask
+
+__all__ = ["NonFiniteStep", "NonFiniteStepError", "TrainState"]
+
+MAX_LAYERS_SHOWN = 3  # in an error message
 
 
 class NonFiniteStep(NamedTuple):
-    """What went out of bounds, and where."""
+    """A loss or gradient norm that is not finite, and where it occurred."""
 
-    what: str  # the loss, or the length of a network's gradient
+    quantity: str  # the loss, or the gradient norm of a network
     value: float
-    step: int  # of this sequence, from 0
-    layers: tuple[str, ...]  # whose weights or gradients are not finite
+    step: int  # within the sequence, from 0
+    layers: tuple[str, ...]  # parameters whose values or gradients are not finite
 
     def __str__(self) -> str:
-        """In words."""
-        more = f" and {len(self.layers) - 3} more" if len(self.layers) > 3 else ""
-        layers = f", not finite in {', '.join(self.layers[:3])}{more}" if self.layers else ""
-        return f"{self.what} is {self.value} at step {self.step} of the sequence{layers}"
+        """One line for an error message."""
+        message = f"{self.quantity} is {self.value} at step {self.step} of the sequence"
+        if not self.layers:
+            return message
+        hidden = len(self.layers) - MAX_LAYERS_SHOWN
+        more = f" and {hidden} more" if hidden > 0 else ""
+        return f"{message}, not finite in {', '.join(self.layers[:MAX_LAYERS_SHOWN])}{more}"
 
 
-class NotFiniteError(TrainingError):
-    """A step that was not made, since it would have ruined the weights."""
+class NonFiniteStepError(TrainingError):
+    """A step that was not taken, because it would have made the weights non-finite."""
 
-    def __init__(self, found: NonFiniteStep) -> None:
-        """With what was found."""
-        super().__init__(str(found))
-        self.found = found
+    def __init__(self, failure: NonFiniteStep) -> None:
+        """Store the failure and use it as the message."""
+        super().__init__(str(failure))
+        self.failure = failure
 
 
 class TrainState:
-    """What is trained, with Adam (Kingma and Ba 2015) and an exponential average of the weights.
+    """The networks of a training task with their optimiser and exponential moving average (EMA).
 
-    `before` holds the tensors that a sequence began with, so that one that failed can be replayed.
+    The optimiser is Adam (Kingma and Ba 2015). `snapshot` holds the tensors from before the last
+    sequence, so that a failed sequence can be replayed.
     """
 
-    def __init__(
-        self, trainer: TrainingTask, norm: float, average: float, half: bool, device: str
-    ) -> None:
-        """Begin with the trainer's weights."""
-        self.trainer, self.norm, self.keep, self.half = trainer, norm, average, half
-        self.device = torch.device(device)
-        self.steps = 0
-        self.networks = trainer.networks
+    def __init__(self, task: TrainingTask, config: TrainingConfig, device: str) -> None:
+        """Start from the weights in `task.networks`."""
+        self.task, self.config, self.device = task, config, torch.device(device)
+        self.networks = task.networks
         self.networks.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = copy.deepcopy(self.networks)
-        self.optimizer = torch.optim.Adam(_groups(trainer), trainer.max_lr)
-        self.before: dict[str, Tensor] = {}
-        self._pairs = _pairs(self.average, self.networks)
-        self._learning = [("the networks", self.networks)]  # their gradients are clipped apart
-        if trainer.aside is not None:
-            self._learning.append(("aside", trainer.aside))
+        average = warmed_up_ema(config.ema_decay)
+        self.ema = AveragedModel(self.networks, multi_avg_fn=average, use_buffers=True)
+        self.ema.update_parameters(self.networks)  # the initial weights count as the first average
+        self.optimizer = torch.optim.Adam(_parameter_groups(task), task.max_lr)
+        self.snapshot: dict[str, Tensor] = {}
+        self._modules = {"the networks": self.networks}  # gradients are clipped for each
+        if task.auxiliary_network is not None:
+            self._modules["the auxiliary network"] = task.auxiliary_network
 
-    def sequence(self, clip: Clip, spp: float, rate: float, done: float) -> float:
-        """Take a step for every loss of one clip; returns the mean loss.
+    @property
+    def ema_networks(self) -> nn.Module:
+        """The networks with averaged weights, which are validated and saved."""
+        return self.ema.module
 
-        `rate` is the learning rate as a share of the peak, `done` the share of the training that
-        is over. Raises NotFiniteError before a step that would not be finite.
+    @property
+    def steps(self) -> int:
+        """Optimiser steps taken since the start of the run."""
+        return int(self.ema.n_averaged) - 1
+
+    def train_sequence(
+        self, clip: Clip, spp: float, lr_factor: float, fraction_done: float
+    ) -> float:
+        """Take one step for each loss of a clip; returns the mean loss.
+
+        `lr_factor` is the learning rate relative to the peak, `fraction_done` the fraction of the
+        run's frames already seen. Raises NonFiniteStepError before a step that is not finite.
         """
-        self._remember()
-        for _, module in self._learning:
+        self._take_snapshot()
+        for module in self._modules.values():
             module.train()
         for group in self.optimizer.param_groups:
-            group["lr"] = self.trainer.max_lr * group["share"] * rate
-        self.trainer.on_progress(done)
-        losses = self.trainer.losses(clip, spp)
+            group["lr"] = self.task.max_lr * group["lr_multiplier"] * lr_factor
+        self.task.on_progress(fraction_done)
+        losses = self.task.losses(clip, spp)
         total, count = 0.0, 0
         while (loss := self._forward(losses)) is not None:
-            self._check("loss", loss, count)
+            self._check_finite("loss", loss, count)
             self._backward(loss)
-            self._clip(count)
+            self._clip_gradients(count)
             self._step()
             self._update_ema()
             total, count = total + loss.item(), count + 1
         return total / max(count, 1)
 
-    def _remember(self) -> None:
-        packed = checkpoint.state_tensors(self.networks, self.optimizer, self.trainer.aside)
-        self.before = {name: tensor.detach().clone() for name, tensor in packed.items()}
+    def state_dict(self) -> dict[str, Tensor]:
+        """All tensors of the run by name, for a checkpoint; they are not copied."""
+        ema = {f"ema.{name}": tensor for name, tensor in self.ema_networks.state_dict().items()}
+        return self._trained_tensors() | ema
+
+    def load_state_dict(self, tensors: Mapping[str, Tensor], steps: int) -> None:
+        """Restore the tensors of `state_dict`, saved after `steps` optimiser steps."""
+        self.load_snapshot(tensors)
+        self.ema_networks.load_state_dict(select_prefix("ema.", tensors))
+        self.ema.n_averaged.fill_(steps + 1)
+
+    def load_snapshot(self, tensors: Mapping[str, Tensor]) -> None:
+        """Restore the weights and the optimiser's moments of a `snapshot`."""
+        self.networks.load_state_dict(select_prefix("weights.", tensors))
+        if self.task.auxiliary_network is not None:
+            auxiliary = select_prefix("auxiliary_network.", tensors)
+            self.task.auxiliary_network.load_state_dict(auxiliary)
+        moments: dict[int, dict[str, Tensor]] = {}
+        for key, value in select_prefix("optimizer.", tensors).items():
+            index, name = key.split(".", 1)
+            moments.setdefault(int(index), {})[name] = value
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
+
+    def _trained_tensors(self) -> dict[str, Tensor]:
+        tensors = {f"weights.{k}": v for k, v in self.networks.state_dict().items()}
+        if (auxiliary := self.task.auxiliary_network) is not None:
+            tensors |= {f"auxiliary_network.{k}": v for k, v in auxiliary.state_dict().items()}
+        for index, moments in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
+        return tensors
+
+    def _take_snapshot(self) -> None:
+        tensors = self._trained_tensors()
+        self.snapshot = {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
     def _forward(self, losses: Iterator[Tensor]) -> Tensor | None:
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half):
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
             return next(losses, None)
 
     def _backward(self, loss: Tensor) -> None:
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
 
-    def _clip(self, step: int) -> None:
-        for name, module in self._learning:
+    def _clip_gradients(self, step: int) -> None:
+        for name, module in self._modules.items():
             gradients = [weight.grad for weight in module.parameters() if weight.grad is not None]
-            length = nn.utils.get_total_norm(gradients)
-            self._check(f"length of the gradient of {name}", length, step)  # before it spreads
-            nn.utils.clip_grads_with_norm_(module.parameters(), self.norm, length)
+            norm = nn.utils.get_total_norm(gradients)
+            self._check_finite(f"gradient norm of {name}", norm, step)
+            nn.utils.clip_grads_with_norm_(module.parameters(), self.config.max_grad_norm, norm)
 
     def _step(self) -> None:
         self.optimizer.step()
 
-    @torch.no_grad()
     def _update_ema(self) -> None:
-        """Move the average towards the weights, faster at the start; counters are copied."""
-        keep = min(self.keep, (1 + self.steps) / (10 + self.steps))
-        slow, fast, counters = self._pairs
-        torch._foreach_lerp_(slow, fast, 1 - keep)
-        for mine, theirs in counters:
-            mine.copy_(theirs)
-        self.steps += 1
+        self.ema.update_parameters(self.networks)
 
-    def _check(self, what: str, value: Tensor, step: int) -> None:
+    def _check_finite(self, quantity: str, value: Tensor, step: int) -> None:
         if torch.isfinite(value):
             return
-        wrong = [
+        layers = [
             name
-            for _, module in self._learning
+            for module in self._modules.values()
             for name, weight in module.named_parameters()
             if not all(bool(t.isfinite().all()) for t in (weight, weight.grad) if t is not None)
         ]
-        raise NotFiniteError(NonFiniteStep(what, value.item(), step, tuple(wrong)))
+        raise NonFiniteStepError(NonFiniteStep(quantity, value.item(), step, tuple(layers)))
 
 
-def _groups(trainer: TrainingTask) -> list[dict[str, Any]]:
-    """The parameters of each child network, of none, and aside; each with its learning rate."""
-    children = trainer.networks.named_children()
-    pairs = [(list(child.parameters()), name) for name, child in children]
-    pairs.append((list(trainer.networks.parameters(recurse=False)), ""))
-    pairs.append((list(trainer.aside.parameters()) if trainer.aside else [], "aside"))
-    shares = trainer.lr_multipliers
-    return [{"params": own, "share": shares.get(name, 1.0)} for own, name in pairs if own]
-
-
-def _pairs(
-    average: nn.Module, networks: nn.Module
-) -> tuple[list[Tensor], list[Tensor], list[tuple[Tensor, Tensor]]]:
-    """Tensors to average, those that they follow, and pairs of such as cannot be averaged."""
-    both = list(zip(average.state_dict().values(), networks.state_dict().values(), strict=True))
-    moving = [pair for pair in both if pair[0].is_floating_point()]
-    counters = [pair for pair in both if not pair[0].is_floating_point()]
-    return [slow for slow, _ in moving], [fast for _, fast in moving], counters
+def _parameter_groups(task: TrainingTask) -> list[dict[str, Any]]:
+    """The parameters that share a learning rate: of each child network, and those in no child."""
+    groups = [(list(child.parameters()), name) for name, child in task.networks.named_children()]
+    groups.append((list(task.networks.parameters(recurse=False)), ""))
+    if task.auxiliary_network is not None:
+        groups.append((list(task.auxiliary_network.parameters()), "auxiliary_network"))
+    return [
+        {"params": parameters, "lr_multiplier": task.lr_multipliers.get(name, 1.0)}
+        for parameters, name in groups
+        if parameters
+    ]

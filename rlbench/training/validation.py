@@ -1,4 +1,4 @@
-"""How good averaged weights are on clips that are not trained on."""
+"""Validation: mean PSNR of the averaged weights on clips that are not trained on."""
 
 from __future__ import annotations
 
@@ -16,53 +16,59 @@ from rlbench.clips.stored import open_clip
 from rlbench.method import Method
 from rlbench.run import run_clip
 
-BUDGETS = (1.0, 4.0)  # samples per pixel, unless others are trained for
+__all__ = ["ValidationResult", "validation_budgets", "validate"]
+
+DEFAULT_BUDGETS = (1.0, 4.0)  # samples per pixel
 
 
 class ValidationResult(NamedTuple):
-    """What a validation found."""
+    """The score of one validation, and an image to look at."""
 
     psnr: float  # dB, mean over clips, budgets and frames
-    picture: Float[Tensor, "3 h w"] | None  # last frame of the first clip, reference at its right
+    preview: Float[Tensor, "3 h w"] | None  # last frame of the first clip, reference on its right
 
 
-def budgets(method: Method, trained: Sequence[float], asked: Sequence[float]) -> list[float]:
-    """The budgets to validate at.
+def validation_budgets(
+    method: Method, training_budgets: Sequence[float], requested: Sequence[float]
+) -> list[float]:
+    """The budgets to validate at, in samples per pixel.
 
-    1 and 4 spp where the method takes both and nothing else was asked for; else the least and the
-    largest of those that it is trained for.
+    1 and 4 spp if the method supports both and no training budgets were `requested`. Otherwise the
+    smallest and the largest budget that the method is trained at.
     """
-    if not asked and not any(method.traits.unsupported_reason(spp) for spp in BUDGETS):
-        return list(BUDGETS)
-    return sorted({min(asked or trained), max(asked or trained)})
+    unsupported = any(method.traits.unsupported_reason(spp) for spp in DEFAULT_BUDGETS)
+    if not requested and not unsupported:
+        return list(DEFAULT_BUDGETS)
+    return sorted({min(requested or training_budgets), max(requested or training_budgets)})
 
 
 def validate(
     method: Method,
     networks: nn.Module,
-    average: nn.Module,
-    folders: Sequence[Path],
+    ema_networks: nn.Module,
+    clips: Sequence[Path],
     spp: Sequence[float],
     device: str,
 ) -> ValidationResult:
-    """Mean PSNR of the averaged weights at each budget, all frames.
+    """Mean PSNR of the averaged weights on all frames of the clips, at each budget in `spp`.
 
-    `networks` have their own weights again afterwards, and are set to evaluation.
+    `networks` are the ones that `method` uses. They get their own weights back, and are left in
+    evaluation mode.
     """
-    psnr = registry.load("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr").score
     trained = copy.deepcopy(networks.state_dict())
-    networks.load_state_dict(average.state_dict())
+    networks.load_state_dict(ema_networks.state_dict())
     networks.eval()
     scores: list[float] = []
-    picture = None
-    for folder in folders:
+    preview = None
+    for folder in clips:
         for budget in spp:
             traits = method.traits
             clip = open_clip(folder, traits.inputs, pool=traits.pool, device=device)
-            for shown in run_clip(method, clip, budget):
-                reference = shown.frame.reference
-                scores += psnr(shown.image, reference.half_a, reference.half_b).tolist()
-            if folder == folders[0] and budget == spp[0]:
-                picture = torch.cat((shown.image[0], reference.mean[0]), dim=-1)
+            for result in run_clip(method, clip, budget):
+                reference = result.frame.reference
+                scores += psnr(result.image, reference.half_a, reference.half_b).tolist()
+            if folder == clips[0] and budget == spp[0]:
+                preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
     networks.load_state_dict(trained)
-    return ValidationResult(sum(scores) / max(len(scores), 1), picture)
+    return ValidationResult(sum(scores) / max(len(scores), 1), preview)

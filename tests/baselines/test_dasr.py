@@ -18,10 +18,10 @@ from baselines.dasr.method import Dasr, build
 from baselines.dasr.network import Networks
 from baselines.dasr.train import trainer
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.run import run_clip
-from rlbench.training.loop import TrainingConfig, train
+from rlbench.training import TrainingConfig, train
 from rlbench.weights import digest
 from tests.conftest import write_noise
 
@@ -36,7 +36,7 @@ def drawn(*shape: int, seed: int = 0) -> Tensor:
 
 
 def small_clip(frames: int = 1, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
-    return procedural(seed, size, frames=frames)
+    return procedural_clip(seed, size, frames=frames)
 
 
 def half_noisy(seed: int, side: int = 32) -> InMemoryClip:
@@ -210,14 +210,14 @@ class KilledError(Exception):
 
 def test_a_training_killed_in_one_stage_goes_on_in_it(tmp_path: Path) -> None:
     clip = write_noise(tmp_path / "clips" / "noise", frames=1, h=32, w=32)
-    plan = TrainingConfig(frames=12, crop=16, every=4)  # stages of 5 frames, 1, and 6
+    plan = TrainingConfig(frames=12, crop=16, eval_interval=4)  # stages of 5 frames, 1, and 6
 
     def run(out: Path, kill_after: int | None = None) -> str:
         def report(progress, loss) -> None:
-            if progress.draws == kill_after:
+            if progress.sequences == kill_after:
                 raise KilledError
 
-        train("dasr", [clip], [clip], out, plan, report=report)
+        train("dasr", [clip], [clip], out, plan, on_progress=report)
         return digest(out / "dasr.safetensors")
 
     with pytest.raises(KilledError):

@@ -90,7 +90,7 @@ def test_a_pass_treats_two_images_as_each_alone():
     def passed(some: slice) -> Tensor:
         flat = PaddedRows(len(guide[some]), 9, 11, margin=4)
         return flat.unpack(
-            smooth(flat, 2, flat.pack(guide[some], empty=1e4), flat.pack(light[some]))
+            smooth(flat, 2, flat.pack(guide[some], fill=1e4), flat.pack(light[some]))
         )
 
     alone = torch.cat((passed(slice(0, 1)), passed(slice(1, 2))))

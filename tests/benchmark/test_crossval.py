@@ -1,7 +1,8 @@
-"""Leaving one scene out: the weights of each fold have not seen its scene; done once."""
+"""Cross-validation: the weights of a fold were trained without its scene, and only once."""
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.crossval import Fold, crossval, row_names, variant_to_train
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.runner import RunSummary
+from rlbench.benchmark.runner import ProgressCallbacks, RunSummary
 from rlbench.cli.app import app
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
@@ -33,48 +34,64 @@ def folds(tmp_path: Path) -> list[Fold]:
     ]
 
 
-def left_out(folds: list[Fold], out: Path, plan: TrainingConfig | None = None) -> RunSummary:
-    plan = plan or TrainingConfig(frames=12, crop=16, length=3)
-    request = RunPlan(("blur", "mean"), (), (1.0,), repeats=2)
-    return crossval(folds, TrainingRuns(out, plan), request, out / "results")
+def run_crossval(folds: list[Fold], out: Path, **callbacks: object) -> RunSummary:
+    config = TrainingConfig(frames=12, crop=16, sequence_length=3)
+    plan = RunPlan(("blur", "mean"), (), (1.0,), repeats=2)
+    return crossval(folds, TrainingRuns(out, config), plan, out / "results", **callbacks)
 
 
-def test_each_scene_is_scored_by_weights_that_have_not_seen_it(folds, tmp_path):
-    assert left_out(folds, tmp_path / "out") == RunSummary(measured=4)
+def test_each_scene_is_scored_with_weights_that_were_trained_without_it(folds, tmp_path):
+    assert run_crossval(folds, tmp_path / "out") == RunSummary(measured=4)
     rows = results.read(tmp_path / "out" / "results")
-    found = {(r.method, r.scene, r.weights.rpartition(" ")[0]) for r in rows.itertuples()}
-    assert found == {
+    weights = {(r.method, r.scene, r.weights_hash.rpartition(" ")[0]) for r in rows.itertuples()}
+    assert weights == {
         ("blur@crossval", "city", "without city"),
         ("blur@crossval", "hall", "without hall"),
         ("mean", "city", ""),
         ("mean", "hall", ""),
     }
-    seen = read_card(tmp_path / "out" / "blur-without-city" / "blur.safetensors").data
-    assert [clip.split()[0] for clip in seen] == ["hall"]
+    trained_on = read_card(tmp_path / "out" / "blur-without-city" / "blur.safetensors").data
+    assert [clip.split()[0] for clip in trained_on] == ["hall"]
 
 
-def test_what_is_done_is_not_done_again(folds, tmp_path):
-    left_out(folds, tmp_path / "out")
+def test_finished_work_is_not_repeated(folds, tmp_path):
+    run_crossval(folds, tmp_path / "out")
     files = {file: file.stat().st_mtime_ns for file in (tmp_path / "out").rglob("*.safetensors")}
-    assert left_out(folds, tmp_path / "out") == RunSummary(cached=4)
+    assert run_crossval(folds, tmp_path / "out") == RunSummary(cached=4)
     assert files == {file: file.stat().st_mtime_ns for file in files}
 
 
+def test_progress_is_reported_for_each_method_of_each_fold(folds, tmp_path):
+    messages, measured = [], []
+
+    @contextmanager
+    def progress_bar(plan):
+        yield ProgressCallbacks(on_cell=lambda cell: measured.append((plan.methods, cell.key.clip)))
+
+    run_crossval(folds, tmp_path / "out", on_fold=messages.append, progress_bar=progress_bar)
+    assert messages == [
+        f"fold {index} of 2: {method} without {scene}"
+        for index, scene in ((1, "city"), (2, "hall"))
+        for method in ("blur", "mean")
+    ]
+    assert measured == [((m,), scene) for scene in ("city", "hall") for m in ("blur", "mean")]
+
+
 @pytest.mark.parametrize(
-    ("name", "teacher"), [("ours", "ours"), ("ours/flat", "ours"), ("mean", ""), ("oidn-intel", "")]
+    ("name", "trained"), [("ours", "ours"), ("ours/flat", "ours"), ("mean", ""), ("oidn-intel", "")]
 )
-def test_borrowed_weights_are_trained_by_whom_they_are_borrowed_of(name, teacher):
-    assert variant_to_train(name) == teacher
+def test_weights_of_another_variant_are_trained_as_that_variant(name, trained):
+    assert variant_to_train(name) == trained
 
 
-def test_rows_are_named_by_whether_they_were_trained_here():
-    asked = RunPlan(("mean", "ntas"), ())
-    assert row_names(asked) == ["mean", "ntas@crossval"]
-    assert row_names(replace(asked, methods=("ntas",))) == ["ntas@crossval"]
+def test_only_trained_methods_have_the_label_crossval():
+    plan = RunPlan(("mean", "ntas"), ())
+    assert row_names(plan) == ["mean", "ntas@crossval"]
+    assert row_names(replace(plan, methods=("ntas",))) == ["ntas@crossval"]
 
 
-def test_a_scene_that_cannot_be_left_out_is_told():
-    words = ["crossval", "-m", "ntas", "--scenes", "attic", "--device", "cpu"]
-    found = CliRunner().invoke(app, words)
-    assert found.exit_code == 2
-    assert "preset 'mini' has: city, temple, hall" in found.output
+def test_an_unknown_scene_is_an_error():
+    arguments = ["crossval", "-m", "ntas", "--scenes", "attic", "--device", "cpu"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "preset 'mini' has: city, temple, hall" in result.output

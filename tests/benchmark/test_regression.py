@@ -1,4 +1,4 @@
-"""The quality gate: it fails when PSNR falls, says where, and can be rewritten."""
+"""The regression check: it fails when PSNR falls, says where, and its baseline is rewritten."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from dataclasses import replace
 
 import pytest
 
-from rlbench.benchmark.regression import (
+from rlbench.benchmark.baseline import (
     Baseline,
+    BaselineEntry,
     BaselineError,
-    Entry,
-    compare,
-    load,
-    measured,
-    update,
+    load_baseline,
+    write_baseline,
 )
+from rlbench.benchmark.regression import compare, mean_psnr, update_baseline
 from rlbench.benchmark.results import Row, to_dataframe
 
 
@@ -30,15 +29,17 @@ def rows(psnr, method="ours", scene="city", spp=2.0):
 
 
 def baseline(psnr=30.0, **entry):
-    return Baseline("mini", "rlbench run", 0.05, (Entry("ours", "city", 2.0, psnr, **entry),))
+    return Baseline(
+        "mini", "rlbench run", 0.05, (BaselineEntry("ours", "city", 2.0, psnr, **entry),)
+    )
 
 
-def verdicts(outcome):
-    return {change.key: change.verdict for change in outcome.changes}
+def verdicts(report):
+    return {diff.key: diff.verdict for diff in report.diffs}
 
 
 @pytest.mark.parametrize(
-    ("found", "verdict", "passed"),
+    ("psnr", "verdict", "passed"),
     [
         (30.0, "same", True),
         (29.95, "same", True),
@@ -48,9 +49,9 @@ def verdicts(outcome):
         (20.0, "worse", False),
     ],
 )
-def test_a_result_may_fall_by_the_tolerance_and_no_more(found, verdict, passed):
-    outcome = compare(to_dataframe(rows(found)), baseline())
-    assert (outcome.changes[0].verdict, outcome.passed) == (verdict, passed)
+def test_a_result_may_fall_by_the_tolerance_and_no_more(psnr, verdict, passed):
+    report = compare(to_dataframe(rows(psnr)), baseline())
+    assert (report.diffs[0].verdict, report.passed) == (verdict, passed)
 
 
 def test_an_entry_may_have_a_tolerance_of_its_own():
@@ -62,28 +63,30 @@ def test_a_tolerance_of_zero_is_not_the_default():
 
 
 def test_a_missing_entry_fails():
-    outcome = compare(to_dataframe(rows(30.0, scene="hall")), baseline())
-    assert verdicts(outcome) == {("ours", "city", 2.0): "missing", ("ours", "hall", 2.0): "new"}
-    assert not outcome.passed
+    report = compare(to_dataframe(rows(30.0, scene="hall")), baseline())
+    assert verdicts(report) == {("ours", "city", 2.0): "missing", ("ours", "hall", 2.0): "new"}
+    assert not report.passed
 
 
 def test_a_missing_entry_of_a_subset_is_skipped():
     table = to_dataframe(rows(30.0))
-    written = replace(baseline(), entries=(*baseline().entries, Entry("ours", "hall", 2.0, 30.0)))
-    outcome = compare(table, written, subset=True)
-    assert verdicts(outcome)["ours", "hall", 2.0] == "skipped"
-    assert outcome.passed
+    written = replace(
+        baseline(), entries=(*baseline().entries, BaselineEntry("ours", "hall", 2.0, 30.0))
+    )
+    report = compare(table, written, subset=True)
+    assert verdicts(report)["ours", "hall", 2.0] == "skipped"
+    assert report.passed
 
 
 def test_a_method_without_any_result_is_missing_even_in_a_subset():
-    outcome = compare(to_dataframe(rows(12.0, method="mean")), baseline(), subset=True)
-    assert verdicts(outcome)["ours", "city", 2.0] == "missing"
-    assert not outcome.passed
+    report = compare(to_dataframe(rows(12.0, method="mean")), baseline(), subset=True)
+    assert verdicts(report)["ours", "city", 2.0] == "missing"
+    assert not report.passed
 
 
 def test_results_without_entries_are_no_comparison():
-    outcome = compare(to_dataframe(rows(30.0, scene="hall")), Baseline("mini"))
-    assert "FAILED: nothing was compared, 1 new" in outcome.text()
+    report = compare(to_dataframe(rows(30.0, scene="hall")), Baseline("mini"))
+    assert "FAILED: nothing was compared, 1 new" in report.text()
 
 
 def test_results_of_several_devices_are_not_averaged():
@@ -94,30 +97,30 @@ def test_results_of_several_devices_are_not_averaged():
 
 
 def test_an_entry_is_not_dropped_from_a_baseline_because_its_method_crashed(tmp_path):
-    update(to_dataframe(rows(30.0)), tmp_path / "b.json")
+    update_baseline(to_dataframe(rows(30.0)), tmp_path / "b.json")
     crashed = replace(rows(0.0)[0], frame=-1, value=math.nan, note="RuntimeError: ...")
     with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
-        update(to_dataframe([crashed, *rows(12.0, method="mean")]), tmp_path / "b.json")
+        update_baseline(to_dataframe([crashed, *rows(12.0, method="mean")]), tmp_path / "b.json")
 
 
 @pytest.mark.parametrize("entries", [baseline(), Baseline()])
 def test_nothing_compared_is_not_passed(entries):
-    outcome = compare(to_dataframe(rows(30.0)).iloc[:0], entries, subset=True)
-    assert not outcome.passed
-    assert "nothing was compared" in outcome.text()
+    report = compare(to_dataframe(rows(30.0)).iloc[:0], entries, subset=True)
+    assert not report.passed
+    assert "nothing was compared" in report.text()
 
 
 def test_a_result_without_value_is_missing_even_in_a_subset():
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
-    outcome = compare(to_dataframe([*rows(30.0), hole]), baseline(), subset=True)
-    assert not outcome.passed
+    report = compare(to_dataframe([*rows(30.0), hole]), baseline(), subset=True)
+    assert not report.passed
 
 
 def test_a_new_result_does_not_fail():
     table = to_dataframe(rows(30.0) + rows(12.0, method="ntas"))
-    outcome = compare(table, baseline())
-    assert verdicts(outcome)["ntas", "city", 2.0] == "new"
-    assert outcome.passed
+    report = compare(table, baseline())
+    assert verdicts(report)["ntas", "city", 2.0] == "new"
+    assert report.passed
 
 
 def test_the_text_says_what_fell_by_how_much_and_what_was_allowed():
@@ -151,38 +154,40 @@ def test_columns_of_the_text_line_up():
 
 def test_the_mean_is_over_frames_and_clips():
     more = [replace(row, clip="city-1", value=row.value + 4) for row in rows(30.0)]
-    assert measured(to_dataframe(rows(30.0) + more)) == {("ours", "city", 2.0): 32.0}
+    assert mean_psnr(to_dataframe(rows(30.0) + more)) == {("ours", "city", 2.0): 32.0}
 
 
 def test_a_rewritten_baseline_equals_its_results(tmp_path):
     table = to_dataframe(rows(30.123456) + rows(12.0, method="ntas"))
-    written = update(table, tmp_path / "b.json")
-    assert load(tmp_path / "b.json") == written
+    written = update_baseline(table, tmp_path / "b.json")
+    assert load_baseline(tmp_path / "b.json") == written
     assert compare(table, written).text() == "passed: 2 same"
 
 
 def test_a_rewritten_baseline_keeps_tolerances_and_command(tmp_path):
     path = tmp_path / "b.json"
-    update(to_dataframe(rows(30.0)), path)
+    update_baseline(to_dataframe(rows(30.0)), path)
     content = json.loads(path.read_text())
     content["command"] = "rlbench run"
     content["tolerance_db"] = 0.1
     content["entries"][0]["tolerance_db"] = 0.3
     path.write_text(json.dumps(content))
-    entry = Entry("ours", "city", 2.0, 31.0, 0.3)
-    assert update(to_dataframe(rows(31.0)), path) == Baseline("mini", "rlbench run", 0.1, (entry,))
+    entry = BaselineEntry("ours", "city", 2.0, 31.0, 0.3)
+    assert update_baseline(to_dataframe(rows(31.0)), path) == Baseline(
+        "mini", "rlbench run", 0.1, (entry,)
+    )
 
 
-def test_a_refused_budget_is_left_out_of_a_rewritten_baseline(tmp_path):
-    refused = replace(rows(0.0, spp=0.5)[0], frame=-1, value=math.nan, note="supports 1 to 8 spp")
-    table = to_dataframe([*rows(31.0), refused])
-    written = update(table, tmp_path / "b.json")
-    assert [entry.spp for entry in written.entries] == [2.0]
+def test_an_unsupported_budget_is_left_out_of_a_rewritten_baseline(tmp_path):
+    skipped = replace(rows(0.0, spp=0.5)[0], frame=-1, value=math.nan, note="supports 1 to 8 spp")
+    table = to_dataframe([*rows(31.0), skipped])
+    written = update_baseline(table, tmp_path / "b.json")
+    assert [entry.target_spp for entry in written.entries] == [2.0]
     assert compare(table, written).passed
 
 
 def test_the_file_has_one_line_an_entry(tmp_path):
-    update(to_dataframe(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
+    update_baseline(to_dataframe(rows(30.0) + rows(12.0, method="ntas")), tmp_path / "b.json")
     lines = (tmp_path / "b.json").read_text().splitlines()
     assert sum('"method"' in line for line in lines) == 2
 
@@ -190,27 +195,44 @@ def test_the_file_has_one_line_an_entry(tmp_path):
 def test_a_result_without_value_cannot_be_a_baseline(tmp_path):
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
     with pytest.raises(BaselineError, match="no PSNR of ours on city at 2 spp"):
-        update(to_dataframe([hole]), tmp_path / "b.json")
+        update_baseline(to_dataframe([hole]), tmp_path / "b.json")
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "message"),
     [
         ("{", "is not JSON"),
-        ("[]", "has schema list, expected 1"),
-        ('{"schema": 7}', "has schema 7, expected 1"),
-        ('{"schema": 1}', "lacks a field"),
+        ("[]", "has schema list, expected 1 or 2"),
+        ('{"schema": 7}', "has schema 7, expected 1 or 2"),
+        ('{"schema": 1}', "missing, unknown or wrong field"),
+        (
+            '{"schema": 1, "preset": "", "command": "", "tolerance_db": 1, "entries": [{"a": 1}]}',
+            "keys a",
+        ),
     ],
 )
-def test_a_broken_baseline_says_what_is_wrong(tmp_path, content, says):
+def test_a_broken_baseline_says_what_is_wrong(tmp_path, content, message):
     (tmp_path / "b.json").write_text(content)
-    with pytest.raises(BaselineError, match=says):
-        load(tmp_path / "b.json")
+    with pytest.raises(BaselineError, match=message):
+        load_baseline(tmp_path / "b.json")
+
+
+def test_a_baseline_of_schema_1_is_read_under_todays_names(tmp_path):
+    old = {"method": "ours/A2@half", "scene": "city", "spp": 2.0, "psnr": 30.0}
+    content = {"schema": 1, "preset": "mini", "command": "", "tolerance_db": 0.1, "entries": [old]}
+    (tmp_path / "b.json").write_text(json.dumps(content))
+    read = load_baseline(tmp_path / "b.json")
+    assert read.entries == (BaselineEntry("ours/A2@bf16", "city", 2.0, 30.0),)
+    write_baseline(read, tmp_path / "b.json")
+    assert json.loads((tmp_path / "b.json").read_text())["entries"] == [
+        {"method": "ours/A2@bf16", "scene": "city", "target_spp": 2.0, "psnr": 30.0}
+    ]
+    assert load_baseline(tmp_path / "b.json") == read
 
 
 def test_a_baseline_that_is_not_there_says_how_to_make_it(tmp_path):
     with pytest.raises(BaselineError, match="--update makes one"):
-        load(tmp_path / "b.json")
+        load_baseline(tmp_path / "b.json")
 
 
 def test_an_entry_twice_is_refused():
@@ -219,6 +241,6 @@ def test_an_entry_twice_is_refused():
         compare(to_dataframe(rows(30.0)), twice)
 
 
-def test_the_gate_does_not_import_torch():
+def test_the_regression_check_does_not_import_torch():
     look = "import sys, rlbench.benchmark.regression; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

@@ -1,7 +1,8 @@
-"""The results table: what is written is read back, and what is unfinished is not there."""
+"""The results table: written cells are read back, unfinished ones are not there."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import subprocess
@@ -14,6 +15,8 @@ import pytest
 
 from rlbench.benchmark.results import (
     COLUMNS,
+    CellId,
+    CellKey,
     Row,
     TableError,
     cells,
@@ -24,12 +27,14 @@ from rlbench.benchmark.results import (
     write_cell,
 )
 
-ROW = Row("r", "ours/A1", "city-0", "city", 2.0, 1.99, 0, "psnr", 31.25, "dB", "high", "sRGB")
+ROW = Row("r", "ours/A1", "city-0", "city", 2.0, 1.99, 0, "psnr", 31.25, "dB", "higher", "sRGB")
 MISSING = replace(ROW, frame=-1, value=math.nan, note="needs CUDA")
+KEY = CellKey("ours/A1", "city-0", 2.0, 0, "a CPU, 2 threads")
+A, B = CellId(KEY, "a"), CellId(KEY, "b")
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    write_cell(tmp_path, "a", [ROW, replace(ROW, frame=1, value=1 / 3)])
+    write_cell(tmp_path, A, [ROW, replace(ROW, frame=1, value=1 / 3)])
     assert read(tmp_path).to_dict("records") == [
         asdict(ROW),
         asdict(ROW) | {"frame": 1, "value": 1 / 3},
@@ -37,30 +42,32 @@ def test_what_is_written_is_read_back(tmp_path):
 
 
 def test_a_missing_value_keeps_its_note(tmp_path):
-    write_cell(tmp_path, "a", [MISSING])
-    found = read(tmp_path).iloc[0]
-    assert (math.isnan(found["value"]), found["note"]) == (True, "needs CUDA")
+    write_cell(tmp_path, A, [MISSING])
+    row = read(tmp_path).iloc[0]
+    assert (math.isnan(row["value"]), row["note"]) == (True, "needs CUDA")
 
 
 def test_columns_have_the_documented_types(tmp_path):
-    write_cell(tmp_path, "a", [MISSING])
+    write_cell(tmp_path, A, [MISSING])
     kinds = {name: dtype.kind for name, dtype in read(tmp_path).dtypes.items()}
-    numbers = {"frame": "i", "seed": "i", "spp": "f", "spp_realised": "f", "value": "f"}
+    numbers = {"frame": "i", "seed": "i", "target_spp": "f", "mean_spp": "f", "value": "f"}
     assert {name: kinds[name] for name in numbers} == numbers
     assert tuple(kinds) == COLUMNS
 
 
 def test_text_columns_are_strings_without_gaps(tmp_path):
-    write_cell(tmp_path, "a", [ROW])
+    write_cell(tmp_path, A, [ROW])
     table = read(tmp_path)
     assert pd.api.types.is_string_dtype(table["note"])
     assert not table["note"].isna().any()
 
 
 @pytest.mark.parametrize(
-    "cell", ["a", "ours/A1 city 0.5", "../up", ".hidden", "50%2F", "größe|x", "東京" * 80]
+    "name", ["a", "ours/A1 city 0.5", "../up", ".hidden", "50%2F", "größe|x", "東京" * 80]
 )
-def test_any_cell_name_comes_back(tmp_path, cell):
+@pytest.mark.parametrize("field", ["method", "clip", "device", "preset"])
+def test_any_name_comes_back(tmp_path, name, field):
+    cell = CellId(replace(KEY, **{field: name}), "a")
     write_cell(tmp_path / "results", cell, [ROW])
     assert cells(tmp_path / "results") == {cell}
     (file,) = (tmp_path / "results").iterdir()
@@ -70,24 +77,26 @@ def test_any_cell_name_comes_back(tmp_path, cell):
 
 
 def test_a_second_writing_replaces_the_first(tmp_path):
-    write_cell(tmp_path, "a", [ROW, ROW])
-    write_cell(tmp_path, "a", [replace(ROW, value=1.0)])
+    write_cell(tmp_path, A, [ROW, ROW])
+    write_cell(tmp_path, A, [replace(ROW, value=1.0)])
     assert read(tmp_path)["value"].tolist() == [1.0]
 
 
 def test_a_truncated_cell_is_not_finished(tmp_path):
-    write_cell(tmp_path, "whole", [ROW])
-    file = write_cell(tmp_path, "cut", [ROW])
+    write_cell(tmp_path, A, [ROW])
+    file = write_cell(tmp_path, B, [ROW])
     file.write_bytes(file.read_bytes()[:-20])
-    assert cells(tmp_path) == {"whole"}
+    assert cells(tmp_path) == {A}
     assert len(read(tmp_path)) == 1
 
 
 def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
     kill = (
-        "import os, sys; from pathlib import Path; from rlbench.benchmark import results as table;"
+        "import os, sys; from pathlib import Path; from rlbench.benchmark import results;"
         "os.replace = lambda *a: os._exit(9);"
-        "table.write_cell(Path(sys.argv[1]), 'a', [table.Row('r','m','c','s',1,1,0,'psnr',1.0)])"
+        "cell = results.CellId(results.CellKey('m', 'c', 1.0, 0, 'cpu'), 'a');"
+        "rows = [results.Row('r', 'm', 'c', 's', 1, 1, 0, 'psnr', 1.0)];"
+        "results.write_cell(Path(sys.argv[1]), cell, rows)"
     )
     done = subprocess.run([sys.executable, "-c", kill, tmp_path], check=False)
     assert done.returncode == 9
@@ -95,13 +104,38 @@ def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
     assert cells(tmp_path) == set()
 
 
-def test_a_cell_of_a_version_without_a_column_is_read_with_it_empty(tmp_path):
-    file = write_cell(tmp_path, "a", [replace(ROW, preset="mini")])
-    told = pq.read_table(file)
-    pq.write_table(told.drop_columns(["preset"]), file)
-    assert cells(tmp_path) == {"a"}
+def test_a_file_without_an_optional_column_is_read_with_its_default(tmp_path):
+    file = write_cell(tmp_path, A, [replace(ROW, preset="mini")])
+    table = pq.read_table(file)
+    pq.write_table(table.drop_columns(["preset"]), file)
+    assert cells(tmp_path) == {A}
     assert list(read(tmp_path)["preset"]) == [""]
     assert list(read(tmp_path).columns) == list(COLUMNS)
+
+
+def test_two_cells_that_differ_only_in_content_are_two_files(tmp_path):
+    assert write_cell(tmp_path, A, [ROW]) != write_cell(tmp_path, B, [ROW])
+    assert cells(tmp_path) == {A, B}
+
+
+def test_a_file_name_is_not_parsed(tmp_path):
+    write_cell(tmp_path, A, [ROW]).rename(tmp_path / "ours 8spp seed9 x,first,0.parquet")
+    assert cells(tmp_path) == {A}
+
+
+def test_the_schema_and_the_key_are_json_in_the_file(tmp_path):
+    file = write_cell(tmp_path, A, [ROW])
+    metadata = json.loads(pq.read_schema(file).metadata[b"rlbench"])
+    assert metadata == {"schema": 2, "key": asdict(KEY), "content_hash": "a"}
+
+
+def test_a_newer_schema_is_an_error(tmp_path):
+    file = write_cell(tmp_path, A, [ROW])
+    table = pq.read_table(file)
+    metadata = table.schema.metadata[b"rlbench"].replace(b'"schema": 2', b'"schema": 3')
+    pq.write_table(table.replace_schema_metadata({b"rlbench": metadata}), file)
+    with pytest.raises(TableError, match=r"schema 3, this version reads 1 and 2. Update rlbench"):
+        cells(tmp_path)
 
 
 def test_a_missing_folder_has_no_cells(tmp_path):
@@ -127,25 +161,25 @@ def test_reading_a_folder_without_results_says_what_it_holds(tmp_path):
         ([replace(ROW, value=math.nan)], "note does not say why"),
     ],
 )
-def test_rows_with_a_silent_hole_are_refused(tmp_path, rows, says):
+def test_values_that_are_missing_without_a_reason_are_refused(tmp_path, rows, says):
     with pytest.raises(TableError, match=says):
-        write_cell(tmp_path, "a", rows)
+        write_cell(tmp_path, A, rows)
     assert cells(tmp_path) == set()
 
 
-def test_frame_of_is_what_read_gives(tmp_path):
-    write_cell(tmp_path, "a", [ROW, MISSING])
+def test_to_dataframe_equals_read(tmp_path):
+    write_cell(tmp_path, A, [ROW, MISSING])
     pd.testing.assert_frame_equal(to_dataframe([ROW, MISSING]), read(tmp_path))
 
 
-def test_the_table_does_not_import_torch():
+def test_results_do_not_import_torch_or_pandas():
     names = "'torch' in sys.modules or 'pandas' in sys.modules"
     look = f"import sys, rlbench.benchmark.results; sys.exit({names})"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
 
 
 @pytest.mark.parametrize(
-    ("names", "found"),
+    ("names", "expected"),
     [
         (["ours"], ["ours", "ours@seed0", "ours@seed1"]),
         (["ours@seed1"], ["ours@seed1"]),
@@ -153,6 +187,6 @@ def test_the_table_does_not_import_torch():
         (["mean"], []),
     ],
 )
-def test_rows_of_named_weights_belong_to_their_method(names, found):
+def test_rows_with_a_label_belong_to_their_method(names, expected):
     rows = pd.DataFrame({"method": ["ours", "ours@seed0", "ours@seed1", "ours/A2", "ntas"]})
-    assert list(rows[select_methods(rows, names)]["method"]) == found
+    assert list(rows[select_methods(rows, names)]["method"]) == expected

@@ -152,14 +152,14 @@ def test_a_folder_without_a_clip_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--preset", "huge"), "error: no preset 'huge'; there are: tiny, mini"),
-        (("--scenes", "cellar"), "error: no scene 'cellar'; there are: city, hall"),
+        (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, generated"),
         (
             ("--scenes", "city-crane"),
             "error: scene 'city' has no take 'crane'; it has: static, cut",
         ),
         (("--seeds", "48:0"), "error: --seeds takes a range such as 0:48"),
-        (("--takes", "some"), "error: --takes is main or all, and was given 'some'"),
+        (("--takes", "some"), "error: --takes was given 'some'; it must be main or all"),
         (("--retime", "--scene", "x.xml"), "error: --retime is of a preset's clips"),
         (("--seeds", "a"), "and was given 'a'"),
         (("--seeds", "0:48", "--scene", "x.xml"), "without --scenes and --seeds"),
@@ -180,14 +180,14 @@ def test_seeds_are_ranges_without_their_end_and_lists(text, seeds):
 def test_render_and_train_ask_for_the_clips_of_the_seeds(monkeypatch):
     wanted = []
 
-    def ensure(plan, scenes, seeds, engine):
+    def ensure(plan, scenes, seeds, executor):
         wanted.append((plan.name, scenes, seeds))
         return []
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
     rlbench("render", "--preset", "train", "--seeds", "0:48")
-    dataset.generated("train", (30, 31))
-    dataset.generated("mini", (30, 31))  # generated scenes, as large as those of mini
+    dataset.split_generated("train", (30, 31))
+    dataset.split_generated("mini", (30, 31))  # generated scenes, as large as those of mini
     whole = tuple(range(48))
     assert wanted == [
         ("train", None, whole),
@@ -202,26 +202,29 @@ def test_the_takes_of_a_preset_can_be_chosen(monkeypatch, asked_for, takes):
     monkeypatch.setattr(
         "rlbench.render.jobs.render_clips.ensure", lambda plan, *_, **__: wanted.append(plan)
     )
-    preset_clips.rendered(None, "standard", takes=asked_for)
+    preset_clips.render_preset_clips(None, "standard", takes=asked_for)
     assert [(plan.name, plan.takes) for plan in wanted] == [("standard", takes)]
 
 
 def test_a_scene_held_out_is_neither_trained_on_nor_validated_on(monkeypatch):
-    def ensure(plan, scenes, seeds, engine):
+    def ensure(plan, scenes, seeds, executor):
         return [Path(plan.name, str(name)) for name in scenes or seeds]
 
     monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
-    held = dataset.chosen("standard", None, "hall")
+    held = dataset.select_split("standard", None, "hall")
     assert held.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
-    assert held.validate == [Path("train", "0"), Path("train", "14")]
+    assert held.validation == [Path("train", "0"), Path("train", "14")]
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (("--holdout", "attic"), "preset 'mini' has: city, temple, hall,"),
-        (("--holdout", "hall", "--preset", "train"), "takes a preset with scenes that are scored"),
-        (("--holdout", "hall", "--seeds", "0:9"), "--holdout trains on those scored"),
+        (
+            ("--holdout", "hall", "--preset", "train"),
+            "needs a preset with named scenes, and 'train' has none",
+        ),
+        (("--holdout", "hall", "--seeds", "0:9"), "--seeds applies to generated scenes only"),
     ],
 )
 def test_what_cannot_be_held_out_is_told(words, told):
@@ -244,7 +247,7 @@ def test_a_budget_that_cannot_be_trained_for_is_told_before_anything_is_rendered
 
 def test_one_clip_is_too_few_to_train_on():
     told = rlbench("train", "-m", "oidn", "--seeds", "7", code=2)
-    assert "error: --seeds 7 is one clip; at least 2 are needed, 1 validates" in told
+    assert "error: --seeds 7 gives one clip. Training needs at least 2 clips" in told
 
 
 def test_a_loose_file_is_listed_and_runs(clip_folder, tmp_path):
@@ -290,13 +293,13 @@ def test_a_method_without_rows_is_never_left_out_of_a_report_in_silence(clip_fol
 @pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
 def test_nothing_is_trained_on_what_is_scored(preset):
     told = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
-    assert f"error: preset '{preset}' has scenes that methods are scored on" in told
-    assert told.endswith("there is: train")
+    assert f"error: preset '{preset}' is a test set" in told
+    assert told.endswith("Choose: train")
 
 
 def test_no_generated_scene_is_trained_on_that_is_scored():
     told = rlbench("train", "-m", "oidn", "--seeds", "70:82", code=2)
-    assert "methods are scored on 80, 81 (preset 'unseen')" in told
+    assert "--seeds 80, 81: these belong to test set 'unseen'" in told
     seeds = {plan.is_test_set: set(plan.seeds) for plan in PRESETS.values() if plan.seeds}
     assert not seeds[True] & seeds[False]
 
@@ -457,9 +460,11 @@ def test_a_broken_plugin_is_told_in_one_line(text, told, tmp_path):
 
 
 def test_all_goes_on_without_a_broken_family_and_says_so(monkeypatch, capsys):
-    monkeypatch.setenv(registry.VARIABLE, "torn=nowhere_at_all:FAMILY")
-    assert arguments.methods(["all"]) == tuple(n for n in registry.names("methods") if n != "torn")
-    assert "all is without torn, which is broken: ModuleNotFound" in capsys.readouterr().err
+    monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
+    assert arguments.methods(["all"]) == tuple(
+        n for n in registry.list_plugins("methods") if n != "torn"
+    )
+    assert "'all' skips torn, which cannot be imported: ModuleNotFound" in capsys.readouterr().err
     with pytest.raises(ModuleNotFoundError):
         arguments.methods(["mean,torn"])
 
@@ -469,7 +474,7 @@ def test_a_replay_of_no_halted_training_is_told(tmp_path, content):
     file = tmp_path / "halted.safetensors"
     if content:
         file.write_bytes(content)
-    assert "is no file that a training wrote" in rlbench("train", "--replay", file, code=2)
+    assert "is not a file written by a training run" in rlbench("train", "--replay", file, code=2)
 
 
 def test_a_file_is_no_results_folder(tmp_path):

@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rlbench.clips import ClipError, open_clip, read_header, verify, write_frame, write_header
-from rlbench.clips.header import LIMITATIONS, VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS, LIMITATIONS
 from rlbench.render.jobs.job import Job
 from rlbench.render.presets import Preset
 from tests.clips.clip_folders import FRAMES, HEADER
-from tests.render.worlds import room
+from tests.render.small_scenes import room
 
 VERSION_1 = Path(__file__).parent / "data" / "version_1"
 DIGESTS = {  # as commit a26c6ed computed them
@@ -34,7 +34,9 @@ DIGESTS = {  # as commit a26c6ed computed them
 def version_1_images(index: int) -> dict[str, np.ndarray]:
     """The images of a frame of the version-1 clip; all are exact in half precision."""
     rng = np.random.default_rng(index)
-    images = {name: rng.integers(0, 9, (8, 8, channels)) / 8 for name, channels in VIEWS.items()}
+    images = {
+        name: rng.integers(0, 9, (8, 8, channels)) / 8 for name, channels in BUFFER_CHANNELS.items()
+    }
     images |= {pool: rng.integers(0, 33, (2, 8, 8, 3)) / 8 for pool in DIGESTS}
     return images | {half: rng.integers(0, 33, (8, 8, 3)) / 8 for half in "ab"}
 
@@ -143,7 +145,7 @@ def test_a_clip_of_version_1_has_the_fields_that_were_written():
 
 def test_a_clip_of_version_1_has_todays_names_of_buffers_and_limitations():
     header = read_header(VERSION_1)
-    assert header.buffers == tuple(VIEWS)
+    assert header.buffers == tuple(BUFFER_CHANNELS)
     assert header.limitations == ("independence", "depth_psr")
     assert set(header.limitations) <= set(LIMITATIONS)
 
@@ -162,7 +164,7 @@ def test_a_clip_of_version_1_keeps_its_digest_when_its_header_is_written_again(o
     assert document["buffers"][-3:] == ["normal_psr", "depth_psr", "object_psr"]
 
 
-@pytest.mark.parametrize("buffer", VIEWS)
+@pytest.mark.parametrize("buffer", BUFFER_CHANNELS)
 def test_a_buffer_of_version_1_is_read_by_todays_name(buffer):
     tensor = open_clip(VERSION_1, inputs=frozenset({buffer})).frame(1).gbuffer.extra(buffer)
     expected = version_1_images(1)[buffer]
@@ -181,10 +183,10 @@ def test_a_buffer_that_neither_version_has_is_reported_by_todays_name(old_clip):
 
 def test_a_clip_written_today_names_its_channels_by_todays_names(tmp_path):
     images = version_1_images(0)
-    gbuffer = {name: images[name] for name in VIEWS}
+    gbuffer = {name: images[name] for name in BUFFER_CHANNELS}
     write_frame(tmp_path, 0, gbuffer, {"path": images["path"]}, images["a"], images["b"])
     header = replace(HEADER, height=8, width=8, frames=1, pool_spp=2, reference_spp=(1,))
-    write_header(tmp_path, replace(header, buffers=tuple(VIEWS)))
+    write_header(tmp_path, replace(header, buffers=tuple(BUFFER_CHANNELS)))
     assert verify(tmp_path) == []
     assert b"depth_psr.Z" in (tmp_path / "view.0000.exr").read_bytes()
 

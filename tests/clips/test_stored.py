@@ -31,7 +31,7 @@ from tests.clips.clip_folders import FRAMES, HEADER, STORED, H, W, content, touc
 
 def decoded_files() -> set[str]:
     """The files in the decode cache, as kind/name.frame."""
-    return {"/".join(p.parts[-2:])[: -len(".npy")] for p in paths.decoded().rglob("*.npy")}
+    return {"/".join(p.parts[-2:])[: -len(".npy")] for p in paths.decoded_folder().rglob("*.npy")}
 
 
 # Round trip
@@ -324,7 +324,7 @@ def test_an_invalid_image_is_not_written(tmp_path, name, value, message):
 
 
 def _interrupted(path: Path) -> None:
-    with paths.replacing(path) as temporary:
+    with paths.atomic_write(path) as temporary:
         temporary.write_text("half of the n")
         raise KeyboardInterrupt
 

@@ -38,7 +38,7 @@ def test_a_spoilt_image_is_worse_in_the_direction_declared(metric):
         bad[..., :80, :].shape, generator=torch.Generator().manual_seed(4)
     )
     bad[..., 7, 7] = torch.nan
-    sign = {"high": 1, "low": -1}[metric.better]
+    sign = {"higher": 1, "lower": -1}[metric.direction]
     assert (sign * metric.score(good, a, b) > sign * metric.score(bad, a, b)).all()
 
 

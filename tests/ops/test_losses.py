@@ -10,8 +10,8 @@ import pytorch_msssim
 import torch
 
 from rlbench.ops.losses import (
-    EVEN,
     MS_SSIM_WEIGHTS,
+    UNIFORM_WEIGHTS,
     l1,
     l1_ms_ssim_loss,
     log_loss,
@@ -56,7 +56,7 @@ def slow_ms_ssim(x: torch.Tensor, y: torch.Tensor, weights: tuple[float, ...]) -
 
 
 @pytest.mark.parametrize("size", [(176, 176), (163, 201)])
-@pytest.mark.parametrize("weights", [MS_SSIM_WEIGHTS, EVEN])
+@pytest.mark.parametrize("weights", [MS_SSIM_WEIGHTS, UNIFORM_WEIGHTS])
 def test_ms_ssim_equals_pytorch_msssim(size, weights):
     x, y = pair(*size)
     theirs = pytorch_msssim.ms_ssim(

@@ -7,7 +7,7 @@ import torch
 
 from rlbench.ops import padded_rows
 from rlbench.ops.padded_rows import PaddedRows
-from rlbench.ops.stencils import atrous_taps, box
+from rlbench.ops.stencils import atrous_taps, box_taps
 
 SIZES = [(1, 1, 1, 3), (1, 5, 7, 3), (2, 4, 6, 5), (3, 9, 2, 8)]
 every_size = pytest.mark.parametrize("size", SIZES, ids=str)
@@ -52,7 +52,7 @@ def test_indices_point_to_pixels_or_outside_to_empty_elements(size):
     for y in range(-9, rows.h + 9):
         for x in range(-9, rows.w + 9):
             position = (torch.full((rows.n, 1, 1), float(value)) for value in (x, y))
-            values = row[rows.places(*position)][:, 0, 0]
+            values = row[rows.pixel_index(*position)][:, 0, 0]
             inside = 0 <= y < rows.h and 0 <= x < rows.w
             assert torch.equal(values, images[:, y, x] if inside else torch.zeros(rows.n))
 
@@ -64,7 +64,7 @@ def test_chunks_cover_every_pixel_once_within_the_margin(size, chunk, monkeypatc
     rows = PaddedRows(*size)
     row = rows.pack(numbered_images(rows))
     visits = torch.zeros_like(row)
-    for start, stop in rows.pieces(row):
+    for start, stop in rows.chunks(row):
         visits[:, start:stop] += 1
         assert stop + rows.offset(rows.margin, rows.margin) <= row.shape[1]
     assert (visits[row > 0] == 1).all()
@@ -72,7 +72,8 @@ def test_chunks_cover_every_pixel_once_within_the_margin(size, chunk, monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("taps", "count"), [(box(3), 49), (box(1), 9), (atrous_taps(1), 25), (atrous_taps(8), 25)]
+    ("taps", "count"),
+    [(box_taps(3), 49), (box_taps(1), 9), (atrous_taps(1), 25), (atrous_taps(8), 25)],
 )
 def test_taps_their_opposites_and_the_centre_make_the_whole_kernel(taps, count):
     offsets = {(t.down, t.right) for t in taps} | {(-t.down, -t.right) for t in taps} | {(0, 0)}

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from rlbench.ops.unet import BASE, FAST, SMALL, UNet
+from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, SMALL_WIDTHS, UNet
 
 ENCODER = [
     "enc_conv0",
@@ -24,14 +24,14 @@ NAMES = [*ENCODER, *DECODER, "dec_conv0"]
 @pytest.mark.parametrize(
     ("inputs", "widths", "parameters"),
     [
-        (3, BASE, 914_627),
-        (6, BASE, 917_219),
-        (7, BASE, 918_083),
-        (9, BASE, 919_811),  # in half precision, the size of OIDN's own weights file
-        (10, BASE, 920_675),
-        (32, BASE, 939_683),
-        (32, SMALL, 261_939),
-        (9, FAST, 320_035),
+        (3, BASE_WIDTHS, 914_627),
+        (6, BASE_WIDTHS, 917_219),
+        (7, BASE_WIDTHS, 918_083),
+        (9, BASE_WIDTHS, 919_811),  # in half precision, the size of OIDN's own weights file
+        (10, BASE_WIDTHS, 920_675),
+        (32, BASE_WIDTHS, 939_683),
+        (32, SMALL_WIDTHS, 261_939),
+        (9, FAST_WIDTHS, 320_035),
     ],
 )
 def test_parameter_counts_equal_the_published_ones(inputs, widths, parameters):
@@ -58,24 +58,24 @@ def test_sides_are_halved_four_times_and_doubled_back():
 
 
 def test_decoder_features_are_ordered_coarse_to_fine_with_the_documented_channels():
-    net = UNet(9, widths=SMALL)
-    shapes = [tuple(x.shape) for x in net.decode(torch.zeros(2, 9, 32, 48))]
+    net = UNet(9, widths=SMALL_WIDTHS)
+    shapes = [tuple(x.shape) for x in net.decoder_features(torch.zeros(2, 9, 32, 48))]
     assert shapes == [
-        (2, SMALL.dec4[1], 4, 6),
-        (2, SMALL.dec3[1], 8, 12),
-        (2, SMALL.dec2[1], 16, 24),
-        (2, SMALL.dec1[1], 32, 48),
+        (2, SMALL_WIDTHS.dec4[1], 4, 6),
+        (2, SMALL_WIDTHS.dec3[1], 8, 12),
+        (2, SMALL_WIDTHS.dec2[1], 16, 24),
+        (2, SMALL_WIDTHS.dec1[1], 32, 48),
     ]
 
 
 def test_the_output_is_the_last_convolution_of_the_finest_features():
-    net, x = UNet(4, widths=SMALL), torch.rand(1, 4, 16, 32)
-    torch.testing.assert_close(net(x), net.dec_conv0(net.decode(x)[-1]))
+    net, x = UNet(4, widths=SMALL_WIDTHS), torch.rand(1, 4, 16, 32)
+    torch.testing.assert_close(net(x), net.dec_conv0(net.decoder_features(x)[-1]))
 
 
 def test_the_last_layer_is_linear():
     """Outputs can be negative, and negating the last layer negates them."""
-    net, x = UNet(4, widths=SMALL), torch.rand(1, 4, 16, 16)
+    net, x = UNet(4, widths=SMALL_WIDTHS), torch.rand(1, 4, 16, 16)
     image = net(x)
     with torch.no_grad():
         net.dec_conv0.weight.neg_()
@@ -85,7 +85,7 @@ def test_the_last_layer_is_linear():
 
 def test_the_top_skip_is_the_raw_input():
     """The second input of the first layer of the top level is the input of the network."""
-    net = UNet(3, widths=SMALL)
+    net = UNet(3, widths=SMALL_WIDTHS)
     with torch.no_grad():
         net.dec_conv2b.weight.zero_()
     x = torch.rand(1, 3, 16, 16)

@@ -1,202 +1,264 @@
-"""Engines: the same outcomes here and on Ray, and what becomes of workers that die."""
+"""Executors give the same results in this process and on Ray, also when workers die."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
+import sys
 from dataclasses import replace
 from functools import partial
 
 import pytest
+import torch
 
-from rlbench.benchmark import results as table
+from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure
-from rlbench.parallel import ray_executor, worker
-from rlbench.parallel.executor import LOCAL, EngineError
-from rlbench.parallel.ray_executor import RayExecutor, opened
-from rlbench.registry.lookup import VARIABLE, use_plugin
+from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
+from rlbench.parallel.ray_executor import RayExecutor, open_executor
+from rlbench.parallel.worker import WorkerEnvironment
+from rlbench.registry import METHODS_VARIABLE, list_plugins, use_plugin
 from rlbench.render.jobs.job import Job
 from rlbench.render.jobs.render_clips import render_missing
 from tests.benchmark.test_runner import scores
 from tests.conftest import write_noise, write_plugin
-from tests.render.test_record import PLAN, contents
-from tests.render.worlds import room
+from tests.render.jobs.test_render_clips import PRESET, contents
+from tests.render.small_scenes import room
 
-RETRIES = 1
+MAX_RETRIES = 1
+
+
+@pytest.fixture(scope="module")
+def shared_cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def _shared_cache(_own_cache, shared_cache, monkeypatch):
+    """One cache for all tests of this file: Ray starts new workers for other variables."""
+    monkeypatch.setenv("RLBENCH_CACHE", str(shared_cache))
 
 
 @pytest.fixture(scope="module")
 def workers():
-    """A local Ray, for all tests of this file: starting one takes seconds."""
+    """A local Ray for all tests of this file, since starting one takes seconds."""
     pytest.importorskip("ray", reason='pip install "rlbench[ray]"')
-    engine = RayExecutor(retries=RETRIES)
-    yield engine
-    engine.close()
+    executor = RayExecutor(max_retries=MAX_RETRIES)
+    yield executor
+    executor.close()
 
 
-def halved(job, tell):
-    tell(1.0)
+def reciprocal(job, on_progress):
+    on_progress(1.0)
     return 1 / job
 
 
-def fragile(folder, job, tell):
-    """Dies the first times, as often as `job` says, then says how often it was begun."""
-    begun = len(list(folder.glob(f"{job}-*"))) + 1
-    (folder / f"{job}-{begun}").touch()
-    if begun <= job:
+def crash(folder, job, on_progress):
+    """Kill the worker the first `job` times, then return the number of attempts."""
+    attempt = len(list(folder.glob(f"{job}-*"))) + 1
+    (folder / f"{job}-{attempt}").touch()
+    if attempt <= job:
         os.kill(os.getpid(), signal.SIGKILL)
-    return begun
+    return attempt
 
 
-def test_a_job_that_raises_does_not_stop_the_others_here():
-    outcomes = list(LOCAL.map(halved, [2, 0, 4]))
-    assert [o.made for o in outcomes] == [(0.5,), (), (0.25,)]
+def describe_worker(job, on_progress):
+    """The settings of the worker that runs the job."""
+    variables = {name: value for name, value in os.environ.items() if name.startswith("RLBENCH_")}
+    return (
+        variables,
+        os.getcwd(),
+        torch.get_num_threads(),
+        importlib.util.find_spec(job) is not None,
+    )
+
+
+def test_a_job_that_raises_does_not_stop_the_others_in_this_process():
+    first, failed, last = LOCAL.map(reciprocal, [2, 0, 4])
+    assert (first.result(), last.result()) == (0.5, 0.25)
+    assert (first.error, failed.value, last.error) == (None, None, None)
     with pytest.raises(ZeroDivisionError):
-        outcomes[1].result()
+        failed.result()
 
 
-def test_a_clip_that_cannot_be_read_takes_no_other_with_it(tmp_path):
-    """Though times are taken before cells are handed out, and both would have the same."""
+def test_a_clip_that_cannot_be_read_does_not_stop_the_others(tmp_path):
+    """Times are measured before cells are distributed, and both clips would share one."""
     folders = [write_noise(tmp_path / name) for name in ("aaa", "bbb")]
     (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
-    asked = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,), repeats=2)
-    done = measure(asked, tmp_path / "r", engine=replace(LOCAL, alone=False))
-    assert done == RunSummary(measured=1, skipped=1)
-    rows = table.read(tmp_path / "r")
+    plan = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,), repeats=2)
+    summary = measure(plan, tmp_path / "r", engine=replace(LOCAL, exclusive=False))
+    assert summary == RunSummary(measured=1, skipped=1)
+    rows = results.read(tmp_path / "r")
     assert set(rows[rows["value"].isna() & (rows["metric"] == "psnr")]["clip"]) == {"aaa"}
 
 
 @pytest.mark.slow
 def test_a_job_that_raises_does_not_stop_the_others_on_ray(workers):
-    outcomes = {o.job: o for o in workers.map(halved, [2, 0, 4])}
-    assert {job: o.made for job, o in outcomes.items()} == {2: (0.5,), 0: (), 4: (0.25,)}
+    replies = {reply.job: reply for reply in workers.map(reciprocal, [2, 0, 4])}
+    assert {job: reply.value for job, reply in replies.items()} == {2: 0.5, 0: None, 4: 0.25}
+    assert isinstance(replies[0].error, ZeroDivisionError)
 
 
 @pytest.mark.slow
-def test_an_error_on_ray_is_the_jobs_own_and_says_where_it_was_raised(workers):
-    (outcome,) = workers.map(halved, [0])
+def test_an_error_on_ray_has_its_own_type_and_the_traceback_of_the_worker(workers):
+    (reply,) = workers.map(reciprocal, [0])
     with pytest.raises(ZeroDivisionError) as raised:
-        outcome.result()
-    assert "in halved" in raised.value.__notes__[0]
+        reply.result()
+    assert "in reciprocal" in raised.value.__notes__[0]
 
 
 @pytest.mark.slow
-def test_progress_on_ray_is_all_that_jobs_told(workers):
-    told = []
-    list(workers.map(halved, [1, 2, 3], tell=told.append))
-    assert sum(told) == 3.0
+def test_progress_on_ray_is_the_sum_of_what_jobs_report(workers):
+    progress = []
+    list(workers.map(reciprocal, [1, 2, 3], on_progress=progress.append))
+    assert sum(progress) == 3.0
 
 
 @pytest.mark.slow
-def test_a_job_whose_worker_was_killed_is_sent_again(workers, tmp_path):
-    assert [o.made for o in workers.map(partial(fragile, tmp_path), [RETRIES])] == [(2,)]
+def test_a_job_whose_worker_was_killed_is_run_again(workers, tmp_path):
+    (reply,) = workers.map(partial(crash, tmp_path), [MAX_RETRIES])
+    assert reply.result() == 2
 
 
 @pytest.mark.slow
-def test_a_job_that_kills_every_worker_ends_with_a_reason_and_the_others_go_on(workers, tmp_path):
-    found = {o.job: o for o in workers.map(partial(fragile, tmp_path), [99, 0])}
-    assert found[0].made == (1,)
-    with pytest.raises(EngineError, match="worker died 2 times, the last time of WorkerCrashed"):
-        found[99].result()
+def test_a_job_that_kills_every_worker_is_an_error_and_the_others_finish(workers, tmp_path):
+    replies = {reply.job: reply for reply in workers.map(partial(crash, tmp_path), [99, 0])}
+    assert replies[0].result() == 1
+    with pytest.raises(ExecutorError, match="worker died 2 times, the last time of WorkerCrashed"):
+        replies[99].result()
+    assert len(list(tmp_path.glob("99-*"))) == MAX_RETRIES + 1
 
 
 @pytest.mark.slow
-def test_ray_reports_nothing_to_its_makers(workers):
-    list(workers.map(halved, [1]))
+def test_a_worker_has_the_settings_of_the_submitter(workers, tmp_path, monkeypatch):
+    (tmp_path / "only_here.py").write_text("")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("RLBENCH_VARIANT", "scalar_rgb")
+    (reply,) = workers.map(describe_worker, ["only_here"])
+    variables, folder, threads, importable = reply.result()
+    assert variables["RLBENCH_VARIANT"] == "scalar_rgb"
+    assert variables["RLBENCH_CACHE"] == os.environ["RLBENCH_CACHE"]
+    assert variables["RLBENCH_THREADS"] == "1"
+    assert (folder, threads, importable) == (str(tmp_path), torch.get_num_threads(), True)
+
+
+def test_a_worker_drops_variables_and_plugins_that_the_submitter_does_not_have(
+    tmp_path, monkeypatch
+):
+    own = WorkerEnvironment.of_this_process(cpus=1)
+    monkeypatch.setenv("RLBENCH_VARIANT", "of the machine")
+    use_plugin(write_plugin(tmp_path / "loose.py", "loose"))
+    monkeypatch.chdir(tmp_path)
+    own.apply()
+    assert "RLBENCH_VARIANT" not in os.environ
+    assert "loose" not in list_plugins("methods")
+    assert os.getcwd() == own.folder
+
+
+@pytest.mark.slow
+def test_a_job_that_no_machine_can_run_is_an_error(workers):
+    with pytest.raises(ExecutorError, match="a job takes 99 GPU, and no machine"):
+        list(workers.map(reciprocal, [1], Resources(gpus=99)))
+
+
+@pytest.mark.slow
+def test_ray_sends_no_usage_statistics(workers):
+    list(workers.map(reciprocal, [1]))
     from ray._common.usage import usage_lib
 
     assert not usage_lib.usage_stats_enabled()
 
 
 @pytest.mark.slow
-def test_clips_rendered_on_ray_are_those_rendered_here_bit_for_bit(workers, tmp_path):
+def test_clips_rendered_on_ray_and_in_this_process_are_bit_identical(workers, tmp_path):
     folders = {}
-    for name, engine in (("here", LOCAL), ("ray", workers)):
-        jobs = [Job(each, room(), PLAN, tmp_path / name / each) for each in ("a", "b")]
-        folders[name] = render_missing(jobs, engine=engine)
-    for here, there in zip(folders["here"], folders["ray"], strict=True):
-        assert contents(here) == contents(there)
-        assert len(contents(there)) == 4 * PLAN.frames
-        assert told(here) == told(there)
+    for name, executor in (("local", LOCAL), ("ray", workers)):
+        jobs = [Job(clip, room(), PRESET, tmp_path / name / clip) for clip in ("a", "b")]
+        folders[name] = render_missing(jobs, executor=executor)
+    for local, remote in zip(folders["local"], folders["ray"], strict=True):
+        assert contents(local) == contents(remote)
+        assert len(contents(remote)) == 4 * PRESET.frames
+        assert header_without_time(local) == header_without_time(remote)
 
 
 @pytest.mark.slow
-def test_scores_from_ray_are_those_from_here_bit_for_bit(workers, tmp_path, monkeypatch):
+def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_path, monkeypatch):
     use_plugin(write_plugin(tmp_path / "loose.py", "loose", gain=0.9))
     package = tmp_path / "elsewhere"
     package.mkdir()
     write_plugin(package / "faraway.py", "far", body="raise RuntimeError('no luck')")
     monkeypatch.syspath_prepend(str(package))
-    monkeypatch.setenv(VARIABLE, "far=faraway:FAMILY")
+    monkeypatch.setenv(METHODS_VARIABLE, "far=faraway:FAMILY")
     clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
-    asked = RunPlan(
+    plan = RunPlan(
         ("mean", "ours", "loose", "far"), clips, spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
     )
-    here = measure(asked, tmp_path / "here")
-    there = measure(asked, tmp_path / "there", engine=workers)
-    assert here == there == RunSummary(measured=12, skipped=4)
-    # as words, for no nan equals another
-    assert repr(scores(tmp_path / "here")) == repr(scores(tmp_path / "there"))
-    assert rows(tmp_path / "here") == rows(tmp_path / "there")
-    assert table.cells(tmp_path / "here") == table.cells(tmp_path / "there")
-    assert measure(asked, tmp_path / "there", engine=workers).cached == 12
+    local, remote = tmp_path / "local", tmp_path / "ray"
+    summaries = measure(plan, local), measure(plan, remote, engine=workers)
+    assert summaries == (RunSummary(measured=12, skipped=4),) * 2
+    assert repr(scores(local)) == repr(scores(remote))  # as text, since nan differs from nan
+    assert rows_without_values(local) == rows_without_values(remote)
+    assert results.cells(local) == results.cells(remote)
+    assert measure(plan, remote, engine=workers).cached == 12
 
 
 @pytest.mark.slow
-def test_a_method_that_kills_its_process_is_a_row_with_the_reason(workers, clip_folder, tmp_path):
+def test_a_method_that_kills_its_worker_is_a_row_with_the_reason(workers, clip_folder, tmp_path):
     body = "import os; os.kill(os.getpid(), 9)"
     use_plugin(write_plugin(tmp_path / "deadly.py", "deadly", body=body))
     clips = (StoredSource(clip_folder),)
-    asked = RunPlan(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
-    done = measure(asked, tmp_path / "r", engine=workers)
-    assert done == RunSummary(measured=1, skipped=1)
-    found = table.read(tmp_path / "r")
-    (why,) = found[found["method"] == "deadly"]["note"]
-    assert why.startswith("EngineError: its worker died 2 times")
+    plan = RunPlan(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
+    summary = measure(plan, tmp_path / "r", engine=workers)
+    assert summary == RunSummary(measured=1, skipped=1)
+    rows = results.read(tmp_path / "r")
+    (reason,) = rows[rows["method"] == "deadly"]["note"]
+    assert reason.startswith("ExecutorError: its worker died 2 times")
 
 
-def test_a_worker_with_other_code_refuses_to_work():
-    setting = replace(worker.setting(cpus=1), code="torch 1.0, code 0123")
-    with pytest.raises(EngineError, match="install the same on both"):
-        setting.apply()
+def test_a_worker_with_another_code_version_refuses_to_work():
+    own = WorkerEnvironment.of_this_process(cpus=1)
+    other = replace(own, code_version="torch 1.0, code 0123")
+    with pytest.raises(ExecutorError, match="Install the same version on both"):
+        other.apply()
 
 
-def test_without_ray_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(ray_executor.sys.modules, "ray", None)  # as import finds a missing package
-    with pytest.raises(EngineError, match=r'pip install "rlbench\[ray\]"'), opened("ray"):
+def test_the_error_without_ray_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)  # as import finds a missing package
+    with pytest.raises(ExecutorError, match=r'pip install "rlbench\[ray\]"'), open_executor("ray"):
         pass
 
 
 @pytest.mark.parametrize(
-    ("name", "address", "told"),
+    ("name", "address", "message"),
     [
-        ("dask", None, "one of: local, ray"),
-        ("local", "auto", "belongs to --engine ray"),
+        ("dask", None, "--engine dask: no such executor; use one of: local, ray"),
+        ("local", "auto", "--ray-address auto applies to --engine ray only"),
     ],
 )
-def test_an_engine_that_is_not_there_is_told(name, address, told):
-    with pytest.raises(EngineError, match=told), opened(name, address):
+def test_options_that_select_no_executor_are_errors(name, address, message):
+    with pytest.raises(ExecutorError, match=message), open_executor(name, address):
         pass
 
 
-def test_ray_client_is_refused():
+def test_the_address_of_a_ray_client_is_refused():
     pytest.importorskip("ray")
     with (
-        pytest.raises(EngineError, match="on a machine of the cluster"),
-        opened("ray", "ray://a:1"),
+        pytest.raises(ExecutorError, match="on a machine of the cluster"),
+        open_executor("ray", "ray://a:1"),
     ):
         pass
 
 
-def told(folder):
-    """What a clip says of itself, without how long a sample took."""
+def header_without_time(folder):
+    """The lines of a clip's header, without the time of a sample."""
     text = (folder / "clip.toml").read_text()
     return [line for line in text.splitlines() if not line.startswith("sample_ms")]
 
 
-def rows(results):
-    """All rows without their values: those of times are other ones every time."""
-    found = table.read(results).drop(columns=["value"])
-    return sorted(map(repr, found.itertuples(index=False, name=None)))
+def rows_without_values(folder):
+    """All rows without their values, since times differ in every run."""
+    rows = results.read(folder).drop(columns=["value"])
+    return sorted(map(repr, rows.itertuples(index=False, name=None)))

@@ -13,7 +13,7 @@ from torch import Tensor
 from baselines.eaw.method import Config, Eaw, smooth
 from baselines.svgf.method import BASE, LOG2E, build, gradient, wavelet
 from baselines.svgf.wavelet import Edges
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Samples, Size
 from rlbench.ops.padded_rows import PaddedRows
 from tests.performance import plain_filters
@@ -25,7 +25,7 @@ WIDTHS = (Config.light, Config.normal, Config.depth)
 @pytest.fixture(scope="module")
 def frame() -> Frame:
     """A frame of the procedural world with one sample per pixel."""
-    return procedural(1, Size(1, SIDE, SIDE), frames=2, pool_spp=1).frames[1]
+    return procedural_clip(1, Size(1, SIDE, SIDE), frames=2, pool_spp=1).frames[1]
 
 
 @pytest.mark.parametrize("name", ["ours", "plain"])

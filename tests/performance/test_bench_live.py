@@ -1,4 +1,4 @@
-"""Cost of path tracing: prints the table of docs/tracing.md, one row per scene."""
+"""Cost of path tracing: prints the table of docs/concepts/tracing.md, one row per scene."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def median_ms(benchmark, work):
 @pytest.mark.parametrize("spp", [1, 8])
 @pytest.mark.benchmark(group="full frame")
 def test_full_frame(benchmark, tracer, table, spp):
-    ms, stack = median_ms(benchmark, lambda: tracer.stack(spp))
+    ms, stack = median_ms(benchmark, lambda: tracer.trace_images(spp))
     table[tracer.scene.name, COLUMNS[spp == 8]] = f"{ms / spp:.0f}"
     assert np.isfinite(stack).all()
 
@@ -97,7 +97,7 @@ def test_live_against_a_full_frame(benchmark, pool, table):
 
     def full_frame():
         start = time.perf_counter()
-        pool.tracer.stack(1)
+        pool.tracer.trace_images(1)
         full.append(time.perf_counter() - start)
 
     pool.read(pool.empty(), count_map)
@@ -146,12 +146,12 @@ def test_before_any_path(benchmark, tracer, table, step):
 def test_without_llvm(benchmark, table, name):
     """Full images at 8 spp, as references are rendered."""
     fast = open_tracer(scene_of_clip(name), SMALL, SMALL)
-    fast.mean(8, "pilot")
+    fast.trace_mean(8, "pilot")
     full = []
 
     def with_llvm():
         start = time.perf_counter()
-        fast.mean(8, "pilot")
+        fast.trace_mean(8, "pilot")
         full.append(time.perf_counter() - start)
 
     for _ in range(ROUNDS):
@@ -159,7 +159,7 @@ def test_without_llvm(benchmark, table, name):
     select_variant("scalar_rgb")
     try:
         slow = open_tracer(scene_of_clip(name), SMALL, SMALL)
-        ms, _ = median_ms(benchmark, lambda: slow.mean(8, "pilot"))
+        ms, _ = median_ms(benchmark, lambda: slow.trace_mean(8, "pilot"))
     finally:
         select_variant("llvm_ad_rgb")
     table[name, COLUMNS[7]] = f"{ms / 1e3 / statistics.median(full):.1f}"

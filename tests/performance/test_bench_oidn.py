@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from baselines.oidn import method, tza
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip
 
@@ -25,7 +25,7 @@ def test_oidn(benchmark, name):
     from baselines.oidn_intel.library import Filter, Settings
 
     oidn = method.build("", torch.device("cpu"), None)
-    (result,) = run_clip(oidn, procedural(3, SIZE, frames=1), 1.0)
+    (result,) = run_clip(oidn, procedural_clip(3, SIZE, frames=1), 1.0)
     gbuffer, settings = result.frame.gbuffer, Settings("balanced", weights=tza.export(WEIGHTS))
     intel = Filter(settings, SIZE.h, SIZE.w, torch.get_num_threads())
     inputs = (result.samples.mean[0], gbuffer.albedo[0], gbuffer.normal[0])

@@ -14,7 +14,7 @@ from rlbench.ops.exposure import autoexposure
 from rlbench.ops.losses import ms_ssim
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.transfer import pu_forward, pu_inverse
-from rlbench.ops.unet import FAST, UNet
+from rlbench.ops.unet import FAST_WIDTHS, UNet
 from rlbench.ops.upsample import UpsampleConcatConv
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -49,7 +49,7 @@ def test_ms_ssim(benchmark, name):
 def test_op(benchmark, name):
     image = torch.rand(1, 3, 256, 256, generator=torch.Generator().manual_seed(0))
     motion = (image[:, :2] - 0.5) * 8
-    net = UNet(3, widths=FAST)
+    net = UNet(3, widths=FAST_WIDTHS)
     ops: dict[str, Callable[[], torch.Tensor]] = {
         "autoexposure": lambda: autoexposure(image),
         "pu": lambda: pu_inverse(pu_forward(image)),

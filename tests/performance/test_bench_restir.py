@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from baselines.restir import POOL
-from rlbench.render.jobs.extra_pools import chains
+from rlbench.render.jobs.extra_pools import open_streams
 from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
@@ -25,6 +25,6 @@ def tracer():
 @pytest.mark.benchmark(group=f"{COUNT} samples per pixel, hall")
 @pytest.mark.parametrize("kind", ["streams", "paths"])
 def test_samples(benchmark, tracer, kind):
-    pool = chains(tracer, POOL, COUNT)
-    frame = pool if kind == "streams" else lambda: tracer.stack(COUNT, "pilot")
+    pool = open_streams(tracer, POOL, COUNT)
+    frame = pool if kind == "streams" else lambda: tracer.trace_images(COUNT, "pilot")
     benchmark.pedantic(frame, rounds=ROUNDS, warmup_rounds=2)

@@ -1,1 +1,1 @@
-"""Tests of the path tracer."""
+"""Tests of rendering."""

@@ -1,4 +1,4 @@
-"""Mitsuba's variants as fixtures: `llvm` skips where there is no libLLVM, `variant` is both."""
+"""Mitsuba's variants as fixtures: `llvm` skips without a libLLVM, `variant` runs both variants."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from pathlib import Path
 
 import pytest
 
-from rlbench.render.mitsuba.llvm import libraries, select_variant
+from rlbench.render.mitsuba.llvm import find_libraries, select_variant
 from rlbench.system import paths
 
 NO_LLVM = "no usable libLLVM on this machine (apt-get install libllvm19)"
 
 
 @pytest.fixture(scope="session")
-def noted(tmp_path_factory) -> Path:
-    """What probing libLLVM has found, once for all tests: each has an empty cache."""
+def probe_results(tmp_path_factory) -> Path:
+    """Results of probing libLLVM, shared by all tests, each of which has an empty cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RLBENCH_CACHE", str(tmp_path_factory.mktemp("probed")))
-        libraries()
-        return paths.cache() / "llvm.json"
+        find_libraries()
+        return paths.cache_folder() / "llvm.json"
 
 
 @pytest.fixture(autouse=True)
-def _probed(noted, _own_cache):
-    paths.cache().mkdir(parents=True, exist_ok=True)
-    if noted.exists():
-        shutil.copy(noted, paths.cache())
+def _probed(probe_results, _own_cache):
+    paths.cache_folder().mkdir(parents=True, exist_ok=True)
+    if probe_results.exists():
+        shutil.copy(probe_results, paths.cache_folder())
 
 
 @pytest.fixture
 def llvm():
-    if all(library.refused for library in libraries()):
+    if all(library.unusable_reason for library in find_libraries()):
         pytest.skip(NO_LLVM)
     return select_variant("llvm_ad_rgb")
 
@@ -46,8 +46,8 @@ def variant(request):
 
 @pytest.fixture(autouse=True)
 def _fast_again():
-    """What a test leaves running is what the next ones get: not the slow variant."""
+    """The variant that a test sets stays for the next ones: do not leave them the slow one."""
     yield
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
-    if running == "scalar_rgb" and not all(library.refused for library in libraries()):
+    if running == "scalar_rgb" and not all(library.unusable_reason for library in find_libraries()):
         select_variant("llvm_ad_rgb")

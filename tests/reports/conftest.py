@@ -43,23 +43,23 @@ def cell(method, scene, spp, clip, device, profile):
     def row(frame, metric, value, unit, better, convention):
         return Row(
             "r1", method, f"{scene}-{clip}", scene, spp, spp * 0.99, frame, metric, value, unit,
-            better, convention, device=device, dtype="float32", code="c0de",
+            better, convention, device=device, dtype="float32", code_hash="c0de",
         )  # fmt: skip
 
     _, _, plan, denoise = METHODS[method]
     made = []
     for frame in range(FRAMES):
         value = psnr(method, scene, spp, clip, frame)
-        made.append(row(frame, "psnr", value, "dB", "high", "peak 1, clipped sRGB"))
-        made.append(row(frame, "relmse", 10 ** (-value / 10), "", "low", "linear radiance"))
+        made.append(row(frame, "psnr", value, "dB", "higher", "peak 1, clipped sRGB"))
+        made.append(row(frame, "relmse", 10 ** (-value / 10), "", "lower", "linear radiance"))
     for metric, value in {
         "plan_ms": plan,
         "plan_p95_ms": plan * 1.1,
         "denoise_ms": denoise,
         "denoise_p95_ms": denoise * 1.2,
     }.items():
-        made.append(row(-1, metric, value, "ms", "low", "p50 of 50"))
-    made.append(row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "low", profile))
+        made.append(row(-1, metric, value, "ms", "lower", "p50 of 50"))
+    made.append(row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "lower", profile))
     return made
 
 

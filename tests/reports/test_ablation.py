@@ -36,7 +36,9 @@ def page(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(results):
-    return variant_differences.differences(results, "ours", draws=200).set_index(["method", "spp"])
+    return variant_differences.differences(results, "ours", draws=200).set_index(
+        ["method", "target_spp"]
+    )
 
 
 def line(page, title, start):
@@ -70,13 +72,13 @@ def test_every_clip_and_frame_is_a_pair(found):
 
 def test_the_interval_of_one_scene_is_that_of_its_clips():
     city = to_dataframe([r for r in configured() if r.scene == "city"])
-    row = variant_differences.differences(city, "ours", draws=500).set_index("spp").loc[1.0]
+    row = variant_differences.differences(city, "ours", draws=500).set_index("target_spp").loc[1.0]
     half = 12.7062 * 0.06  # Student's t of its two clips, which have -0.76 and -0.64
     assert (row["low"], row["high"]) == pytest.approx((-0.7 - half, -0.7 + half), rel=1e-4)
 
 
 def test_the_time_is_that_of_plan_and_denoise_as_samples_cost_the_same(found):
-    assert found.loc[("ours/small", 2), "total_ms"] == pytest.approx(2.2 + 4.5 - 5.5 - 11.0)
+    assert found.loc[("ours/small", 2), "frame_ms"] == pytest.approx(2.2 + 4.5 - 5.5 - 11.0)
 
 
 def test_a_seed_that_only_one_of_them_has_is_left_out_and_told(tmp_path):
@@ -87,7 +89,7 @@ def test_a_seed_that_only_one_of_them_has_is_left_out_and_told(tmp_path):
         if r.method == "ours/small" and r.metric == "psnr"
     ]
     table = to_dataframe([*made, *wild])
-    row = variant_differences.differences(table, "ours", draws=10).set_index("spp").loc[1.0]
+    row = variant_differences.differences(table, "ours", draws=10).set_index("target_spp").loc[1.0]
     assert row["difference"] == pytest.approx(-0.7)
     told = "- ours/small at 1 spp: 32 scores without a partner, 32 pairs"
     assert told in written(table, tmp_path)[0]
@@ -95,7 +97,7 @@ def test_a_seed_that_only_one_of_them_has_is_left_out_and_told(tmp_path):
 
 def test_seeds_are_paired_with_their_own():
     """Default: 0 and +10 dB by seed; variant: 1 more. By seed each pair differs by one."""
-    base = [r for r in configured(["ours"]) if r.metric == "psnr" and r.spp == 1]
+    base = [r for r in configured(["ours"]) if r.metric == "psnr" and r.target_spp == 1]
     seeded = [replace(r, seed=s, value=10.0 * s) for r in base for s in (0, 1)]
     more = [replace(r, method="ours/small", value=r.value + 1) for r in seeded]
     found = variant_differences.differences(to_dataframe([*seeded, *more]), "ours", draws=100).iloc[
@@ -177,14 +179,14 @@ def test_a_default_of_another_device_is_no_partner():
 
 
 def test_budgets_that_one_lacks_are_told(tmp_path):
-    made = [r for r in configured() if r.method == "ours" or r.spp > 1]
+    made = [r for r in configured() if r.method == "ours" or r.target_spp > 1]
     page = written(to_dataframe(made), tmp_path)[0]
     assert "- ours/small at 0.5 spp: not scored, or ours is not" in page
     assert len(line(page, "PSNR less", "ours/small")) == 3 + 1  # 2, 4 and 8 spp, and the paper's
 
 
 def test_no_budget_in_common_is_told(tmp_path):
-    made = [r for r in configured() if (r.method == "ours") == (r.spp > 1)]
+    made = [r for r in configured() if (r.method == "ours") == (r.target_spp > 1)]
     page = written(to_dataframe(made), tmp_path)[0]
     assert page.count("- ours/small at") == 5
 
@@ -201,8 +203,8 @@ def test_rows_of_named_weights_are_no_variants(tmp_path):
 
 def test_results_of_two_weights_are_not_mixed(tmp_path):
     made = configured()
-    made += [replace(r, weights="new", clip="other") for r in made]
-    with pytest.raises(ReportError, match="2 weights values"):
+    made += [replace(r, weights_hash="new", clip="other") for r in made]
+    with pytest.raises(ReportError, match="2 weights_hash values"):
         ablation.write(to_dataframe(made), tmp_path)
 
 
@@ -215,7 +217,7 @@ def test_without_times_the_scores_are_still_there(tmp_path):
 def test_the_csv_has_a_row_for_each_variant_and_budget(results, tmp_path):
     ablation.write(results, tmp_path, draws=10)
     found = pd.read_csv(tmp_path / "ablation.csv")
-    assert found[["method", "spp"]].to_numpy().tolist() == [
+    assert found[["method", "target_spp"]].to_numpy().tolist() == [
         ["ours/small", spp] for spp in (0.5, 1, 2, 4, 8)
     ]
 

@@ -17,7 +17,7 @@ from reports.layout import style
 from reports.layout.pareto_panels import MOST, OVERALL, WINDOW, draw
 from rlbench.benchmark.results import to_dataframe
 
-TEXTS = {"value": "PSNR", "direction": "", "better": "high", "caption": "profile paper-2080ti"}
+TEXTS = {"value": "PSNR", "direction": "", "better": "higher", "caption": "profile paper-2080ti"}
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_many_scenes_are_one_panel_of_their_mean():
 
 def test_times_of_what_is_not_shown_stretch_no_axis(results):
     every = pareto.curves(results)
-    far = every.iloc[[0]].assign(method="mean", value=every["value"].max() - 50, total_ms=1e6)
+    far = every.iloc[[0]].assign(method="mean", value=every["value"].max() - 50, frame_ms=1e6)
     for axes in draw(pd.concat([every, far.assign(scene=OVERALL, front=False)]), TEXTS).axes[:1]:
         assert axes.get_xlim()[1] < 1e4
 
@@ -120,7 +120,7 @@ def test_times_that_span_more_than_ten_are_logarithmic(figure):
 
 
 def test_times_that_span_less_than_ten_are_linear():
-    near = to_dataframe([r for r in rows(["ours", "ntas"]) if r.spp in (1, 2)])
+    near = to_dataframe([r for r in rows(["ours", "ntas"]) if r.target_spp in (1, 2)])
     assert {a.get_xscale() for a in draw(pareto.curves(near), TEXTS).axes} == {"linear"}
 
 
@@ -141,7 +141,7 @@ def test_no_two_titles_of_a_panel_touch(figure):
 
 def test_the_front_is_on_the_method_that_is_best_for_its_time(results):
     found = pareto.curves(results)
-    front = found[found["front"] & (found["scene"] == OVERALL)].sort_values("total_ms")
+    front = found[found["front"] & (found["scene"] == OVERALL)].sort_values("frame_ms")
     assert front["method"].tolist()[:2] == ["mean", "ours/small"]
     assert (front["value"].diff().dropna() > 0).all()
     assert front["method"].iloc[-1] == "ours"
@@ -190,9 +190,9 @@ def test_equal_results_give_equal_files(results, files, tmp_path):
     assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
 
 
-@pytest.mark.parametrize(("better", "edge"), [("high", 0), ("low", 1)])
+@pytest.mark.parametrize(("better", "edge"), [("higher", 0), ("lower", 1)])
 def test_what_a_single_point_beats_is_grey_on_its_worse_side(better, edge):
-    point = to_dataframe([r for r in rows(["ours"]) if r.scene == "city" and r.spp == 1])
+    point = to_dataframe([r for r in rows(["ours"]) if r.scene == "city" and r.target_spp == 1])
     axes = draw(pareto.curves(point), TEXTS | {"better": better}).axes[0]
     heights = axes.collections[0].get_paths()[0].vertices[:, 1]
     assert {round(h, 6) for h in heights} == {29.9, round(axes.get_ylim()[edge], 6)}
@@ -200,7 +200,7 @@ def test_what_a_single_point_beats_is_grey_on_its_worse_side(better, edge):
 
 def test_an_error_is_better_below(results):
     found = pareto.curves(results, "relmse")
-    front = found[found["front"] & (found["scene"] == "city")].sort_values("total_ms")
+    front = found[found["front"] & (found["scene"] == "city")].sort_values("frame_ms")
     assert (front["value"].diff().dropna() < 0).all()
 
 

@@ -39,7 +39,7 @@ def test_the_time_saved_is_the_factor_that_the_abstract_tells():
 
 @pytest.mark.parametrize("row", sorted({s.row for s in published().table}))
 def test_a_row_of_the_paper_is_of_a_family_that_is_here(row):
-    assert registry.family(row).name == method_names.family(row)
+    assert registry.load_family(row).name == method_names.family(row)
 
 
 def test_only_what_no_table_prints_is_called_derived():

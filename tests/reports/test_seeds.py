@@ -20,7 +20,7 @@ SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 
 
 def trained(shifts=SHIFTS, name="ours@seed", method="ours"):
     return [
-        replace(r, method=f"{name}{i}", weights=f"{name}{i}", value=r.value + shift)
+        replace(r, method=f"{name}{i}", weights_hash=f"{name}{i}", value=r.value + shift)
         for i, shift in enumerate(shifts)
         for r in rows([method])
         if r.metric == "psnr"
@@ -39,7 +39,7 @@ def lines(page, title="Deviation between"):
 
 @pytest.fixture(scope="module")
 def found():
-    return training_seeds.deviations(to_dataframe(trained())).set_index("spp")
+    return training_seeds.deviations(to_dataframe(trained())).set_index("target_spp")
 
 
 def test_markdown_csv_and_latex_are_written(tmp_path):
@@ -81,7 +81,7 @@ def test_rows_are_compared_over_their_trainings_by_welch_s_test(tmp_path):
     found = training_differences.differences_to(
         aggregate.overall(aggregate.scene_means(table, "psnr"))
     )
-    row = found.set_index("spp").loc[1.0]
+    row = found.set_index("target_spp").loc[1.0]
     gap = np.mean(ntas) - np.mean(ours) + 28.6 - 29.9
     spreads = [np.var(each, ddof=1) / len(each) for each in (ntas, ours)]
     free = sum(spreads) ** 2 / sum(
@@ -147,7 +147,7 @@ def test_a_table_without_two_trainings_is_refused(made, tmp_path):
 
 
 def test_equal_weights_under_two_names_are_refused(tmp_path):
-    made = [replace(r, weights="same") for r in trained()]
+    made = [replace(r, weights_hash="same") for r in trained()]
     with pytest.raises(aggregate.ReportError, match="ours@seed0 and .* ran with the same weights"):
         written(made, tmp_path)
 

@@ -78,14 +78,16 @@ def test_there_is_a_table_for_each_scene(page):
 
 
 def test_the_csv_has_the_paired_difference(folder):
-    found = pd.read_csv(folder / "summary.csv").set_index(["metric", "scene", "spp", "method"])
+    found = pd.read_csv(folder / "summary.csv").set_index(
+        ["metric", "scene", "target_spp", "method"]
+    )
     row = found.loc[("psnr", "all", 1.0, "oidn")]
     assert row["difference"] == pytest.approx(27.5 - 29.9)
     assert (row["clips"], row["frames"], row["best"], row["tie"]) == (8, 32, False, False)
 
 
 def test_the_interval_of_one_scene_is_that_of_its_clips(results):
-    found = ranking(results, "psnr", draws=2000).set_index(["scene", "spp", "method"])
+    found = ranking(results, "psnr", draws=2000).set_index(["scene", "target_spp", "method"])
     row = found.loc[("city", 1.0, "ntas")]  # its two clips differ from ours by -1.36 and -1.24
     half = 12.7062 * 0.06  # Student's t of two
     assert (row["low"], row["high"]) == pytest.approx((-1.3 - half, -1.3 + half), rel=1e-4)
@@ -115,7 +117,7 @@ def test_of_an_error_the_least_is_best(results):
 
 
 def test_nothing_is_best_without_a_better_end(results):
-    assert not ranking(results.assign(better=""), "psnr", draws=100)["best"].any()
+    assert not ranking(results.assign(direction=""), "psnr", draws=100)["best"].any()
 
 
 def test_reasons_are_listed(tmp_path):

@@ -27,7 +27,7 @@ def page(results, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def compared(results):
-    return table1.compared(results, draws=200).set_index(["method", "spp"])
+    return table1.compared(results, draws=200).set_index(["method", "target_spp"])
 
 
 def line(page, method):
@@ -68,7 +68,7 @@ def test_the_difference_is_paired_with_ours(compared):
 
 def test_the_interval_of_one_scene_is_that_of_its_clips():
     city = to_dataframe([r for r in rows(["ours", "ntas"]) if r.scene == "city"])
-    row = table1.compared(city, draws=500).set_index(["method", "spp"]).loc[("ntas", 1.0)]
+    row = table1.compared(city, draws=500).set_index(["method", "target_spp"]).loc[("ntas", 1.0)]
     half = 12.7062 * 0.06  # Student's t of its two clips, which have -1.36 and -1.24
     assert (row["low"], row["high"]) == pytest.approx((-1.3 - half, -1.3 + half), rel=1e-4)
 
@@ -115,7 +115,9 @@ def test_without_ours_the_differences_are_told_to_be_missing(tmp_path):
 
 
 def test_without_the_papers_budget_that_is_told(tmp_path):
-    page = written(to_dataframe([r for r in rows(["ours", "mean"]) if r.spp < 4]), tmp_path)[0]
+    page = written(to_dataframe([r for r in rows(["ours", "mean"]) if r.target_spp < 4]), tmp_path)[
+        0
+    ]
     assert "- 4 spp, the paper's budget" in page
     assert "The orders were not compared: 0 rows are in both." in page
 

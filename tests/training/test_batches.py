@@ -1,4 +1,4 @@
-"""What is drawn for training: crops that stay in place, turned and exposed as one; read ahead."""
+"""Training batches: crops that stay in place, augmented alike over all frames; prefetching."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import torch
 from torch import Tensor
 
 from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import open_clip
+from rlbench.frames import Size
 from rlbench.ops.reprojection import reproject
-from rlbench.training.batches import BatchError, Batches, prefetch, sample_budget
+from rlbench.training.batches import Augmentation, BatchError, Batches, prefetch, sample_budget
 from tests.conftest import write_noise
 from tests.procedural_folder import write_world
 
@@ -21,39 +23,41 @@ def world(tmp_path: Path) -> Path:
     return write_world(tmp_path / "world", seed=3, side=64, frames=2)
 
 
-def whole(folder: Path, index: int) -> InMemoryClip:
-    """A draw of all pixels and frames of a clip of 64 x 64 pixels."""
-    return Batches([folder], batch=1, crop=64, length=2, seed=0).sequence(index)
+def uncropped(folder: Path, index: int) -> InMemoryClip:
+    """A sequence of all pixels and frames of a clip of 64 x 64 pixels."""
+    return Batches([folder], batch=1, crop=64, sequence_length=2, seed=0).sequence(index)
 
 
-def error(before: Tensor, now: Tensor, motion: Tensor) -> float:
-    """Median difference of a frame and the last one, moved here, where that is known."""
-    moved, valid = reproject(before, motion)
-    return float((moved - now).abs()[valid.expand_as(now)].median())
+def error(previous: Tensor, current: Tensor, motion: Tensor) -> float:
+    """Median difference of a frame and the reprojected last one, where that is valid."""
+    reprojected, valid = reproject(previous, motion)
+    return float((reprojected - current).abs()[valid.expand_as(current)].median())
 
 
-@pytest.mark.parametrize("index", range(8))  # of draws, turned in eight ways or fewer
-def test_a_crop_stays_in_place_and_moves_as_its_motion_says(world, index):
-    before, now = Batches([world], batch=1, crop=40, length=2, seed=0).sequence(index).frames
-    told = error(before.gbuffer.albedo, now.gbuffer.albedo, now.gbuffer.motion)
-    still = error(before.gbuffer.albedo, now.gbuffer.albedo, 0 * now.gbuffer.motion)
-    assert told < still / 2  # blur of a texture, against its movement; turned wrongly: twice it
+@pytest.mark.parametrize("index", range(8))  # sequences, transformed in up to eight ways
+def test_a_crop_stays_in_place_and_moves_as_its_motion(world, index):
+    previous, current = (
+        Batches([world], batch=1, crop=40, sequence_length=2, seed=0).sequence(index).frames
+    )
+    albedos, motion = (previous.gbuffer.albedo, current.gbuffer.albedo), current.gbuffer.motion
+    # blur of a texture, against its movement; twice the latter if motion is transformed wrongly
+    assert error(*albedos, motion) < error(*albedos, 0 * motion) / 2
 
 
-def test_draws_are_turned_in_many_ways(world):
+def test_sequences_are_transformed_in_many_ways(world):
     ways = set()
     for index in range(16):
         quarters = (
-            whole(world, index).frames[0].reference.half_a.unfold(2, 32, 32).unfold(3, 32, 32)
+            uncropped(world, index).frames[0].reference.half_a.unfold(2, 32, 32).unfold(3, 32, 32)
         )
         ways.add(tuple(quarters.sum((0, 1, 4, 5)).flatten().argsort().tolist()))
     assert len(ways) >= 5  # of the eight that there are; fewer in one of 10,000 sets of 16
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_one_exposure_holds_for_samples_and_references_of_all_frames(world, index):
+def test_samples_and_references_of_all_frames_have_one_exposure(world, index):
     gains = []
-    for frame, source in zip(whole(world, index), open_clip(world), strict=True):
+    for frame, source in zip(uncropped(world, index), open_clip(world), strict=True):
         drawn = (frame.pool.radiance, frame.reference.half_a, frame.reference.half_b)
         stored = (source.pool.radiance, source.reference.half_a, source.reference.half_b)
         gains += [float(a.sum() / b.sum()) for a, b in zip(drawn, stored, strict=True)]
@@ -61,50 +65,50 @@ def test_one_exposure_holds_for_samples_and_references_of_all_frames(world, inde
     assert 2**-0.5 <= gains[0] <= 2**0.5
 
 
-def test_exposures_differ_from_draw_to_draw(world):
-    sums = {float(whole(world, index).frames[0].reference.half_a.sum()) for index in range(4)}
+def test_exposures_differ_between_sequences(world):
+    sums = {float(uncropped(world, index).frames[0].reference.half_a.sum()) for index in range(4)}
     assert len(sums) == 4
 
 
-def test_the_same_samples_are_sold_in_another_order_in_each_draw(world):
+def test_each_sequence_has_the_same_samples_in_another_order(world):
     orders = []
     (source, _) = open_clip(world)
     stored = source.pool.radiance.sum((0, 2, 3, 4)).sort().values
     for index in range(4):
-        frame = whole(world, index).frames[0]
+        frame = uncropped(world, index).frames[0]
         sums = frame.pool.radiance.sum((0, 2, 3, 4))
         torch.testing.assert_close(sums.sort().values / sums.sum(), stored / stored.sum())
         orders.append(tuple(sums.argsort().tolist()))
     assert len(set(orders)) == 4
 
 
-def test_budgets_are_drawn_alike_by_number_and_all_of_them():
-    drawn = [sample_budget((0.5, 1.0, 4.0), seed=2, draw=draw) for draw in range(60)]
-    assert drawn == [sample_budget((0.5, 1.0, 4.0), seed=2, draw=draw) for draw in range(60)]
+def test_budgets_depend_on_the_index_only_and_all_are_drawn():
+    drawn = [sample_budget((0.5, 1.0, 4.0), seed=2, index=index) for index in range(60)]
+    assert drawn == [sample_budget((0.5, 1.0, 4.0), seed=2, index=index) for index in range(60)]
     assert min(drawn.count(spp) for spp in (0.5, 1.0, 4.0)) >= 10  # of 20, deviation 3.7
 
 
-def test_what_is_read_ahead_is_what_is_drawn(world):
-    batches = Batches([world], batch=2, crop=32, length=2, seed=1)
-    with prefetch(batches) as draw:
-        early = [draw(index) for index in (0, 1, 2, 7, 3)]  # in order, and not
-    for index, clip in zip((0, 1, 2, 7, 3), early, strict=True):
-        late = batches.sequence(index)
-        torch.testing.assert_close(_tensors(clip), _tensors(late), rtol=0, atol=0)
+def test_prefetched_sequences_are_those_read_directly(world):
+    batches = Batches([world], batch=2, crop=32, sequence_length=2, seed=1)
+    with prefetch(batches) as sequence:
+        prefetched = [sequence(index) for index in (0, 1, 2, 7, 3)]  # in order, and not
+    for index, clip in zip((0, 1, 2, 7, 3), prefetched, strict=True):
+        direct = batches.sequence(index)
+        torch.testing.assert_close(_tensors(clip), _tensors(direct), rtol=0, atol=0)
 
 
-def test_what_stops_the_reading_is_raised_when_it_is_asked_for(tmp_path):
+def test_an_error_of_prefetching_is_raised_when_the_sequence_is_requested(tmp_path):
     large, small = write_noise(tmp_path / "a", h=64, w=64), write_noise(tmp_path / "b", h=16, w=16)
-    batches = Batches([large, small], batch=1, crop=32, length=2, seed=0)
-    fine = [index for index in range(20) if _drawn(batches, index)]
-    last = next(index for index in fine if index + 1 not in fine)
-    with prefetch(batches) as draw:
-        assert draw(last)  # while the next one fails
-        with pytest.raises(BatchError, match="crops of 32 x 32 asked for, clip 'b'"):
-            draw(last + 1)
+    batches = Batches([large, small], batch=1, crop=32, sequence_length=2, seed=0)
+    readable = [index for index in range(20) if _is_readable(batches, index)]
+    last = next(index for index in readable if index + 1 not in readable)
+    with prefetch(batches) as sequence:
+        assert sequence(last)  # while the next one fails
+        with pytest.raises(BatchError, match="32 x 32 pixels were requested, but clip 'b'"):
+            sequence(last + 1)
 
 
-def _drawn(batches: Batches, index: int) -> bool:
+def _is_readable(batches: Batches, index: int) -> bool:
     try:
         return bool(batches.sequence(index))
     except BatchError:
@@ -116,9 +120,41 @@ def _tensors(clip: InMemoryClip) -> list[Tensor]:
     return [tensor for part in parts for tensor in part]
 
 
-def test_scene_and_budget_of_a_draw_are_drawn_apart(tmp_path):
+def test_scene_and_budget_of_a_sequence_are_independent(tmp_path):
     lengths, budgets = range(1, 5), (0.5, 1.0, 2.0, 4.0)
     folders = [write_noise(tmp_path / str(n), h=16, w=16, frames=n) for n in lengths]
-    batches = Batches(folders, batch=1, crop=16, length=4, seed=0)
+    batches = Batches(folders, batch=1, crop=16, sequence_length=4, seed=0)
     pairs = {(len(batches.sequence(n).frames), sample_budget(budgets, 0, n)) for n in range(96)}
-    assert len(pairs) == 16  # each is missed by 96 draws with probability 0.002
+    assert len(pairs) == 16  # each is missed by 96 sequences with probability 0.002
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("transpose", [False, True])
+def test_an_augmented_clip_moves_as_its_augmented_motion(mirror, flip, transpose):
+    """Reprojecting the augmented previous frame equals augmenting the reprojected one."""
+    augmentation = Augmentation(mirror, flip, transpose, gain=1.5, channels=(2, 0, 1))
+    clip = procedural_clip(seed=3, size=Size(1, 64, 80), frames=2)
+    previous, current = list(clip)
+    reprojected, valid = reproject(previous.gbuffer.albedo, current.gbuffer.motion)
+    previous_crop, current_crop = augmentation.apply(previous), augmentation.apply(current)
+    reprojected_crop, valid_crop = reproject(
+        previous_crop.gbuffer.albedo, current_crop.gbuffer.motion
+    )
+    known = valid_crop & augmentation.transform(valid)
+    assert known.float().mean() > 0.5
+    difference = (reprojected_crop - augmentation.permute_channels(reprojected)).abs() * known
+    assert difference.max() < 1e-4  # bilinear weights in float32
+
+
+def test_crops_larger_than_a_clip_are_refused(tmp_path):
+    clip = write_noise(tmp_path / "noise", h=32, w=40)
+    with pytest.raises(
+        BatchError, match="48 x 48 pixels were requested, but clip 'noise' has 32 x 40"
+    ):
+        Batches([clip], batch=1, crop=48, sequence_length=2, seed=0).sequence(0)
+
+
+def test_batches_without_clips_are_refused():
+    with pytest.raises(BatchError, match="render --preset train"):
+        Batches([], batch=1, crop=48, sequence_length=2, seed=0)

@@ -1,4 +1,4 @@
-"""The learning-rate range test: the rate grows geometrically, and the valley is found."""
+"""The learning-rate range test: the rate grows geometrically, and the minimum is result."""
 
 from __future__ import annotations
 
@@ -9,58 +9,57 @@ from pathlib import Path
 import pytest
 
 from rlbench import registry
-from rlbench.training import lr_range_test
-from rlbench.training.config import TrainingConfig
-from rlbench.training.lr_range_test import Point, averaged, proposed
+from rlbench.training import LrRangeResult, TrainingConfig, find_learning_rate
+from rlbench.training.lr_range_test import LrPoint, smooth_losses, suggest_lr
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 
 
-def valley(at: float) -> list[Point]:
-    """Losses with their least at the rate 10^at, one every tenth of a decade."""
+def valley(at: float) -> list[LrPoint]:
+    """Losses with their minimum at the rate 10^at, one every tenth of a decade."""
     rates = [10 ** (-6 + k / 10) for k in range(51)]
-    return [Point(k, rate, (math.log10(rate) - at) ** 2) for k, rate in enumerate(rates)]
+    return [LrPoint(k, rate, (math.log10(rate) - at) ** 2) for k, rate in enumerate(rates)]
 
 
 @pytest.mark.parametrize("at", [-4.0, -3.0, -2.0])
-def test_a_tenth_of_the_rate_of_the_least_loss_is_proposed(at):
-    assert proposed(valley(at)) == pytest.approx(10 ** (at - 1), rel=1e-6)
+def test_a_tenth_of_the_rate_of_the_least_loss_is_suggested(at):
+    assert suggest_lr(valley(at)) == pytest.approx(10 ** (at - 1), rel=1e-6)
 
 
-def test_the_average_is_that_of_a_gaussian_window():
+def test_losses_are_smoothed_by_a_gaussian_window():
     points = valley(-3.0)
-    shares = [math.exp(-(((k - 20) / 10 / 0.25) ** 2) / 2) for k in range(51)]
-    wanted = sum(share * point.loss for share, point in zip(shares, points, strict=True))
-    assert averaged(points)[20] == pytest.approx(wanted / sum(shares))
+    weights = [math.exp(-(((k - 20) / 10 / 0.25) ** 2) / 2) for k in range(51)]
+    total = sum(weight * point.loss for weight, point in zip(weights, points, strict=True))
+    assert smooth_losses(points)[20] == pytest.approx(total / sum(weights))
 
 
-def tried(tmp_path: Path, loss: str = "loss") -> lr_range_test.LrRangeResult:
+def run_range_test(tmp_path: Path, loss: str = "loss") -> LrRangeResult:
     registry.use_plugin(write_learner(tmp_path, loss))
     clip = write_noise(tmp_path / "noise", h=24, w=24)
-    plan = TrainingConfig(frames=60, crop=16, length=3)
-    return lr_range_test.run("blur", [clip], tmp_path / "range", plan)
+    config = TrainingConfig(frames=60, crop=16, sequence_length=3)
+    return find_learning_rate("blur", [clip], tmp_path / "range", config)
 
 
 def test_the_rate_grows_by_one_factor_from_a_millionth_to_a_tenth(tmp_path):
-    rates = [point.rate for point in tried(tmp_path).points]
+    rates = [point.learning_rate for point in run_range_test(tmp_path).points]
     assert rates[0] == pytest.approx(1e-6)
     factors = [after / before for before, after in zip(rates, rates[1:], strict=False)]
     assert factors == pytest.approx([1e5 ** (1 / 20)] * len(factors))
 
 
 def test_every_point_is_in_a_table_and_a_figure(tmp_path):
-    found = tried(tmp_path)
-    with found.table.open() as file:
+    result = run_range_test(tmp_path)
+    with result.table.open() as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["loss"]) for row in rows] == [point.loss for point in found.points]
-    assert found.figure.read_bytes().startswith(b"\x89PNG")
+    assert [float(row["loss"]) for row in rows] == [point.loss for point in result.points]
+    assert result.figure.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_loss_that_is_not_finite_ends_the_test(tmp_path):
-    found = tried(tmp_path, 'loss * (1e39 if clip.name == "draw 7" else 1)')
-    assert len(found.points) == 7
+    result = run_range_test(tmp_path, 'loss * (1e39 if clip.name == "sequence 7" else 1)')
+    assert len(result.points) == 7
 
 
 def test_a_loss_that_has_doubled_ends_the_test(tmp_path):
-    found = tried(tmp_path, "loss * (9 if int(clip.name[5:]) > 9 else 1)")
-    assert 9 < len(found.points) < 20
+    result = run_range_test(tmp_path, "loss * (9 if int(clip.name.split()[1]) > 9 else 1)")
+    assert 9 < len(result.points) < 20

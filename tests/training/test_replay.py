@@ -1,4 +1,4 @@
-"""A training that halts keeps the sequence that halted it, and its last checkpoint."""
+"""A run that stops stores the sequence that stopped it, and keeps its last checkpoint."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from typer.testing import CliRunner
 
 from rlbench import registry
 from rlbench.cli.app import app
-from rlbench.training import checkpoint
-from rlbench.training.loop import TrainingConfig, TrainingError, replay, train
+from rlbench.training import TrainingConfig, TrainingError, checkpoint, replay_sequence, train
 from rlbench.weights import read_card
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 
 FAULT = """loss * (
-                1e39 if torch.is_autocast_enabled("cpu") and clip.name == "draw 3" and step else 1
+                1e39
+                if torch.is_autocast_enabled("cpu") and clip.name == "sequence 3" and step
+                else 1
             )"""
-PLAN = TrainingConfig(
-    frames=18, crop=16, length=3, every=3, half=True
-)  # six draws, a checkpoint after each
+# six sequences, a checkpoint after each
+CONFIG = TrainingConfig(frames=18, crop=16, sequence_length=3, eval_interval=3, bf16=True)
+OLD_NAMES = {"method": "name", "index": "draw", "lr_factor": "rate", "fraction_done": "done"}
 
 
 @pytest.fixture
@@ -31,47 +32,60 @@ def clip(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def halted(clip: Path, tmp_path: Path) -> Path:
-    """The file of a training that halts at step 1 of draw 3, in half precision alone."""
+def failed(clip: Path, tmp_path: Path) -> Path:
+    """The file of a run that fails at step 1 of sequence 3, in bfloat16 only."""
     with pytest.raises(TrainingError) as raised:
-        train("blur", [clip], [clip], tmp_path / "run", PLAN)
-    file = tmp_path / "run" / "halted-at-draw-3.safetensors"
-    assert "'blur' halted in draw 3 at 2 spp: loss is inf at step 1" in str(raised.value)
-    assert f"'rlbench train --replay {file}' takes it again" in str(raised.value)
+        train("blur", [clip], [clip], tmp_path / "run", CONFIG)
+    file = tmp_path / "run" / "failed-sequence-3.safetensors"
+    message = str(raised.value)
+    assert "'blur' stopped in sequence 3 at 2 spp: loss is inf at step 1" in message
+    assert f"'rlbench train --replay {file}' repeats it" in message
     return file
 
 
-def test_a_halted_sequence_halts_again_at_the_same_step(halted):
-    found = replay(halted)
-    assert found is not None
-    assert (found.what, found.value, found.step, found.layers) == ("loss", float("inf"), 1, ())
+def test_a_failed_sequence_fails_again_at_the_same_step(failed):
+    failure = replay_sequence(failed)
+    assert failure is not None
+    assert failure == ("loss", float("inf"), 1, ())
 
 
-def test_a_halted_sequence_is_replayed_by_the_command_that_the_error_names(halted):
-    words = ["train", "--replay", str(halted), "--device", "cpu"]
-    assert "again: loss is inf at step 1 of the sequence" in CliRunner().invoke(app, words).output
+def test_a_failed_sequence_is_replayed_by_the_command_in_the_error(failed):
+    command = ["train", "--replay", str(failed), "--device", "cpu"]
+    assert "loss is inf at step 1 of the sequence" in CliRunner().invoke(app, command).output
 
 
-def test_a_halted_sequence_holds_its_clip_and_what_it_began_with(halted):
-    told, tensors = checkpoint.read(halted)
-    assert (told["draw"], told["spp"], told["seed"], len(told["frames"])) == (3, 2.0, 0, 3)
+def test_a_failed_sequence_holds_its_clip_and_the_tensors_that_it_started_with(failed):
+    metadata, tensors = checkpoint.read(failed)
+    assert (metadata["index"], metadata["spp"], len(metadata["frames"])) == (3, 2.0, 3)
+    assert TrainingConfig.from_dict(metadata["config"]) == CONFIG
     assert tensors["clip.0.radiance"].shape == (1, 8, 3, 16, 16)
-    before = checkpoint.read(halted.parent / "checkpoint.safetensors")[1]
+    expected = checkpoint.read(failed.parent / "checkpoint.safetensors")[1]
     shared = {name for name in tensors if not name.startswith("clip.")}
     assert "weights.weight" in shared
-    assert [name for name in shared if not torch.equal(tensors[name], before[name])] == []
+    assert [name for name in shared if not torch.equal(tensors[name], expected[name])] == []
 
 
-def test_a_training_that_halted_goes_on_by_another_plan(halted, clip, tmp_path):
-    gentle = TrainingConfig(frames=18, crop=16, length=3, every=3)
-    with pytest.raises(TrainingError, match="--altered"):
-        train("blur", [clip], [clip], tmp_path / "run", gentle)
-    progress = train("blur", [clip], [clip], tmp_path / "run", gentle, altered=True)
-    assert progress.seen == 18
-    card = read_card(tmp_path / "run" / "blur.safetensors")
-    assert "after 9 frames: half True -> False" in card.note
+def test_a_failed_sequence_stored_with_the_old_names_is_replayed(failed):
+    metadata, tensors = checkpoint.read(failed)
+    config, failure = metadata.pop("config"), metadata.pop("failure")
+    old = {OLD_NAMES.get(key, key): value for key, value in metadata.items()}
+    old |= {"norm": config["max_grad_norm"], "average": config["ema_decay"], "seed": 0}
+    old |= {"half": config["bf16"], "found": {"what": failure["quantity"]}}
+    checkpoint.write(failed, tensors, old)
+    failure = replay_sequence(failed)
+    assert failure is not None
+    assert failure == ("loss", float("inf"), 1, ())  # fails in bfloat16 only, so `half` was read
 
 
-def test_a_file_without_a_halted_sequence_is_told(halted):
-    with pytest.raises(TrainingError, match="holds no halted sequence"):
-        replay(halted.parent / "checkpoint.safetensors")
+def test_a_run_that_stopped_resumes_with_another_config(failed, clip, tmp_path):
+    float32 = TrainingConfig(frames=18, crop=16, sequence_length=3, eval_interval=3)
+    with pytest.raises(TrainingError, match="--allow-config-change"):
+        train("blur", [clip], [clip], tmp_path / "run", float32)
+    result = train("blur", [clip], [clip], tmp_path / "run", float32, allow_config_change=True)
+    assert result.progress.frames_seen == 18
+    assert "after 9 frames: bf16 True -> False" in read_card(result.weights).note
+
+
+def test_a_file_without_a_failed_sequence_is_refused(failed):
+    with pytest.raises(TrainingError, match="holds no failed sequence"):
+        replay_sequence(failed.parent / "checkpoint.safetensors")

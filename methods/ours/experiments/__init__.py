@@ -1,1 +1,1 @@
-"""Experiments around the proposed method."""
+"""Experiments around the proposed method. Each is a command: python -m MODULE --help."""

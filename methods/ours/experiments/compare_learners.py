@@ -1,226 +1,222 @@
-"""Who finds a known optimum? Every way to train the sampler, on the same frames, at one command.
+"""Train the sampler by every learner on toy scenes, and score it against the known optimum.
 
-Command: python -m methods.ours.experiments.compare_learners --out docs; goes on where it was
-stopped.
+Command: python -m methods.ours.experiments.compare_learners --out docs. It resumes after an
+interruption.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import torch
 from rich.progress import Progress
 from torch import nn
 
-from methods.ours.experiments.evaluation import Evaluation, Scenes
+from methods.ours.experiments.evaluation import Evaluation, ToyEnv
 from methods.ours.experiments.known_optimum import MODES, Mode, ToyProblem
-from methods.ours.experiments.toy_scenes import CHANNELS, scenes
+from methods.ours.experiments.learner_table import TABLE, LearnerTable, Training
+from methods.ours.experiments.toy_scenes import CHANNELS, toy_frames
 from methods.ours.networks import Sampler
 from methods.ours.policy import (
     AllocationProblem,
     BlockPolicyGradient,
+    BlockReinforce,
     CombinedLearner,
     SamplerLearner,
     appo,
-    appo_config,
-    learner,
+    make_learner,
 )
-from methods.ours.policy.block_reinforce import BlockReinforce
+from methods.ours.policy.appo_config import AppoSettings
 from methods.ours.variants import BASE
 from rlbench.ops.init import kaiming_init
-from rlbench.system import paths
 
-PEAK, FALL = 2e-3, 0.1  # learning rate at the start, and of it at the end: a line between
-SCENES = 4  # frames of a step: of one, gradients are so noisy that the map's contrast swings
-POINTS = 8  # scores along a training
-APART = 10**9  # between the seeds of a sampler, a critic and draws, which are streams of their own
-COLUMNS = ("learner", "mode", "seed", "side", "of", "frames", "seconds", "score")  # of: in all
-TABLE = "known_optimum.csv"
+__all__ = ["compare", "initial_sampler", "train_by_learner"]
 
-Tell = Callable[[int, float, float], None]  # frames, seconds of CPU, score
+PROGRAM = "python -m methods.ours.experiments.compare_learners"
+MAX_LR, FINAL_SHARE = 2e-3, 0.1  # learning rate at the start, and its share at the end; linear
+BATCH = 4  # frames of a step; with one, gradients are so noisy that the map's contrast swings
+POINTS = 8  # scores during a training
+SEED_STRIDE = 10**9  # between the seeds of sampler, critic and actions: separate random streams
+
+OnScore = Callable[[int, float, float], None]  # frames, seconds of CPU, score
 
 
-class Truth:
-    """The upper reference: the gradient of the expected error, which nobody has in practice."""
+class TrueGradient:
+    """The upper bound: the gradient of the expected error, which is unknown in practice."""
 
-    floor = 0
+    min_samples = 0
     network = None
 
-    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> torch.Tensor:
+    def loss(self, problem: AllocationProblem, generator: torch.Generator) -> torch.Tensor:
         """The exact expected error of the relaxed counts."""
-        assert isinstance(situation, ToyProblem)
-        return situation.expected(situation.relaxed(situation.act())).mean()
+        assert isinstance(problem, ToyProblem)
+        return problem.expected_error(problem.relaxed_counts(problem.act())).mean()
 
 
-def ppo(priced: float = 1.0, block: int | None = None) -> Callable[[Mode], BlockReinforce]:
-    """Errors are credited as far as the mode spreads them, and draws are as large."""
-
-    def made(mode: Mode) -> BlockReinforce:
-        side = block or max(1, 2 * mode.reach)
-        return BlockReinforce(
-            BlockPolicyGradient(block=side, margin=mode.reach, price_weight=priced)
-        )
-
-    return made
+def reinforce(mode: Mode, price_weight: float = 1.0, block: int | None = None) -> BlockReinforce:
+    """REINFORCE whose margin is the reach of the mode, and whose blocks are as large."""
+    side = block or max(1, 2 * mode.reach)
+    policy = BlockPolicyGradient(block=side, margin=mode.reach, price_weight=price_weight)
+    return BlockReinforce(policy)
 
 
-TORCH: dict[str, Callable[[Mode], SamplerLearner]] = {
-    "true gradient": lambda mode: Truth(),
-    "ppo-pixel": ppo(),
-    "ppo-pixel+surrogate": lambda mode: CombinedLearner(ppo()(mode)),
-    "critic": lambda mode: learner("critic", CHANNELS),
-    "surrogate": lambda mode: learner("surrogate", CHANNELS),
-    "gamma": lambda mode: learner("gamma", CHANNELS),
-    "ppo-pixel, no price": ppo(priced=0.0),
-    "ppo-pixel, single pixels": ppo(block=1),
+TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
+    "true gradient": lambda mode: TrueGradient(),
+    "reinforce": reinforce,
+    "reinforce+surrogate": lambda mode: CombinedLearner(reinforce(mode)),
+    "critic": lambda mode: make_learner("critic", CHANNELS),
+    "surrogate": lambda mode: make_learner("surrogate", CHANNELS),
+    "gamma": lambda mode: make_learner("gamma", CHANNELS),
+    "reinforce, no price": partial(reinforce, price_weight=0.0),
+    "reinforce, single pixels": partial(reinforce, block=1),
 }
-RLLIB: dict[str, Callable[[Mode], appo_config.Appo]] = {
-    "rllib-appo": lambda mode: appo_config.Appo(reach=mode.reach),
-    "rllib-appo, joint ratio": lambda mode: appo_config.Appo(joint=True),
+RLLIB: Mapping[str, Callable[[Mode], AppoSettings]] = {
+    "rllib-appo": lambda mode: AppoSettings(reach=mode.reach),
+    "rllib-appo, joint ratio": lambda mode: AppoSettings(joint_ratio=True),
 }
 
 
-def network(seed: int) -> Sampler:
+def initial_sampler(seed: int) -> Sampler:
     """The sampler of `ours`, with seeded weights and a uniform density."""
-    made = Sampler(CHANNELS, BASE.sampler)
-    kaiming_init(made, seed)
-    made.start_uniform()
-    return made
+    sampler = Sampler(CHANNELS, BASE.sampler)
+    kaiming_init(sampler, seed)
+    sampler.start_uniform()
+    return sampler
 
 
-def by_torch(name: str, exam: Evaluation, seed: int, frames: int, tell: Tell) -> None:
-    """One training; a step for every SCENES frames."""
-    mode, sampler, way = exam.mode, network(seed), TORCH[name](exam.mode)
-    trained = nn.ModuleList(part for part in (sampler, way.network) if part is not None)
-    optimizer = torch.optim.Adam(trained.parameters(), PEAK)
-    generator = torch.Generator().manual_seed(seed + 2 * APART)
-    if way.network is not None:
-        kaiming_init(way.network, seed + APART)
-    seconds, every = 0.0, max(frames // POINTS, SCENES)
-    stream = scenes(seed, SCENES, exam.side)
-    for seen, field in zip(range(SCENES, frames + 1, SCENES), stream, strict=False):
+def train_by_learner(
+    name: str, evaluation: Evaluation, seed: int, frames: int, on_score: OnScore
+) -> None:
+    """One training, with a step for every BATCH frames."""
+    mode, sampler, learner = evaluation.mode, initial_sampler(seed), TORCH[name](evaluation.mode)
+    parts = nn.ModuleList(part for part in (sampler, learner.network) if part is not None)
+    optimizer = torch.optim.Adam(parts.parameters(), MAX_LR)
+    generator = torch.Generator().manual_seed(seed + 2 * SEED_STRIDE)
+    if learner.network is not None:
+        kaiming_init(learner.network, seed + SEED_STRIDE)
+    seconds, interval = 0.0, max(frames // POINTS, BATCH)
+    stream = toy_frames(seed, BATCH, evaluation.side)
+    for done, frame in zip(range(BATCH, frames + 1, BATCH), stream, strict=False):
         began = time.process_time()
         for group in optimizer.param_groups:
-            group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
-        loss = way.loss(ToyProblem(field, mode, sampler, floor=way.floor), generator)
+            group["lr"] = MAX_LR * (1 - (1 - FINAL_SHARE) * done / frames)
+        problem = ToyProblem(frame, mode, sampler, min_samples=learner.min_samples)
+        loss = learner.loss(problem, generator)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         seconds += time.process_time() - began
-        if seen % every < SCENES:
-            tell(seen, seconds, exam.score(sampler, way.floor))
+        if done % interval < BATCH:
+            on_score(done, seconds, evaluation.score(sampler, learner.min_samples))
 
 
-def by_rllib(name: str, exam: Evaluation, seed: int, frames: int, tell: Tell) -> None:
-    """One training in Ray's own loop; seconds are those of this process, without its start."""
+def train_by_rllib(
+    name: str, evaluation: Evaluation, seed: int, frames: int, on_score: OnScore
+) -> None:
+    """One training in RLlib's loop; seconds are those of this process, without Ray's start."""
     began: list[float] = []
-    away = 0.0  # seconds spent on scores
+    scoring = 0.0  # seconds
 
-    def report(seen: int, sampler: nn.Module) -> None:
-        nonlocal away
+    def report(done: int, sampler: nn.Module) -> None:
+        nonlocal scoring
         now = time.process_time()
-        tell(seen, now - began[0] - away, exam.score(sampler, 0))
-        away += time.process_time() - now
+        on_score(done, now - began[0] - scoring, evaluation.score(sampler, 0))
+        scoring += time.process_time() - now
 
-    def world() -> Scenes:
+    def make_env() -> ToyEnv:
         began.append(time.process_time())
-        return Scenes(exam.mode, seed, exam.side)
+        return ToyEnv(evaluation.mode, seed, evaluation.side)
 
-    settings, every = RLLIB[name](exam.mode), frames // POINTS
-    appo.train(world, lambda: network(seed), frames, settings, seed, every, report)
+    settings, interval = RLLIB[name](evaluation.mode), frames // POINTS
+    appo.train(make_env, lambda: initial_sampler(seed), frames, settings, seed, interval, report)
 
 
 def compare(
-    table: Path, frames: int, side: int, seeds: list[int], names: list[str], modes: list[str]
+    file: Path, frames: int, side: int, seeds: list[int], names: list[str], modes: list[str]
 ) -> None:
-    """Fill the table with what it lacks; a training that is in it is not run again.
+    """Run the trainings that the table `file` lacks, and add their scores.
 
-    Raises ValueError where it holds trainings of another length, or on frames of another size.
+    Raises ValueError if the table has trainings of another length, or on frames of another size.
     """
-    table.parent.mkdir(parents=True, exist_ok=True)
-    rows = _read(table)
-    asked = (str(side), str(frames))
-    if other := {(row["side"], row["of"]) for row in rows} - {asked}:
-        known = " and ".join(f"--frames {of} --side {pixels}" for pixels, of in sorted(other))
-        raise ValueError(
-            f"{table} holds trainings by {known}, asked for is --frames {frames} --side {side}, "
-            "and they cannot be compared; give another --out"
-        )
-    wanted = [(name, mode, seed) for seed in seeds for mode in modes for name in names]
-    done = {(row["learner"], row["mode"], int(row["seed"])) for row in rows}
-    todo = [cell for cell in wanted if cell not in done]
-    exams = {mode: Evaluation.of(MODES[mode], side=side) for mode in {cell[1] for cell in todo}}
+    table = LearnerTable.read(file, frames, side)
+    trainings = [Training(name, mode, seed) for seed, mode, name in product(seeds, modes, names)]
+    missing = [training for training in trainings if training not in table.trainings]
+    needed = {training.mode for training in missing}
+    evaluations = {mode: Evaluation.of_mode(MODES[mode], side=side) for mode in needed}
     with Progress() as progress:
-        task = progress.add_task("trainings", total=len(todo) * frames)
-        for at, (name, mode, seed) in enumerate(todo):
-            progress.update(task, description=f"{name}, {mode}, seed {seed}", completed=at * frames)
-            fresh: list[dict[str, str]] = []
+        bar = progress.add_task("trainings", total=len(missing) * frames)
+        for number, training in enumerate(missing):
+            start = number * frames
+            progress.update(bar, description=str(training), completed=start)
 
-            def tell(seen: int, seconds: float, score: float) -> None:
-                told = (seen, f"{seconds:.1f}", f"{score:.4f}")
-                values = (name, mode, seed, *asked, *told)  # noqa: B023
-                fresh.append(dict(zip(COLUMNS, map(str, values), strict=True)))  # noqa: B023
-                progress.update(task, completed=at * frames + seen)  # noqa: B023
+            def on_score(done: int, seconds: float, score: float) -> None:
+                table.add(training, done, seconds, score)  # noqa: B023
+                progress.update(bar, completed=start + done)  # noqa: B023
 
-            run = by_torch if name in TORCH else by_rllib
-            run(name, exams[mode], seed, frames, tell)
-            rows += fresh
-            _write(table, rows)
-
-
-def _read(table: Path) -> list[dict[str, str]]:
-    if not table.exists():
-        return []
-    with table.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _write(table: Path, rows: list[dict[str, str]]) -> None:
-    with paths.replacing(table) as part, part.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+            train = train_by_learner if training.learner in TORCH else train_by_rllib
+            train(training.learner, evaluations[training.mode], training.seed, frames, on_score)
+            table.write()
 
 
 def main() -> None:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m methods.ours.experiments.compare_learners",
-        description="Train the sampler of `ours` in every way on a problem whose best allocation "
-        "is known, and write the share of the optimal error reduction that each reaches to "
-        f"OUT/{TABLE}. Goes on where it was stopped. The figure: python -m reports.known_optimum.",
-        epilog="example: python -m methods.ours.experiments.compare_learners "
-        "--out /tmp/try --frames 500 --seeds 0 "
-        '--learners "surrogate;ppo-pixel"',
-    )
-    every = [*TORCH, *RLLIB]
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder of the table")
-    parser.add_argument("--frames", type=int, default=1600, help="that each training sees")
-    parser.add_argument("--side", type=int, default=32, help="of a frame, pixels; divides by 8")
-    parser.add_argument("--seeds", default="0,1,2", help="of weights, scenes and draws")
-    parser.add_argument("--learners", default=";".join(every), help="some of these, between ;")
-    parser.add_argument("--modes", default=",".join(MODES), help="some of these")
-    asked = parser.parse_args()
-    names, modes = asked.learners.split(";"), asked.modes.split(",")
-    for kind, given, known in (("learner", names, every), ("mode", modes, list(MODES))):
-        for name in given:
+    """Run the command line."""
+    parser = _parser()
+    arguments = parser.parse_args()
+    names, modes = arguments.learners.split(";"), arguments.modes.split(",")
+    options = (("--learners", names, [*TORCH, *RLLIB]), ("--modes", modes, list(MODES)))
+    for option, requested, known in options:
+        for name in requested:
             if name not in known:
-                parser.error(f"'{name}' is no {kind}; there is: {', '.join(known)}")
-    if asked.frames < POINTS * SCENES or asked.side % 8:
-        parser.error(
-            f"--frames {asked.frames} --side {asked.side}: it takes {POINTS * SCENES} frames or "
-            "more, and a side that divides by 8"
-        )
+                parser.error(f"{option}: '{name}' is unknown. Choose from: {', '.join(known)}")
+    if arguments.frames < POINTS * BATCH:
+        parser.error(f"--frames {arguments.frames}: give {POINTS * BATCH} or more")
+    if arguments.side % 8:
+        parser.error(f"--side {arguments.side}: give a multiple of 8")
     torch.set_num_threads(1)
-    seeds = [int(seed) for seed in asked.seeds.split(",")]
+    seeds = [int(seed) for seed in arguments.seeds.split(",")]
     try:
-        compare(asked.out / TABLE, asked.frames, asked.side, seeds, names, modes)
+        compare(arguments.out / TABLE, arguments.frames, arguments.side, seeds, names, modes)
     except ValueError as error:
         parser.error(str(error))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Train the sampler of `ours` by every learner on a problem whose optimal\n"
+        "allocation is known. Write the share of the optimal error reduction that each\n"
+        f"reaches to OUT/{TABLE}. Trainings that are in the table are not run again.\n"
+        "Then draw the figure: python -m reports.known_optimum OUT",
+        epilog=f"examples:\n  {PROGRAM} --out docs\n"
+        f'  {PROGRAM} --out /tmp/try --frames 500 --seeds 0 --learners "surrogate;reinforce"',
+    )
+    learners, modes = ";".join([*TORCH, *RLLIB]), ",".join(MODES)
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs"), help="folder of the table (default: docs)"
+    )
+    parser.add_argument(
+        "--frames", type=int, default=1600, help="frames of each training (default: 1600)"
+    )
+    parser.add_argument(
+        "--side",
+        type=int,
+        default=32,
+        help="side of a frame, a multiple of 8 pixels (default: 32)",
+    )
+    parser.add_argument(
+        "--seeds", default="0,1,2", help="seeds of weights, scenes and actions (default: 0,1,2)"
+    )
+    parser.add_argument(
+        "--learners", default=learners, help=f'separated by ";" (default, all: "{learners}")'
+    )
+    parser.add_argument("--modes", default=modes, help=f"of the problem (default, all: {modes})")
+    return parser
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Judging a sampler on scenes that no training saw: its share of the optimal reduction of error."""
+"""Scoring a sampler on unseen toy scenes: its share of the optimal error reduction."""
 
 from __future__ import annotations
 
@@ -9,112 +9,119 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from methods.ours.experiments.known_optimum import Mode, ToyProblem, greedy
-from methods.ours.experiments.toy_scenes import CHANNELS, STORED, ToyFrame, scenes
+from methods.ours.experiments.known_optimum import Mode, ToyProblem, greedy_counts
+from methods.ours.experiments.toy_scenes import CHANNELS, STORED_SAMPLES, ToyFrame, toy_frames
 from methods.ours.policy.environment import StepResult
 from rlbench.sampling import allocate_counts
 from rlbench.training.surrogate_gradient import relaxed_counts
 
-UNSEEN = 10**6  # seed of the scenes that are judged on
-APART = 7  # frames between two that are judged
-STEPS, RATE = 100, 0.1  # of the descent to the best counts where none are known in closed form
-FAINT = 0.02  # log density of the least noisy pixels where the descent starts from deviations
+__all__ = ["Evaluation", "ToyEnv", "best_counts"]
+
+TEST_SEED = 10**6  # of the scenes that samplers are scored on
+FRAME_STRIDE = 7  # frames from one scored frame to the next
+DESCENT_STEPS, DESCENT_RATE = 100, 0.1  # of Adam, where no optimum is known in closed form
+MIN_START = 0.02  # least density, as a share of the largest, where the descent starts from sigma
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Frames, their expected errors under uniform sampling, and under the best counts known."""
+    """Frames with their expected errors under uniform sampling and under the best known counts."""
 
     mode: Mode
-    fields: tuple[ToyFrame, ...]
+    frames: tuple[ToyFrame, ...]
     uniform: tuple[Float[Tensor, " n"], ...]  # mean error of each image
     best: tuple[Float[Tensor, " n"], ...]
 
     @classmethod
-    def of(cls, mode: Mode, frames: int = 1, n: int = 8, side: int = 48) -> Evaluation:
-        """So many frames of n scenes each."""
-        stream = scenes(UNSEEN, n, side)
-        fields = [field for at, field in zip(range(frames * APART), stream, strict=False)]
-        fields = fields[::APART]
-        moments = [_moment(field, mode) for field in fields]
-        uniform = [m.expected(torch.full_like(m.field.sigma, m.spp)) for m in moments]
-        best = [m.expected(best_counts(m).float()) for m in moments]
-        images = [tuple(each.mean((1, 2, 3)) for each in maps) for maps in (uniform, best)]
-        return cls(mode, tuple(fields), *images)
+    def of_mode(cls, mode: Mode, frames: int = 1, n: int = 8, side: int = 48) -> Evaluation:
+        """An evaluation on `frames` frames of n scenes each."""
+        stream = toy_frames(TEST_SEED, n, side)
+        chosen = [frame for _, frame in zip(range(frames * FRAME_STRIDE), stream, strict=False)]
+        chosen = chosen[::FRAME_STRIDE]
+        problems = [_uniform_problem(frame, mode) for frame in chosen]
+        uniform = [p.expected_error(torch.full_like(p.frame.sigma, p.spp)) for p in problems]
+        best = [p.expected_error(best_counts(p).float()) for p in problems]
+        means = [tuple(error.mean((1, 2, 3)) for error in maps) for maps in (uniform, best)]
+        return cls(mode, tuple(chosen), *means)
 
     @property
     def side(self) -> int:
         """Rows and columns of a frame."""
-        return self.fields[0].sigma.shape[-1]
+        return self.frames[0].sigma.shape[-1]
 
     @torch.no_grad()
-    def score(self, sampler: Callable[[Tensor], Tensor], floor: int = 0) -> float:
+    def score(self, sampler: Callable[[Tensor], Tensor], min_samples: int = 0) -> float:
         """(error of uniform - error of the map) / (error of uniform - least error), mean of images.
 
-        0 for uniform sampling, 1 for the best counts known, below 0 for worse than uniform. Errors
-        are expectations, so that no noise of samples is in it.
+        0 for uniform sampling, 1 for the best known counts, below 0 for worse than uniform. Errors
+        are expectations, so the score has no sampling noise.
         """
-        reached = []
-        for field, uniform, best in zip(self.fields, self.uniform, self.best, strict=True):
-            moment = ToyProblem(field, self.mode, sampler, floor=floor)
-            error = moment.expected(moment.buy(moment.act()).float()).mean((1, 2, 3))
-            reached.append((uniform - error) / (uniform - best))
-        return float(torch.cat(reached).mean())
+        scores = []
+        for frame, uniform, best in zip(self.frames, self.uniform, self.best, strict=True):
+            problem = ToyProblem(frame, self.mode, sampler, min_samples=min_samples)
+            counts = problem.draw_counts(problem.act())
+            error = problem.expected_error(counts.float()).mean((1, 2, 3))
+            scores.append((uniform - error) / (uniform - best))
+        return float(torch.cat(scores).mean())
 
 
-def best_counts(moment: ToyProblem) -> Int[Tensor, "n 1 h w"]:
-    """The best whole counts: exact where pixels are independent, else the best that were found.
+def best_counts(problem: ToyProblem) -> Int[Tensor, "n 1 h w"]:
+    """The best known whole counts: exact where pixels are independent, else by descent.
 
     The error of coupled pixels has many minima. A density for each pixel descends on the exact
-    expected error, from uniform and from a start that follows deviations; the better one of each
-    image counts. So scores are shares of what is known to be possible, and a score above 1 would be
-    news.
+    expected error, from a uniform start and from one that follows the deviations; the better result
+    of each image counts. Scores are therefore shares of what is known to be possible, and a score
+    above 1 can occur.
     """
-    sigma = moment.field.sigma
-    if moment.mode.reach == 0:
-        return greedy(sigma, moment.cost)
-    starts = (torch.zeros_like(sigma), (sigma / sigma.amax((2, 3), keepdim=True)).clamp_min(FAINT))
-    first, second = _descend(moment, starts[0]), _descend(moment, starts[1].log())
-    errors = [moment.expected(n.float()).mean((1, 2, 3), keepdim=True) for n in (first, second)]
+    sigma = problem.frame.sigma
+    if problem.mode.reach == 0:
+        return greedy_counts(sigma, problem.total_samples)
+    relative = (sigma / sigma.amax((2, 3), keepdim=True)).clamp_min(MIN_START)
+    first, second = (_descend(problem, s) for s in (torch.zeros_like(sigma), relative.log()))
+    errors = [
+        problem.expected_error(n.float()).mean((1, 2, 3), keepdim=True) for n in (first, second)
+    ]
     return torch.where(errors[0] <= errors[1], first, second)
 
 
-def _descend(moment: ToyProblem, start: Tensor) -> Tensor:
-    free = start.clone().requires_grad_()
-    nothing = torch.zeros(start.shape, dtype=torch.int64)
-    optimizer = torch.optim.Adam([free], RATE)
-    for _ in range(STEPS):
-        density = (free - free.detach().amax((2, 3), keepdim=True)).exp()
-        due = relaxed_counts(density, moment.spp, nothing, STORED)
+def _descend(problem: ToyProblem, start: Tensor) -> Tensor:
+    """Whole counts after DESCENT_STEPS of Adam on log densities from `start`."""
+    log_density = start.clone().requires_grad_()
+    none = torch.zeros(start.shape, dtype=torch.int64)
+    optimizer = torch.optim.Adam([log_density], DESCENT_RATE)
+    for _ in range(DESCENT_STEPS):
+        density = (log_density - log_density.detach().amax((2, 3), keepdim=True)).exp()
+        counts = relaxed_counts(density, problem.spp, none, STORED_SAMPLES)
         optimizer.zero_grad()
-        moment.expected(due).mean().backward()  # type: ignore[no-untyped-call]
+        problem.expected_error(counts).mean().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    return allocate_counts(density.detach(), moment.cost, nothing, STORED, moment.field.keys)
+    seeds = problem.frame.rounding_seeds
+    return allocate_counts(density.detach(), problem.total_samples, none, STORED_SAMPLES, seeds)
 
 
-def _moment(field: ToyFrame, mode: Mode) -> ToyProblem:
-    return ToyProblem(field, mode, lambda seen: torch.zeros_like(seen[:, :1]))
+def _uniform_problem(frame: ToyFrame, mode: Mode) -> ToyProblem:
+    return ToyProblem(frame, mode, lambda observation: torch.zeros_like(observation[:, :1]))
 
 
-class Scenes:
-    """The task as a world of reinforcement learning: one scene at a time, episodes of 20 frames."""
+class ToyEnv:
+    """The toy problem as an `Env`: one scene at a time, episodes of 20 frames."""
 
     def __init__(self, mode: Mode, seed: int, side: int = 48) -> None:
-        """From the scenes of a seed."""
+        """An environment on the scenes of a seed."""
         self.mode, self.shape = mode, (CHANNELS, side, side)
-        self._stream = scenes(seed, 1, side)
-        self._field = next(self._stream)
+        self._stream = toy_frames(seed, 1, side)
+        self._frame = next(self._stream)
 
     def reset(self) -> Float[Tensor, "1 c h w"]:
-        """The first frame of the next episode, which a step to the last has already drawn."""
-        while self._field.index:
-            self._field = next(self._stream)
-        return self._field.seen
+        """Start the next episode; a step to the last frame has already drawn its first frame."""
+        while self._frame.index:
+            self._frame = next(self._stream)
+        return self._frame.observation
 
     def step(self, action: Float[Tensor, "1 1 h w"]) -> StepResult:
-        """Realised errors of the frame's image, and the next frame."""
-        trial = _moment(self._field, self.mode).rollout(action.unsqueeze(0))
-        last, self._field = self._field, next(self._stream)
-        over = self._field.index == 0
-        seen = last.seen if over else self._field.seen
-        return StepResult(trial.errors[0], trial.counts[0], seen, over)
+        """Realised errors of the frame's image, and the next observation."""
+        rollout = _uniform_problem(self._frame, self.mode).rollout(action.unsqueeze(0))
+        last, self._frame = self._frame, next(self._stream)
+        truncated = self._frame.index == 0
+        observation = last.observation if truncated else self._frame.observation
+        return StepResult(rollout.errors[0], rollout.counts[0], observation, truncated)

@@ -1,11 +1,11 @@
-"""How much could any map of samples give? The best one found for a frame by itself.
+"""Oracle density maps: how much could any map of samples gain on one frame?
 
 Command: python -m methods.ours.experiments.oracle_map --spp 1,2,4
 
-Behind the trained encoder and denoiser, and with what was remembered, the map of one frame is
-improved on its own error: what no sampler knows before it has sampled. The map has one value a
-block, so that it cannot pick single samples, and every step sells them in another order. Scores are
-of orders that no step has seen.
+The map of one frame is optimised on the frame's own error, behind the trained encoder and denoiser
+and with the history of the frames before it. No sampler has this knowledge. The map has one value a
+block, so it cannot select single samples, and every step takes the stored samples in another order.
+Scores are of orders that no step has used.
 """
 
 from __future__ import annotations
@@ -26,35 +26,38 @@ from torch.nn import functional as F
 
 from methods.ours.frame_problem import FrameProblem
 from methods.ours.method import Ours, build
-from methods.ours.policy.block_reinforce import BlockReinforce
+from methods.ours.policy import BlockReinforce
 from methods.ours.state import RecurrentState
 from rlbench import registry
 from rlbench.clips.stored import open_clip
 from rlbench.frames import Frame
 from rlbench.system import paths
 
-BLOCK = 8  # pixels: side of what has one value
-RATE = 0.05  # of Adam, on values of which tanh is the action
-BOUND = 0.95  # of actions at the start, beyond which tanh is flat
-SEEN, HELD = 8, 4  # orders of sale: of the steps, and of the scores
+__all__ = ["FreeDensityMap", "OracleResult", "optimize_map", "score_frame"]
+
+PROGRAM = "python -m methods.ours.experiments.oracle_map"
+BLOCK = 8  # pixels, side of a block
+LEARNING_RATE = 0.05  # of Adam, on values whose tanh is the action
+MAX_START = 0.95  # of the initial action's size; beyond, tanh is flat
+TRAIN_ORDERS, TEST_ORDERS = 8, 4  # sample orders of the steps, and of the scores
 
 
-class Found(NamedTuple):
-    """PSNR of one frame in dB, mean over orders of sale that no step has seen."""
+class OracleResult(NamedTuple):
+    """PSNR of one frame in dB, mean over sample orders that no step has used."""
 
     clip: str
     spp: float
     frame: int
     uniform: float
-    learned: float
-    best: float  # of the map found for this frame
+    learned: float  # the sampler's map
+    best: float  # the map optimised for this frame
 
 
 @dataclass(frozen=True)
 class FreeDensityMap(FrameProblem):
-    """A turn whose action is a map of its own in place of the sampler's."""
+    """A FrameProblem whose action is a free map in place of the sampler's."""
 
-    values: Tensor  # n 1 h/BLOCK w/BLOCK; tanh of them is the action
+    values: Tensor  # n 1 h/BLOCK w/BLOCK; their tanh is the action
 
     def act(self) -> Float[Tensor, "n 1 h w"]:
         """The map's action."""
@@ -62,42 +65,49 @@ class FreeDensityMap(FrameProblem):
         return F.interpolate(self.values.tanh(), scale_factor=BLOCK)[..., :h, :w]
 
 
-def ceiling(method: Ours, folder: Path, spp: float, index: int, steps: int) -> Found:
-    """What uniform samples, the sampler, and the best map found give on frame `index` of a clip.
+def score_frame(method: Ours, folder: Path, spp: float, index: int, steps: int) -> OracleResult:
+    """Scores of uniform samples, the sampler's map and the best map on frame `index` of a clip.
 
-    Raises ValueError where the clip has no such frame.
+    Raises ValueError if the clip has no such frame.
     """
-    orders = [list(_frames(method, folder, seed, index)) for seed in range(SEEN + HELD)]
-    if (last := orders[0][-1].index) != index:
-        raise ValueError(f"frame {index} asked for, {folder} has 0 to {last}")
-    state = _remembered(method, orders[0], spp)
-    turns = [_turn(method, frames[-1], state, spp) for frames in orders]
+    orders = range(TRAIN_ORDERS + TEST_ORDERS)
+    sequences = [list(_frames(method, folder, seed, index)) for seed in orders]
+    if (last := sequences[0][-1].index) != index:
+        raise ValueError(f"--frame {index}: {folder} has frames 0 to {last}. Choose one of these")
+    state = _state_before_last(method, sequences[0], spp)
+    problems = [FrameProblem.of_frame(method, frames[-1], state, spp) for frames in sequences]
     with torch.no_grad():
-        learned = turns[0].act()
-    best = improved(turns[:SEEN], learned, steps)
+        learned = problems[0].act()
+    best = optimize_map(problems[:TRAIN_ORDERS], learned, steps)
     maps = (torch.zeros_like(learned), learned, best)
-    return Found(folder.name, spp, index, *(_psnr(turns[SEEN:], each) for each in maps))
+    scores = [_psnr(problems[TRAIN_ORDERS:], action) for action in maps]
+    return OracleResult(folder.name, spp, index, *scores)
 
 
-def improved(
-    turns: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"], steps: int
+def optimize_map(
+    problems: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"], steps: int
 ) -> Float[Tensor, "n 1 h w"]:
-    """An action that is better on these turns of one frame, by so many steps of its own."""
-    whole = F.avg_pool2d(action, BLOCK, ceil_mode=True).clamp(-BOUND, BOUND)
-    values = nn.Parameter(whole.atanh())
-    optimizer = torch.optim.Adam([values], RATE)
-    learns, generator = BlockReinforce(), torch.Generator().manual_seed(0)
+    """An action optimised from `action` on these problems, which share one frame.
+
+    Each of the `steps` takes the next problem in turn.
+    """
+    start = F.avg_pool2d(action, BLOCK, ceil_mode=True).clamp(-MAX_START, MAX_START)
+    values = nn.Parameter(start.atanh())
+    optimizer = torch.optim.Adam([values], LEARNING_RATE)
+    learner, generator = BlockReinforce(), torch.Generator().manual_seed(0)
     for step in range(steps):
-        optimizer.param_groups[0]["lr"] = RATE * (1 - step / steps)
+        optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1 - step / steps)
         optimizer.zero_grad()
-        turn = _free(turns[step % len(turns)], values)
-        learns.loss(turn, generator).backward()  # type: ignore[no-untyped-call]
+        problem = _with_map(problems[step % len(problems)], values)
+        learner.loss(problem, generator).backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    return _free(turns[0], values.detach()).act()
+    return _with_map(problems[0], values.detach()).act()
 
 
-def _free(turn: FrameProblem, values: Tensor) -> FreeDensityMap:
-    return FreeDensityMap(turn.method, turn.frame, turn.gbuffer, turn.state, turn.spp, values)
+def _with_map(problem: FrameProblem, values: Tensor) -> FreeDensityMap:
+    return FreeDensityMap(
+        problem.method, problem.frame, problem.gbuffer, problem.state, problem.spp, values
+    )
 
 
 def _frames(method: Ours, folder: Path, seed: int, last: int) -> Iterator[Frame]:
@@ -109,68 +119,80 @@ def _frames(method: Ours, folder: Path, seed: int, last: int) -> Iterator[Frame]
 
 
 @torch.no_grad()
-def _remembered(method: Ours, frames: Sequence[Frame], spp: float) -> RecurrentState:
-    """What is left of all frames but the last, sampled as the sampler wishes."""
-    h, w = frames[0].pool.size[1:]
+def _state_before_last(method: Ours, frames: Sequence[Frame], spp: float) -> RecurrentState:
+    """The state after all frames but the last, sampled by the sampler's mean action."""
     state = method.start(frames[0].pool.size)
     for frame in frames[:-1]:
-        turn = _turn(method, frame, state, spp)
-        state = turn.take(turn.act())[2]
+        problem = FrameProblem.of_frame(method, frame, state, spp)
+        state = problem.step(problem.act()).state
     return state
 
 
-def _turn(method: Ours, frame: Frame, state: RecurrentState, spp: float) -> FrameProblem:
-    return FrameProblem(method, frame, frame.gbuffer.select(method.traits.inputs), state, spp)
-
-
-def _psnr(turns: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) -> float:
-    score = registry.load("metrics", "psnr").score
-    shown = [(turn.show(action)[0], turn.frame.reference) for turn in turns]
-    return sum(float(score(image, truth.half_a, truth.half_b)) for image, truth in shown) / len(
-        shown
-    )
+def _psnr(problems: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) -> float:
+    score = registry.load_plugin("metrics", "psnr").score
+    results = [(problem.render(action), problem.frame.reference) for problem in problems]
+    scores = [float(score(image, truth.half_a, truth.half_b)) for image, truth in results]
+    return sum(scores) / len(scores)
 
 
 def main() -> None:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m methods.ours.experiments.oracle_map",
-        description="Improve the map of one frame of each clip on its own error, and score it on "
-        "other samples, beside uniform samples and the sampler's own map.",
-        epilog="example: python -m methods.ours.experiments.oracle_map "
-        "--spp 1,2 --steps 100 --out /tmp/c.csv",
-    )
-    parser.add_argument("--clips", type=Path, default=paths.clips() / "mini", help="folder of them")
-    parser.add_argument("--spp", default="1,2,4", help="samples per pixel")
-    parser.add_argument(
-        "--frame", type=int, default=5, help="which, from 0; those before lead there"
-    )
-    parser.add_argument("--steps", type=int, default=200, help="of four trials each")
-    parser.add_argument("--out", type=Path, default=Path("ceiling.csv"), help="a table, added to")
-    given = parser.parse_args()
-    folders = sorted(file.parent for file in given.clips.glob("*/clip.toml"))
+    """Run the command line."""
+    parser = _parser()
+    arguments = parser.parse_args()
+    folders = sorted(file.parent for file in arguments.clips.glob("*/clip.toml"))
     if not folders:
         parser.error(
-            f"{given.clips} holds no clip: 'rlbench render' makes some, --clips takes others"
+            f"--clips {arguments.clips}: the folder has no clips. Render some with 'rlbench "
+            "render', or choose another folder"
         )
     method = build("", torch.device("cpu"), None)
-    cells = [(folder, float(spp)) for folder in folders for spp in given.spp.split(",")]
-    for folder, spp in track(cells, "improving"):
+    cells = [(folder, float(spp)) for folder in folders for spp in arguments.spp.split(",")]
+    for folder, spp in track(cells, "optimising"):
         try:
-            _add(given.out, ceiling(method, folder, spp, given.frame, given.steps))
+            result = score_frame(method, folder, spp, arguments.frame, arguments.steps)
         except ValueError as error:
             parser.error(str(error))
+        _append(arguments.out, result)
 
 
-def _add(file: Path, found: Found) -> None:
-    begun = file.exists()
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Optimise the density map of one frame of each clip on the frame's own error.\n"
+        "Compare it with uniform samples and with the sampler's map, on other samples.",
+        epilog=f"examples:\n  {PROGRAM}\n  {PROGRAM} --spp 1,2 --steps 100 --out /tmp/oracle.csv",
+    )
+    clips = paths.clips_folder() / "mini"
+    parser.add_argument(
+        "--clips", type=Path, default=clips, help=f"folder of clips (default: {clips})"
+    )
+    parser.add_argument("--spp", default="1,2,4", help="samples per pixel (default: 1,2,4)")
+    parser.add_argument(
+        "--frame", type=int, default=5, help="index of the frame, counted from 0 (default: 5)"
+    )
+    parser.add_argument(
+        "--steps", type=int, default=200, help="optimiser steps of four actions each (default: 200)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("ceiling.csv"),
+        help="CSV file to append to (default: ceiling.csv)",
+    )
+    return parser
+
+
+def _append(file: Path, result: OracleResult) -> None:
+    """Append a result to a CSV file, with a header if the file is new, and print it."""
+    is_new = not file.exists()
     with file.open("a", newline="") as out:
         table = csv.writer(out)
-        if not begun:
-            table.writerow(Found._fields)
-        table.writerow(found)
-    told = (f"{k} {v:.2f}" if isinstance(v, float) else f"{v}" for k, v in found._asdict().items())
-    Console().print(*told)
+        if is_new:
+            table.writerow(OracleResult._fields)
+        table.writerow(result)
+    values = result._asdict().items()
+    Console().print(*(f"{k} {v:.2f}" if isinstance(v, float) else f"{v}" for k, v in values))
 
 
 if __name__ == "__main__":

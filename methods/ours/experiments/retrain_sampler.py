@@ -1,4 +1,4 @@
-"""Training the sampler of `ours` alone, behind an encoder and a denoiser that are ready.
+"""Train the sampler of `ours` alone, behind the shipped encoder and denoiser.
 
 Command: python -m methods.ours.experiments.retrain_sampler --by rllib-appo --frames 2000
 """
@@ -19,10 +19,18 @@ from torch import nn
 
 from methods.ours import FAMILY
 from methods.ours.environment import SamplingEnv
-from methods.ours.initialization import show_contrast
-from methods.ours.method import CARDS, Ours
+from methods.ours.initialization import wire_contrast
+from methods.ours.method import CARDS, Ours, assemble
 from methods.ours.networks import Networks, Sampler
-from methods.ours.policy import LEARNERS, RLLIB, BlockPolicyGradient, appo, appo_config, learner
+from methods.ours.policy import (
+    FORMER_NAMES,
+    LEARNERS,
+    RLLIB_APPO,
+    BlockPolicyGradient,
+    appo,
+    make_learner,
+)
+from methods.ours.policy.appo_config import AppoSettings
 from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
 from rlbench.ops.init import kaiming_init
@@ -31,156 +39,199 @@ from rlbench.training import validation
 from rlbench.training.batches import Batches
 from rlbench.weights import ModelCard, load_for_inference, read_card, save
 
-PEAK, FALL = 1e-3, 0.1  # learning rate at the start, and of it at the end: a line between
-NORM = 1.0  # gradients are clipped to this length
-REACH = 4  # pixels around one whose errors are credited to it by RLlib
+__all__ = ["SamplerTask", "retrain", "train_by_learner"]
+
+PROGRAM = "python -m methods.ours.experiments.retrain_sampler"
+MAX_LR, FINAL_SHARE = 1e-3, 0.1  # learning rate at the start, and its share at the end; linear
+MAX_GRAD_NORM = 1.0
+RLLIB_REACH = 4  # pixels around one whose errors RLlib's learner credits to it
+
+OnProgress = Callable[[int, nn.Module], None]  # frames so far, sampler
 
 
 @dataclass(frozen=True)
-class Task:
-    """What is trained on, and behind which weights. It makes the same world in any process."""
+class SamplerTask:
+    """The clips and weights of one training. It makes the same environment in any process."""
 
-    folders: tuple[Path, ...]
-    weights: Path = CARDS / "ours.safetensors"  # whose encoder and denoiser are kept
-    crop: int = 128  # side of a crop, pixels
+    folders: tuple[Path, ...]  # clips
+    weights: Path = CARDS / "ours.safetensors"  # of encoder and denoiser
+    crop: int = 128  # pixels, side of a crop
     length: int = 6  # frames of an episode
     seed: int = 0
-    floor: int = 0  # samples that every pixel has
+    min_samples: int = 0  # of each pixel
 
-    def method(self) -> Ours:
-        """`ours` as it trains, with a sampler that knows nothing, and the other networks frozen."""
+    def make_method(self) -> Ours:
+        """`ours` during training: an untrained sampler, and the other networks frozen."""
         networks = Networks(BASE)
         load_for_inference(networks, str(self.weights), self.weights, "cpu")
-        networks.sampler = self.sampler().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        traits = replace(FAMILY.variants[""].traits, min_samples=self.floor)
-        return Ours(BASE.training, traits, networks)
+        sampler = self.make_sampler()
+        networks.sampler = sampler.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        traits = replace(FAMILY.variants[""].traits, min_samples=self.min_samples)
+        return assemble(BASE.for_training, traits, networks)
 
-    def sampler(self) -> Sampler:
-        """A sampler with seeded weights and a uniform density, as every training begins with."""
-        made = Sampler(Networks(BASE).foreseen, BASE.sampler, paced=BASE.gathers)
-        kaiming_init(made, self.seed)
-        show_contrast(made, BASE)
-        made.start_uniform()
-        return made
+    def make_sampler(self) -> Sampler:
+        """A sampler with the initial weights of every training: seeded, of uniform density."""
+        channels = Networks(BASE).sampler_channels
+        sampler = Sampler(channels, BASE.sampler, paced=BASE.accumulates)
+        kaiming_init(sampler, self.seed)
+        wire_contrast(sampler, BASE)
+        sampler.start_uniform()
+        return sampler
 
-    def batches(self) -> Batches:
+    def make_batches(self) -> Batches:
         """Crops of the clips, one at a time."""
         return Batches(self.folders, 1, self.crop, self.length, self.seed)
 
-    def world(self) -> SamplingEnv:
+    def make_env(self) -> SamplingEnv:
         """Episodes of crops, at the budgets that `ours` is trained at."""
-        budgets = [spp for spp in BUDGETS if spp >= self.floor]
-        return SamplingEnv(self.method(), self.batches(), budgets)
+        budgets = [spp for spp in BUDGETS if spp >= self.min_samples]
+        return SamplingEnv(self.make_method(), self.make_batches(), budgets)
 
 
-def by_torch(
-    name: str, task: Task, frames: int, tell: Callable[[int, nn.Module], None]
+def train_by_learner(
+    name: str, task: SamplerTask, frames: int, on_progress: OnProgress
 ) -> nn.Module:
-    """A step of a learner for every frame; half of the episodes are walked with noisy actions."""
-    world = task.world()
-    sampler, explorer = world.method.networks.sampler, BlockPolicyGradient()
+    """The sampler after one step of a learner for every frame; every second episode is noisy."""
+    env = task.make_env()
+    sampler, policy = env.method.sampler, BlockPolicyGradient()
     assert sampler is not None
-    learns = learner(name, world.method.networks.foreseen)
-    trained = nn.ModuleList(part for part in (sampler, learns.network) if part is not None)
-    optimizer = torch.optim.Adam(trained.parameters(), PEAK)
+    learner = make_learner(name, env.method.networks.sampler_channels)
+    parts = nn.ModuleList(part for part in (sampler, learner.network) if part is not None)
+    optimizer = torch.optim.Adam(parts.parameters(), MAX_LR)
     generator = torch.Generator().manual_seed(task.seed)
-    world.reset()
+    env.reset()
     noisy = False
-    for seen in range(1, frames + 1):
+    for done in range(1, frames + 1):
         for group in optimizer.param_groups:
-            group["lr"] = PEAK * (1 - (1 - FALL) * seen / frames)
-        loss = learns.loss(world.turn, generator)
+            group["lr"] = MAX_LR * (1 - (1 - FINAL_SHARE) * done / frames)
+        loss = learner.loss(env.problem, generator)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(trained.parameters(), NORM)
+        nn.utils.clip_grad_norm_(parts.parameters(), MAX_GRAD_NORM)
         optimizer.step()
-        action = world.turn.act().detach()
+        action = env.problem.act().detach()
         if noisy:
-            action = explorer.explore(action, explorer.corner(generator), generator)
-        if world.step(action).over:
-            world.reset()
+            action = policy.explore(action, policy.draw_corner(generator), generator)
+        if env.step(action).truncated:
+            env.reset()
             noisy = not noisy
-        tell(seen, sampler)
+        on_progress(done, sampler)
     return sampler
 
 
-def by_rllib(task: Task, frames: int, tell: Callable[[int, nn.Module], None]) -> nn.Module:
-    """Ray's own loop, with ratios and credit for single pixels."""
-    settings = appo_config.Appo(
-        rate=PEAK, reach=REACH, multiplicative=BASE.density == "exponential"
+def train_by_rllib(task: SamplerTask, frames: int, on_progress: OnProgress) -> nn.Module:
+    """The sampler after a training in RLlib's loop, with ratios and credit for single pixels."""
+    settings = AppoSettings(
+        learning_rate=MAX_LR, reach=RLLIB_REACH, multiplicative=BASE.density == "exponential"
     )
-    return appo.train(task.world, task.sampler, frames, settings, task.seed, 100, tell)
+    make_sampler = task.make_sampler
+    return appo.train(task.make_env, make_sampler, frames, settings, task.seed, 100, on_progress)
 
 
 def retrain(
-    name: str, task: Task, frames: int, validate: list[Path], out: Path, command: str
+    name: str, task: SamplerTask, frames: int, validate: list[Path], out: Path, command: str
 ) -> dict[str, float]:
-    """Train, write OUT/NAME.safetensors with its card; returns mean PSNR, uniform and trained."""
-    with Progress() as bar:
-        row = bar.add_task(name, total=frames)
+    """Train, and write OUT/NAME.safetensors with its card.
 
-        def tell(seen: int, sampler: nn.Module) -> None:
-            bar.update(row, completed=seen)
+    Returns the mean validation PSNR in dB, under "uniform" and under the learner's name.
+    """
+    with Progress() as progress:
+        bar = progress.add_task(name, total=frames)
 
-        torch_ = name in LEARNERS
-        trained = by_torch(name, task, frames, tell) if torch_ else by_rllib(task, frames, tell)
-    method = task.method()
+        def on_progress(done: int, sampler: nn.Module) -> None:
+            progress.update(bar, completed=done)
+
+        if name == RLLIB_APPO:
+            sampler = train_by_rllib(task, frames, on_progress)
+        else:
+            sampler = train_by_learner(name, task, frames, on_progress)
+    method = task.make_method()
     networks = method.networks
-    spp = validation.budgets(method, BUDGETS, ())
-    told = {"uniform": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
+    spp = validation.validation_budgets(method, BUDGETS, ())
     assert networks.sampler is not None
-    networks.sampler.load_state_dict(trained.state_dict())
-    told[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
-    card = ModelCard(
-        name="ours/A1" if task.floor else "ours",
-        data=tuple(dict.fromkeys([*read_card(task.weights).data, *task.batches().contents()])),
+    psnr = {"uniform": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
+    networks.sampler.load_state_dict(sampler.state_dict())
+    psnr[name] = validation.validate(method, networks, networks, validate, spp, "cpu").psnr
+    save(networks, out / f"{name}.safetensors", _card(name, task, frames, psnr, command))
+    return psnr
+
+
+def _card(
+    name: str, task: SamplerTask, frames: int, psnr: dict[str, float], command: str
+) -> ModelCard:
+    return ModelCard(
+        name="ours/A1" if task.min_samples else "ours",
+        data=tuple(
+            dict.fromkeys([*read_card(task.weights).data, *task.make_batches().clip_digests()])
+        ),
         frames_seen=frames,
         seed=task.seed,
         command=command,
         origin=f"encoder and denoiser of {task.weights.name}",
-        curve=((0, told["uniform"]), (frames, told[name])),
+        validation_history=((0, psnr["uniform"]), (frames, psnr[name])),
         note=f"sampler alone, by {name}",
     )
-    save(networks, out / f"{name}.safetensors", card)
-    return told
 
 
 def main() -> None:
-    """Read the command line."""
-    known = [*LEARNERS, RLLIB]
-    parser = argparse.ArgumentParser(
-        prog="python -m methods.ours.experiments.retrain_sampler",
-        description="Train the sampler of `ours` alone, from a uniform density, behind the shipped "
-        "encoder and denoiser, and write OUT/LEARNER.safetensors, to be scored by 'rlbench run -m "
-        "ours --weights LEARNER=FILE' (of surrogate and gamma: -m ours/A1).",
-        epilog="example: python -m methods.ours.experiments.retrain_sampler "
-        "--by rllib-appo --frames 200 --out /tmp/x",
-    )
-    parser.add_argument("--by", default="ppo-pixel", choices=known, help="the learner")
-    parser.add_argument("--frames", type=int, default=2000, help="crops that are seen")
-    parser.add_argument(
-        "--clips", type=Path, default=paths.clips() / "train", help="folder of clips"
-    )
-    parser.add_argument("--crop", type=int, default=128, help="side of a crop, pixels")
-    parser.add_argument("--seed", type=int, default=0, help="of crops and draws")
-    parser.add_argument("--out", type=Path, default=Path("runs/samplers"), help="folder")
-    asked = parser.parse_args()
-    clips = sorted(file.parent for file in asked.clips.glob("*/clip.toml"))
+    """Run the command line."""
+    parser = _parser()
+    arguments = parser.parse_args()
+    clips = sorted(file.parent for file in arguments.clips.glob("*/clip.toml"))
     if len(clips) < 3:
         parser.error(
-            f"{asked.clips} holds {len(clips)} clips, at least 3 are needed, of which 2 "
-            "validate: 'rlbench render --preset train' makes some, --clips takes others"
+            f"--clips {arguments.clips}: 3 clips or more are needed, 2 of them for validation, and "
+            f"the folder has {len(clips)}. Render some with 'rlbench render --preset train', or "
+            "choose another folder"
         )
+    name = FORMER_NAMES.get(arguments.by, arguments.by)
     validate = clips[:: len(clips) // 2][:2]
-    floor = 0 if asked.by == RLLIB else learner(asked.by, 1).floor
-    chosen = tuple(clip for clip in clips if clip not in validate)
-    task = Task(chosen, crop=asked.crop, seed=asked.seed, floor=floor)
-    command = shlex.join(
-        ["python", "-m", "methods.ours.experiments.retrain_sampler", *sys.argv[1:]]
+    task = SamplerTask(
+        tuple(clip for clip in clips if clip not in validate),
+        crop=arguments.crop,
+        seed=arguments.seed,
+        min_samples=0 if name == RLLIB_APPO else make_learner(name, 1).min_samples,
     )
-    told = retrain(asked.by, task, asked.frames, validate, asked.out, command)
-    for row, psnr in told.items():
-        Console().print(f"{row}: {psnr:.2f} dB on the validating clips, at 1 and 4 spp")
+    command = shlex.join([*PROGRAM.split(), *sys.argv[1:]])
+    for row, psnr in retrain(
+        name, task, arguments.frames, validate, arguments.out, command
+    ).items():
+        Console().print(f"{row}: {psnr:.2f} dB on the validation clips, mean of 1 and 4 spp")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Train the sampler of `ours` alone, from a uniform density, behind the\n"
+        "shipped encoder and denoiser. Write OUT/LEARNER.safetensors, and print the PSNR\n"
+        "on two validation clips.\n\n"
+        "Score the weights: rlbench run -m ours --weights LEARNER=FILE\n"
+        "(for surrogate and gamma: -m ours/A1).",
+        epilog=f"examples:\n  {PROGRAM} --by reinforce\n"
+        f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x",
+    )
+    learners = [*LEARNERS, RLLIB_APPO]
+    clips, out = paths.clips_folder() / "train", Path("runs/samplers")
+    parser.add_argument(
+        "--by",
+        default="reinforce",
+        choices=[*learners, *FORMER_NAMES],
+        metavar="LEARNER",
+        help=f"one of: {', '.join(learners)} (default: reinforce)",
+    )
+    parser.add_argument(
+        "--frames", type=int, default=2000, help="crops to train on (default: 2000)"
+    )
+    parser.add_argument(
+        "--clips", type=Path, default=clips, help=f"folder of clips (default: {clips})"
+    )
+    parser.add_argument(
+        "--crop", type=int, default=128, help="pixels, side of a crop (default: 128)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of crops and actions (default: 0)")
+    parser.add_argument("--out", type=Path, default=out, help=f"folder (default: {out})")
+    return parser
 
 
 if __name__ == "__main__":

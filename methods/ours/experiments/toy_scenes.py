@@ -1,4 +1,4 @@
-"""Moving scenes whose noise is known: discs that drift, and what a sampler sees of them."""
+"""Toy scenes with known noise: drifting discs, and the observations of a sampler."""
 
 from __future__ import annotations
 
@@ -11,40 +11,49 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-DISCS = 14  # in front of a background, which is the last
-LATENT = 32  # channels that stand in for a state
+__all__ = [
+    "CHANNELS",
+    "EPISODE_FRAMES",
+    "PRIOR_SAMPLES",
+    "STORED_SAMPLES",
+    "ToyFrame",
+    "toy_frames",
+]
+
+DISCS = 14  # in front of a background, which comes last
+LATENT = 32  # channels in place of a recurrent state
 CHANNELS = 7 + LATENT  # normal 3, albedo 3, depth 1, latent
-FRAMES = 20  # of an episode
-STORED = 8  # samples of a pixel
-PRIOR = 0.5  # samples that what is known beforehand is worth
-NOISY = 0.2  # median deviation of a sample; the truth is about 0.7
-HIDDEN = 6  # values that the latent channels mix
-HAZE = 0.1  # deviation of the latent channels' own noise
+EPISODE_FRAMES = 20
+STORED_SAMPLES = 8  # per pixel
+PRIOR_SAMPLES = 0.5  # samples that the prior estimate of a pixel is worth
+MEDIAN_DEVIATION = 0.2  # of a sample; the truth is about 0.7
+HIDDEN_VALUES = 6  # mixed into the latent channels
+LATENT_NOISE = 0.1  # standard deviation of the latent channels' own noise
 
 
 @dataclass(frozen=True)
 class ToyFrame:
-    """One frame of n scenes: what is seen, what is true, and what sampling would show."""
+    """One frame of n scenes: the observation, the truth, and stored samples."""
 
     index: int
-    seen: Float[Tensor, "n 39 h w"]
+    observation: Float[Tensor, "n 39 h w"]
     truth: Float[Tensor, "n 1 h w"]
-    sigma: Float[Tensor, "n 1 h w"]  # deviation of one sample
-    prior: Float[Tensor, "n 1 h w"]  # a guess of the truth, of variance sigma^2 / PRIOR
+    sigma: Float[Tensor, "n 1 h w"]  # standard deviation of one sample
+    prior: Float[Tensor, "n 1 h w"]  # an estimate of the truth, of variance sigma^2 / PRIOR_SAMPLES
     stored: Float[Tensor, "n s 1 h w"]  # independent samples, log-normal, of mean `truth`
-    keys: tuple[int, ...]
+    rounding_seeds: tuple[int, ...]
 
-    def again(self, generator: torch.Generator) -> ToyFrame:
-        """The same frame, sampled anew."""
-        return replace(self, **_noise(self.truth, self.sigma, generator))
+    def resample(self, generator: torch.Generator) -> ToyFrame:
+        """The same frame with new samples."""
+        return replace(self, **_draw_noise(self.truth, self.sigma, generator))
 
 
-def scenes(seed: int, n: int = 4, side: int = 48) -> Iterator[ToyFrame]:
-    """Episodes without end: `n` new scenes every FRAMES frames, the same from the same seed.
+def toy_frames(seed: int, n: int = 4, side: int = 48) -> Iterator[ToyFrame]:
+    """Endless episodes: `n` new scenes every EPISODE_FRAMES frames, determined by the seed.
 
-    Deviations are exp of a normal value for each disc plus a wave, so that a frame's noisiest
-    hundredth is some 20 times its calmest. The latent channels are a fixed random mixture of its
-    logarithm with the truth and four waves that mean nothing, through tanh, with noise.
+    Deviations are exp of a normal value per disc plus a wave, so that the noisiest hundredth of a
+    frame has some 20 times the deviation of its calmest. The latent channels are a fixed random
+    mixture of its logarithm with the truth and four unrelated waves, through tanh, with noise.
     """
     episode = 0
     while True:
@@ -54,54 +63,70 @@ def scenes(seed: int, n: int = 4, side: int = 48) -> Iterator[ToyFrame]:
 
 
 def _episode(generator: torch.Generator, n: int, side: int) -> Iterator[ToyFrame]:
-    def drawn(*shape: int) -> Tensor:
+    def normal_values(*shape: int) -> Tensor:
         return torch.randn((n, *shape), generator=generator)
 
     centre = torch.rand(n, DISCS, 2, generator=generator) * side
-    speed, radius = drawn(DISCS, 2), side * (0.06 + 0.16 * drawn(DISCS).abs())
-    normal = torch.nn.functional.normalize(drawn(DISCS + 1, 3), dim=-1)
-    albedo = 0.7 + 0.1 * drawn(DISCS + 1, 3)
+    speed, radius = normal_values(DISCS, 2), side * (0.06 + 0.16 * normal_values(DISCS).abs())
+    normal = torch.nn.functional.normalize(normal_values(DISCS + 1, 3), dim=-1)
+    albedo = 0.7 + 0.1 * normal_values(DISCS + 1, 3)
     depth = torch.linspace(0.1, 1.0, DISCS + 1).expand(n, -1).unsqueeze(-1)
-    noisy = 0.7 * drawn(DISCS + 1, 1)
-    discs = torch.cat((normal, albedo, depth, noisy), -1)  # n discs 8
-    waves = drawn(HIDDEN - 1, 3)
-    mixing = torch.randn(LATENT, HIDDEN, generator=torch.Generator().manual_seed(7)) / 2
-    y, x = torch.meshgrid(torch.arange(side) + 0.5, torch.arange(side) + 0.5, indexing="ij")
-    for index in range(FRAMES):
-        at = centre + index * speed  # n discs 2
-        near = (x - at[..., 0, None, None]).square() + (y - at[..., 1, None, None]).square()
-        covers = near < radius[..., None, None].square()
-        last = torch.ones_like(covers[:, :1])
-        front = torch.cat((covers, last), 1).to(torch.uint8).argmax(1).flatten(1)  # first True
-        shown = discs.gather(1, front.unsqueeze(-1).expand(-1, -1, 8))
-        shown = shown.transpose(1, 2).reshape(n, 8, side, side)
-        turn = waves[..., 0, None, None] * x + waves[..., 1, None, None] * y
-        turn = turn * (2 * math.pi / side) + waves[..., 2, None, None] * (3 + 0.2 * index)
-        wave = turn.sin()  # n HIDDEN-1 h w
-        log_sigma = shown[:, 7:] + 0.4 * wave[:, :1]
-        truth = shown[:, 3:6].mean(1, keepdim=True).clamp_min(0.3)
+    noisiness = 0.7 * normal_values(DISCS + 1, 1)
+    discs = torch.cat((normal, albedo, depth, noisiness), -1)  # n discs 8
+    waves = normal_values(HIDDEN_VALUES - 1, 3)
+    mixing = torch.randn(LATENT, HIDDEN_VALUES, generator=torch.Generator().manual_seed(7)) / 2
+    for index in range(EPISODE_FRAMES):
+        surface = _rasterize(discs, centre + index * speed, radius, side)
+        wave = _wave(waves, index, side)
+        log_sigma = surface[:, 7:] + 0.4 * wave[:, :1]
+        truth = surface[:, 3:6].mean(1, keepdim=True).clamp_min(0.3)
         hidden = torch.cat((log_sigma, 3 * (truth - 0.7), wave[:, 1:]), 1)
         latent = torch.tanh(torch.einsum("lk,nkhw->nlhw", mixing, hidden))
-        latent = latent + HAZE * drawn(LATENT, side, side)
-        sigma = NOISY * log_sigma.exp()
+        latent = latent + LATENT_NOISE * normal_values(LATENT, side, side)
+        sigma = MEDIAN_DEVIATION * log_sigma.exp()
         yield ToyFrame(
             index=index,
-            seen=torch.cat((shown[:, :7], latent), 1),
+            observation=torch.cat((surface[:, :7], latent), 1),
             truth=truth,
             sigma=sigma,
-            **_noise(truth, sigma, generator),
+            **_draw_noise(truth, sigma, generator),
         )
 
 
-def _noise(truth: Tensor, sigma: Tensor, generator: torch.Generator) -> dict[str, Any]:
-    """What is drawn around the truth: prior, stored samples, keys."""
+def _rasterize(discs: Tensor, at: Tensor, radius: Tensor, side: int) -> Tensor:
+    """[n 8 h w] The values of the frontmost disc at each pixel; `at` [n discs 2] are centres."""
+    y, x = _pixel_centres(side)
+    distance = (x - at[..., 0, None, None]).square() + (y - at[..., 1, None, None]).square()
+    covers = distance < radius[..., None, None].square()
+    background = torch.ones_like(covers[:, :1])
+    front = torch.cat((covers, background), 1).to(torch.uint8).argmax(1).flatten(1)  # first True
+    values = discs.gather(1, front.unsqueeze(-1).expand(-1, -1, 8))
+    return values.transpose(1, 2).reshape(len(discs), 8, side, side)
+
+
+def _wave(waves: Tensor, index: int, side: int) -> Tensor:
+    """[n waves h w] Sine waves over the image, slowly moving."""
+    y, x = _pixel_centres(side)
+    phase = waves[..., 0, None, None] * x + waves[..., 1, None, None] * y
+    phase = phase * (2 * math.pi / side) + waves[..., 2, None, None] * (3 + 0.2 * index)
+    return phase.sin()
+
+
+def _pixel_centres(side: int) -> tuple[Tensor, Tensor]:
+    y, x = torch.meshgrid(torch.arange(side) + 0.5, torch.arange(side) + 0.5, indexing="ij")
+    return y, x
+
+
+def _draw_noise(truth: Tensor, sigma: Tensor, generator: torch.Generator) -> dict[str, Any]:
+    """The random fields of a ToyFrame: prior, stored samples, rounding seeds."""
     n, _, h, w = truth.shape
-    spread = (1 + (sigma / truth).square()).log().unsqueeze(1)  # of the logarithm, squared
+    log_variance = (1 + (sigma / truth).square()).log().unsqueeze(1)
     prior, stored = (
-        torch.randn(shape, generator=generator) for shape in ((n, 1, h, w), (n, STORED, 1, h, w))
+        torch.randn(shape, generator=generator)
+        for shape in ((n, 1, h, w), (n, STORED_SAMPLES, 1, h, w))
     )
     return {
-        "prior": truth + sigma * prior / PRIOR**0.5,
-        "stored": truth.unsqueeze(1) * (spread.sqrt() * stored - spread / 2).exp(),
-        "keys": tuple(torch.randint(2**31, (n,), generator=generator).tolist()),
+        "prior": truth + sigma * prior / PRIOR_SAMPLES**0.5,
+        "stored": truth.unsqueeze(1) * (log_variance.sqrt() * stored - log_variance / 2).exp(),
+        "rounding_seeds": tuple(torch.randint(2**31, (n,), generator=generator).tolist()),
     }

@@ -1,42 +1,64 @@
-"""How the sampler learns: policy optimisers behind one interface, by the names of their rows."""
+"""How the sampler learns: learners behind one interface, by name."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from methods.ours.policy import critic, gamma_gradient
 from methods.ours.policy.block_policy_gradient import BlockPolicyGradient, RolloutBatch
 from methods.ours.policy.block_reinforce import BlockReinforce
 from methods.ours.policy.combined import CombinedLearner
+from methods.ours.policy.critic import CriticLearner, make_critic_learner
+from methods.ours.policy.gamma_gradient import make_gamma_learner
 from methods.ours.policy.interface import AllocationProblem, Rollout, SamplerLearner
 from methods.ours.policy.surrogate_gradient import SurrogateLearner
+from rlbench.errors import RlbenchError
 
 __all__ = [
+    "FORMER_NAMES",
     "LEARNERS",
+    "RLLIB_APPO",
+    "AllocationProblem",
+    "BlockPolicyGradient",
+    "BlockReinforce",
     "CombinedLearner",
+    "CriticLearner",
+    "LearnerError",
+    "Rollout",
     "RolloutBatch",
     "SamplerLearner",
-    "BlockPolicyGradient",
-    "AllocationProblem",
-    "Rollout",
-    "learner",
+    "SurrogateLearner",
+    "make_learner",
 ]
 
-LEARNERS: dict[str, Callable[[int], SamplerLearner]] = {  # made for a number of channels seen
-    "ppo-pixel": lambda channels: BlockReinforce(),
-    "ppo-pixel+surrogate": lambda channels: CombinedLearner(),
-    "critic": critic.learner,
+LEARNERS: Mapping[str, Callable[[int], SamplerLearner]] = {  # by channels of the observation
+    "reinforce": lambda channels: BlockReinforce(),
+    "reinforce+surrogate": lambda channels: CombinedLearner(),
+    "critic": make_critic_learner,
     "surrogate": lambda channels: SurrogateLearner(),
-    "gamma": lambda channels: gamma_gradient.learner(),
+    "gamma": lambda channels: make_gamma_learner(),
 }
-RLLIB = "rllib-appo"  # has a loop of its own, see methods.ours.policy.appo
+FORMER_NAMES = {"ppo-pixel": "reinforce", "ppo-pixel+surrogate": "reinforce+surrogate"}
+RLLIB_APPO = "rllib-appo"  # trains by its own loop, see methods.ours.policy.appo
 
 
-def learner(name: str, channels: int) -> SamplerLearner:
-    """The learner of a name, for a sampler that sees `channels`; raises LookupError."""
-    if name in LEARNERS:
-        return LEARNERS[name](channels)
-    told = f"'{name}' is no way to train a sampler; there is: {', '.join(LEARNERS)}"
-    if name == RLLIB:
-        told = f"'{RLLIB}' runs its own loop around an environment: methods.ours.policy.appo.train"
-    raise LookupError(told)
+class LearnerError(RlbenchError, LookupError):
+    """An unknown learner, or one that has no loss of its own."""
+
+
+def make_learner(name: str, channels: int) -> SamplerLearner:
+    """The learner of a name, for a sampler with observations of `channels`.
+
+    Raises LearnerError for an unknown name, and for `rllib-appo`.
+
+    >>> make_learner("ppo-pixel", 39) == make_learner("reinforce", 39)  # a former name
+    True
+    """
+    name = FORMER_NAMES.get(name, name)
+    if name == RLLIB_APPO:
+        raise LearnerError(
+            f"'{name}' trains by a loop of its own around an environment: call "
+            "methods.ours.policy.appo.train"
+        )
+    if name not in LEARNERS:
+        raise LearnerError(f"'{name}' is not a learner; choose one of: {', '.join(LEARNERS)}")
+    return LEARNERS[name](channels)

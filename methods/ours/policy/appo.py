@@ -1,4 +1,4 @@
-"""The paper's own tool: APPO of Ray RLlib around a world, in one process or on many machines."""
+"""The paper's own tool: RLlib's APPO around an environment, on one machine or many."""
 
 from __future__ import annotations
 
@@ -8,42 +8,44 @@ from collections.abc import Callable
 
 from torch import nn
 
-from methods.ours.policy.appo_config import Appo
+from methods.ours.policy.appo_config import AppoSettings
 from methods.ours.policy.environment import Env
 from rlbench.errors import RlbenchError
-from rlbench.parallel.ray_executor import QUIET
+from rlbench.parallel.ray_executor import QUIET_ENVIRONMENT
+
+__all__ = ["MissingPackageError", "train"]
 
 NEEDED = ("ray", "gymnasium", "tree")  # tree: dm_tree, which RLlib needs
 
 
-class MissingError(RlbenchError, RuntimeError):
-    """An extra is not installed."""
+class MissingPackageError(RlbenchError, RuntimeError):
+    """A package of an optional extra is not installed."""
 
 
 def train(
-    world: Callable[[], Env],
-    sampler: Callable[[], nn.Module],
+    make_env: Callable[[], Env],
+    make_sampler: Callable[[], nn.Module],
     frames: int,
-    settings: Appo = Appo(),  # noqa: B008  (frozen)
+    settings: AppoSettings = AppoSettings(),  # noqa: B008  (frozen)
     seed: int = 0,
-    every: int = 500,
-    report: Callable[[int, nn.Module], None] = lambda frames, sampler: None,
+    report_every: int = 500,
+    on_progress: Callable[[int, nn.Module], None] = lambda frames, sampler: None,
 ) -> nn.Module:
-    """A sampler trained by APPO for about `frames` frames; `report` is told every so many.
+    """A sampler trained by APPO for about `frames` frames.
 
-    Starting Ray takes some ten seconds; it is stopped again, unless it was running. Raises
-    MissingError where an extra is not installed.
+    `on_progress(frames so far, sampler)` is called every `report_every` frames. Starting Ray takes
+    about ten seconds; it is stopped afterwards, unless it was running before. Raises
+    MissingPackageError without the extra `train`.
     """
-    if missing := [name for name in NEEDED if not _installed(name)]:
-        raise MissingError(
-            f"rllib-appo needs {', '.join(missing)}, which cannot be imported here; "
-            'pip install "rlbench[train]", or train by: ppo-pixel, critic, surrogate, gamma'
+    if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
+        raise MissingPackageError(
+            f"rllib-appo needs {', '.join(missing)}, which cannot be imported. Install it: "
+            'pip install "rlbench[train]", or choose another learner: reinforce, critic, '
+            "surrogate, gamma"
         )
-    os.environ.update({name: os.environ.get(name, value) for name, value in QUIET.items()})
+    os.environ.update(
+        {name: os.environ.get(name, value) for name, value in QUIET_ENVIRONMENT.items()}
+    )
     from methods.ours.policy import rllib
 
-    return rllib.train(world, sampler, frames, settings, seed, every, report)
-
-
-def _installed(name: str) -> bool:
-    return importlib.util.find_spec(name) is not None
+    return rllib.train(make_env, make_sampler, frames, settings, seed, report_every, on_progress)

@@ -1,4 +1,4 @@
-"""The policy gradient with local credit and a price, as a learner: several draws of each frame."""
+"""REINFORCE per block as a learner: several actions on each frame, compared with each other."""
 
 from __future__ import annotations
 
@@ -11,23 +11,27 @@ from torch import Tensor
 from methods.ours.policy.block_policy_gradient import BlockPolicyGradient, RolloutBatch
 from methods.ours.policy.interface import AllocationProblem
 
+__all__ = ["BlockReinforce"]
+
 
 @dataclass
 class BlockReinforce:
-    """Draws around the mean, tried from the same state and compared with each other.
+    """Rolls out several actions around the mean from one state, and compares their errors.
 
-    One step is taken on each set of draws, so that the ratio of new to old probability is 1 and
-    clipping never acts: this is the limit in which a proximal loss is REINFORCE.
+    Each set of actions is used for one step, so the ratio of new to old probability is 1 and the
+    clipping of PPO never acts: in this limit the proximal loss is REINFORCE (Williams 1992).
     """
 
     policy: BlockPolicyGradient = BlockPolicyGradient()  # noqa: RUF009  (frozen)
-    floor: int = 0
+    min_samples: int = 0
     network: None = None
 
-    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
-        """The policy's loss of as many trials as it draws."""
-        mean, corner = situation.act(), self.policy.corner(generator)
+    def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
+        """The policy's loss over its `draws` actions."""
+        mean, corner = problem.act(), self.policy.draw_corner(generator)
         actions = self.policy.antithetic_actions(mean, corner, generator)
-        trial = situation.rollout(actions)
-        drawn = RolloutBatch(actions, trial.errors, trial.counts, corner, situation.multiplicative)
-        return self.policy.loss(mean, drawn)
+        rollout = problem.rollout(actions)
+        batch = RolloutBatch(
+            actions, rollout.errors, rollout.counts, corner, problem.multiplicative
+        )
+        return self.policy.loss(mean, batch)

@@ -1,4 +1,4 @@
-"""Trial and gradient together: the policy gradient, and the surrogate where samples suffice."""
+"""REINFORCE and the surrogate gradient together, where the budget allows the latter."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from methods.ours.policy.block_reinforce import BlockReinforce
 from methods.ours.policy.interface import AllocationProblem
 from methods.ours.policy.surrogate_gradient import SurrogateLearner
 
+__all__ = ["CombinedLearner"]
+
 
 @dataclass
 class CombinedLearner:
-    """The sum of two estimates of one gradient, whose faults are opposite.
+    """The sum of two estimates of one gradient, with opposite faults.
 
-    The policy gradient counts all that a sample does, in pixels around it and in those that have
-    none, and is noisy. The surrogate has little noise, but takes what a denoiser makes of counts as
-    given, and says nothing of pixels without samples: it joins at budgets that could give every
-    pixel one, though none is bound to have it. Behind the networks of `ours` both are about equally
-    long, and they are not weighted.
+    REINFORCE counts every effect of a sample, on neighbouring pixels and on pixels without samples,
+    but is noisy. The surrogate gradient has little noise, but ignores that the denoiser reads the
+    counts, and says nothing about pixels without samples: it joins at budgets of 1 spp and more,
+    which could give every pixel a sample, though no pixel has to have one. Behind the networks of
+    `ours` both have about the same length, and they are not weighted.
     """
 
-    trial: BlockReinforce = field(default_factory=BlockReinforce)
-    gradient: SurrogateLearner = field(default_factory=SurrogateLearner)
-    floor: int = 0
+    reinforce: BlockReinforce = field(default_factory=BlockReinforce)
+    surrogate: SurrogateLearner = field(default_factory=SurrogateLearner)
+    min_samples: int = 0
     network: None = None
 
-    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
+    def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """The policy's loss and, from 1 spp on, the image's."""
-        loss = self.trial.loss(situation, generator)
-        if situation.spp >= self.gradient.floor:
-            loss = loss + self.gradient.loss(situation, generator)
+        loss = self.reinforce.loss(problem, generator)
+        if problem.spp >= self.surrogate.min_samples:
+            loss = loss + self.surrogate.loss(problem, generator)
         return loss

@@ -1,4 +1,4 @@
-"""The sampler's world: reset, act on every pixel, see what came of it."""
+"""The sampler's reinforcement-learning environment: reset, act on every pixel, observe."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from typing import NamedTuple, Protocol
 from jaxtyping import Float
 from torch import Tensor
 
-OUTCOMES = 2  # channels after what is seen: error and counts of the action before
+__all__ = ["Env", "StepResult"]
 
 
 class StepResult(NamedTuple):
-    """What came of one action, and what is seen next."""
+    """The results of one action, and the next observation."""
 
     errors: Float[Tensor, "1 1 h w"]  # of each pixel of the image, >= 0
-    counts: Float[Tensor, "1 1 h w"]  # samples bought
-    seen: Float[Tensor, "1 c h w"]  # of the next frame; of the same at the end
-    over: bool  # was that the last frame of the episode?
+    counts: Float[Tensor, "1 1 h w"]  # samples drawn
+    observation: Float[Tensor, "1 c h w"]  # of the next frame; of this one at the end
+    truncated: bool  # was this the last frame of the episode?
 
 
 class Env(Protocol):
-    """Episodes of frames, one at a time. `ours` with its networks behind can be one."""
+    """Episodes of frames, one at a time; the action is a map. `methods.ours.environment` is one."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Channels seen, rows, columns."""
+        """Channels, rows and columns of an observation."""
 
     def reset(self) -> Float[Tensor, "1 c h w"]:
-        """Begin the next episode: what is seen of its first frame."""
+        """Start the next episode; returns the observation of its first frame."""
 
     def step(self, action: Float[Tensor, "1 1 h w"]) -> StepResult:
-        """Buy by an action, denoise, and go on to the next frame."""
+        """Draw samples by an action, denoise, and go on to the next frame."""

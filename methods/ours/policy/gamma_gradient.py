@@ -11,15 +11,19 @@ from baselines.dasr import gamma
 from methods.ours.policy.surrogate_gradient import SurrogateLearner
 from rlbench.frames import Frame, Samples
 
+__all__ = ["gamma_gradient_per_sample", "make_gamma_learner"]
 
-def gamma_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
-    """The same samples, scaled so that their mean is one of `due` samples drawn anew.
 
-    In the way of Salehi et al. 2022, as `baselines.dasr.gamma` draws it, for methods that read
-    samples one by one, which that paper does not treat: slots keep their ratios, so what they tell
-    of the noise stays. Pixels whose samples are all black show the drawn mean in every filled slot.
+def gamma_gradient_per_sample(
+    samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame
+) -> Samples:
+    """The same samples, scaled so that their mean is a new draw of `relaxed_counts` samples.
+
+    As in Salehi et al. 2022, by `baselines.dasr.gamma`, but for methods that read samples one by
+    one, which that paper does not treat: slots keep their ratios, and with them what they say about
+    the noise. Pixels whose samples are all black show the drawn mean in every filled slot.
     """
-    drawn = gamma.gamma(samples, due, frame).radiance  # n 1 3 h w
+    drawn = gamma.gamma(samples, relaxed_counts, frame).radiance  # n 1 3 h w
     mean = samples.mean.unsqueeze(1)
     black = mean <= 0
     scaled = samples.radiance / mean.where(~black, 1.0) * drawn
@@ -27,6 +31,6 @@ def gamma_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) ->
     return replace(samples, radiance=scaled.where(samples.valid_mask, 0.0))
 
 
-def learner() -> SurrogateLearner:
-    """The learner: the image's loss on such samples."""
-    return SurrogateLearner(gamma_each)
+def make_gamma_learner() -> SurrogateLearner:
+    """A learner that differentiates the image's loss through such samples."""
+    return SurrogateLearner(gamma_gradient_per_sample)

@@ -1,4 +1,4 @@
-"""What every policy optimiser is given, and what it gives back: one interface for all of them."""
+"""One interface for every way to train the sampler: an allocation problem in, a loss out."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from torch import Tensor, nn
 
 from rlbench.training.surrogate_gradient import SampleGradient
 
+__all__ = ["AllocationProblem", "Rollout", "SamplerLearner"]
+
 
 class Rollout(NamedTuple):
-    """What came of k actions that were tried from the same frame and state."""
+    """The results of k actions, each from the same frame and state."""
 
     errors: Float[Tensor, "k n 1 h w"]  # of each pixel of the image, >= 0, one realisation
-    counts: Float[Tensor, "k n 1 h w"]  # whole samples that were bought
+    counts: Float[Tensor, "k n 1 h w"]  # samples drawn
 
 
 class AllocationProblem(Protocol):
-    """One frame in which a sampler must act: a known problem, or `ours` with a denoiser behind."""
+    """One frame in which a sampler acts: a toy problem, or `ours` with its denoiser."""
 
     @property
     def spp(self) -> float:
@@ -27,35 +29,35 @@ class AllocationProblem(Protocol):
 
     @property
     def multiplicative(self) -> bool:
-        """Does the density grow by factors with the action, or by steps?"""
+        """Does a step of the action multiply the density by a factor, or add to it?"""
 
     @property
-    def seen(self) -> Float[Tensor, "n c h w"]:
-        """What the sampler sees before anything is bought, without gradient."""
+    def observation(self) -> Float[Tensor, "n c h w"]:
+        """The sampler's inputs, known before any sample is drawn; without gradient."""
 
     def act(self) -> Float[Tensor, "n 1 h w"]:
-        """The sampler's mean action, in [-1, 1], with a gradient to its weights; anew each call."""
+        """The sampler's mean action, in [-1, 1]; each call has a new graph to its weights."""
 
-    def relaxed(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-        """Samples a pixel that an action is due before rounding: differentiable, at full cost."""
+    def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+        """Samples per pixel before rounding: differentiable, at the exact budget."""
 
     def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
-        """Buy and denoise for each of k actions, from this frame and state, without gradient."""
+        """Draw samples and denoise for each of k actions, without gradient."""
 
-    def surrogate_loss(self, teach: SampleGradient) -> Float[Tensor, ""]:
-        """The loss of the mean action's image, whose gradient reaches `act` through `teach`."""
+    def surrogate_loss(self, sample_gradient: SampleGradient) -> Float[Tensor, ""]:
+        """The loss of the mean action's image; its gradient reaches `act` by `sample_gradient`."""
 
 
 class SamplerLearner(Protocol):
-    """A way to train a sampler; stateful, for prices, critics and replays are remembered."""
+    """A way to train a sampler. It may be stateful: a critic has a replay buffer."""
 
     @property
-    def floor(self) -> int:
-        """Least samples a pixel must have for this way of learning; situations must obey."""
+    def min_samples(self) -> int:
+        """Fewest samples of a pixel that this learner can differentiate at."""
 
     @property
     def network(self) -> nn.Module | None:
-        """What it trains beside the sampler, by the same optimiser and the same loss."""
+        """A network trained beside the sampler, by the same optimiser and loss; None without."""
 
-    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
+    def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
         """A scalar whose gradient is one step of the sampler, and of `network`."""

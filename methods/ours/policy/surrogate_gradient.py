@@ -1,4 +1,4 @@
-"""The gradient approximation: every bought sample moves towards the truth as its share grows."""
+"""The surrogate gradient: every drawn sample moves towards the truth as its count grows."""
 
 from __future__ import annotations
 
@@ -12,31 +12,37 @@ from methods.ours.policy.interface import AllocationProblem
 from rlbench.frames import Frame, Samples
 from rlbench.training.surrogate_gradient import SampleGradient
 
+__all__ = ["SurrogateLearner", "kuznetsov_gradient_per_sample"]
 
-def pull_each(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
-    """The same samples, each of which moves towards the truth as the share that is due grows.
+
+def kuznetsov_gradient_per_sample(
+    samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame
+) -> Samples:
+    """The same samples, with a gradient to the relaxed counts in each of them.
 
     For methods that read samples one by one (A1 of Scardigli et al. 2023). One sample more would
     move the mean of s samples by (T - I) / s on average (Kuznetsov et al. 2018); here every filled
-    slot X has dX/ds = (T - X) / s, so that their mean has exactly that. Empty slots contribute
-    nothing, where the authors' release also counts the padding. At a count of 0 there is no slope.
+    slot X has dX/ds = (T - X) / s, so that their mean has exactly that gradient. Empty slots
+    contribute nothing, where the authors' release also counts the padding. A pixel without samples
+    has no gradient.
     """
-    nought = (due - due.detach()).unsqueeze(1)  # zero, but with a gradient
+    zero = (relaxed_counts - relaxed_counts.detach()).unsqueeze(1)  # with a gradient of 1
     counts = samples.counts.clamp_min(1).unsqueeze(1)
-    away = (frame.reference.mean.unsqueeze(1) - samples.radiance).detach() / counts
-    return replace(
-        samples, radiance=samples.radiance + nought * away.where(samples.valid_mask, 0.0)
-    )
+    slope = (frame.reference.mean.unsqueeze(1) - samples.radiance).detach() / counts
+    return replace(samples, radiance=samples.radiance + zero * slope.where(samples.valid_mask, 0.0))
 
 
 @dataclass
 class SurrogateLearner:
-    """No trial and no error: the image's own loss, differentiated through what was bought."""
+    """No exploration: the image's own loss, differentiated through the drawn samples."""
 
-    teach: SampleGradient = pull_each
-    floor: int = 1  # a pixel without samples has no slope
+    sample_gradient: SampleGradient = kuznetsov_gradient_per_sample
+    min_samples: int = 1  # a pixel without samples has no gradient
     network: None = None
 
-    def loss(self, situation: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
-        """The image's loss; pixels at a bound get no gradient, the normalisation is in it."""
-        return situation.surrogate_loss(self.teach)
+    def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
+        """The image's loss.
+
+        The gradient includes the normalisation to the budget; pixels at a bound get none.
+        """
+        return problem.surrogate_loss(self.sample_gradient)

@@ -1,4 +1,4 @@
-"""Every claim of the suite, in the order in which they are told."""
+"""The list of all conformance checks, in the order in which they are printed."""
 
 from __future__ import annotations
 
@@ -7,144 +7,185 @@ from dataclasses import dataclass
 
 from rlbench.checks.conformance import budget_checks, interface_checks, state_checks
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.result import Finding
+from rlbench.family import Traits
 
-Test = Callable[[MethodUnderTest], Finding | None]  # None where the claim holds
+__all__ = ["CHECKS", "Check"]
+
+
+def _always_applies(traits: Traits) -> str | None:
+    """No reason to skip the check."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """What is said of every method, what would do where it fails, and how it is tried."""
+    """A requirement of every method, how it is tested, and how to meet it."""
 
-    sentence: str
+    name: str
+    requirement: str  # in the imperative, as printed
     remedy: str
-    test: Test
-    depends_on: tuple[str, ...] = ("built", "runs")  # claims without which this one cannot be told
-
-    @property
-    def name(self) -> str:
-        """The test's name, unique among the claims."""
-        return str(getattr(self.test, "__name__", self.test))
+    find_fault: Callable[[MethodUnderTest], str | None]
+    requires: tuple[str, ...] = ("built", "odd_size")  # skipped unless these checks pass
+    skip_reason: Callable[[Traits], str | None] = _always_applies
 
 
-_COMPARED = ("built", "runs", "repeats")  # before it is told that two runs are alike
-_STATE = "keep what is remembered in the state that is returned, and nowhere else"
-_PAD = "pad and crop as rlbench/ops/pad.py"
-_SPP = "declare in Traits(spp=...) what it can do; floor and cap are limits too"
+_COMPARED = ("built", "odd_size", "determinism")  # required where two runs are compared
+_STATE = "keep all memory in the returned state, none in the method or in modules"
+_PAD = "pad and crop as in rlbench.ops (pad, crop)"
+_SPP_RANGE = "set Traits(spp_range=...) to the supported budgets, given min_samples and max_samples"
 
 _ALL = (
     Check(
-        "it is built with the traits that its family declares",
-        "build a Method, with the traits of its row in the family's variants",
-        interface_checks.built,
-        depends_on=(),
+        "built",
+        "build a Method with the declared traits",
+        "return a Method from `build`, with the traits of its variant in FAMILY",
+        interface_checks.check_built,
+        requires=(),
     ),
     Check(
-        "it is a frozen dataclass",
-        "make it a @dataclass(frozen=True), and return what it remembers as its state",
-        interface_checks.frozen,
-        depends_on=("built",),
+        "frozen",
+        "be a frozen dataclass",
+        "decorate the class with @dataclass(frozen=True) and return memory as the state",
+        interface_checks.check_frozen,
+        requires=("built",),
     ),
     Check(
-        "it runs on frames of 77 x 123 pixels",
-        f"take any size ({_PAD}), and any budget within Traits(spp=...)",
-        interface_checks.runs,
-        depends_on=("built",),
-    ),
-    Check("it runs on frames of 9 x 13 pixels", _PAD, interface_checks.small),
-    Check(
-        "it shows finite linear radiance in single precision",
-        "end in .float(); clamp what is divided by",
-        interface_checks.image,
+        "odd_size",
+        "run on frames of 77 x 123 pixels",
+        f"support any size ({_PAD}) and any budget within Traits(spp_range=...)",
+        interface_checks.check_odd_size,
+        requires=("built",),
     ),
     Check(
-        "its densities are finite and not negative, one for each pass",
-        "return values >= 0, [n 1 h w]; their scale does not matter",
-        interface_checks.density,
+        "tiny_size",
+        "run on frames of 9 x 13 pixels",
+        _PAD,
+        interface_checks.check_tiny_size,
     ),
     Check(
-        "it wants all pixels alike where it declares not to adapt",
-        "declare Traits(adaptive=True), or return ones",
-        interface_checks.uniform,
+        "image",
+        "return images of finite linear radiance in float32",
+        "end with .float(), and clamp divisors, e.g. x / y.clamp_min(1e-6)",
+        interface_checks.check_image,
     ),
     Check(
-        "it reads exactly the view buffers that it declares",
-        "declare in Traits(inputs=...) what it reads",
-        interface_checks.reads,
+        "density",
+        "return one finite, non-negative density per pass",
+        "return values >= 0 of shape [n 1 h w] from `plan`; their scale does not matter",
+        interface_checks.check_density,
     ),
     Check(
-        "it runs in half precision too",
-        "let no operation meet tensors of two precisions; .float() after a network will do",
-        interface_checks.half,
-        depends_on=("built", "runs", "image", "density"),
+        "uniform",
+        "return a constant density unless declared adaptive",
+        "declare Traits(adaptive=True), or return torch.ones_like(...) from `plan`",
+        interface_checks.check_uniform,
+        skip_reason=interface_checks.skip_adaptive,
     ),
     Check(
-        "it writes to nothing that it is given: view, samples, state",
-        "use the operation without a trailing _, or clone first",
-        interface_checks.inputs,
+        "inputs",
+        "declare exactly the G-buffer inputs that are read",
+        "declare Traits(inputs=frozenset({...})) with the buffers that are read",
+        interface_checks.check_inputs,
     ),
     Check(
-        "it holds no autograd graph",
-        "call .eval().requires_grad_(False) on its networks where they are built",
-        interface_checks.graph,
+        "half_precision",
+        "run in half precision (bfloat16 autocast)",
+        "call .float() on the output of each network before combining it with float32 tensors",
+        interface_checks.check_half_precision,
+        requires=("built", "odd_size", "image", "density"),
     ),
     Check(
-        "it buys its budget to the sample",
-        "let the last of Traits(passes=...) be 1.0",
-        budget_checks.budget,
-    ),
-    Check("it runs at both ends of its range of budgets, and between", _SPP, budget_checks.spread),
-    Check(
-        "it runs without a single sample where it declares no lower limit",
-        "divide by counts.clamp_min(1), as samples.mean does; or declare a limit",
-        budget_checks.nothing,
+        "in_place",
+        "leave gbuffer, samples and state unmodified",
+        "use operations without a trailing underscore, or .clone() the tensor first",
+        interface_checks.check_in_place,
     ),
     Check(
-        "it runs on a pool of two samples a pixel",
-        "take the number of slots from samples.radiance.shape[1]",
-        budget_checks.fewer,
+        "autograd",
+        "return tensors without an autograd graph",
+        "call .eval().requires_grad_(False) on networks in `build`",
+        interface_checks.check_autograd,
     ),
     Check(
-        "it shows the same in a second run, bit for bit",
-        "draw from a torch.Generator with a seed of its own; " + _STATE,
-        state_checks.repeats,
+        "budget",
+        "draw exactly the budget",
+        "let Traits(passes=...) end with 1.0",
+        budget_checks.check_budget,
     ),
     Check(
-        "it sees neither the reference nor unbought samples",
-        "use no more than view, samples and state",
-        budget_checks.leak,
+        "spp_range",
+        "run at the lowest and highest supported budget, and between",
+        _SPP_RANGE,
+        budget_checks.check_spp_range,
+    ),
+    Check(
+        "zero_samples",
+        "run without samples unless a minimum budget is declared",
+        "use samples.mean or divide by counts.clamp_min(1), or set Traits(spp_range=...)",
+        budget_checks.check_zero_samples,
+        skip_reason=budget_checks.skip_lower_limit,
+    ),
+    Check(
+        "small_pool",
+        "run on a pool of two samples per pixel",
+        "read the number of sample slots from samples.radiance.shape[1]",
+        budget_checks.check_small_pool,
+        skip_reason=budget_checks.skip_above_small_pool,
+    ),
+    Check(
+        "determinism",
+        "return bit-identical images in a second run",
+        f"draw from a seeded torch.Generator; {_STATE}",
+        state_checks.check_determinism,
+    ),
+    Check(
+        "leak",
+        "use neither the reference nor undrawn samples",
+        "use only the arguments gbuffer, samples and state",
+        budget_checks.check_leak,
         _COMPARED,
     ),
     Check(
-        "it shows two clips at once as each alone",
-        "reduce over c, h and w, never over n",
-        state_checks.batch,
+        "batch",
+        "treat the clips of a batch independently",
+        "reduce over dimensions c, h and w, never over n",
+        state_checks.check_batch,
         (*_COMPARED, "density"),
     ),
-    Check("it keeps apart clips that are advanced in turn", _STATE, state_checks.alone, _COMPARED),
     Check(
-        "it needs no motion where nothing moves",
-        "view.motion is None there, which rlbench/ops/reprojection.py takes",
-        state_checks.static,
-    ),
-    Check(
-        "it remembers nothing where another shot begins",
-        "move the state by rlbench.ops.reprojection.recall: what comes from outside is missing",
-        state_checks.cut,
+        "interleaved",
+        "treat clips that run in turns independently",
+        _STATE,
+        state_checks.check_interleaved,
         _COMPARED,
     ),
     Check(
-        "it shows each frame as if alone where it declares no memory",
+        "static",
+        "run without motion on static clips",
+        "pass gbuffer.motion, which is None there, to rlbench.ops.reproject unchanged",
+        state_checks.check_static,
+    ),
+    Check(
+        "cut",
+        "discard history at cuts",
+        "reproject the state with rlbench.ops.reproject_or_fill, which replaces what lay outside",
+        state_checks.check_cut,
+        _COMPARED,
+    ),
+    Check(
+        "temporal",
+        "depend on one frame alone unless declared temporal",
         "declare Traits(temporal=True)",
-        state_checks.temporal,
+        state_checks.check_temporal,
         _COMPARED,
+        state_checks.skip_temporal,
     ),
     Check(
-        "it shows the same again from a copy of its state",
-        _STATE + "; let it be of tensors and plain values",
-        state_checks.replay,
+        "state_copy",
+        "return the same results from a copy of the state",
+        f"{_STATE}; build the state from tensors and plain values",
+        state_checks.check_state_copy,
         _COMPARED,
     ),
 )
 
-CHECKS = {claim.name: claim for claim in _ALL}
+CHECKS = {check.name: check for check in _ALL}

@@ -1,4 +1,4 @@
-"""The clips that claims are tried on: closed-form worlds, kept in memory and shared by methods."""
+"""Clips for the conformance checks: closed-form, in memory, shared by all methods."""
 
 from __future__ import annotations
 
@@ -7,79 +7,81 @@ from dataclasses import replace
 from functools import cache
 
 import torch
-from torch import Tensor
 
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 from rlbench.run import FrameResult
 
-ODD = Size(1, 77, 123)  # divides by nothing that a network halves by
-SMALL = Size(1, 37, 53)  # as odd, where size is not what is asked about
-TINY = Size(1, 9, 13)  # both sides below the 16 or 32 pixels that networks halve to one
-FRAMES = 3  # one without history, one with, and one whose history had history
-SEED, OTHER = 3, 8  # of two worlds
-POOL = 8  # samples of each pixel
-AWAY = -2.0  # images, along both axes, that motion leads at a cut
+ODD_SIZE = Size(1, 77, 123)  # neither side is divisible by any stride of a network
+SMALL_SIZE = Size(1, 37, 53)  # odd as well, for checks in which the size does not matter
+TINY_SIZE = Size(1, 9, 13)  # both sides below the 16 or 32 pixels that networks reduce to one
+FRAMES = 3  # one without history, one with, and one whose history has a history
+SEED, OTHER_SEED = 3, 8  # of two different clips
+POOL_SPP = 8  # samples per pixel in the pool
+CUT_MOTION = -2.0  # image sizes, along both axes, that motion points away at a cut
 
 
 @cache
-def world(
-    device: torch.device, seed: int, size: Size, pool: int = POOL, static: bool = False
+def make_clip(
+    device: torch.device, seed: int, size: Size, pool_spp: int = POOL_SPP, static: bool = False
 ) -> InMemoryClip:
-    """A closed-form clip in memory. Nothing may be written to it, for all methods see it.
+    """A closed-form clip in memory. All methods share it, so nothing may write to it.
 
-    Its samples stand for those of any kind of pool. Beside the four view buffers it has those of
-    what lies behind glass and mirrors, which are the same, for there is no glass here.
+    Its samples stand in for every kind of pool. It has every buffer of the clip format. The
+    buffers behind glass and mirrors equal those of the first surface, because it has no glass.
     """
-    made = procedural(seed, size, FRAMES, pool, static=static, device=device)
-    return clip_of([replace(frame, gbuffer=_whole(frame.gbuffer)) for frame in made])
+    clip = procedural_clip(seed, size, FRAMES, pool_spp, static=static, device=device)
+    return to_clip([replace(frame, gbuffer=_add_buffers(frame.gbuffer)) for frame in clip])
 
 
-def clip_of(frames: Sequence[Frame]) -> InMemoryClip:
-    """Frames as a clip."""
-    return InMemoryClip("world", "procedural", "", tuple(frames))
+def to_clip(frames: Sequence[Frame]) -> InMemoryClip:
+    """A clip of these frames."""
+    return InMemoryClip("conformance", "procedural", "", tuple(frames))
 
 
-def cut(frame: Frame) -> Frame:
-    """The frame as the first of another shot: all motion leads outside."""
-    _, _, h, w = frame.gbuffer.buffers["motion"].shape
-    away = frame.gbuffer.buffers["motion"].new_tensor([AWAY * w, AWAY * h])
-    motion = away.view(1, 2, 1, 1).expand_as(frame.gbuffer.buffers["motion"])
-    return replace(frame, gbuffer=GBuffer({**frame.gbuffer.buffers, "motion": motion}))
+def start_new_shot(frame: Frame) -> Frame:
+    """The frame as the first of a new shot: all motion points outside the image."""
+    buffers = frame.gbuffer.buffers
+    _, _, h, w = buffers["motion"].shape
+    outside = buffers["motion"].new_tensor([CUT_MOTION * w, CUT_MOTION * h])
+    motion = outside.view(1, 2, 1, 1).expand_as(buffers["motion"])
+    return replace(frame, gbuffer=GBuffer({**buffers, "motion": motion}))
 
 
-def with_nan_reference(shown: FrameResult) -> Frame:
-    """The frame with NaN for its reference and for every sample that was not bought of it."""
-    frame, nan = shown.frame, float("nan")
-    pool = _stored(frame)
-    radiance = pool.radiance.where(shown.samples.valid_mask, nan)
-    halves = torch.full_like(frame.reference.half_a, nan)
-    reference = Reference(halves, halves)
+def with_nan_reference(result: FrameResult) -> Frame:
+    """The result's frame with NaN as its reference and in every sample that was not drawn."""
+    frame, nan = result.frame, float("nan")
+    pool = _stored_pool(frame)
+    radiance = pool.radiance.where(result.samples.valid_mask, nan)
+    half = torch.full_like(frame.reference.half_a, nan)
+    reference = Reference(half, half)
     return replace(frame, pool=StoredPool(radiance, pool.rounding_seeds), reference=reference)
 
 
-def only(frame: Frame, i: int) -> Frame:
-    """One clip of a batch."""
-    part, pool = slice(i, i + 1), _stored(frame)
-    buffers = {key: buffer[part] for key, buffer in frame.gbuffer.buffers.items()}
+def select_batch_item(frame: Frame, i: int) -> Frame:
+    """The frame of clip `i` of a batch."""
+    item, pool = slice(i, i + 1), _stored_pool(frame)
+    buffers = {name: buffer[item] for name, buffer in frame.gbuffer.buffers.items()}
     return Frame(
         frame.index,
         replace(frame.gbuffer, buffers=buffers),
-        StoredPool(pool.radiance[part], pool.rounding_seeds[part]),
-        Reference(frame.reference.half_a[part], frame.reference.half_b[part]),
+        StoredPool(pool.radiance[item], pool.rounding_seeds[item]),
+        Reference(frame.reference.half_a[item], frame.reference.half_b[item]),
     )
 
 
-def _stored(frame: Frame) -> StoredPool:
+def _stored_pool(frame: Frame) -> StoredPool:
     assert isinstance(frame.pool, StoredPool)
     return frame.pool
 
 
-def _whole(gbuffer: GBuffer) -> GBuffer:
-    """The view with every buffer that format v1 knows."""
-    seen: dict[str, Tensor] = dict(gbuffer.buffers)
-    seen["object"] = seen["depth"].isfinite().float()
-    seen["albedo_first"] = seen["albedo"]
-    seen |= {f"{name}_psr": seen[name] for name in ("normal", "depth", "object")}
-    return replace(gbuffer, buffers=seen)
+def _add_buffers(gbuffer: GBuffer) -> GBuffer:
+    """The G-buffer with every buffer of the format: `normal_NAME` is `normal`, and so on."""
+    buffers = {**gbuffer.buffers, "object": gbuffer.buffers["depth"].isfinite().float()}
+    for name in BUFFER_CHANNELS:
+        first_surface = name.partition("_")[0]
+        if first_surface in buffers:  # static clips have no motion
+            buffers.setdefault(name, buffers[first_surface])
+    return replace(gbuffer, buffers=buffers)

@@ -1,8 +1,11 @@
-"""Claims of form: how a method is built, what it reads, and what it returns."""
+"""Checks of the interface: how a method is built, what it reads, and what it returns.
+
+A check returns a description of the fault, or None if the method conforms.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -10,120 +13,136 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.conformance import clips
-from rlbench.checks.conformance.method_under_test import MethodUnderTest, Run
-from rlbench.checks.conformance.recording import RecordingMethod, flaw
-from rlbench.checks.result import Finding, moot, wrong
+from rlbench.checks.conformance.method_under_test import MethodUnderTest, RecordedRun
+from rlbench.checks.conformance.recording import RecordingMethod, find_density_error
+from rlbench.family import Traits
 from rlbench.run import FrameResult, run_clip, unroll
 from rlbench.wrappers import HalfPrecision
 
 
-def built(subject: MethodUnderTest) -> Finding | None:
-    """Its traits are those of its family's table; anything else `registry.method` refuses."""
-    if subject.method.traits == subject.traits:
-        return None
-    return wrong(f"it is built with {subject.method.traits}, and declared with {subject.traits}")
+def check_built(method_under_test: MethodUnderTest) -> str | None:
+    """Its traits equal those of its family; `registry.method` raises for any other fault."""
+    actual, declared = method_under_test.method.traits, method_under_test.traits
+    return None if actual == declared else f"expected {declared}, found {actual}"
 
 
-def frozen(subject: MethodUnderTest) -> Finding | None:
-    """An attribute that can be set is a memory that the bench cannot see."""
-    kind = type(subject.method)
+def check_frozen(method_under_test: MethodUnderTest) -> str | None:
+    """An attribute that can be set is memory that a benchmark cannot reset."""
+    kind = type(method_under_test.method)
     parameters: Any = getattr(kind, "__dataclass_params__", None)
     if is_dataclass(kind) and parameters.frozen:
         return None
-    return wrong(f"it is a {kind.__name__}, which can be written to")
+    return f"expected a frozen dataclass, found {kind.__name__}, whose attributes can be set"
 
 
-def runs(subject: MethodUnderTest) -> Finding | None:
-    """No network halves 77 or 123 pixels without padding."""
-    return _shows(subject.default_run)
+def check_odd_size(method_under_test: MethodUnderTest) -> str | None:
+    """No strided network fits 77 or 123 pixels without padding."""
+    return _find_wrong_size(method_under_test.default_run)
 
 
-def small(subject: MethodUnderTest) -> Finding | None:
-    """Sides that are smaller than what a network halves to one pixel, or pads by."""
-    return _shows(subject.run(clips.world(subject.device, clips.SEED, clips.TINY)))
+def check_tiny_size(method_under_test: MethodUnderTest) -> str | None:
+    """Both sides are smaller than what a network reduces to one pixel, or pads by."""
+    clip = clips.make_clip(method_under_test.device, clips.SEED, clips.TINY_SIZE)
+    return _find_wrong_size(method_under_test.run(clip))
 
 
-def image(subject: MethodUnderTest) -> Finding | None:
-    """As metrics take it, which would broadcast or round anything else without a word."""
-    size = subject.size
-    for shown in subject.default_run.shown:
-        found = shown.image
-        if found.shape != (1, 3, size.h, size.w) or found.dtype != torch.float32:
-            return wrong(f"frame {shown.frame.index} is of {found.dtype} {list(found.shape)}")
-    why = unsound(subject.default_run.shown)
-    return wrong(why) if why else None
+def check_image(method_under_test: MethodUnderTest) -> str | None:
+    """Metrics would broadcast any other shape and round any other type silently."""
+    expected = (1, 3, method_under_test.size.h, method_under_test.size.w)
+    for frame in method_under_test.default_run.frames:
+        image = frame.image
+        if image.shape != expected or image.dtype != torch.float32:
+            found = f"{image.dtype} {list(image.shape)}"
+            return f"expected torch.float32 {list(expected)}, found {found} in {_label(frame)}"
+    return find_nonfinite(method_under_test.default_run.frames)
 
 
-def half(subject: MethodUnderTest) -> Finding | None:
-    """Autocast gives convolutions of bfloat16, and leaves the rest to meet them."""
-    halved = RecordingMethod(HalfPrecision(subject.method, subject.device))
-    why = unsound(list(run_clip(halved, subject.small(), subject.budget)))
-    return wrong(why) if why else None
-
-
-def density(subject: MethodUnderTest) -> Finding | None:
-    """What is not finite or is negative cannot be bought."""
-    size, watched = subject.size, subject.default_run.watched
-    for wished in watched.densities:
-        if why := flaw(wished, (1, 1, size.h, size.w)):
-            return wrong(why)
-    wanted = clips.FRAMES * len(subject.traits.passes)
-    if len(watched.densities) != wanted:
-        return wrong(f"there are {len(watched.densities)}, wanted {wanted}")
+def check_density(method_under_test: MethodUnderTest) -> str | None:
+    """No samples can be allocated by a density that is negative, infinite or NaN."""
+    size, densities = method_under_test.size, method_under_test.default_run.recording.densities
+    for density in densities:
+        if error := find_density_error(density, (1, 1, size.h, size.w)):
+            return error
+    expected = clips.FRAMES * len(method_under_test.traits.passes)
+    if len(densities) != expected:
+        return f"expected {expected} densities, found {len(densities)}"
     return None
 
 
-def uniform(subject: MethodUnderTest) -> Finding | None:
-    """Of a stored clip it is given no more samples than uniform sampling needs."""
-    if subject.traits.adaptive:
-        return moot("it declares that it adapts")
-    for wished in subject.default_run.watched.densities:
-        if isinstance(wished, Tensor) and bool(wished.max() > wished.min()):
-            return wrong(f"one goes from {float(wished.min()):g} to {float(wished.max()):g}")
+def check_uniform(method_under_test: MethodUnderTest) -> str | None:
+    """A stored clip provides no more samples than uniform sampling needs."""
+    for density in method_under_test.default_run.recording.densities:
+        if isinstance(density, Tensor) and bool(density.max() > density.min()):
+            low, high = float(density.min()), float(density.max())
+            return f"expected a constant density, found values from {low:g} to {high:g}"
     return None
 
 
-def reads(subject: MethodUnderTest) -> Finding | None:
-    """What is declared is read from disk or traced, whether or not it is of use."""
-    read, declared = subject.default_run.watched.read, subject.traits.inputs
+def skip_adaptive(traits: Traits) -> str | None:
+    """Why `check_uniform` does not apply, or None."""
+    return "Traits(adaptive=True)" if traits.adaptive else None
+
+
+def check_inputs(method_under_test: MethodUnderTest) -> str | None:
+    """Every declared buffer is read from disk or rendered, whether it is used or not."""
+    read = method_under_test.default_run.recording.buffers_read
+    declared = method_under_test.traits.inputs
     if read == declared:
         return None
-    return wrong(f"it reads {_names(read)}, and declares {_names(declared)}")
+    return f"expected the inputs that are read ({_join(read)}), found {_join(declared)} declared"
 
 
-def inputs(subject: MethodUnderTest) -> Finding | None:
-    """The bench, the trainer and the next pass go on with what it was given."""
-    written = subject.default_run.watched.written
-    return wrong(f"it changes {_names(written)} in place") if written else None
+def check_half_precision(method_under_test: MethodUnderTest) -> str | None:
+    """Under autocast convolutions return bfloat16, which then meets float32."""
+    method = HalfPrecision(method_under_test.method, method_under_test.device)
+    clip, spp = method_under_test.small_clip(), method_under_test.default_spp
+    return find_nonfinite(list(run_clip(RecordingMethod(method), clip, spp)))
 
 
-def graph(subject: MethodUnderTest) -> Finding | None:
-    """A state with a graph keeps all frames before it in memory."""
-    watched = RecordingMethod(subject.method)
-    with torch.inference_mode(False), torch.enable_grad():
-        list(unroll(watched, clips.clip_of(subject.small().frames[:2]), subject.budget))
+def check_in_place(method_under_test: MethodUnderTest) -> str | None:
+    """The benchmark, the trainer and the next pass use the same tensors afterwards."""
+    modified = method_under_test.default_run.recording.modified
     return (
-        wrong(f"gradients would flow through {_names(watched.graphs)}") if watched.graphs else None
+        f"expected unmodified arguments, found changes in {_join(modified)}" if modified else None
     )
 
 
-def unsound(frames: Sequence[FrameResult]) -> str | None:
-    """Which frame has values that are not finite, or None if there is none."""
-    for shown in frames:
-        if bad := int((~torch.isfinite(shown.image)).sum()):
-            told = f"{bad} of {shown.image.numel()} values that are not finite"
-            return f"frame {shown.frame.index} has {told}"
+def check_autograd(method_under_test: MethodUnderTest) -> str | None:
+    """A state that requires gradients keeps all earlier frames in memory."""
+    recording = RecordingMethod(method_under_test.method)
+    clip = clips.to_clip(method_under_test.small_clip().frames[:2])
+    with torch.inference_mode(False), torch.enable_grad():
+        list(unroll(recording, clip, method_under_test.default_spp))
+    if not recording.with_graph:
+        return None
+    found = f"found an autograd graph in {_join(recording.with_graph)}"
+    return f"expected tensors without gradients, {found}"
+
+
+def find_nonfinite(frames: Sequence[FrameResult]) -> str | None:
+    """The first frame whose image has NaN or infinite values, or None."""
+    for frame in frames:
+        if invalid := int((~torch.isfinite(frame.image)).sum()):
+            return (
+                f"expected finite values, found {invalid} of {frame.image.numel()} values "
+                f"that are NaN or infinite in {_label(frame)}"
+            )
     return None
 
 
-def _shows(run: Run) -> Finding | None:
-    """Is there an image of every frame, as large as the frame?"""
-    for shown in run.shown:
-        wanted, found = shown.frame.reference.half_a.shape, shown.image.shape
-        if wanted != found:
-            return wrong(f"an image of {list(found)} for a frame of {list(wanted)}")
+def _find_wrong_size(run: RecordedRun) -> str | None:
+    """The first frame whose image is not as large as the frame, or None."""
+    for frame in run.frames:
+        expected, shape = frame.frame.reference.half_a.shape, frame.image.shape
+        if expected != shape:
+            found = f"found {list(shape)} in {_label(frame)}"
+            return f"expected an image of shape {list(expected)}, {found}"
     return None
 
 
-def _names(some: set[str] | frozenset[str]) -> str:
-    return ", ".join(sorted(some)) or "none"
+def _label(result: FrameResult) -> str:
+    return f"frame {result.frame.index}"
+
+
+def _join(names: Set[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

@@ -1,4 +1,4 @@
-"""One method under examination: built once, run once for all claims that can share a run."""
+"""The method under test: built once, and run once for all checks that can share a run."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch import Tensor
 from rlbench import registry
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.recording import RecordingMethod
-from rlbench.checks.result import Finding
-from rlbench.clips.header import VIEWS
+from rlbench.checks.result import CheckResult
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.family import Traits
 from rlbench.frames import Clip, Size
 from rlbench.method import Method
@@ -24,98 +24,111 @@ from rlbench.system import provenance
 if TYPE_CHECKING:
     from rlbench.clips.in_memory import InMemoryClip
 
-USUAL = 0.6  # samples per pixel: leaves pixels without one where the method allows that
+__all__ = ["MethodUnderTest", "RecordedRun"]
+
+DEFAULT_SPP = 0.6  # samples per pixel: leaves pixels without a sample where the method allows it
 
 
 @dataclass(frozen=True)
-class Run:
-    """A clip that went through the method, and what the method did meanwhile."""
+class RecordedRun:
+    """The results of a clip that ran through the method, and the recording of the method."""
 
-    shown: list[FrameResult]
-    watched: RecordingMethod
+    frames: list[FrameResult]
+    recording: RecordingMethod
 
     @property
     def images(self) -> list[Tensor]:
-        """Of each frame."""
-        return [each.image for each in self.shown]
+        """The image of each frame, [n 3 h w]."""
+        return [frame.image for frame in self.frames]
 
 
 @dataclass(frozen=True)
 class MethodUnderTest:
     """The method `name` on a device; a learned one with random weights.
 
-    Weights are random because no claim is of quality, and because a method whose weights were not
-    trained yet can be checked too.
+    Weights are random because no check concerns quality, and so that a method can be checked before
+    it is trained.
+
+    >>> MethodUnderTest("mean").default_spp
+    0.6
     """
 
     name: str
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
-    size: Size = clips.ODD  # of the frames of most claims
-    lesser: Size = clips.SMALL  # of those where size is not what is asked about
-    told: dict[str, Finding] = field(default_factory=dict, compare=False, repr=False)  # by claim
+    size: Size = clips.ODD_SIZE  # of the frames of most checks
+    small_size: Size = clips.SMALL_SIZE  # of checks in which the size does not matter
+    results: dict[str, CheckResult] = field(  # so far, by name of the check
+        default_factory=dict, compare=False, repr=False
+    )
 
     @cached_property
     def traits(self) -> Traits:
-        """What its family declares."""
-        return registry.variant(self.name).traits
+        """The traits that the family declares."""
+        return registry.get_variant(self.name).traits
 
     @cached_property
-    def absent(self) -> str | None:
-        """Why nothing can be told of it on this machine, or None."""
-        if self.traits.pool not in registry.names("pools"):
-            have = ", ".join(registry.names("pools"))
-            return f"it buys from a '{self.traits.pool}' pool, of those installed here: {have}"
-        if why := registry.import_error("pools", self.traits.pool):
-            return f"its pool '{self.traits.pool}' cannot be had here: {why}"
-        if lacking := " ".join(provenance.missing(registry.variant(self.name).requires)):
-            return f"it needs {lacking}, which is not here: pip install {lacking}"
-        if unknown := self.traits.inputs - set(VIEWS):
-            return f"it reads {', '.join(sorted(unknown))}, which no clip of format v1 has"
-        try:
-            self.method  # noqa: B018 - kept where it can be built
-        except ImportError as error:
-            own = registry.family(self.name).build.partition(".")[0].partition(":")[0]
-            if (error.name or "").partition(".")[0] != own:
-                return f"{type(error).__name__}: {error}"
-        except Exception:  # whatever else building raises is a finding
-            return None
-        return None
+    def unavailable_reason(self) -> str | None:
+        """Why the method cannot run on this machine, or None."""
+        pool, pools = self.traits.pool, registry.list_plugins("pools")
+        if pool not in pools:
+            return f"needs the sample pool '{pool}'; installed pools: {', '.join(pools)}"
+        if why := registry.import_error("pools", pool):
+            return f"its sample pool '{pool}' cannot be imported: {why}"
+        if missing := " ".join(
+            provenance.missing_packages(registry.get_variant(self.name).requires)
+        ):
+            return f"needs {missing}, which is not installed: pip install {missing}"
+        if unknown := self.traits.inputs - set(BUFFER_CHANNELS):
+            return f"declares inputs that no clip has: {', '.join(sorted(unknown))}"
+        return self._missing_import()
 
     @cached_property
     def method(self) -> Method:
-        """The method. Raises what building it raises."""
-        weights = "random" if registry.variant(self.name).learned else None
-        return registry.method(self.name, self.device, weights)
+        """The method. Raises any exception of its `build` function."""
+        weights = "random" if registry.get_variant(self.name).learned else None
+        return registry.load_method(self.name, self.device, weights)
 
     @property
-    def budget(self) -> float:
-        """The samples per pixel that most claims are tried at."""
+    def default_spp(self) -> float:
+        """The budget of most checks, in samples per pixel."""
         low, high = self.traits.spp_range
-        return min(max(low, USUAL), high)
+        return min(max(low, DEFAULT_SPP), high)
 
     @cached_property
-    def default_run(self) -> Run:
-        """The run that most claims look at, or compare another one with."""
-        return self.run(self.world())
+    def default_run(self) -> RecordedRun:
+        """The run that most checks inspect, or compare with another run."""
+        return self.run(self.clip())
 
-    def world(self, n: int = 1) -> InMemoryClip:
-        """A world of usual size, or several at once."""
-        return clips.world(self.device, clips.SEED, self.size._replace(n=n))
+    def clip(self, n: int = 1) -> InMemoryClip:
+        """A clip of the default size, or a batch of `n` clips."""
+        return clips.make_clip(self.device, clips.SEED, self.size._replace(n=n))
 
-    def small(
-        self, seed: int = clips.SEED, pool: int = clips.POOL, static: bool = False
+    def small_clip(
+        self, seed: int = clips.SEED, pool_spp: int = clips.POOL_SPP, static: bool = False
     ) -> InMemoryClip:
-        """A world of small frames."""
-        return clips.world(self.device, seed, self.lesser, pool, static)
+        """A clip of small frames."""
+        return clips.make_clip(self.device, seed, self.small_size, pool_spp, static)
 
-    def run(self, clip: Clip, spp: float | None = None) -> Run:
-        """A whole clip through the method."""
-        shown, watched = self.begun(clip, spp)
-        return Run(list(shown), watched)
+    def run(self, clip: Clip, spp: float | None = None) -> RecordedRun:
+        """Run a whole clip through the method, at `spp` samples per pixel (None: `default_spp`)."""
+        frames, recording = self.start_run(clip, spp)
+        return RecordedRun(list(frames), recording)
 
-    def begun(
+    def start_run(
         self, clip: Clip, spp: float | None = None
     ) -> tuple[Iterator[FrameResult], RecordingMethod]:
-        """A clip that goes through the method as its frames are asked for."""
-        watched = RecordingMethod(self.method)
-        return run_clip(watched, clip, self.budget if spp is None else spp), watched
+        """An iterator that runs one frame per step, and the recording that it fills."""
+        recording = RecordingMethod(self.method)
+        return run_clip(recording, clip, self.default_spp if spp is None else spp), recording
+
+    def _missing_import(self) -> str | None:
+        """The ImportError of building the method, unless the method's own package raised it."""
+        try:
+            self.method  # noqa: B018 - cached if it can be built
+        except ImportError as error:
+            package = registry.load_family(self.name).build.partition(".")[0].partition(":")[0]
+            if (error.name or "").partition(".")[0] != package:
+                return f"{type(error).__name__}: {error}"
+        except Exception:  # the check "built" reports any other exception
+            return None
+        return None

@@ -1,4 +1,4 @@
-"""A method under watch: what it reads, what it wishes for, and what it writes to."""
+"""A method wrapper that records what the method reads, plans and modifies."""
 
 from __future__ import annotations
 
@@ -9,145 +9,145 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.family import Traits
-from rlbench.frames import GBuffer, Samples, Size
+from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State
+from rlbench.wrappers import MethodWrapper
 
 
 @dataclass(frozen=True)
-class RecordingMethod:
-    """A method, and what it did.
+class RecordingMethod(MethodWrapper[Method]):
+    """The wrapped method, and a record of its behaviour.
 
-    It goes on where the bench would stop, so that one fault does not hide all others: a buffer that
-    it did not declare is given to it, and a density that cannot be bought is bought as uniform.
-    What it is given are copies, so that what it writes to them spoils nothing.
+    It continues where a benchmark run stops with an error, so that one fault does not hide others:
+    an undeclared buffer is provided, and an invalid density is replaced by a uniform one. The
+    method receives copies, so that in-place writes have no further effect.
     """
 
-    method: Method
-    read: set[str] = field(default_factory=set)  # names of view buffers
-    written: set[str] = field(default_factory=set)  # which of its inputs it changed
-    graphs: set[str] = field(default_factory=set)  # of what it returned, what holds one
-    densities: list[Any] = field(default_factory=list)  # as it wished for them
-    counts: list[Tensor] = field(default_factory=list)  # that it saw after each pass
+    buffers_read: set[str] = field(default_factory=set)
+    modified: set[str] = field(default_factory=set)  # arguments that the method wrote to
+    with_graph: set[str] = field(default_factory=set)  # return values that require gradients
+    densities: list[Any] = field(default_factory=list)  # as planned
+    counts: list[Tensor] = field(default_factory=list)  # sample counts after each pass
 
     @property
     def traits(self) -> Traits:
-        """The method's, but for needing every buffer, so that those not declared are at hand."""
-        return replace(self.method.traits, inputs=frozenset(VIEWS))
-
-    def start(self, size: Size) -> State:
-        """As the method's."""
-        return self.method.start(size)
+        """The wrapped method's traits, with every buffer as input, so that reads are recorded."""
+        return replace(self.method.traits, inputs=frozenset(BUFFER_CHANNELS))
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
-        """As the method's, or ones where that cannot be bought."""
+        """The wrapped method's density, or ones where it is invalid."""
         if len(self.densities) % len(self.method.traits.passes):
             self.counts.append(samples.counts)
         density = self._call(self.method.plan, gbuffer, samples, state)
         self.densities.append(density)
-        self.graphs.update({"density"} if holds_graph(density) else ())
-        return density if self._sold(density, samples) else torch.ones_like(samples.mean[:, :1])
+        self.with_graph.update({"density"} if has_graph(density) else ())
+        return density if self._is_valid(density, samples) else torch.ones_like(samples.mean[:, :1])
 
     def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
-        """As the method's."""
+        """The wrapped method's image and next state."""
         self.counts.append(samples.counts)
         image, state = self._call(self.method.denoise, gbuffer, samples, state)
-        held = {name for name, part in (("image", image), ("state", state)) if holds_graph(part)}
-        self.graphs.update(held)
+        returned = (("image", image), ("state", state))
+        self.with_graph.update(name for name, value in returned if has_graph(value))
         return image, state
 
     def _call(
-        self, asked: Callable[..., Any], gbuffer: GBuffer, samples: Samples, state: State
+        self, function: Callable[..., Any], gbuffer: GBuffer, samples: Samples, state: State
     ) -> Any:
-        """What the method answers; inputs that have another value afterwards are written down."""
-        seen = {name: buffer.clone() for name, buffer in gbuffer.buffers.items()}
-        declared = {name: seen[name] for name in seen if name in self.method.traits.inputs}
-        bought = Samples(samples.radiance.clone(), samples.counts.clone())
-        before = [tensor.clone() for tensor in tensors(state)]
-        answer = asked(_Watch(_Read(declared, self.read), gbuffer.static, seen), bought, state)
-        after = list(tensors(state))
-        kept = len(before) == len(after) and all(map(same, before, after))
-        kept_samples = same(samples.radiance, bought.radiance)
-        kept_samples = kept_samples and same(samples.counts, bought.counts)
-        self.written.update(name for name in seen if not same(gbuffer.buffers[name], seen[name]))
-        self.written.update({"samples"} if not kept_samples else ())
-        self.written.update({"state"} if not kept else ())
-        return answer
+        """Call `function` with copies and record which arguments it modified."""
+        buffers = {name: buffer.clone() for name, buffer in gbuffer.buffers.items()}
+        declared = {name: buffers[name] for name in buffers if name in self.method.traits.inputs}
+        given = Samples(samples.radiance.clone(), samples.counts.clone())
+        state_before = [tensor.clone() for tensor in iterate_tensors(state)]
+        recorded = _RecordedBuffers(declared, self.buffers_read)
+        result = function(_RecordingGBuffer(recorded, gbuffer.static, buffers), given, state)
+        state_after = list(iterate_tensors(state))
+        unchanged = {name: is_bit_equal(gbuffer.buffers[name], buffers[name]) for name in buffers}
+        unchanged["samples"] = is_bit_equal(samples.radiance, given.radiance) and is_bit_equal(
+            samples.counts, given.counts
+        )
+        unchanged["state"] = len(state_before) == len(state_after) and all(
+            map(is_bit_equal, state_before, state_after)
+        )
+        self.modified.update(name for name in unchanged if not unchanged[name])
+        return result
 
-    def _sold(self, density: Any, samples: Samples) -> bool:
-        """Would the bench buy it?"""
-        if flaw(density, samples.counts.shape):
+    def _is_valid(self, density: Any, samples: Samples) -> bool:
+        """Would a benchmark run accept this density?"""
+        if find_density_error(density, samples.counts.shape):
             return False
         return self.method.traits.adaptive or bool(density.max() == density.min())
 
 
-def flaw(density: Any, shape: tuple[int, ...]) -> str | None:
-    """What is wrong with a density for images of this shape, or None."""
+def find_density_error(density: Any, shape: tuple[int, ...]) -> str | None:
+    """Why a density is invalid for images of this shape, or None."""
     if not isinstance(density, Tensor):
-        return f"it is a {type(density).__name__}"
+        return f"expected a tensor, found {type(density).__name__}"
     if density.shape != shape:
-        return f"its shape is {list(density.shape)}"
-    if not torch.isfinite(density).all():
-        return "it has values that are not finite"
+        return f"expected shape {list(shape)}, found {list(density.shape)}"
+    if invalid := int((~torch.isfinite(density)).sum()):
+        return f"expected finite values, found {invalid} that are NaN or infinite"
     if (density < 0).any():
-        return f"it has negative values, down to {float(density.min()):g}"
+        return f"expected values >= 0, found {float(density.min()):g}"
     return None
 
 
-def same(one: Tensor, two: Tensor) -> bool:
-    """Equal bit for bit, NaN where the other has NaN too."""
-    if one.shape != two.shape or one.dtype != two.dtype:
+def is_bit_equal(one: Tensor, other: Tensor) -> bool:
+    """Do both have the same shape, type and values, NaN counting as equal to NaN?"""
+    if one.shape != other.shape or one.dtype != other.dtype:
         return False
-    return bool(((one == two) | ((one != one) & (two != two))).all())
+    return bool(((one == other) | ((one != one) & (other != other))).all())
 
 
-def tensors(held: Any, seen: set[int] | None = None) -> Iterator[Tensor]:
-    """Every tensor in a state, whatever the state is made of, in the same order each time."""
-    seen = set() if seen is None else seen
-    if isinstance(held, Tensor):
-        yield held
-    if id(held) in seen or isinstance(held, Tensor | str | bytes | type):
+def iterate_tensors(value: Any, visited: set[int] | None = None) -> Iterator[Tensor]:
+    """Every tensor in a nested value, such as a state, in a fixed order."""
+    visited = set() if visited is None else visited
+    if isinstance(value, Tensor):
+        yield value
+    if id(value) in visited or isinstance(value, Tensor | str | bytes | type):
         return
-    seen.add(id(held))
-    parts: list[Any] = list(getattr(held, "__dict__", {}).values())
-    if isinstance(held, Mapping):
-        parts += held.values()
-    elif isinstance(held, list | tuple):
-        parts += held
-    elif is_dataclass(held) and not hasattr(held, "__dict__"):  # with slots
-        parts += [getattr(held, each.name) for each in fields(held)]
+    visited.add(id(value))
+    parts: list[Any] = list(getattr(value, "__dict__", {}).values())
+    if isinstance(value, Mapping):
+        parts += value.values()
+    elif isinstance(value, list | tuple):
+        parts += value
+    elif is_dataclass(value) and not hasattr(value, "__dict__"):  # with slots
+        parts += [getattr(value, each.name) for each in fields(value)]
     for part in parts:
-        yield from tensors(part, seen)
+        yield from iterate_tensors(part, visited)
 
 
-def holds_graph(answer: Any) -> bool:
-    """Is any tensor in it one that gradients would flow through?"""
-    return any(tensor.requires_grad for tensor in tensors(answer))
+def has_graph(value: Any) -> bool:
+    """Does any tensor in a nested value require gradients?"""
+    return any(tensor.requires_grad for tensor in iterate_tensors(value))
 
 
 @dataclass(frozen=True)
-class _Watch(GBuffer):
-    """A view that also gives what was not declared; `buffers` writes down what is read of it."""
+class _RecordingGBuffer(GBuffer):
+    """A G-buffer that also provides undeclared buffers; `buffers` records every read."""
 
-    rest: Mapping[str, Tensor] = field(default_factory=dict)
+    undeclared: Mapping[str, Tensor] = field(default_factory=dict)
 
     def _read(self, name: str) -> Tensor:
-        if name not in self.buffers and name in self.rest and isinstance(self.buffers, _Read):
-            self.buffers.read.add(name)
-            return self.rest[name]
+        is_undeclared = name not in self.buffers and name in self.undeclared
+        if is_undeclared and isinstance(self.buffers, _RecordedBuffers):
+            self.buffers.names_read.add(name)
+            return self.undeclared[name]
         return super()._read(name)
 
 
 @dataclass(frozen=True)
-class _Read(Mapping[str, Tensor]):
-    """Buffers, and which of them were looked at."""
+class _RecordedBuffers(Mapping[str, Tensor]):
+    """Buffers by name, and the names that were read."""
 
     buffers: Mapping[str, Tensor]
-    read: set[str]
+    names_read: set[str]
 
     def __getitem__(self, key: str) -> Tensor:
-        self.read.add(key)
+        self.names_read.add(key)
         return self.buffers[key]
 
     def __contains__(self, key: object) -> bool:

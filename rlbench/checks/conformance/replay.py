@@ -1,4 +1,4 @@
-"""A method made to do things again: with counts written down for it, or from a saved state."""
+"""Method wrappers that repeat calls: with recorded sample counts, or from a copied state."""
 
 from __future__ import annotations
 
@@ -8,66 +8,48 @@ from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
-from rlbench.checks.conformance.recording import RecordingMethod, same
+from rlbench.checks.conformance.recording import RecordingMethod, is_bit_equal
 from rlbench.family import Traits
-from rlbench.frames import GBuffer, Samples, Size
+from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State
+from rlbench.wrappers import MethodWrapper
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """A method that is given the counts written down for it, whatever it wishes for."""
+class ReplayCounts(MethodWrapper[RecordingMethod]):
+    """The wrapped method, given recorded sample counts instead of those that it plans."""
 
-    method: RecordingMethod
     counts: Sequence[Tensor]  # after each pass
 
     @property
     def traits(self) -> Traits:
-        """The method's, but for adapting: to the counts."""
+        """The wrapped method's traits, made adaptive, because the counts vary between pixels."""
         return replace(self.method.traits, adaptive=True)
 
-    def start(self, size: Size) -> State:
-        """As the method's."""
-        return self.method.start(size)
-
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
-        """The counts; what the method wishes for is with what was watched."""
-        self.method.plan(gbuffer, samples, state)
+        """The recorded counts as a density; the wrapped method's own density is recorded."""
+        super().plan(gbuffer, samples, state)
         return self.counts[len(self.method.densities) - 1].double()
-
-    def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
-        """As the method's."""
-        return self.method.denoise(gbuffer, samples, state)
 
 
 @dataclass(frozen=True)
-class ReplayFromCopy:
-    """A method that is asked everything twice, the second time from a copy of the state."""
+class ReplayFromCopy(MethodWrapper[Method]):
+    """The wrapped method, called twice per step, the second time with a copy of the state."""
 
-    method: Method
-    changed: set[str] = field(default_factory=set)  # what came out otherwise the second time
-
-    @property
-    def traits(self) -> Traits:
-        """The method's."""
-        return self.method.traits
-
-    def start(self, size: Size) -> State:
-        """As the method's."""
-        return self.method.start(size)
+    changed: set[str] = field(default_factory=set)  # results that differed the second time
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
-        """The density that comes of the copy."""
-        saved = deepcopy(state)
-        first = self.method.plan(gbuffer, samples, state)
-        again = self.method.plan(gbuffer, samples, saved)
-        self.changed.update(() if same(first, again) else {"density"})
-        return again
+        """The density computed from the copied state."""
+        copied = deepcopy(state)
+        first = super().plan(gbuffer, samples, state)
+        second = super().plan(gbuffer, samples, copied)
+        self.changed.update(() if is_bit_equal(first, second) else {"density"})
+        return second
 
     def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
-        """The image, and the state after it, that come of the copy."""
-        saved = deepcopy(state)
-        first, _ = self.method.denoise(gbuffer, samples, state)
-        again, after = self.method.denoise(gbuffer, samples, saved)
-        self.changed.update(() if same(first, again) else {"image"})
-        return again, after
+        """The image and the next state computed from the copied state."""
+        copied = deepcopy(state)
+        first, _ = super().denoise(gbuffer, samples, state)
+        second, next_state = super().denoise(gbuffer, samples, copied)
+        self.changed.update(() if is_bit_equal(first, second) else {"image"})
+        return second, next_state

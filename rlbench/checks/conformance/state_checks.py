@@ -1,4 +1,7 @@
-"""Claims of memory: what a method remembers is its state, all of it, and of this clip alone."""
+"""Checks of the state: all that a method remembers is in its state, for one clip alone.
+
+A check returns a description of the fault, or None if the method conforms.
+"""
 
 from __future__ import annotations
 
@@ -7,106 +10,128 @@ from itertools import chain, zip_longest
 import torch
 from torch import Tensor
 
-from rlbench.checks.conformance import clips as worlds
-from rlbench.checks.conformance.interface_checks import unsound
-from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.recording import RecordingMethod, same
-from rlbench.checks.conformance.replay import Replayed, ReplayFromCopy
-from rlbench.checks.result import Finding, moot, wrong
+from rlbench.checks.conformance import clips
+from rlbench.checks.conformance.interface_checks import find_nonfinite
+from rlbench.checks.conformance.method_under_test import MethodUnderTest, RecordedRun
+from rlbench.checks.conformance.recording import RecordingMethod, is_bit_equal
+from rlbench.checks.conformance.replay import ReplayCounts, ReplayFromCopy
+from rlbench.family import Traits
+from rlbench.frames import Frame
 from rlbench.run import run_clip
 
-CLOSE = 1e-3  # relative and absolute: convolutions add in another order for another batch, and
-# float32 goes through some 20 of them
+TOLERANCE = 1e-3  # relative and absolute: convolutions add in another order for another batch
+# size, and float32 values pass through some 20 of them
 
 
-def repeats(subject: MethodUnderTest) -> Finding | None:
-    """Randomness is seeded by what the method is given."""
-    again = subject.run(subject.world())
-    if all(map(same, subject.default_run.images, again.images)):
+def check_determinism(method_under_test: MethodUnderTest) -> str | None:
+    """Random numbers depend only on the method's arguments."""
+    first = method_under_test.default_run.images
+    second = method_under_test.run(method_under_test.clip()).images
+    if all(map(is_bit_equal, first, second)):
         return None
-    return wrong(f"images differ by up to {_apart(subject.default_run.images, again.images):g}")
+    difference = _max_difference(first, second)
+    return f"expected equal images in a second run, found differences of up to {difference:g}"
 
 
-def alone(subject: MethodUnderTest) -> Finding | None:
-    """Another clip that is shown in between is not seen."""
-    clips = [subject.small(seed) for seed in (worlds.SEED, worlds.OTHER)]
-    wanted = [subject.run(clip).images for clip in clips]
-    turns = zip_longest(*(subject.begun(clip)[0] for clip in clips))
-    found = [shown.image for shown in chain.from_iterable(turns)]
-    if all(same(image, wanted[i % 2][i // 2]) for i, image in enumerate(found)):
+def check_interleaved(method_under_test: MethodUnderTest) -> str | None:
+    """Frames of another clip in between change nothing."""
+    pair = [method_under_test.small_clip(seed) for seed in (clips.SEED, clips.OTHER_SEED)]
+    alone = [method_under_test.run(clip).images for clip in pair]
+    turns = zip_longest(*(method_under_test.start_run(clip)[0] for clip in pair))
+    images = [frame.image for frame in chain.from_iterable(turns)]
+    changed = sum(not is_bit_equal(image, alone[i % 2][i // 2]) for i, image in enumerate(images))
+    if not changed:
         return None
-    return wrong("frames of one clip change what is shown of the other")
+    found = f"found {changed} of {len(images)} changed by frames of the other clip"
+    return f"expected the images of each clip alone, {found}"
 
 
-def batch(subject: MethodUnderTest) -> Finding | None:
-    """Each clip alone is given the counts of the pair, since a density's last bit decides them."""
-    pair = subject.world(n=2)
-    both = subject.run(pair)
-    for i in range(2):
-        watched = RecordingMethod(subject.method)
-        replayed = Replayed(watched, [counts[i : i + 1] for counts in both.watched.counts])
-        single = worlds.clip_of([worlds.only(frame, i) for frame in pair])
-        apart = [shown.image for shown in run_clip(replayed, single, subject.budget)]
-        wished = [each[i : i + 1] for each in both.watched.densities]
-        for what, together, each in (
-            ("images", [image[i : i + 1] for image in both.images], apart),
-            ("densities", wished, watched.densities),
-        ):
-            if not all(map(_close, together, each)):
-                far = _apart(together, each)
-                told = f"{what} of clip {i} of 2 differ by up to {far:g} from those of it alone"
-                return wrong(told)
+def check_batch(method_under_test: MethodUnderTest) -> str | None:
+    """Each clip alone equals its part of a batch of two."""
+    clip = method_under_test.clip(n=2)
+    batch = method_under_test.run(clip)
+    frames = list(clip)
+    faults = (_compare_to_single(method_under_test, batch, frames, i) for i in range(2))
+    return next(filter(None, faults), None)
+
+
+def check_static(method_under_test: MethodUnderTest) -> str | None:
+    """A static clip has no motion buffer, and `gbuffer.motion` is None."""
+    clip = method_under_test.small_clip(static=True)
+    return find_nonfinite(method_under_test.run(clip).frames)
+
+
+def check_cut(method_under_test: MethodUnderTest) -> str | None:
+    """Where all motion points outside the image, the result equals that of a first frame."""
+    *before, last = method_under_test.small_clip()
+    first = clips.start_new_shot(last)
+    after_cut = method_under_test.run(clips.to_clip([*before, first])).images[-1:]
+    alone = method_under_test.run(clips.to_clip([first])).images
+    if is_bit_equal(after_cut[0], alone[0]):
+        return None
+    found = f"found differences of up to {_max_difference(after_cut, alone):g} after another shot"
+    return f"expected the image of a first frame, {found}"
+
+
+def check_temporal(method_under_test: MethodUnderTest) -> str | None:
+    """Without a state, a frame does not depend on earlier frames."""
+    run = method_under_test.default_run
+    alone = method_under_test.run(clips.to_clip([run.frames[-1].frame])).images
+    if is_bit_equal(alone[0], run.images[-1]):
+        return None
+    found = f"found differences of up to {_max_difference(alone, run.images[-1:]):g}"
+    return f"expected the same image without earlier frames, {found}"
+
+
+def skip_temporal(traits: Traits) -> str | None:
+    """Why `check_temporal` does not apply, or None."""
+    return "Traits(temporal=True)" if traits.temporal else None
+
+
+def check_state_copy(method_under_test: MethodUnderTest) -> str | None:
+    """Stress tests swap, corrupt and reset the state; the latency measurement reuses it."""
+    method = ReplayFromCopy(RecordingMethod(method_under_test.method))
+    list(run_clip(method, method_under_test.small_clip(), method_under_test.default_spp))
+    if not method.changed:
+        return None
+    found = " and ".join(sorted(method.changed))
+    return f"expected equal results from a copied state, found another {found}"
+
+
+def _compare_to_single(
+    method_under_test: MethodUnderTest, batch: RecordedRun, frames: list[Frame], i: int
+) -> str | None:
+    """How clip `i` of a batch differs from the same clip alone, or None.
+
+    The clip alone gets the sample counts of the batch, because the last bit of a density can change
+    them.
+    """
+    recording = RecordingMethod(method_under_test.method)
+    method = ReplayCounts(recording, [counts[i : i + 1] for counts in batch.recording.counts])
+    single = clips.to_clip([clips.select_batch_item(frame, i) for frame in frames])
+    images = [frame.image for frame in run_clip(method, single, method_under_test.default_spp)]
+    for name, batched, alone in (
+        ("images", batch.images, images),
+        ("densities", batch.recording.densities, recording.densities),
+    ):
+        item = [tensor[i : i + 1] for tensor in batched]
+        if not all(map(_is_close, item, alone)):
+            found = f"found differences of up to {_max_difference(item, alone):g} in clip {i} of 2"
+            return f"expected {name} within {TOLERANCE:g} of those of each clip alone, {found}"
     return None
 
 
-def static(subject: MethodUnderTest) -> Finding | None:
-    """Its view has no motion, and `view.motion` is None."""
-    why = unsound(subject.run(subject.small(static=True)).shown)
-    return wrong(why) if why else None
-
-
-def cut(subject: MethodUnderTest) -> Finding | None:
-    """All motion leads outside: what is shown is what a first frame would be."""
-    *before, last = subject.small()
-    first = worlds.cut(last)
-    after = subject.run(worlds.clip_of([*before, first]))
-    fresh = subject.run(worlds.clip_of([first]))
-    if same(after.images[-1], fresh.images[0]):
-        return None
-    far = _apart(after.images[-1:], fresh.images)
-    return wrong(f"its first image differs by up to {far:g} with another shot before it")
-
-
-def temporal(subject: MethodUnderTest) -> Finding | None:
-    """Without memory the order of frames is nothing."""
-    if subject.traits.temporal:
-        return moot("it declares that it remembers")
-    last = worlds.clip_of([subject.default_run.shown[-1].frame])
-    if same(subject.run(last).images[0], subject.default_run.images[-1]):
-        return None
-    return wrong("an image depends on the frames before it")
-
-
-def replay(subject: MethodUnderTest) -> Finding | None:
-    """Stress tests swap, corrupt and reset the state; latency takes it again."""
-    rewound = ReplayFromCopy(RecordingMethod(subject.method))
-    try:
-        list(run_clip(rewound, subject.small(), subject.budget))
-    except Exception as error:  # of copying, for it ran before
-        return wrong(f"{type(error).__name__}: {error}", error)
-    told = f"{' and '.join(sorted(rewound.changed))} of one frame, asked for again, differ"
-    return wrong(told) if rewound.changed else None
-
-
-def _close(one: Tensor, two: Tensor) -> bool:
-    if one.shape != two.shape:
+def _is_close(one: Tensor, other: Tensor) -> bool:
+    if one.shape != other.shape:
         return False
-    return torch.allclose(one.double(), two.double(), rtol=CLOSE, atol=CLOSE, equal_nan=True)
+    return torch.allclose(
+        one.double(), other.double(), rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True
+    )
 
 
-def _apart(some: list[Tensor], others: list[Tensor]) -> float:
-    """The largest difference, NaN where shapes differ."""
+def _max_difference(some: list[Tensor], others: list[Tensor]) -> float:
+    """The largest absolute difference; NaN where shapes differ."""
     pairs = list(zip(some, others, strict=True))
-    if any(one.shape != two.shape for one, two in pairs):
+    if any(one.shape != other.shape for one, other in pairs):
         return float("nan")
-    return max(float((one - two).abs().max()) for one, two in pairs)
+    return max(float((one - other).abs().max()) for one, other in pairs)

@@ -1,4 +1,4 @@
-"""Trying claims on methods: one at a time, and all of them with a tick list."""
+"""The conformance suite: run one check or all checks, and select the methods to check."""
 
 from __future__ import annotations
 
@@ -11,56 +11,77 @@ import torch
 from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS, Check
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.result import Finding, Verdict, moot, wrong
+from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
 
-HOLDS = Finding(Verdict.HOLDS)
-
-
-def run_check(subject: MethodUnderTest, name: str) -> Finding:
-    """What the claim of that name says of a method; each claim is tried once."""
-    if name not in subject.told:
-        subject.told[name] = _judged(subject, CHECKS[name])
-    return subject.told[name]
+__all__ = ["CheckResult", "Verdict", "run_check", "run_checks"]
 
 
-def run_checks(subject: MethodUnderTest) -> Iterator[tuple[Check, Finding]]:
-    """Every claim with what it says, as soon as it is known."""
-    for name, claim in CHECKS.items():
-        yield claim, run_check(subject, name)
+def run_check(method_under_test: MethodUnderTest, name: str) -> CheckResult:
+    """The result of one check, by its name in `CHECKS`; a repeated call returns the same result.
 
+    It is SKIPPED where the method cannot run on this machine, the check does not apply, or a check
+    that it requires did not pass. An exception of the method is a failure.
 
-def subjects(patterns: Iterable[str], device: torch.device) -> list[MethodUnderTest]:
-    """The methods to examine, by the patterns of `registry.expand`.
-
-    `all` stands for every variant of every family that can be loaded. Raises PluginError for a name
-    that is not there.
+    >>> print(run_check(MethodUnderTest("mean"), "temporal"))
+    depend on one frame alone unless declared temporal
     """
-    sound = [f"{n}/*" for n in registry.names("methods") if not registry.import_error("methods", n)]
-    named = [each for pattern in patterns for each in (sound if pattern == "all" else [pattern])]
-    return [MethodUnderTest(name, device) for name in registry.expand(named, trained=False)]
+    results = method_under_test.results
+    if name not in results:
+        results[name] = _run(method_under_test, CHECKS[name])
+    return results[name]
 
 
-def broken() -> dict[str, str]:
-    """Families that cannot be loaded, and why."""
-    known = {name: registry.import_error("methods", name) for name in registry.names("methods")}
-    return {name: why for name, why in known.items() if why}
+def run_checks(method_under_test: MethodUnderTest) -> Iterator[tuple[Check, CheckResult]]:
+    """Every check with its result, one after the other."""
+    for name, check in CHECKS.items():
+        yield check, run_check(method_under_test, name)
 
 
-def _judged(subject: MethodUnderTest, claim: Check) -> Finding:
-    if subject.absent:
-        return moot(subject.absent)
-    for needed in claim.depends_on:
-        if run_check(subject, needed).verdict is not Verdict.HOLDS:
-            return moot(f"cannot be told unless {CHECKS[needed].sentence}")
+def select_methods(patterns: Iterable[str], device: torch.device) -> list[MethodUnderTest]:
+    """The methods that match the patterns of `registry.expand`.
+
+    `all` stands for every variant of every family that can be imported. Raises PluginError for an
+    unknown name.
+    """
+    families = registry.list_plugins("methods")
+    usable = [f"{name}/*" for name in families if not registry.import_error("methods", name)]
+    names = [name for each in patterns for name in (usable if each == "all" else [each])]
+    return [MethodUnderTest(name, device) for name in registry.expand(names, pretrained_only=False)]
+
+
+def find_broken_families() -> dict[str, str]:
+    """The import error of each method family that cannot be imported, by its name."""
+    errors = {
+        name: registry.import_error("methods", name) for name in registry.list_plugins("methods")
+    }
+    return {name: error for name, error in errors.items() if error}
+
+
+def _run(method_under_test: MethodUnderTest, check: Check) -> CheckResult:
+    label = check.requirement
+    if reason := _skip_reason(method_under_test, check):
+        return not_applicable(label, reason)
     try:
-        return claim.test(subject) or HOLDS
-    except Exception as error:  # whatever a stranger's method may raise is what is reported
-        return wrong(f"{type(error).__name__}: {error}{_place(subject, error)}", error)
+        fault = check.find_fault(method_under_test)
+    except Exception as error:  # whatever a method raises is reported
+        return failed(label, _describe(method_under_test, error), check.remedy, error)
+    return failed(label, fault, check.remedy) if fault else passed(label)
 
 
-def _place(subject: MethodUnderTest, error: Exception) -> str:
-    """The last line of the method's own code, or of what it called, that the error went through."""
+def _skip_reason(method_under_test: MethodUnderTest, check: Check) -> str | None:
+    if method_under_test.unavailable_reason:
+        return method_under_test.unavailable_reason
+    for name in check.requires:
+        if run_check(method_under_test, name).verdict is not Verdict.PASSED:
+            return f"requires a passed check: {CHECKS[name].requirement}"
+    return check.skip_reason(method_under_test.traits)
+
+
+def _describe(method_under_test: MethodUnderTest, error: Exception) -> str:
+    """The error, the last line of the method's folder that it passed through, and its notes."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = registry.module_file(registry.family(subject.name).build).parent
-    theirs = [frame for frame in frames if Path(frame.filename).is_relative_to(own)]
-    return f" ({Path(theirs[-1].filename).name}, line {theirs[-1].lineno})" if theirs else ""
+    folder = registry.module_file(registry.load_family(method_under_test.name).build).parent
+    own = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
+    place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
+    return f"raised {type(error).__name__}: {error}{place}{notes}"

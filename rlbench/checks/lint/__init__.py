@@ -1,1 +1,1 @@
-"""Proving what a clip's buffers mean: conventions, independence, noise."""
+"""Lint of clips: buffer conventions, independence of samples, and quality of the reference."""

@@ -1,56 +1,69 @@
-"""All checks of a clip, in the order in which they are told."""
+"""All checks of a clip, in the order in which they are printed."""
 
 from __future__ import annotations
 
 import torch
 
-from rlbench.checks.finding import Finding
-from rlbench.checks.lint.albedo import albedo
+from rlbench.checks.lint.albedo import check_albedo
 from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.depth import depth
-from rlbench.checks.lint.geometry import Fit, fits
-from rlbench.checks.lint.motion import motion
-from rlbench.checks.lint.normals import normals, unit
-from rlbench.checks.lint.orientation import misoriented, orientation, reoriented, ways
-from rlbench.checks.lint.reference import ceiling, exposure, halves
-from rlbench.checks.lint.samples import brightness, neighbours, samples, seeds
-from rlbench.checks.lint.values import finite, positive
+from rlbench.checks.lint.depth import check_depth
+from rlbench.checks.lint.geometry import DepthFit, fit_depth_kinds
+from rlbench.checks.lint.motion import check_motion
+from rlbench.checks.lint.normals import check_normals, normalize
+from rlbench.checks.lint.orientation import (
+    check_orientation,
+    correlate_orientations,
+    misoriented,
+    reoriented,
+)
+from rlbench.checks.lint.reference import check_exposure, check_halves, check_noise_ceiling
+from rlbench.checks.lint.samples import (
+    check_brightness,
+    check_noise_pattern,
+    check_samples,
+    check_seeds,
+)
+from rlbench.checks.lint.values import check_finite, check_non_negative
+from rlbench.checks.result import CheckResult
 
-SHOTS = 3  # frames whose normals are compared with their depth
+__all__ = ["fit_depth", "lint_clip"]
+
+MAX_FRAMES = 3  # frames whose normals are compared with their depth
 
 
-def examine(footage: ClipArrays) -> list[Finding]:
-    """What every check says; nothing is changed.
+def lint_clip(arrays: ClipArrays) -> list[CheckResult]:
+    """The result of every check of a clip.
 
-    Values that are not finite are told by one check, and are 0 for all others; pools that lie
-    another way up are told by one, and turned for the others.
+    Only the first check reports values that are not finite; all others see 0 in their place. Only
+    the orientation check reports flipped pools; checks of the samples see them corrected.
     """
-    sound = footage.sound
-    found, lying = geometry(sound), ways(sound)
-    upright = not {"albedo", "normal", "depth"} & set(misoriented(lying))
-    light = reoriented(sound, lying)
+    sanitized = arrays.sanitized
+    fits, correlations = fit_depth(sanitized), correlate_orientations(sanitized)
+    is_upright = not {"albedo", "normal", "depth"} & set(misoriented(correlations))
+    upright = reoriented(sanitized, correlations)
     return [
-        finite(footage),
-        positive(sound),
-        motion(sound),
-        depth(sound, found),
-        normals(sound, found, upright),
-        albedo(sound),
-        orientation(lying),
-        samples(light),
-        neighbours(light),
-        seeds(light),
-        brightness(light),
-        halves(light),
-        ceiling(light),
-        exposure(light),
+        check_finite(arrays),
+        check_non_negative(sanitized),
+        check_motion(sanitized),
+        check_depth(sanitized, fits),
+        check_normals(sanitized, fits, is_upright),
+        check_albedo(sanitized),
+        check_orientation(correlations),
+        check_samples(upright),
+        check_noise_pattern(upright),
+        check_seeds(upright),
+        check_brightness(upright),
+        check_halves(upright),
+        check_noise_ceiling(upright),
+        check_exposure(upright),
     ]
 
 
-def geometry(footage: ClipArrays) -> dict[str, Fit]:
-    """Which kinds of depth fit the normals, over some frames from first to last; maybe none."""
-    if not {"depth", "normal"} <= set(footage.gbuffer):
+def fit_depth(arrays: ClipArrays) -> dict[str, DepthFit]:
+    """The kinds of depth that fit the normals, over a few frames; may be empty."""
+    if not {"depth", "normal"} <= set(arrays.gbuffer):
         return {}
-    some = torch.linspace(0, len(footage) - 1, min(SHOTS, len(footage))).long()
-    stored = footage.gbuffer["depth"][some].abs()
-    return fits(stored.where(stored > 0, torch.inf), unit(footage.gbuffer["normal"][some]))
+    frames = torch.linspace(0, len(arrays) - 1, min(MAX_FRAMES, len(arrays))).long()
+    depth = arrays.gbuffer["depth"][frames].abs()
+    normal = normalize(arrays.gbuffer["normal"][frames])
+    return fit_depth_kinds(depth.where(depth > 0, torch.inf), normal)

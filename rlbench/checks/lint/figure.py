@@ -1,4 +1,4 @@
-"""One picture of a clip for a person: what is shown, where it was, and how noisy it is."""
+"""One figure of a clip for inspection: images, reprojection, buffers, noise and tick list."""
 
 from __future__ import annotations
 
@@ -10,86 +10,98 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rlbench.checks.finding import Finding, Verdict
 from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.checks.lint.reference import shown
+from rlbench.checks.lint.reference import to_display
+from rlbench.checks.result import CheckResult, Verdict
 from rlbench.ops.reprojection import reproject
-from rlbench.system.paths import replacing
+from rlbench.system.paths import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = {Verdict.PASS: "#2E7D32", Verdict.WARN: "#B8860B", Verdict.FAIL: "#C62828"}
+COLOURS = {
+    Verdict.PASSED: "#2E7D32",
+    Verdict.WARNING: "#B8860B",
+    Verdict.FAILED: "#C62828",
+    Verdict.SKIPPED: "#8A8A8A",
+}
 BINS = 80
-WORST = 0.25  # difference of clipped sRGB that is drawn as white
+MAX_ERROR = 0.25  # difference of clipped sRGB that is drawn as white
 
 
-def draw(footage: ClipArrays, findings: Sequence[Finding], path: Path) -> Path:
-    """Write a PNG: last frame, the previous moved onto it, errors, buffers, noise, tick list."""
+def draw_figure(arrays: ClipArrays, results: Sequence[CheckResult], path: Path) -> Path:
+    """Write a PNG: the last frame, the previous one reprojected, errors, buffers, noise, checks."""
     from matplotlib.figure import Figure
 
-    sound = footage.sound
+    sanitized = arrays.sanitized
+    exposure = sanitized.header.exposure
     figure = Figure(figsize=(16, 11.2), layout="constrained")
     grid = figure.subplots(3, 4)
-    light = sound.reference * sound.header.exposure
-    last = len(footage) - 1
-    _image(grid[0, 0], shown(light[last]), f"reference, frame {last}")
+    reference = sanitized.reference * exposure
+    last = len(arrays) - 1
+    _draw_image(grid[0, 0], to_display(reference[last]), f"reference, frame {last}")
     if last > 0:
-        _moved(grid[0], sound, light, last)
+        _draw_reprojection(grid[0], sanitized, reference, last)
     else:
         for axes in grid[0, 1:]:
             axes.set_axis_off()
-    pool = next(iter(sound.pools.values()))
-    _image(grid[1, 0], shown(pool[last, 0] * sound.header.exposure), "one sample")
-    _buffers(grid[1], sound, last)
-    _noise(grid[2, 0], sound)
-    apart = (
-        shown(sound.half_a[last : last + 1] * sound.header.exposure)
-        - shown(sound.half_b[last : last + 1] * sound.header.exposure)
-    ).abs()
-    _map(grid[2, 1], apart[0].mean(0), "noise of the reference: |A - B|", WORST / 2)
+    pool = next(iter(sanitized.pools.values()))
+    _draw_image(grid[1, 0], to_display(pool[last, 0] * exposure), "one sample")
+    _draw_buffers(grid[1], sanitized, last)
+    _draw_histogram(grid[2, 0], sanitized)
+    half_a, half_b = (
+        to_display(half[last : last + 1] * exposure)
+        for half in (sanitized.half_a, sanitized.half_b)
+    )
+    noise = (half_a - half_b).abs()[0].mean(0)
+    _draw_map(grid[2, 1], noise, "noise of the reference: |A - B|", MAX_ERROR / 2)
     for axes in grid[2, 2:]:
         axes.set_axis_off()
-    _ticks(grid[2, 2], findings)
-    bad = sum(each.verdict is Verdict.FAIL for each in findings)
-    figure.suptitle(f"{footage.header.name}: {bad} of {len(findings)} checks failed", fontsize=15)
-    with replacing(path) as temporary:
+    _draw_results(grid[2, 2], results)
+    failures = sum(result.verdict is Verdict.FAILED for result in results)
+    title = f"{arrays.header.name}: {failures} of {len(results)} checks failed"
+    figure.suptitle(title, fontsize=15)
+    with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=80, format="png")
     return path
 
 
-def _moved(row: Sequence[Axes], footage: ClipArrays, light: Tensor, last: int) -> None:
-    """The previous frame moved by the stored motion, and the error with and without."""
-    motion = footage.gbuffer["motion"][last, None] if "motion" in footage.gbuffer else None
-    now, before = shown(light[last]), shown(light[last - 1])
-    moved, valid = reproject(before[None], motion)
-    _image(row[1], moved[0] * valid[0], f"frame {last - 1} moved onto it by motion")
-    errors = {"with": (moved[0] - now) * valid[0], "without": before - now}
+def _draw_reprojection(
+    row: Sequence[Axes], arrays: ClipArrays, reference: Tensor, last: int
+) -> None:
+    """The previous frame reprojected by the stored motion, and the error with and without it."""
+    motion = arrays.gbuffer["motion"][last, None] if "motion" in arrays.gbuffer else None
+    current, previous = to_display(reference[last]), to_display(reference[last - 1])
+    reprojected, valid = reproject(previous[None], motion)
+    _draw_image(row[1], reprojected[0] * valid[0], f"frame {last - 1} reprojected by motion")
+    errors = {"with": (reprojected[0] - current) * valid[0], "without": previous - current}
     for axes, (kind, error) in zip(row[2:], errors.items(), strict=True):
         size = error.abs().mean(0)
-        _map(axes, size, f"error {kind} motion, mean {float(size.mean()):.3f}", WORST)
+        title = f"error {kind} motion, mean {float(size.mean()):.3f}"
+        _draw_map(axes, size, title, MAX_ERROR)
 
 
-def _buffers(row: Sequence[Axes], footage: ClipArrays, last: int) -> None:
-    for axes, (name, scale, shift) in zip(
+def _draw_buffers(row: Sequence[Axes], arrays: ClipArrays, last: int) -> None:
+    for axes, (name, scale, offset) in zip(
         row[1:], (("albedo", 1.0, 0.0), ("normal", 0.5, 0.5)), strict=False
     ):
-        if name in footage.gbuffer:
-            _image(axes, (footage.gbuffer[name][last] * scale + shift).clamp(0, 1), name)
+        if name in arrays.gbuffer:
+            image = (arrays.gbuffer[name][last] * scale + offset).clamp(0, 1)
+            _draw_image(axes, image, name)
         else:
             axes.set_axis_off()
-    if "depth" in footage.gbuffer:
-        disparity = 1 / footage.gbuffer["depth"][last, 0].abs().clamp_min(1e-6)
-        _map(row[3], disparity, "1 / depth: near is bright", float(disparity.max()))
+    if "depth" in arrays.gbuffer:
+        disparity = 1 / arrays.gbuffer["depth"][last, 0].abs().clamp_min(1e-6)
+        _draw_map(row[3], disparity, "1 / depth: near is bright", float(disparity.max()))
     else:
         row[3].set_axis_off()
 
 
-def _noise(axes: Axes, footage: ClipArrays) -> None:
-    """Histograms of luminance: samples have long tails, the reference has not."""
-    pool = next(iter(footage.pools.values()))
-    for name, image in (("samples", pool), ("reference", footage.reference)):
-        log = (image.mean(-3) * footage.header.exposure).clamp_min(1e-5).log10().flatten()
+def _draw_histogram(axes: Axes, arrays: ClipArrays) -> None:
+    """Histograms of radiance: those of samples have long tails, that of the reference has none."""
+    pool = next(iter(arrays.pools.values()))
+    for name, image in (("samples", pool), ("reference", arrays.reference)):
+        log = (image.mean(-3) * arrays.header.exposure).clamp_min(1e-5).log10().flatten()
         counts = torch.histc(log, BINS, -5, 3) / log.numel()
         axes.stairs(counts.numpy(), torch.linspace(-5, 3, BINS + 1).numpy(), label=name, fill=False)
     axes.axvline(0, color="#8A8A8A", lw=0.8)
@@ -99,13 +111,13 @@ def _noise(axes: Axes, footage: ClipArrays) -> None:
     axes.legend(frameon=False)
 
 
-def _ticks(axes: Axes, findings: Sequence[Finding]) -> None:
+def _draw_results(axes: Axes, results: Sequence[CheckResult]) -> None:
     y = 1.0
-    for each in findings:
-        told = textwrap.shorten(each.found, 230, placeholder=" ...")
-        lines = textwrap.wrap(f"{each.check}: {told}", 105)
+    for result in results:
+        found = textwrap.shorten(result.found, 230, placeholder=" ...")
+        lines = textwrap.wrap(f"{result.check}: {found}", 105)
         axes.text(
-            0, y, f"{each.verdict.value}  ", color=COLOURS[each.verdict], fontsize=9,
+            0, y, f"{result.verdict.value}  ", color=COLOURS[result.verdict], fontsize=9,
             fontweight="bold", va="top", transform=axes.transAxes, in_layout=False,
         )  # fmt: skip
         axes.text(
@@ -115,13 +127,13 @@ def _ticks(axes: Axes, findings: Sequence[Finding]) -> None:
         y -= 0.042 * len(lines) + 0.012
 
 
-def _image(axes: Axes, image: Tensor, title: str) -> None:
+def _draw_image(axes: Axes, image: Tensor, title: str) -> None:
     axes.imshow(image.movedim(0, -1).numpy(), interpolation="nearest")
     axes.set_title(title)
     axes.set_axis_off()
 
 
-def _map(axes: Axes, values: Tensor, title: str, most: float) -> None:
-    axes.imshow(values.numpy(), cmap="magma", vmin=0, vmax=most, interpolation="nearest")
+def _draw_map(axes: Axes, values: Tensor, title: str, maximum: float) -> None:
+    axes.imshow(values.numpy(), cmap="magma", vmin=0, vmax=maximum, interpolation="nearest")
     axes.set_title(title)
     axes.set_axis_off()

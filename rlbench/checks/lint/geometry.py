@@ -1,8 +1,8 @@
-"""Normals that follow from depth, and the rotation from them to the stored ones.
+"""Normals reconstructed from depth, and the rotation from them to the stored normals.
 
-Depth of any kind and a focal length place every pixel in the camera's space; differences between
-neighbours there are normals. Of the right kind and focal length, one rotation takes them to the
-stored normals: that of the camera, if these are in world space, and none, if they are not.
+A kind of depth and a focal length place every pixel in camera space; differences between
+neighbours there give normals. For the right kind and focal length, one rotation maps them to the
+stored normals: the camera's rotation if these are in world space, the identity if not.
 """
 
 from __future__ import annotations
@@ -15,73 +15,79 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-VIEW = "view depth, along the axis"
-FOCALS = tuple(0.35 * 1.4**i for i in range(7))  # in image widths: views of 110 to 22 degrees
-FINER = (0.76, 0.87, 1.15, 1.32)  # times the best of them, and once more, a third as far
-MOST = 4000  # pixels of a frame that are enough to find a rotation
-CUT = math.radians(20)  # angle from which on all normals count alike
-Point = Callable[[Tensor, Tensor], Tensor]  # depth along the axis, from stored depth and ray length
-KINDS: dict[str, Point] = {
-    VIEW: lambda d, ray: d,
-    "distance to the eye": lambda d, ray: d / ray,
-    "inverse depth, 1 / z": lambda d, ray: 1 / d,
-    "logarithmic, ln(1 + 1 / distance)": lambda d, ray: 1 / torch.expm1(d) / ray,
-    "z-buffer, 0 near and 1 far": lambda d, ray: 1 / (1 - d).clamp_min(1e-7),
+VIEW_DEPTH = "distance along the view axis"
+FOCAL_LENGTHS = tuple(0.35 * 1.4**i for i in range(7))  # in image widths: 110 to 22 degrees
+REFINEMENTS = (0.76, 0.87, 1.15, 1.32)  # times the best of them; then a second, finer round
+MAX_PIXELS = 4000  # pixels of a frame that suffice to fit a rotation
+MAX_ANGLE = math.radians(20)  # larger angles count as this one
+ToViewDepth = Callable[[Tensor, Tensor], Tensor]  # from stored depth and ray length
+DEPTH_KINDS: dict[str, ToViewDepth] = {
+    VIEW_DEPTH: lambda d, ray: d,
+    "distance to the camera": lambda d, ray: d / ray,
+    "inverse depth 1 / z": lambda d, ray: 1 / d,
+    "logarithmic depth ln(1 + 1 / distance)": lambda d, ray: 1 / torch.expm1(d) / ray,
+    "z-buffer (0 near, 1 far)": lambda d, ray: 1 / (1 - d).clamp_min(1e-7),
 }
 
 
 @dataclass(frozen=True)
-class Fit:
-    """How well the stored normals follow from depth, read in one way."""
+class DepthFit:
+    """How well the stored normals follow from depth of one kind."""
 
     kind: str
     focal: float  # in image widths
-    left: float  # mean angle that is left, cut at CUT, radians
-    turns: Float[Tensor, "t 3 3"]  # from (right, down, forward) to the stored normals' space
+    residual: float  # mean angle between normals after rotation, at most MAX_ANGLE, radians
+    rotations: Float[Tensor, "t 3 3"]  # from (right, down, forward) to the stored normals' space
 
 
-def fits(depth: Float[Tensor, "t 1 h w"], normal: Float[Tensor, "t 3 h w"]) -> dict[str, Fit]:
-    """For each kind of depth the focal length that fits best, by kind; empty where none is usable.
+def fit_depth_kinds(
+    depth: Float[Tensor, "t 1 h w"], normal: Float[Tensor, "t 3 h w"]
+) -> dict[str, DepthFit]:
+    """For each kind of depth the fit with the best focal length; empty if no surface is smooth.
 
-    `depth` is > 0, and not finite where there is background; `normal` is unit length.
+    `depth` is > 0, and not finite in the background; `normal` has unit length.
     """
-    some = _smooth(depth, normal)
-    found = {}
-    for kind, place in KINDS.items():
+    smooth = _smooth_surface_mask(depth, normal)
+    fits = {}
+    for kind, to_view_depth in DEPTH_KINDS.items():
         best = None
-        for factors in (FOCALS, FINER, [factor ** (1 / 3) for factor in FINER]):
-            around = best.focal if best else 1.0
-            tried = [_fit(kind, place, around * f, depth, normal, some) for f in factors]
-            each = [fit for fit in (best, *tried) if fit]
-            best = min(each, key=lambda fit: fit.left, default=None)
+        for factors in (FOCAL_LENGTHS, REFINEMENTS, [f ** (1 / 3) for f in REFINEMENTS]):
+            start = best.focal if best else 1.0
+            tried = [_fit(kind, to_view_depth, start * f, depth, normal, smooth) for f in factors]
+            usable = [fit for fit in (best, *tried) if fit]
+            best = min(usable, key=lambda fit: fit.residual, default=None)
         if best:
-            found[kind] = best
-    return found
+            fits[kind] = best
+    return fits
 
 
 def _fit(
-    kind: str, place: Point, focal: float, depth: Tensor, normal: Tensor, some: Tensor
-) -> Fit | None:
+    kind: str, to_view_depth: ToViewDepth, focal: float, depth: Tensor, normal: Tensor, mask: Tensor
+) -> DepthFit | None:
     if kind.startswith("z-buffer") and bool((depth[depth.isfinite()] > 1).any()):
         return None
-    facing = geometric(depth, place, focal)
-    turns, lefts = [], []
+    reconstructed = normals_from_depth(depth, to_view_depth, focal)
+    rotations, residuals = [], []
     for index in range(len(depth)):
-        mask = some[index, 0] & facing[index].isfinite().all(0)
-        if int(mask.sum()) < 64:
+        usable = mask[index, 0] & reconstructed[index].isfinite().all(0)
+        if int(usable.sum()) < 64:
             continue
-        few = slice(None, None, -(-int(mask.sum()) // MOST))
-        turn, left = rotation(facing[index][:, mask].T[few], normal[index][:, mask].T[few])
-        turns.append(turn)
-        lefts.append(left)
-    if not turns:
+        subset = slice(None, None, -(-int(usable.sum()) // MAX_PIXELS))
+        rotation, residual = fit_rotation(
+            reconstructed[index][:, usable].T[subset], normal[index][:, usable].T[subset]
+        )
+        rotations.append(rotation)
+        residuals.append(residual)
+    if not rotations:
         return None
-    return Fit(kind, focal, sum(lefts) / len(lefts), torch.stack(turns))
+    return DepthFit(kind, focal, sum(residuals) / len(residuals), torch.stack(rotations))
 
 
-def geometric(depth: Tensor, place: Point, focal: float) -> Float[Tensor, "t 3 h w"]:
+def normals_from_depth(
+    depth: Tensor, to_view_depth: ToViewDepth, focal: float
+) -> Float[Tensor, "t 3 h w"]:
     """Unit normals towards the camera by central differences; NaN at the border."""
-    points = positions(depth, place, focal)
+    points = unproject(depth, to_view_depth, focal)
     across = torch.full_like(points, torch.nan)
     down = torch.full_like(points, torch.nan)
     across[..., 1:-1] = points[..., 2:] - points[..., :-2]
@@ -91,48 +97,49 @@ def geometric(depth: Tensor, place: Point, focal: float) -> Float[Tensor, "t 3 h
     return torch.nn.functional.normalize(normal, dim=1, eps=1e-30)
 
 
-def positions(depth: Tensor, place: Point, focal: float) -> Float[Tensor, "t 3 h w"]:
-    """Each pixel's point in the camera's space: right, down, forward."""
+def unproject(depth: Tensor, to_view_depth: ToViewDepth, focal: float) -> Float[Tensor, "t 3 h w"]:
+    """Each pixel's point in camera space: right, down, forward."""
     h, w = depth.shape[-2:]
     x = ((torch.arange(w) + 0.5 - w / 2) / (focal * w)).to(depth).expand(h, w)
     y = ((torch.arange(h) + 0.5 - h / 2) / (focal * w)).to(depth)[:, None].expand(h, w)
     ray = torch.stack((x, y, torch.ones_like(x)))
-    return ray * place(depth, ray.norm(dim=0))
+    return ray * to_view_depth(depth, ray.norm(dim=0))
 
 
-def rotation(
+def fit_rotation(
     source: Float[Tensor, "p 3"], target: Float[Tensor, "p 3"]
 ) -> tuple[Float[Tensor, "3 3"], float]:
-    """The orthogonal matrix from unit vectors to others, and the mean angle left, cut at CUT.
+    """The orthogonal matrix from source to target unit vectors, and the mean remaining angle.
 
-    Kabsch 1976 in rounds of reweighting, so that bumps and edges count little; a mirroring is
-    allowed, for it is what a flipped axis looks like.
+    Kabsch 1976 with iterative reweighting, so that bumps and edges have little influence. A
+    reflection is allowed, because a flipped axis looks like one. Angles are capped at MAX_ANGLE.
     """
     source, target = source.double(), target.double()
     weight = torch.ones_like(source[:, 0])
-    turn = torch.eye(3).double()
+    matrix = torch.eye(3).double()
     angle = weight
     for _ in range(6):
         u, _, v = torch.linalg.svd((target * weight[:, None]).T @ source)
-        turn = u @ v
-        angle = (target - source @ turn.T).norm(dim=1)
+        matrix = u @ v
+        angle = (target - source @ matrix.T).norm(dim=1)
         weight = 1 / (1 + (angle / 0.05).square())
-    return turn.float(), float(angle.clamp_max(CUT).mean())
+    return matrix.float(), float(angle.clamp_max(MAX_ANGLE).mean())
 
 
-def _smooth(depth: Tensor, normal: Tensor) -> Bool[Tensor, "t 1 h w"]:
-    """Where all four neighbours are of the same smooth surface: depth bends little, normals too."""
-    some = torch.zeros_like(depth, dtype=torch.bool)
-    here = depth[..., 1:-1, 1:-1]
-    smooth = here.isfinite() & (here != 0)
-    own = normal[..., 1:-1, 1:-1]
+def _smooth_surface_mask(depth: Tensor, normal: Tensor) -> Bool[Tensor, "t 1 h w"]:
+    """Where all four neighbours lie on the same smooth surface: depth and normal vary little."""
+    mask = torch.zeros_like(depth, dtype=torch.bool)
+    centre = depth[..., 1:-1, 1:-1]
+    smooth = centre.isfinite() & (centre != 0)
+    centre_normal = normal[..., 1:-1, 1:-1]
     for dy, dx in ((0, 1), (1, 0)):
         h, w = depth.shape[-2:]
         before = (slice(1 - dy, h - 1 - dy), slice(1 - dx, w - 1 - dx))
         after = (slice(1 + dy, h - 1 + dy), slice(1 + dx, w - 1 + dx))
         one, two = depth[..., *before], depth[..., *after]
-        smooth = smooth & ((one + two - 2 * here).abs() < 0.02 * here.abs())
-        for place in (before, after):
-            smooth = smooth & ((normal[..., *place] * own).sum(1, keepdim=True) > 0.98)
-    some[..., 1:-1, 1:-1] = smooth
-    return some
+        smooth = smooth & ((one + two - 2 * centre).abs() < 0.02 * centre.abs())
+        for region in (before, after):
+            cosine = (normal[..., *region] * centre_normal).sum(1, keepdim=True)
+            smooth = smooth & (cosine > 0.98)
+    mask[..., 1:-1, 1:-1] = smooth
+    return mask

@@ -1,4 +1,4 @@
-"""Do all buffers lie the same way up? Edges of each are laid over those of the others."""
+"""Orientation: are all buffers the same way up? Their edges must lie on each other."""
 
 from __future__ import annotations
 
@@ -10,74 +10,90 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.checks.finding import Finding, fine, odd, wrong
 from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.result import CheckResult, failed, passed, warning
 
 CHECK = "orientation"
-AROUND = 9  # pixels: ranks of edges are compared with their surroundings
-BETTER = 0.05  # of correlation, by which another way must be better; chance is below 0.02 on ours
-WAYS: dict[str, Callable[[Tensor], Tensor]] = {
-    "as it is": lambda image: image,
+WINDOW = 9  # pixels: ranks of edges are compared with this neighbourhood
+MARGIN = 0.05  # of correlation, by which another orientation must fit better; chance gives less
+# than 0.02 on our clips
+STORED = "as stored"
+ORIENTATIONS: dict[str, Callable[[Tensor], Tensor]] = {
+    STORED: lambda image: image,
     "upside down": lambda image: image.flip(-2),
-    "left to right": lambda image: image.flip(-1),
-    "turned by 180 degrees": lambda image: image.flip(-1, -2),
+    "mirrored left to right": lambda image: image.flip(-1),
+    "rotated by 180 degrees": lambda image: image.flip(-1, -2),
 }
+Correlations = dict[str, dict[str, float]]  # by buffer, then by orientation
 
 
-def ways(footage: ClipArrays) -> dict[str, dict[str, float]]:
-    """For each buffer, the correlation of its edges in each way to lie, by the name of the way.
+def correlate_orientations(arrays: ClipArrays) -> Correlations:
+    """For each buffer, the correlation of its edges in each orientation.
 
-    Edges of albedo, normal, depth and samples are laid over those of the reference, edges of motion
-    over those of depth and normal.
+    Edges of albedo, normal, depth and samples are compared with those of the reference, edges of
+    motion with those of depth and normal.
     """
-    edges = {name: _edges(_plain(name, image)) for name, image in footage.gbuffer.items()}
-    lines, light = _edges(_log(footage.reference)), _detail(_log(footage.reference))
-    compared = {name: (edge, lines) for name, edge in edges.items() if name != "motion"}
+    edges = {name: _edges(_linear(name, image)) for name, image in arrays.gbuffer.items()}
+    log_reference = _log(arrays.reference)
+    reference_edges, reference_detail = _edges(log_reference), _detail(log_reference)
+    pairs = {name: (edge, reference_edges) for name, edge in edges.items() if name != "motion"}
     if {"motion", "normal", "depth"} <= set(edges):
-        compared["motion"] = (edges["motion"], edges["normal"] + edges["depth"])
-    compared |= {_pool(k): (_detail(_log(p.mean(1))), light) for k, p in footage.pools.items()}
+        pairs["motion"] = (edges["motion"], edges["normal"] + edges["depth"])
+    for kind, pool in arrays.pools.items():
+        pairs[_pool_name(kind)] = (_detail(_log(pool.mean(1))), reference_detail)
     return {
-        name: {way: _correlation(turn(own), anchor) for way, turn in WAYS.items()}
-        for name, (own, anchor) in compared.items()
+        name: {way: _correlate(flip(edge), anchor) for way, flip in ORIENTATIONS.items()}
+        for name, (edge, anchor) in pairs.items()
     }
 
 
-def misoriented(found: dict[str, dict[str, float]]) -> dict[str, str]:
-    """The way in which a buffer lies, by name, of those that do not lie as the others do."""
-    best = {name: max(fit, key=lambda way: fit[way]) for name, fit in found.items()}
-    return {k: w for k, w in best.items() if found[k][w] - found[k]["as it is"] > BETTER}
+def misoriented(correlations: Correlations) -> dict[str, str]:
+    """The orientation of each buffer that is not oriented like the others, by its name."""
+    best = {name: max(fit, key=lambda way: fit[way]) for name, fit in correlations.items()}
+    return {
+        name: way
+        for name, way in best.items()
+        if correlations[name][way] - correlations[name][STORED] > MARGIN
+    }
 
 
-def reoriented(footage: ClipArrays, found: dict[str, dict[str, float]]) -> ClipArrays:
-    """The footage with its pools as the reference lies, for checks that compare the two."""
-    lying = misoriented(found)
-    pools = {k: WAYS[lying.get(_pool(k), "as it is")](p) for k, p in footage.pools.items()}
-    return replace(footage, pools=pools)
+def reoriented(arrays: ClipArrays, correlations: Correlations) -> ClipArrays:
+    """The arrays with their pools oriented like the reference, for checks that compare the two."""
+    ways = misoriented(correlations)
+    pools = {
+        kind: ORIENTATIONS[ways.get(_pool_name(kind), STORED)](pool)
+        for kind, pool in arrays.pools.items()
+    }
+    return replace(arrays, pools=pools)
 
 
-def orientation(found: dict[str, dict[str, float]]) -> Finding:
-    """Do view and samples lie as the reference does, rows from the top, columns from the left?
+def check_orientation(correlations: Correlations) -> CheckResult:
+    """Are G-buffer and samples oriented like the reference, rows from the top, columns from left?
 
-    `found` is that of `ways`. A clip of which all is upside down has no such fault.
+    `correlations` is the result of `correlate_orientations`. A clip that is upside down as a whole
+    passes.
     """
-    told = ", ".join(f"{name} {fit['as it is']:.2f}" for name, fit in found.items())
-    if lying := misoriented(found):
+    stored = ", ".join(f"{name} {fit[STORED]:.2f}" for name, fit in correlations.items())
+    if ways := misoriented(correlations):
         parts = (
-            f"{name} is {way} ({found[name][way]:.2f} against {found[name]['as it is']:.2f})"
-            for name, way in lying.items()
+            f"{name} is {way} (correlation of edges {correlations[name][way]:.2f}, "
+            f"{correlations[name][STORED]:.2f} as stored)"
+            for name, way in ways.items()
         )
-        remedy = "write rows from the top and columns from the left; motion's axis turns with them"
-        return wrong(CHECK, f"by its edges, {'; '.join(parts)}", remedy)
-    if all(fit["as it is"] < BETTER for fit in found.values()):
-        return odd(CHECK, f"edges are too few to tell: {told}", "look at the picture")
-    return fine(CHECK, f"edges lie on those of the reference: {told}")
+        remedy = "write rows from the top and columns from the left; flip motion's axis with them"
+        return failed(CHECK, "; ".join(parts), remedy)
+    if all(fit[STORED] < MARGIN for fit in correlations.values()):
+        found = f"too few edges to decide: {stored}"
+        return warning(CHECK, found, "inspect the figure of rlbench lint --picture")
+    return passed(CHECK, f"edges correlate with those of the reference: {stored}")
 
 
-def _pool(kind: str) -> str:
+def _pool_name(kind: str) -> str:
     return f"pool {kind}"
 
 
-def _plain(name: str, image: Tensor) -> Tensor:
+def _linear(name: str, image: Tensor) -> Tensor:
+    """Disparity in place of depth, which may be infinite."""
     return 1 / image.abs().clamp_min(1e-6) if name.startswith("depth") else image
 
 
@@ -86,7 +102,7 @@ def _log(radiance: Tensor) -> Tensor:
 
 
 def _edges(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
-    """How much a pixel differs from the one before it, as a detail of ranks."""
+    """Differences to the previous pixel, as detail of ranks."""
     change = torch.zeros_like(image[:, :1])
     change[..., 1:] += (image[..., 1:] - image[..., :-1]).abs().sum(1, keepdim=True)
     change[..., 1:, :] += (image[..., 1:, :] - image[..., :-1, :]).abs().sum(1, keepdim=True)
@@ -94,16 +110,16 @@ def _edges(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
 
 
 def _detail(image: Float[Tensor, "t c h w"]) -> Float[Tensor, "t 1 h w"]:
-    """Ranks in 0..1 of the mean channel, less the mean of their surroundings.
+    """Ranks in [0, 1] of the mean channel, minus the mean of their neighbourhood.
 
-    Gradients over the whole image, which are the same in two mirrored ones, fall out.
+    This removes gradients over the whole image, which two mirrored images can share.
     """
     flat = image.mean(1).flatten(1)
     ranks = (flat.argsort(1).argsort(1).float() / flat.shape[1]).view_as(image[:, :1])
-    margin = [AROUND // 2] * 4
-    return ranks - F.avg_pool2d(F.pad(ranks, margin, mode="replicate"), AROUND, 1)
+    margin = [WINDOW // 2] * 4
+    return ranks - F.avg_pool2d(F.pad(ranks, margin, mode="replicate"), WINDOW, 1)
 
 
-def _correlation(one: Tensor, other: Tensor) -> float:
+def _correlate(one: Tensor, other: Tensor) -> float:
     one, other = one - one.mean(), other - other.mean()
     return float((one * other).sum() / (one.norm() * other.norm()).clamp_min(1e-9))

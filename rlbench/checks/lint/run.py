@@ -1,4 +1,4 @@
-"""Linting clip folders: read, examine, tell, draw."""
+"""Lint clip folders: read them, run all checks, print a tick list, draw a figure."""
 
 from __future__ import annotations
 
@@ -7,28 +7,32 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rlbench.checks.console import tick_list
-from rlbench.checks.finding import Verdict
-from rlbench.checks.lint.checks import examine
-from rlbench.checks.lint.clip_arrays import read_footage
-from rlbench.checks.lint.figure import draw
+from rlbench.checks.console import print_results
+from rlbench.checks.lint.checks import lint_clip
+from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
+from rlbench.checks.lint.figure import draw_figure
 
 
-def lint(folders: Sequence[Path], picture: Path | None = None, frames: int = 8) -> bool:
-    """Tell what every check says of each clip folder; has none failed?
+def lint_clips(folders: Sequence[Path], figure: Path | None = None, frames: int = 8) -> bool:
+    """Check clip folders and print the results. Returns False if a check failed.
 
-    Of each clip the first `frames` frames are read (0: all). `picture` is a PNG to write; of
-    several clips each has its own, with the folder's name in it. Raises ClipError where a folder is
-    not a finished clip.
+    Reads the first `frames` frames of each clip (0: all). `figure` is a PNG to write; with several
+    clips, each has its own, with the folder's name appended. Raises ClipError where a folder is not
+    a finished clip.
     """
-    console, sound = Console(), True
+    console, all_passed = Console(), True
     for folder in folders:
-        footage = read_footage(folder, frames)
-        findings = examine(footage)
-        tick_list(footage, findings, console)
-        if picture:
-            own = picture.with_name(f"{picture.stem}-{folder.name}.png")
-            path = draw(footage, findings, own if len(folders) > 1 else picture)
-            console.print(f"picture: {path}", highlight=False)
-        sound = sound and all(each.verdict is not Verdict.FAIL for each in findings)
-    return sound
+        arrays = read_clip_arrays(folder, frames)
+        results = lint_clip(arrays)
+        all_passed &= print_results(results, console, title=_title(arrays))
+        if figure:
+            numbered = figure.with_name(f"{figure.stem}-{folder.name}.png")
+            path = draw_figure(arrays, results, numbered if len(folders) > 1 else figure)
+            console.print(f"figure: {path}", highlight=False)
+    return all_passed
+
+
+def _title(arrays: ClipArrays) -> str:
+    header, read = arrays.header, len(arrays)
+    frames = f"{read} of {header.frames}" if read < header.frames else f"{header.frames}"
+    return f"{header.name}: {header.width} x {header.height} pixels, {frames} frames"

@@ -1,147 +1,164 @@
-"""Are the stored samples independent: of each other, of other pixels and frames, of references?"""
+"""Samples: are they independent of each other, of other pixels and frames, and of the reference?"""
 
 from __future__ import annotations
 
 from itertools import combinations
 
-import torch
+from torch import Tensor
 
-from rlbench.checks.finding import Finding, fine, odd, wrong
-from rlbench.checks.lint import noise_statistics
 from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.noise_statistics import (
+    bounded_noise,
+    correlate,
+    local_mean,
+    match_brightness,
+    ratio_of_sums,
+)
+from rlbench.checks.result import CheckResult, failed, passed, warning
 
-ALIKE = 0.05  # correlation from which on two are not independent; a tenth of it is ours' scatter
-MUCH = 0.15
-SIGMAS = 5.0  # standard errors that a correlation must be away from what independence gives
-COMMON = 0.3  # excess of the error of the mean over what the samples' scatter predicts
-SHARED = 0.01  # correlation of samples with the difference of the halves; 64 spp shared give 0.09
-OFF = 0.03  # of the reference's mean, that the samples' mean may be off
-
-
-def samples(footage: ClipArrays) -> Finding:
-    """Are the samples of a pixel independent of each other?"""
-    check, told = "samples", []
-    for kind, pool in footage.pools.items():
-        slots = range(pool.shape[1])
-        if len(slots) < 2:
-            told.append(f"pool {kind} has one sample")
-            continue
-        twins = [f"{i} and {j}" for i, j in combinations(slots, 2) if _same(pool[:, i], pool[:, j])]
-        if twins:
-            return wrong(check, f"pool {kind}: equal samples: {', '.join(twins[:4])}", RESEED)
-        share, expected = noise_statistics.bounded(pool), -1 / (len(slots) - 1)
-        pairs = {
-            (i, j): noise_statistics.correlation(share[:, i], share[:, j])
-            for i, j in combinations(slots, 2)
-        }
-        worst = max(pairs, key=lambda pair: pairs[pair][0])
-        excess, error = pairs[worst][0] - expected, pairs[worst][1]
-        if excess > max(ALIKE, SIGMAS * error):
-            what = f"pool {kind}: samples {worst[0]} and {worst[1]} correlate by {excess:.2f}"
-            return (wrong if excess > MUCH else odd)(check, what, RESEED)
-        common, error = _common(footage, kind)
-        if common > max(COMMON, 3 * error):
-            what = (
-                f"pool {kind}: their mean errs {1 + common:.1f} times as much as their scatter says"
-            )
-            return wrong(check, f"{what}, so all share some noise", RESEED)
-        told.append(
-            f"pool {kind}: pairs correlate by at most {excess:.3f} +- {pairs[worst][1]:.3f}"
-        )
-    return fine(check, "; ".join(told))
-
-
-RESEED = "trace each sample with a seed of its own, unfiltered"
-
-
-def neighbours(footage: ClipArrays) -> Finding:
-    """Is the noise of a pixel independent of that of the next pixel, and of the next frame?"""
-    check, told = "noise pattern", []
-    for kind, pool in footage.pools.items():
-        share = noise_statistics.bounded(pool)
-        looks = {
-            "the pixel to the right": (share[..., 1:], share[..., :-1]),
-            "the pixel below": (share[..., 1:, :], share[..., :-1, :]),
-            "the next frame": (share[1:], share[:-1]),
-        }
-        for where, (one, other) in looks.items():
-            if not one.numel():
-                continue
-            found, error = noise_statistics.correlation(one.flatten(0, 1), other.flatten(0, 1))
-            told.append(f"{found:.3f} with {where}")
-            if found > max(ALIKE, SIGMAS * error):
-                what = f"pool {kind}: noise correlates by {found:.2f} with {where}"
-                return (wrong if found > MUCH else odd)(check, what, PATTERN[where])
-    return fine(check, ", ".join(told))
-
-
-FILTERED = "use a box filter of one pixel, no denoiser and no upscaling"
-PATTERN = {
-    "the pixel to the right": FILTERED,
-    "the pixel below": FILTERED,
-    "the next frame": "let the seed depend on the frame",
+MAX_CORRELATION = 0.05  # of independent samples; our clips scatter by a tenth of it
+FAIL_CORRELATION = 0.15  # from which on a check fails instead of warning
+SIGMAS = 5.0  # standard errors by which a correlation must deviate from independence
+MAX_COMMON_NOISE = 0.3  # excess of the error of the mean over that predicted from the samples
+MAX_SHARED = 0.01  # correlation of samples with the difference of the halves; 64 shared spp give
+# 0.09
+MAX_BRIGHTNESS_ERROR = 0.03  # of the samples' mean, relative to the reference's mean
+RESEED = "render each sample with a different seed, unfiltered"
+NO_FILTER = "use a box filter of one pixel, no denoiser and no upscaling"
+PATTERN_REMEDIES = {
+    "the pixel to the right": NO_FILTER,
+    "the pixel below": NO_FILTER,
+    "the next frame": "make the seed depend on the frame",
 }
 
 
-def seeds(footage: ClipArrays) -> Finding:
+def check_samples(arrays: ClipArrays) -> CheckResult:
+    """Are the samples of a pixel independent of each other?"""
+    check, parts = "sample independence", []
+    for kind, pool in arrays.pools.items():
+        if pool.shape[1] < 2:
+            parts.append(f"pool {kind} has one sample")
+            continue
+        found = _check_pairs(check, kind, pool)
+        if isinstance(found, CheckResult):
+            return found
+        parts.append(found)
+        common, error = _common_noise(arrays, kind)
+        if common > max(MAX_COMMON_NOISE, 3 * error):
+            ratio = f"{1 + common:.1f} times as large as their variance predicts"
+            fault = f"pool {kind}: the squared error of their mean is {ratio}, so all share noise"
+            return failed(check, fault, RESEED)
+    return passed(check, "; ".join(parts))
+
+
+def _check_pairs(check: str, kind: str, pool: Tensor) -> CheckResult | str:
+    """A result if two samples are equal or correlated, otherwise the highest correlation."""
+    pairs = list(combinations(range(pool.shape[1]), 2))
+    equal = [f"{i} and {j}" for i, j in pairs if _has_equal_frame(pool[:, i], pool[:, j])]
+    if equal:
+        return failed(check, f"pool {kind}: equal samples: {', '.join(equal[:4])}", RESEED)
+    noise, expected = bounded_noise(pool), -1 / (pool.shape[1] - 1)
+    correlations = {(i, j): correlate(noise[:, i], noise[:, j]) for i, j in pairs}
+    i, j = max(correlations, key=lambda pair: correlations[pair][0])
+    excess, error = correlations[i, j][0] - expected, correlations[i, j][1]
+    if excess > max(MAX_CORRELATION, SIGMAS * error):
+        fault = f"pool {kind}: samples {i} and {j} correlate by {excess:.2f} +- {error:.2f}"
+        return _fail_or_warn(check, excess, fault, RESEED)
+    return f"pool {kind}: pairs correlate by at most {excess:.3f} +- {error:.3f}"
+
+
+def check_noise_pattern(arrays: ClipArrays) -> CheckResult:
+    """Is the noise of a pixel independent of that of the next pixel, and of the next frame?"""
+    check, parts = "noise pattern", []
+    for kind, pool in arrays.pools.items():
+        noise = bounded_noise(pool)
+        neighbours = {
+            "the pixel to the right": (noise[..., 1:], noise[..., :-1]),
+            "the pixel below": (noise[..., 1:, :], noise[..., :-1, :]),
+            "the next frame": (noise[1:], noise[:-1]),
+        }
+        for where, (one, other) in neighbours.items():
+            if not one.numel():
+                continue
+            value, error = correlate(one.flatten(0, 1), other.flatten(0, 1))
+            parts.append(f"{value:.3f} with {where}")
+            if value > max(MAX_CORRELATION, SIGMAS * error):
+                fault = f"pool {kind}: noise correlates by {value:.2f} +- {error:.2f} with {where}"
+                return _fail_or_warn(check, value, fault, PATTERN_REMEDIES[where])
+    return passed(check, f"noise correlates by {', '.join(parts)}")
+
+
+def check_seeds(arrays: ClipArrays) -> CheckResult:
     """Are the samples independent of the reference?
 
-    The difference of the halves is all noise, of mean zero: nothing that is independent of both
-    can correlate with it, whatever its distribution; a sample that is in one half does. Samples
-    that are in both are told by `rlbench.checks.lint.reference.halves`.
+    The difference of the halves is pure noise with mean zero: a sample that is independent of both
+    cannot correlate with it, whatever its distribution; a sample that is part of one half does.
+    Samples that are part of both are found by `rlbench.checks.lint.reference.check_halves`.
     """
-    check, told = "seeds", []
-    apart = footage.half_a - footage.half_b
-    apart = (apart / noise_statistics.level(apart.abs())).clamp(
-        -2, 2
-    )  # fireflies would hide all others
-    for kind, pool in footage.pools.items():
-        share = pool / (pool + noise_statistics.level(pool.mean(1))[:, None])
-        share = share - noise_statistics.level(share.mean(1))[:, None]
-        looks = {f"sample {slot}": share[:, slot] for slot in range(pool.shape[1])}
-        found = {k: noise_statistics.correlation(v, apart) for k, v in looks.items()}
-        found["their mean"] = noise_statistics.correlation(share.mean(1), apart)
-        worst = max(found, key=lambda name: abs(found[name][0]) / max(found[name][1], 1e-9))
-        value, error = found[worst]
-        if abs(value) > max(SHARED, 4 * error):
+    check, parts = "independent seeds", []
+    difference = arrays.half_a - arrays.half_b
+    # clamped, because fireflies would hide all other samples
+    difference = (difference / local_mean(difference.abs())).clamp(-2, 2)
+    for kind, pool in arrays.pools.items():
+        name, value, error = _strongest_correlation(pool, difference)
+        if abs(value) > max(MAX_SHARED, 4 * error):
             half = "A" if value > 0 else "B"
-            what = (
-                f"pool {kind}: {worst} correlates by {abs(value):.3f} with the noise of half {half}"
-            )
-            remedy = (
-                "trace pool and reference with seeds that never meet, or methods see the answer"
-            )
-            return wrong(check, what, remedy)
-        told.append(f"pool {kind}: {value:+.3f} +- {error:.3f} with the reference's noise at most")
-    return fine(check, "; ".join(told))
+            correlated = f"correlates by {abs(value):.3f} +- {error:.3f}"
+            fault = f"pool {kind}: {name} {correlated} with the noise of half {half}"
+            remedy = "render pool and reference with different seeds, or methods see the reference"
+            return failed(check, fault, remedy)
+        parts.append(
+            f"pool {kind}: at most {value:+.3f} +- {error:.3f} with the noise of the reference"
+        )
+    return passed(check, "; ".join(parts))
 
 
-def brightness(footage: ClipArrays) -> Finding:
-    """Is the mean of the samples that of the reference?"""
-    check, told = "brightness", []
-    for kind, pool in footage.pools.items():
-        value, error = noise_statistics.ratio(pool.mean(1), footage.reference)
-        told.append(f"pool {kind}: {value:.3f} +- {error:.3f} of the reference's mean")
-        if abs(value - 1) > max(OFF, SIGMAS * error):
-            remedy = "the same exposure, clamping, encoding and light paths for both"
-            return wrong(check, told[-1], remedy)
-    return fine(check, "; ".join(told))
+def _strongest_correlation(pool: Tensor, difference: Tensor) -> tuple[str, float, float]:
+    """The sample, or mean of all, that correlates most significantly with `difference`."""
+    noise = pool / (pool + local_mean(pool.mean(1))[:, None])
+    noise = noise - local_mean(noise.mean(1))[:, None]
+    images = {f"sample {slot}": noise[:, slot] for slot in range(pool.shape[1])}
+    images["the mean of its samples"] = noise.mean(1)
+    correlations = {name: correlate(image, difference) for name, image in images.items()}
+
+    def significance(name: str) -> float:
+        value, error = correlations[name]
+        return abs(value) / max(error, 1e-9)
+
+    strongest = max(correlations, key=significance)
+    return strongest, *correlations[strongest]
 
 
-def _common(footage: ClipArrays, kind: str) -> tuple[float, float]:
-    """Excess of the mean's squared error over the variance that the samples' scatter predicts.
+def check_brightness(arrays: ClipArrays) -> CheckResult:
+    """Does the mean of the samples equal that of the reference?"""
+    check, parts = "brightness", []
+    for kind, pool in arrays.pools.items():
+        value, error = ratio_of_sums(pool.mean(1), arrays.reference)
+        parts.append(f"pool {kind}: {value:.3f} +- {error:.3f} times the reference's mean")
+        if abs(value - 1) > max(MAX_BRIGHTNESS_ERROR, SIGMAS * error):
+            remedy = "use the same exposure, clamping, encoding and light paths for both"
+            return failed(check, f"{parts[-1]} (expected 1)", remedy)
+    return passed(check, "; ".join(parts))
 
-    (m - A)(m - B) is an unbiased estimate of the error of the mean m, for the halves are
-    independent. m is brought to the reference's brightness first, which is another check's.
+
+def _fail_or_warn(check: str, correlation: float, fault: str, remedy: str) -> CheckResult:
+    return (failed if correlation > FAIL_CORRELATION else warning)(check, fault, remedy)
+
+
+def _common_noise(arrays: ClipArrays, kind: str) -> tuple[float, float]:
+    """Excess of the mean's squared error over the variance predicted from the samples; its error.
+
+    (m - A)(m - B) is an unbiased estimate of the squared error of the mean m, because the halves
+    are independent. m is first scaled to the reference's brightness, which another check compares.
     """
-    pool = noise_statistics.alike(footage.pools[kind], footage.reference)
-    weight = noise_statistics.level(footage.reference).square().reciprocal()
-    error = (pool.mean(1) - footage.half_a) * (pool.mean(1) - footage.half_b)
-    value, scatter = noise_statistics.ratio(error * weight, pool.var(1) / pool.shape[1] * weight)
-    return value - 1, scatter
+    pool = match_brightness(arrays.pools[kind], arrays.reference)
+    weight = local_mean(arrays.reference).square().reciprocal()
+    squared = (pool.mean(1) - arrays.half_a) * (pool.mean(1) - arrays.half_b)
+    value, error = ratio_of_sums(squared * weight, pool.var(1) / pool.shape[1] * weight)
+    return value - 1, error
 
 
-def _same(one: torch.Tensor, other: torch.Tensor) -> bool:
-    """Are two samples equal in some whole frame, though there is something to see?"""
+def _has_equal_frame(one: Tensor, other: Tensor) -> bool:
+    """Are two samples equal in a whole frame that is not constant?"""
     equal = (one == other).flatten(1).all(1)
     return bool((equal & (one.flatten(1).std(1) > 0)).any())

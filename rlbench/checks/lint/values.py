@@ -1,53 +1,51 @@
-"""Values that no clip may hold: not finite, or radiance below zero."""
+"""Values that no clip may have: NaN, infinity, negative radiance."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from rlbench.checks.finding import Finding, fine, wrong
 from rlbench.checks.lint.clip_arrays import ClipArrays
-from rlbench.clips.frame_files import not_finite
+from rlbench.checks.result import CheckResult, failed, passed
+from rlbench.clips.frame_files import nonfinite_mask
 
-SHOWN = 3  # places that are told
+MAX_PLACES = 3  # pixels that a message lists
 
 
-def finite(footage: ClipArrays) -> Finding:
-    """Is every value finite, but for depth's background?"""
-    bad = {
-        name: torch.from_numpy(not_finite(name, image.numpy()))
-        for name, image in _all(footage).items()
+def check_finite(arrays: ClipArrays) -> CheckResult:
+    """Is every value finite, except the depth of the background?"""
+    images = {**arrays.gbuffer, **_radiance(arrays)}
+    masks = {
+        name: torch.from_numpy(nonfinite_mask(name, image.numpy()))
+        for name, image in images.items()
     }
-    remedy = "find out what made them; a NaN in one sample spreads through every filter"
-    return _told("finite", bad, "NaN or infinite", remedy)
+    remedy = "find their origin: a NaN in one sample spreads through every filter"
+    return _report("finite values", masks, "NaN or infinite", remedy)
 
 
-def positive(footage: ClipArrays) -> Finding:
+def check_non_negative(arrays: ClipArrays) -> CheckResult:
     """Is radiance nowhere negative?"""
-    bad = {name: image < 0 for name, image in _radiance(footage).items()}
+    masks = {name: image < 0 for name, image in _radiance(arrays).items()}
     remedy = "clip at 0, and look for a filter with negative lobes or a wrong colour matrix"
-    return _told("not negative", bad, "negative", remedy)
+    return _report("non-negative radiance", masks, "negative", remedy)
 
 
-def _told(check: str, bad: dict[str, Tensor], what: str, remedy: str) -> Finding:
-    count = {name: int(mask.sum()) for name, mask in bad.items()}
-    if not sum(count.values()):
-        return fine(check, f"no value is {what}")
-    places = [_place(name, mask) for name, mask in bad.items() if count[name]][:SHOWN]
-    parts = ", ".join(f"{number} in {name}" for name, number in count.items() if number)
-    return wrong(check, f"{what}: {parts}; first: {'; '.join(places)}", remedy)
+def _report(check: str, masks: dict[str, Tensor], fault: str, remedy: str) -> CheckResult:
+    counts = {name: int(mask.sum()) for name, mask in masks.items()}
+    if not sum(counts.values()):
+        return passed(check, f"no value is {fault}")
+    places = [_first_place(name, mask) for name, mask in masks.items() if counts[name]]
+    parts = ", ".join(f"{count} in {name}" for name, count in counts.items() if count)
+    first = "; ".join(places[:MAX_PLACES])
+    return failed(check, f"{fault} values: {parts}; first: {first}", remedy)
 
 
-def _place(name: str, mask: Tensor) -> str:
-    at = [int(i) for i in mask.nonzero()[0]]
-    slot = f" sample {at[1]}" if mask.ndim == 5 else ""
-    return f"{name} frame {at[0]}{slot} at x {at[-1]}, y {at[-2]}"
+def _first_place(name: str, mask: Tensor) -> str:
+    index = [int(i) for i in mask.nonzero()[0]]
+    sample = f" sample {index[1]}" if mask.ndim == 5 else ""
+    return f"{name} frame {index[0]}{sample} at x {index[-1]}, y {index[-2]}"
 
 
-def _radiance(footage: ClipArrays) -> dict[str, Tensor]:
-    pools = {f"pool {kind}": pool for kind, pool in footage.pools.items()}
-    return {**pools, "reference A": footage.half_a, "reference B": footage.half_b}
-
-
-def _all(footage: ClipArrays) -> dict[str, torch.Tensor]:
-    return {**footage.gbuffer, **_radiance(footage)}
+def _radiance(arrays: ClipArrays) -> dict[str, Tensor]:
+    pools = {f"pool {kind}": pool for kind, pool in arrays.pools.items()}
+    return {**pools, "reference A": arrays.half_a, "reference B": arrays.half_b}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 
-__all__ = ["FORMATS", "sequences"]
+__all__ = ["FORMATS", "find_sequences"]
 
 FORMATS = {
     "oidn": "rlbench.clips.importers.oidn",
@@ -18,7 +18,7 @@ FORMATS = {
 ALIASES = {"paper": "rl-path-tracing"}  # old names, still accepted
 
 
-def sequences(
+def find_sequences(
     source: Path, format_: str, frames: tuple[int, int] | None = None
 ) -> list[ImportedSequence]:
     """The sequences in a folder, sorted by name; each becomes one clip.

@@ -20,7 +20,7 @@ __all__ = [
     "SourceError",
     "clip_name",
     "select_frames",
-    "span",
+    "parse_frame_range",
 ]
 
 Pixels = NDArray[np.floating]
@@ -57,10 +57,10 @@ class ImportedSequence:
     fps: float = 24.0  # frames per second
 
 
-def span(text: str) -> tuple[int, int]:
+def parse_frame_range(text: str) -> tuple[int, int]:
     """The first frame and the end, exclusive, of a range FIRST:END. Raises SourceError.
 
-    >>> span("0:20")
+    >>> parse_frame_range("0:20")
     (0, 20)
     """
     match = re.fullmatch(r"(\d+):(\d+)", text)

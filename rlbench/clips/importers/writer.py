@@ -13,7 +13,7 @@ from rlbench.clips.importers import limits
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
 from rlbench.system import paths
 
-__all__ = ["clip_header", "finished", "store"]
+__all__ = ["clip_header", "is_finished", "write_clip"]
 
 SOURCE_FILE = "source.txt"  # in the clip folder: what its frames were imported from
 
@@ -53,7 +53,7 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
     return header
 
 
-def store(
+def write_clip(
     sequence: ImportedSequence,
     header: Header,
     folder: Path,
@@ -74,7 +74,7 @@ def store(
     write_header(folder, header)
 
 
-def finished(sequence: ImportedSequence, header: Header, folder: Path) -> bool:
+def is_finished(sequence: ImportedSequence, header: Header, folder: Path) -> bool:
     """Whether the folder holds clip.toml and every frame, imported from this sequence."""
     complete = all(has_frame(folder, index, header.pools) for index in range(header.frames))
     key = _content_key(sequence, header)
@@ -91,7 +91,7 @@ def _claim(sequence: ImportedSequence, header: Header, folder: Path) -> None:
             f"{folder} holds a clip from elsewhere, or from these files before they changed; "
             "move it away, or import into another --out"
         )
-    with paths.replacing(folder / SOURCE_FILE) as path:
+    with paths.atomic_write(folder / SOURCE_FILE) as path:
         path.write_text(key)
 
 

@@ -148,6 +148,3 @@ class _Frames(Sequence[Frame]):
         """One seed per clip in the batch, from the clip's seed and the frame number."""
         keys = (f"{seed}/{index}".encode() for seed in self._seeds)
         return tuple(int.from_bytes(hashlib.blake2b(k, digest_size=4).digest()) >> 1 for k in keys)
-
-
-procedural = procedural_clip  # former name

@@ -1,1 +1,1 @@
-"""Cycles, Blender's path tracer, as a second tracer: in a process of its own, for it is GPL."""
+"""Cycles, Blender's path tracer, as a second renderer; it is GPL and runs in its own process."""

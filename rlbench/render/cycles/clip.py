@@ -1,264 +1,136 @@
-"""A user's Blender, USD, glTF or FBX scene as a clip: opened, looked at, rendered by Cycles.
+"""Renders a user's Blender, USD, glTF or FBX scene as a clip with Cycles.
 
-Three kinds of job, each in a process of its own: small pictures for exposure, the views of all
-frames, then radiance. What is whole is kept, so a killed rendering goes on.
+The worker runs three kinds of job, each in a process of its own: small images for the exposure,
+the geometry of all frames, then radiance. Finished images are kept, so an interrupted rendering
+resumes.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 from rich.console import Console
 from rich.progress import Progress
 
-from rlbench.clips.stored import write_frame, write_header
+from rlbench.clips.stored import write_header
 from rlbench.render.cycles import passes
-from rlbench.render.cycles.process import run
-from rlbench.render.cycles.scene_file import Found, opened
-from rlbench.render.cycles.worker_job import Parameters, Picture, render_job, seed
-from rlbench.render.jobs import references
-from rlbench.render.jobs.job import Job
+from rlbench.render.cycles.frames import CyclesJob, fastest_sample_s, render_frames
+from rlbench.render.cycles.scene_file import open_blender_file
+from rlbench.render.cycles.worker_job import CyclesParameters, ImageTask, image_seed
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from rlbench.render.user import auto_exposure
-from rlbench.render.user.clip import UserSceneOptions, job_of, told
+from rlbench.render.user.clip import UserSceneOptions, describe_job, plan_clip
 from rlbench.system import paths
 
-SPAN = 32  # samples of a reference's picture: so much is lost at most when it is killed
-LOOK = (32, 32)  # pixels of the pictures that the exposure is chosen by: 8 x 8 areas of 4 x 4
-LOOK_SPP = 16
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-WORK = ".cycles"  # beside the frames, until all are there
-Tell = Callable[[str], None]
+__all__ = ["ensure_cycles"]
+
+PREVIEW_SIZE = (32, 32)  # pixels of the images for the exposure: 8 x 8 areas of 4 x 4
+PREVIEW_SPP = 16
 
 
-@dataclass(frozen=True)
-class CyclesJob:
-    """One clip that Cycles renders."""
+def ensure_cycles(
+    options: UserSceneOptions,
+    preset: Preset,
+    on_message: Callable[[str], None] = lambda message: None,
+) -> Path:
+    """The clip folder of a scene file that Cycles renders, after rendering the missing frames.
 
-    job: Job
-    file: Path
-    found: Found
-    asked: Parameters
-
-    @property
-    def work(self) -> Path:
-        """Where the worker's pictures are until their frame is whole."""
-        return self.job.folder / WORK
-
-    def run(
-        self, pictures: list[Picture], log: Path, geometry: bool = False, look: bool = False
-    ) -> Iterator[tuple[Path, float]]:
-        """Files as they are made, and the seconds each took; those that are there are left out."""
-        missing = [picture for picture in pictures if not picture.file.is_file()]
-        if not missing:
-            return
-        plan, scene = self.job.preset, self.job.scene
-        size = LOOK if look else plan.size
-        what = render_job(
-            self.file,
-            scene,
-            self.found.start,
-            plan.frames,
-            size,
-            self.asked,
-            missing,
-            geometry,
-        )
-        for event in run(what, log):
-            if event.get("event") == "made":
-                yield Path(event["file"]), event["seconds"]
-
-
-def ensure_cycles(wish: UserSceneOptions, preset: Preset, tell: Tell = lambda words: None) -> Path:
-    """The clip folder of a scene file that Cycles renders, after rendering what is missing of it.
-
-    As `rlbench.render.user.clip.ensure_own`, with the file's own camera if it has one. Raises
-    SceneError where the scene cannot be rendered as asked, ClipError where `out` holds frames of
-    another origin, and CyclesError where Blender is missing or broke down.
+    Works like `rlbench.render.user.clip.ensure_user_clip`; the default camera is the file's own.
+    Raises SceneError if the scene cannot be rendered with these options, ClipError if `out` holds
+    frames of another renderer, and CyclesError if Blender is missing or failed.
     """
-    asked = Parameters.of(wish.parameters)
-    if preset.cap < np.inf:
-        raise SceneError(f"preset {preset.name} has a radiance cap; Cycles' samples are not capped")
-    found = opened(wish, wish.frames or preset.frames, asked)
-    job, route = job_of(wish, found.opened, preset)
-    if job.finished:
+    parameters = CyclesParameters.parse(options.parameters)
+    if preset.radiance_cap < np.inf:
+        raise SceneError(
+            f"preset {preset.name} has a radiance cap, but samples of Cycles are not capped. Use a "
+            "preset without a cap"
+        )
+    scene_file = open_blender_file(options, options.frames or preset.frames, parameters)
+    job, path = plan_clip(options, scene_file.user_scene, preset)
+    if job.is_finished:
         return job.folder
-    for note in found.opened.notes:
-        tell(note)
-    if route.kind in ("orbit", "dolly"):
-        if not found.distance:
+    for note in scene_file.user_scene.notes:
+        on_message(note)
+    if path.kind in ("orbit", "dolly"):
+        if not scene_file.distance:
             raise SceneError(
-                f"the camera of {wish.file} sees no surface in the middle of the picture, so there "
-                "is nothing to move around; use --camera still, or a JSON file of matrices"
+                f"the camera of {options.file} sees no surface in the middle of the image to move "
+                "around. Use --camera still, or a JSON file of matrices"
             )
-        scene = replace(job.scene, camera=route.around(found.distance, job.preset.frames))
+        scene = replace(job.scene, camera=path.move_around(scene_file.distance, job.preset.frames))
         job = replace(job, scene=scene)
-    shoot = CyclesJob(job, wish.file, found, asked)
-    usual = _exposure(shoot)
-    job = replace(job, scene=replace(job.scene, exposure=wish.exposure or usual))
-    tell(told(job))
-    _render(replace(shoot, job=job))
+    cycles_job = CyclesJob(job, options.file, scene_file, parameters)
+    estimate = _estimate_exposure(cycles_job)
+    job = replace(job, scene=replace(job.scene, exposure=options.exposure or estimate))
+    on_message(describe_job(job))
+    _render(replace(cycles_job, job=job))
     return job.folder
 
 
-def _exposure(shoot: CyclesJob) -> float:
-    """What shows the frames at a usual brightness. Raises SceneError for one that is all black."""
-    log = paths.cache() / "cycles" / f"{shoot.job.name}.log"
-    with TemporaryDirectory(prefix="rlbench-") as place:
-        looks = [
-            Picture(
-                Path(place, f"{index}.exr"), index, seed(index, "pilot", 0), LOOK_SPP, 1, LOOK_SPP
+def _estimate_exposure(cycles_job: CyclesJob) -> float:
+    """The exposure from small images of all frames. Raises SceneError if one of them is black."""
+    log = paths.cache_folder() / "cycles" / f"{cycles_job.job.name}.log"
+    with TemporaryDirectory(prefix="rlbench-") as folder:
+        previews = [
+            ImageTask(
+                Path(folder, f"{index}.exr"),
+                index,
+                image_seed(index, "pilot", 0),
+                PREVIEW_SPP,
+                1,
+                PREVIEW_SPP,
             )
-            for index in range(shoot.job.preset.frames)
+            for index in range(cycles_job.job.preset.frames)
         ]
-        for _ in shoot.run(looks, log, look=True):
+        for _ in cycles_job.render_images(previews, log, size=PREVIEW_SIZE):
             pass
-        areas = np.stack([_areas(passes.radiance(look.file, LOOK)) for look in looks])
+        images = [passes.read_radiance(preview.file, PREVIEW_SIZE) for preview in previews]
+    areas = np.stack([auto_exposure.area_luminance(image) for image in images])
     if black := [str(index) for index, frame in enumerate(areas) if not frame.any()]:
         raise SceneError(
-            f"frames {', '.join(black[:8])} are black: there is no light, none gets to what the "
-            "camera sees, or the camera is inside something. --define world=1 adds a white sky; "
+            f"frames {', '.join(black[:8])} are black: there is no light, none reaches what the "
+            "camera sees, or the camera is inside an object. --define world=1 adds a white sky; "
             "glTF and FBX do not carry every kind of lamp"
         )
-    return auto_exposure.exposure(areas)
+    return auto_exposure.exposure_from_areas(areas)
 
 
-def _areas(image: Float[Array, "h w 3"]) -> Float[Array, " areas"]:
-    luminance = image @ np.array(LUMINANCE)
-    side = LOOK[0] // auto_exposure.AREAS
-    return np.asarray(
-        luminance.reshape(auto_exposure.AREAS, side, auto_exposure.AREAS, side).mean((1, 3)).ravel()
-    )
-
-
-def _render(shoot: CyclesJob) -> None:
+def _render(cycles_job: CyclesJob) -> None:
     """Render the missing frames, then write the header."""
-    job = shoot.job
-    job.claim()
-    _claim(shoot)
-    plan = job.preset
+    job, work_folder = cycles_job.job, cycles_job.work_folder
+    job.claim_folder()
+    _claim_work_folder(cycles_job)
+    preset, blender = job.preset, cycles_job.blender_scene.blender
     columns = Progress.get_default_columns()
     with Progress(*columns, console=Console(stderr=True), speed_estimate_period=120) as bar:
-        area = plan.size[0] * plan.size[1]
-        paths_left = len(job.missing) * plan.frame_samples
+        area = preset.size[0] * preset.size[1]
+        paths_to_trace = len(job.missing_frames) * preset.paths_per_frame
         bar.console.print(
-            f"rendering with Cycles (Blender {shoot.found.blender}): "
-            f"at most {paths_left / 1e6:.2f} million light paths; into {job.folder}"
+            f"rendering {job.name} with Cycles (Blender {blender}) to {job.folder}: "
+            f"at most {paths_to_trace / 1e6:.2f} million light paths. "
+            "If interrupted, the same command resumes it"
         )
-        task = bar.add_task(job.name, total=paths_left)
-        for spp in _frames(shoot):
+        task = bar.add_task(job.name, total=paths_to_trace)
+        for spp in render_frames(cycles_job):
             bar.advance(task, spp * area)
-    version = f"Blender {shoot.found.blender}, {job.scene.depth - 2} bounces, light tree"
-    seconds = _seconds(shoot.work)
+    version = f"Blender {blender}, {job.scene.max_depth - 2} bounces, light tree"
+    seconds = fastest_sample_s(work_folder)
     sample_ms = seconds * 1e3 if np.isfinite(seconds) else float("nan")
-    write_header(job.folder, job.header("cycles", version, sample_ms, stratified=True))
-    shutil.rmtree(shoot.work)
+    write_header(job.folder, job.make_header("cycles", version, sample_ms, stratified=True))
+    shutil.rmtree(work_folder)
 
 
-def _claim(shoot: CyclesJob) -> None:
-    """An empty work folder, or the one of this very clip."""
-    mark = shoot.work / "mark.txt"
-    if not (mark.is_file() and mark.read_text() == shoot.job.content_key):
-        shutil.rmtree(shoot.work, ignore_errors=True)
-        with paths.replacing(mark) as path:
-            path.write_text(shoot.job.content_key)
-
-
-def _frames(shoot: CyclesJob) -> Iterator[int]:
-    """Render and write all missing frames, in rounds; yields samples per pixel as they are done."""
-    job, work = shoot.job, shoot.work
-    views = [Picture(_geometry(work, i), i, seed(i, "path", 0)) for i in job.missing]
-    for _ in shoot.run(views, work / "geometry.log", geometry=True):
-        pass
-    for done in range(1, job.preset.max_reference_rounds + 1):
-        pictures = {index: _pictures(shoot, index, done) for index in job.missing}
-        for index in pictures:
-            _settle(shoot, index, done)
-        wanted = [picture for index in job.missing for picture in pictures[index]]
-        spp = {picture.file: (picture.frame, picture.spp) for picture in wanted}
-        yield sum(p.spp for p in wanted if p.file.is_file()) if done == 1 else 0
-        for file, seconds in shoot.run(wanted, work / f"round{done}.log"):
-            index, samples = spp[file]
-            if file.name.startswith("reference"):
-                _time(work, seconds / samples)
-            _settle(shoot, index, done)
-            yield samples
-
-
-def _pictures(shoot: CyclesJob, index: int, done: int) -> list[Picture]:
-    """All radiance pictures of a frame in rounds up to `done`: samples, then both halves."""
-    plan, work = shoot.job.preset, shoot.work.absolute()
-    found = [
-        Picture(work / f"path.{index:04d}.{slot}.exr", index, seed(index, "path", slot))
-        for slot in range(plan.pool_spp)
-    ]
-    for half in references.HALVES:
-        for turn in range(done):
-            found += spans(work, f"reference{half}", index, turn, plan.reference_spp)
-    return found
-
-
-def spans(work: Path, stream: str, index: int, turn: int, total: int) -> list[Picture]:
-    """What one round adds to one half of a reference: one seed, its samples in spans."""
-    name, number = f"{stream}.{index:04d}.{turn}", seed(index, stream, turn)
-    return [
-        Picture(
-            work / f"{name}.{first}.exr", index, number, min(SPAN, total - first + 1), first, total
-        )
-        for first in range(1, total + 1, SPAN)
-    ]
-
-
-def _settle(shoot: CyclesJob, index: int, done: int) -> None:
-    """Write a frame if all its pictures are there, and its reference is good enough or the last."""
-    job, plan = shoot.job, shoot.job.preset
-    pictures = _pictures(shoot, index, done)
-    if not all(picture.file.is_file() for picture in pictures):
-        return
-    halves = {}
-    for half in references.HALVES:
-        own = [p for p in pictures if p.file.name.startswith(f"reference{half}.")]
-        weighted = [passes.radiance(p.file, plan.size) * np.float64(p.spp) for p in own]
-        total = np.sum(weighted, axis=0) / sum(p.spp for p in own)
-        halves[half] = total.astype(np.float32)
-    a, b = halves["A"], halves["B"]
-    if (
-        done < plan.max_reference_rounds
-        and references.ceiling_db(a, b, job.scene.exposure) < plan.ceiling_db
-    ):
-        return
-    file = _geometry(shoot.work, index)
-    gbuffer = passes.read_view(file, job.scene, index, plan.size)
-    samples = [p for p in pictures if p.file.name.startswith("path.")]
-    pool = np.stack([passes.radiance(p.file, plan.size) for p in samples])
-    if plan.max_reference_rounds > 1:
-        references.note(job.folder, index, 2 * plan.reference_spp * done)
-    gbuffer = {name: gbuffer[name] for name in job.buffers}
-    write_frame(job.folder, index, gbuffer, {"path": pool}, a, b)
-    for picture in pictures:
-        picture.file.unlink()
-    file.unlink()
-
-
-def _geometry(work: Path, index: int) -> Path:
-    return work.absolute() / f"view.{index:04d}.exr"
-
-
-def _time(work: Path, seconds: float) -> None:
-    """Remember the least time of a sample."""
-    least = min(seconds, _seconds(work))
-    with paths.replacing(work / "seconds.txt") as path:
-        path.write_text(repr(least))
-
-
-def _seconds(work: Path) -> float:
-    note = work / "seconds.txt"
-    return float(note.read_text()) if note.is_file() else float("inf")
+def _claim_work_folder(cycles_job: CyclesJob) -> None:
+    """Empty the work folder unless it belongs to this very clip."""
+    key_file = cycles_job.work_folder / "mark.txt"
+    key = cycles_job.job.content_key
+    if not (key_file.is_file() and key_file.read_text() == key):
+        shutil.rmtree(cycles_job.work_folder, ignore_errors=True)
+        with paths.atomic_write(key_file) as path:
+            path.write_text(key)

@@ -1,10 +1,10 @@
-"""A Blender, USD, glTF or FBX file, opened by the worker: its camera, what moves, what it lacks."""
+"""Opens a Blender, USD, glTF or FBX file by the worker: camera, animation, and missing files."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,139 +14,176 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.render.cycles.process import VERSION, CyclesError, run
-from rlbench.render.cycles.worker_job import RECIPE, Parameters, inspect_job, turned
+from rlbench.render.cycles.process import TESTED_BPY_VERSION, CyclesError, run_worker
+from rlbench.render.cycles.worker_job import (
+    WORKER_VERSION,
+    CyclesParameters,
+    convert_axes,
+    inspect_job,
+)
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import camera_path
 from rlbench.render.user.clip import UserSceneOptions
 from rlbench.render.user.scene_file import UserScene
 from rlbench.system import paths
 
+__all__ = ["FORMATS", "BlenderScene", "gltf_parts", "hash_files", "open_blender_file"]
+
 FORMATS = (".blend", ".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".fbx", ".obj")
-CENTRED = 1e-4  # share of the picture's width that the lens may be shifted by
+MAX_LENS_SHIFT = 1e-4  # fraction of the image width
 
 
 @dataclass(frozen=True)
-class Found:
-    """What the worker says of a file."""
+class BlenderScene:
+    """A scene file as the worker describes it."""
 
-    opened: UserScene
+    user_scene: UserScene
     start: int  # the scene's frame that is frame 0
-    distance: float | None  # to what the middle of the first picture shows, in scene units
+    distance: float | None  # to the surface in the middle of the first image, in scene units
     blender: str  # version
 
 
-def opened(wish: UserSceneOptions, frames: int, asked: Parameters) -> Found:
-    """Ask the worker what a scene file holds; what it said is remembered while files are the same.
+def open_blender_file(
+    options: UserSceneOptions, frames: int, parameters: CyclesParameters
+) -> BlenderScene:
+    """Open a scene file; the worker's description is cached until the files change.
 
-    Raises SceneError for a file that is not there, of another format, or that lacks files itself,
-    and CyclesError where Blender cannot open it.
+    Raises SceneError for a file that does not exist, has another format, or refers to missing
+    files, and CyclesError if Blender cannot open it.
     """
-    file = wish.file
+    file = options.file
     if file.suffix.lower() not in FORMATS:
         raise SceneError(f"Cycles cannot open {file}; it takes {', '.join(FORMATS)}")
     if not file.is_file():
-        raise SceneError(f"no scene file {file}")
-    facts = _remembered(wish, frames, asked)
-    if lost := facts["missing"]:
+        raise SceneError(f"there is no scene file {file}; check --scene")
+    description = _describe(options, frames, parameters)
+    if missing := description["missing"]:
         raise SceneError(
-            f"{file} refers to files that are not there: {', '.join(lost)}; put them there, or "
+            f"{file} refers to files that do not exist: {', '.join(missing)}. Put them there, or "
             "pack them into the file"
         )
-    if not facts["meshes"]:
-        raise SceneError(f"{file} holds no mesh, so there is nothing to see")
-    return Found(_as_opened(file, facts, asked), facts["start"], facts["distance"], facts["hello"])
+    if not description["meshes"]:
+        raise SceneError(f"{file} has no mesh, so there is nothing to render. Add one")
+    return BlenderScene(
+        _user_scene(file, description, parameters),
+        description["start"],
+        description["distance"],
+        description["hello"],
+    )
 
 
-def _remembered(wish: UserSceneOptions, frames: int, asked: Parameters) -> dict[str, Any]:
-    """The worker's description, from the cache if nothing it depends on has changed."""
-    words = f"{RECIPE} {wish.file.absolute()} {frames} {wish.size} {asked.start}"
-    place = paths.cache() / "cycles" / hashlib.sha256(words.encode()).hexdigest()[:16]
-    note = place.with_suffix(".json")
-    if note.is_file():
-        facts: dict[str, Any] = json.loads(note.read_text())
-        if facts["digest"] == digest(wish.file, facts["files"]):
-            return facts
-    facts = {}
-    for event in run(inspect_job(wish.file, frames, wish.size, asked), place / "open.log"):
+def _describe(
+    options: UserSceneOptions, frames: int, parameters: CyclesParameters
+) -> dict[str, Any]:
+    """The worker's description, from the cache if nothing that it depends on has changed."""
+    key = f"{WORKER_VERSION} {options.file.absolute()} {frames} {options.size} {parameters.start}"
+    folder = paths.cache_folder() / "cycles" / hashlib.sha256(key.encode()).hexdigest()[:16]
+    cached = folder.with_suffix(".json")
+    if cached.is_file():
+        description: dict[str, Any] = json.loads(cached.read_text())
+        if description["digest"] == hash_files(options.file, description["files"]):
+            return description
+    description = {}
+    job = inspect_job(options.file, frames, options.size, parameters)
+    for event in run_worker(job, folder / "open.log"):
         if event.get("event") == "hello":
-            facts["hello"] = event["blender"]
+            description["hello"] = event["blender"]
         if event.get("event") == "opened":
-            facts |= event
-    if "start" not in facts:
-        raise CyclesError(f"Blender opened {wish.file} and said nothing of it")
-    facts["files"] = sorted({*facts["files"], *parts(wish.file)})
-    facts["digest"] = digest(wish.file, facts["files"])
-    if not facts["missing"]:
-        with paths.replacing(note) as path:
-            path.write_text(json.dumps(facts))
-    return facts
+            description |= event
+    if "start" not in description:
+        raise CyclesError(
+            f"Blender opened {options.file} without describing it; see {folder / 'open.log'}"
+        )
+    description["files"] = sorted({*description["files"], *gltf_parts(options.file)})
+    description["digest"] = hash_files(options.file, description["files"])
+    if not description["missing"]:
+        with paths.atomic_write(cached) as path:
+            path.write_text(json.dumps(description))
+    return description
 
 
-def digest(file: Path, others: list[str]) -> str:
+def hash_files(file: Path, others: list[str]) -> str:
     """Hash of a scene file and of the files that it refers to."""
-    told = hashlib.blake2b(digest_size=16)
-    for each in (file, *map(Path, others)):
-        told.update(each.name.encode())
-        told.update(hashlib.sha256(each.read_bytes()).digest() if each.is_file() else b"missing")
-    return told.hexdigest()
+    digest = hashlib.blake2b(digest_size=16)
+    for path in (file, *map(Path, others)):
+        digest.update(path.name.encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest() if path.is_file() else b"missing")
+    return digest.hexdigest()
 
 
-def parts(file: Path) -> list[str]:
-    """The files beside a .gltf that it consists of, which Blender forgets once they are read."""
+def gltf_parts(file: Path) -> list[str]:
+    """The buffers and images beside a .gltf file, which Blender does not list."""
     if file.suffix.lower() != ".gltf":
         return []
-    text = json.loads(file.read_text(encoding="utf-8"))
-    found = [
-        part.get("uri", "data:") for kind in ("buffers", "images") for part in text.get(kind, ())
+    content = json.loads(file.read_text(encoding="utf-8"))
+    uris = [
+        part.get("uri", "data:") for kind in ("buffers", "images") for part in content.get(kind, ())
     ]
-    return [str((file.parent / unquote(uri)).absolute()) for uri in found if uri[:5] != "data:"]
+    return [str((file.parent / unquote(uri)).absolute()) for uri in uris if uri[:5] != "data:"]
 
 
-def _as_opened(file: Path, facts: Mapping[str, Any], asked: Parameters) -> UserScene:
-    name = file.stem
-    path = facts["camera"]
-    matrices = [turned(np.array(rows)) for rows in path["matrices"]]
-    fixed = all(np.allclose(rows, matrices[0], atol=1e-6) for rows in matrices)
-    fixed = fixed and len({round(fov, 6) for fov in path["fov"]}) < 2
-    high, wide = facts["film"]
-    bounces = facts["max_bounces"] if asked.max_bounces is None else asked.max_bounces
-    scene = Scene(
-        name,
-        name,
-        (),
-        flown(matrices, path["fov"]) if matrices else lambda time: Camera((0, 0, 0), (0, 1, 0)),
-        depth=bounces + 2,
-        static=fixed and not facts["moves"],
-    )
-    if path["lens"] not in ("PERSP", "none"):
-        raise SceneError(f"{file}: its camera is {path['lens']}; rlbench takes PERSP, a pinhole")
-    if path["shift"] > CENTRED:
-        raise SceneError(f"{file}: its camera's lens is shifted; rlbench takes a centred pinhole")
-    made_of = f"cycles {RECIPE} {facts['digest']} {facts['start']} {asked.mark}"
-    fov = path["fov"][1] if matrices else 60.0
-    first = matrices[1] if matrices else None
-    notes = [f"{file.name}: {note}" for note in _notes(facts)]
+def _user_scene(
+    file: Path, description: Mapping[str, Any], parameters: CyclesParameters
+) -> UserScene:
+    name, camera = file.stem, description["camera"]
+    _check_lens(file, camera)
+    matrices = [convert_axes(np.array(rows)) for rows in camera["matrices"]]
+    is_fixed = all(np.allclose(rows, matrices[0], atol=1e-6) for rows in matrices)
+    is_fixed = is_fixed and len({round(fov, 6) for fov in camera["fov"]}) < 2
+    bounces = parameters.max_bounces
+    bounces = description["max_bounces"] if bounces is None else bounces
+    animated = _animated_camera(matrices, camera["fov"]) if matrices else _default_camera
+    static = is_fixed and not description["moves"]
+    scene = Scene(name, name, (), animated, max_depth=bounces + 2, static=static)
+    high, wide = description["film"]
     return UserScene(
-        scene, name, made_of, first, fov, bool(matrices), facts["moves"], wide / high, notes
+        scene,
+        name,
+        f"cycles {WORKER_VERSION} {description['digest']} {description['start']} "
+        f"{parameters.content_key}",
+        matrices[1] if matrices else None,
+        camera["fov"][1] if matrices else 60.0,
+        animates_camera=bool(matrices),
+        has_moving_shapes=description["moves"],
+        aspect=wide / high,
+        notes=[f"{file.name}: {note}" for note in _notes(description)],
     )
 
 
-def flown(matrices: list[Float[Array, "4 4"]], fov: list[float]) -> Any:
-    """The camera at a time, of matrices (Mitsuba's convention) and views of frames -1, 0, ..."""
+def _check_lens(file: Path, camera: Mapping[str, Any]) -> None:
+    if camera["lens"] not in ("PERSP", "none"):
+        raise SceneError(
+            f"{file}: its camera has the lens {camera['lens']}; rlbench needs PERSP, a pinhole"
+        )
+    if camera["shift"] > MAX_LENS_SHIFT:
+        raise SceneError(
+            f"{file}: its camera's lens is shifted; rlbench needs a centred pinhole. Set shift to 0"
+        )
+
+
+def _default_camera(time: float) -> Camera:
+    return Camera((0, 0, 0), (0, 1, 0))
+
+
+def _animated_camera(
+    matrices: list[Float[Array, "4 4"]], fov: list[float]
+) -> Callable[[float], Camera]:
+    """The camera as a function of time; lists hold frames -1, 0, ..., in Mitsuba's convention."""
 
     def at(time: float) -> Camera:
         index = int(np.clip(round(time) + 1, 0, len(matrices) - 1))
-        return camera_path.camera(matrices[index], fov[index])
+        return camera_path.camera_from_matrix(matrices[index], fov[index])
 
     return at
 
 
-def _notes(facts: Mapping[str, Any]) -> list[str]:
-    """What is rendered otherwise than the file says."""
+def _notes(description: Mapping[str, Any]) -> list[str]:
+    """Differences between the file and the rendering."""
     notes = []
-    if facts["focus"]:
-        notes.append("depth of field is off, its camera becomes a pinhole")
-    if facts["hello"].split()[0] != VERSION:
-        notes.append(f"Blender {facts['hello']}; rlbench was measured with {VERSION}")
+    if description["focus"]:
+        notes.append("depth of field is off: its camera is rendered as a pinhole")
+    if description["hello"].split()[0] != TESTED_BPY_VERSION:
+        notes.append(
+            f"Blender {description['hello']}; rlbench was tested with {TESTED_BPY_VERSION}"
+        )
     return notes

@@ -1,4 +1,4 @@
-"""The job file that the worker gets: which pictures, of which seeds, from which camera."""
+"""The job file of the Cycles worker: which images, of which seeds, from which camera."""
 
 from __future__ import annotations
 
@@ -13,51 +13,64 @@ from numpy import ndarray as Array
 from rlbench.render.scene import Scene, SceneError
 from rlbench.render.user import camera_path
 
-RECIPE = 1  # raised whenever the worker makes other pixels of the same file
+__all__ = [
+    "CyclesParameters",
+    "ImageTask",
+    "convert_axes",
+    "image_seed",
+    "inspect_job",
+    "render_job",
+]
+
+WORKER_VERSION = 1  # raised whenever the worker renders different pixels for the same file
 STREAMS = {"path": 0, "referenceA": 1, "referenceB": 2, "pilot": 3}
-NUMBERS = 1024  # seeds of one stream in one frame
+SEEDS_PER_STREAM = 1024  # in each frame
 PARAMETERS = {"max_bounces": int, "world": float, "start": int, "threads": int}  # of --define
 
 
 @dataclass(frozen=True)
-class Parameters:
-    """What --define says of a scene that Cycles renders; None is as the file has it."""
+class CyclesParameters:
+    """The --define values of a scene that Cycles renders; None keeps the file's own."""
 
-    max_bounces: int | None = None  # of every kind of ray; 0 is direct light only
+    max_bounces: int | None = None  # for all kinds of ray; 0 is direct light only
     world: float | None = None  # radiance of a white sky that replaces the file's
     start: int | None = None  # the scene's frame that becomes frame 0
-    threads: int = 0  # of the processor; 0: all. No pixel depends on it
+    threads: int = 0  # CPU threads, 0: all; no pixel depends on it
 
     @classmethod
-    def of(cls, pairs: tuple[tuple[str, str], ...]) -> Parameters:
-        """From `name=value`. Raises SceneError for unknown names and values."""
-        found: dict[str, Any] = {}
+    def parse(cls, pairs: tuple[tuple[str, str], ...]) -> CyclesParameters:
+        """Parameters from (name, value) pairs. Raises SceneError for unknown names and values.
+
+        >>> CyclesParameters.parse((("max_bounces", "6"),)).max_bounces
+        6
+        """
+        values: dict[str, Any] = {}
         for name, value in pairs:
             if name not in PARAMETERS:
                 raise SceneError(
-                    f"--define {name}={value}: Cycles takes {', '.join(PARAMETERS)}; other things "
-                    "are changed in the file"
+                    f"--define {name}={value}: Cycles takes {', '.join(PARAMETERS)}. Make other "
+                    "changes in the file"
                 )
             try:
-                found[name] = PARAMETERS[name](value)
+                values[name] = PARAMETERS[name](value)
             except ValueError as error:
-                raise SceneError(f"--define {name}={value}: {value!r} is no number") from error
-            if name != "start" and not 0 <= found[name] < float("inf"):
-                raise SceneError(f"--define {name}={value}: it takes a number from 0")
-        return cls(**found)
+                raise SceneError(f"--define {name}={value}: {value!r} is not a number") from error
+            if name != "start" and not 0 <= values[name] < float("inf"):
+                raise SceneError(f"--define {name}={value}: {name} must be a number from 0")
+        return cls(**values)
 
     @property
-    def mark(self) -> str:
-        """All that pixels depend on."""
+    def content_key(self) -> str:
+        """The parameters that pixels depend on."""
         return f"{self.max_bounces} {self.world} {self.start}"
 
 
 @dataclass(frozen=True)
-class Picture:
-    """One EXR file that the worker is to write: samples first ... first + spp - 1 of a seed.
+class ImageTask:
+    """One EXR file for the worker to write: samples first to first + spp - 1 of a seed.
 
-    Sample 0 is never among them, for Cycles sends it through pixel centres. `total` samples of one
-    seed are stratified together, however they are shared out among pictures.
+    Sample 0 is excluded, because Cycles sends it through pixel centres. The `total` samples of one
+    seed are stratified together, also if several files share them.
     """
 
     file: Path
@@ -69,7 +82,7 @@ class Picture:
 
     @property
     def json(self) -> dict[str, Any]:
-        """As the job file has it."""
+        """The entry in the job file."""
         return {
             "file": str(self.file.absolute()),
             "frame": self.frame,
@@ -80,19 +93,27 @@ class Picture:
         }
 
 
-def seed(frame: int, stream: str, number: int) -> int:
-    """Cycles' seed of picture `number` of a stream; no two are the same. Below 2^31."""
-    if not 0 <= number < NUMBERS:
-        raise SceneError(f"{stream}: {number} pictures of one frame; Cycles has {NUMBERS} seeds")
-    return (frame * len(STREAMS) + STREAMS[stream]) * NUMBERS + number
+def image_seed(frame: int, stream: str, number: int) -> int:
+    """Cycles' seed for image `number` of a stream; all are distinct and below 2^31.
+
+    Raises SceneError if the frame has more images than seeds.
+    """
+    if not 0 <= number < SEEDS_PER_STREAM:
+        raise SceneError(
+            f"{stream}: image {number} of one frame was requested, but each stream has "
+            f"{SEEDS_PER_STREAM} seeds per frame. Use a preset with fewer samples"
+        )
+    return (frame * len(STREAMS) + STREAMS[stream]) * SEEDS_PER_STREAM + number
 
 
-def inspect_job(file: Path, frames: int, size: tuple[int, int] | None, asked: Parameters) -> Any:
-    """The job that renders nothing and says what a file holds."""
+def inspect_job(
+    file: Path, frames: int, size: tuple[int, int] | None, parameters: CyclesParameters
+) -> dict[str, Any]:
+    """A job that renders nothing and describes the contents of a scene file."""
     return {
         "scene": str(file.absolute()),
         "frames": frames,
-        "start": asked.start,
+        "start": parameters.start,
         "size": size,
         "renders": [],
     }
@@ -104,30 +125,30 @@ def render_job(
     start: int,
     frames: int,
     size: tuple[int, int],
-    asked: Parameters,
-    pictures: list[Picture],
+    parameters: CyclesParameters,
+    images: list[ImageTask],
     geometry: bool = False,
 ) -> dict[str, Any]:
-    """The job that renders `pictures` of a scene file, seen by the camera of `scene`.
+    """A job that renders `images` of a scene file with the camera of `scene`.
 
-    `geometry`: the passes of a view, of pixel centres, instead of radiance.
+    With `geometry`, the passes of a G-buffer at pixel centres in place of radiance.
     """
     cameras = [scene.camera(float(index)) for index in range(-1, frames + 1)]
-    matrices = [turned(camera_path.matrix(camera)).tolist() for camera in cameras]
+    matrices = [convert_axes(camera_path.matrix_from_camera(camera)).tolist() for camera in cameras]
     return {
         "scene": str(file.absolute()),
         "frames": frames,
         "start": start,
         "size": size,
         "camera": {"matrices": matrices, "fov": [camera.fov for camera in cameras]},
-        "max_bounces": asked.max_bounces,
-        "world": asked.world,
-        "threads": asked.threads,
+        "max_bounces": parameters.max_bounces,
+        "world": parameters.world,
+        "threads": parameters.threads,
         "geometry": geometry,
-        "renders": [picture.json for picture in pictures],
+        "renders": [image.json for image in images],
     }
 
 
-def turned(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """A camera-to-world matrix of Mitsuba's convention in Blender's, or the other way around."""
+def convert_axes(matrix: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """A camera-to-world matrix in Blender's convention from Mitsuba's, or the reverse."""
     return np.asarray(matrix * np.array([-1.0, 1.0, -1.0, 1.0]))

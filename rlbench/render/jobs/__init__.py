@@ -1,1 +1,1 @@
-"""Rendering of clips: which frames, references, pools and pictures, and by what worker."""
+"""Render jobs: which frames, references and sample pools are missing, and who traces them."""

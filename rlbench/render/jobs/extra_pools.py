@@ -1,10 +1,10 @@
-"""Pools beside the path tracer's: chains of samples, added to clips that are finished.
+"""Sample pools other than the path tracer's, such as ReSTIR's, added to finished clips.
 
-A chain remembers what it found in earlier frames, so its frames are traced in order, in one
-process. Nothing else of a clip is touched: the pool's files are written one by one, and clip.toml
-names the pool when all are there. What was killed goes on where it was: the frames since the last
-cut, where all memory is worthless, are traced again for what they leave behind, and only the
-missing ones are written.
+Such a pool consists of streams of samples with temporal reuse, so its frames are traced in order,
+in one process. Nothing else of the clip changes: the files of the pool are written one by one, and
+clip.toml lists the pool when all exist. An interrupted pool resumes at the last cut, where no
+history is valid: the frames since then are traced again to restore the history, but only missing
+files are written.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -27,156 +26,169 @@ from rlbench.clips.header import FILE
 from rlbench.clips.stored import Header, read_header, write_header
 from rlbench.pools import PoolKind, SampleStreams
 from rlbench.render.jobs.frame_worker import SEED
-from rlbench.render.jobs.job import POOLS, Job
+from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.pool_stage import PoolStage
-from rlbench.render.mitsuba.tracer import LANES
+from rlbench.render.mitsuba.tracer import MAX_PATHS
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
 
-TOGETHER = 4  # samples of each pixel in a frame whose time is taken
+__all__ = [
+    "MissingPool",
+    "add_pool",
+    "add_pools",
+    "open_streams",
+    "find_missing_pools",
+    "relative_cost",
+    "pool_sample_ms",
+]
+
+TIMED_SPP = 4  # samples per pixel and frame in a time measurement
 
 
 @dataclass(frozen=True, eq=False)
 class MissingPool:
-    """A pool that a clip of a preset is to have, and has not, or has of another recipe."""
+    """A pool that the preset of a clip lists, and that the clip lacks or has of another recipe."""
 
     job: Job
     kind: PoolKind
 
     @property
     def folder(self) -> Path:
-        """The clip's."""
+        """The clip folder."""
         return self.job.folder
 
     @property
-    def mark(self) -> str:
-        """What the pool's files are traced from; files of another mark do not belong here."""
-        return f"{self.job.content_key.strip()}, {self.kind.name} recipe {self.kind.recipe}\n"
+    def content_key(self) -> str:
+        """Everything the samples depend on; files with another key are traced again."""
+        return f"{self.job.content_key.strip()}, {self.kind.name} recipe {self.kind.version}\n"
 
     @property
-    def missing(self) -> list[int]:
-        """Frames that have no file of this pool, of this very scene and recipe."""
-        known = self._note.is_file() and self._note.read_text() == self.mark
+    def missing_frames(self) -> list[int]:
+        """Frames without a file of this pool, scene and recipe."""
+        is_ours = self._key_file.is_file() and self._key_file.read_text() == self.content_key
         frames = range(self.job.preset.frames)
-        return [i for i in frames if not (known and self._file(i).is_file())]
+        return [i for i in frames if not (is_ours and self._file(i).is_file())]
 
     @property
-    def there(self) -> bool:
-        """Does the clip have the pool, so that there is no lack?"""
+    def is_complete(self) -> bool:
+        """Does clip.toml list the pool, and do all its files exist?"""
         header = self.folder / FILE
-        named = header.is_file() and self.kind.name in read_header(self.folder).pools
-        return named and not self.missing
+        is_listed = header.is_file() and self.kind.name in read_header(self.folder).pools
+        return is_listed and not self.missing_frames
 
-    def claim(self) -> None:
-        """Say what the pool's files are, after removing those of another mark."""
+    def claim_files(self) -> None:
+        """Remove the pool from clip.toml and files with another content key; write this key."""
         header = read_header(self.folder)
         if self.kind.name in header.pools:
-            write_header(self.folder, _without(header, self.kind.name))
-        if self._note.is_file() and self._note.read_text() == self.mark:
+            write_header(self.folder, _without_pool(header, self.kind.name))
+        if self._key_file.is_file() and self._key_file.read_text() == self.content_key:
             return
         for index in range(self.job.preset.frames):
             self._file(index).unlink(missing_ok=True)
-        with paths.replacing(self._note) as path:
-            path.write_text(self.mark)
+        with paths.atomic_write(self._key_file) as path:
+            path.write_text(self.content_key)
 
     def _file(self, index: int) -> Path:
         return exr_path(self.folder, f"pool.{self.kind.name}", index)
 
     @property
-    def _note(self) -> Path:
+    def _key_file(self) -> Path:
         return self.folder / f"pool.{self.kind.name}.txt"
 
 
-def lacking(jobs: Iterable[Job]) -> list[MissingPool]:
-    """The pools that finished clips lack and this machine can trace: none without wavefronts."""
-    installed = registry.names("pools")
-    found = [
-        MissingPool(job, registry.load("pools", name))
+def find_missing_pools(jobs: Iterable[Job]) -> list[MissingPool]:
+    """The missing pools of finished clips; none if this machine has only the scalar variant."""
+    installed = registry.list_plugins("pools")
+    candidates = [
+        MissingPool(job, registry.load_plugin("pools", name))
         for job in jobs
         for name in job.preset.pools
-        if name not in POOLS and name in installed and (job.folder / FILE).is_file()
+        if name not in FRAME_POOLS and name in installed and (job.folder / FILE).is_file()
     ]
-    found = [lack for lack in found if not lack.there]
-    return found if found and not llvm.select_variant().startswith("scalar") else []
+    missing = [pool for pool in candidates if not pool.is_complete]
+    return missing if missing and not llvm.select_variant().startswith("scalar") else []
 
 
-def add_all(lacks: Sequence[MissingPool], bar: Progress) -> None:
+def add_pools(missing: Sequence[MissingPool], bar: Progress) -> None:
     """Add pools to clips, one after another."""
-    frames = [len(lack.missing) for lack in lacks]
-    names = ", ".join(sorted({lack.kind.name for lack in lacks}))
-    bar.console.print(f"adding pool {names} to {len(lacks)} clips: {sum(frames)} frames")
-    task = bar.add_task("", total=sum(frames))
-    for lack in lacks:
-        bar.update(task, description=lack.job.name)
-        add(lack, lambda: bar.advance(task))
+    frames = sum(len(pool.missing_frames) for pool in missing)
+    names = ", ".join(sorted({pool.kind.name for pool in missing}))
+    bar.console.print(f"adding pool {names} to {len(missing)} clips: {frames} frames")
+    task = bar.add_task("", total=frames)
+    for pool in missing:
+        bar.update(task, description=pool.job.name)
+        add_pool(pool, lambda: bar.advance(task))
         gc.collect()
 
 
-def add(lack: MissingPool, traced: Callable[[], None] = lambda: None) -> None:
-    """Trace the missing frames of a pool, then name it in clip.toml; `traced` hears of each."""
-    lack.claim()
-    plan, scene = lack.job.preset, lack.job.scene
-    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    tracer = WavefrontTracer(scene, *plan.size, SEED, plan.cap / scene.exposure)
-    if missing := lack.missing:
-        pool = chains(tracer, lack.kind, plan.pool_spp)
-        start = max(cut for cut in (0, *scene.cuts) if cut <= missing[0])
-        for index in range(start, missing[-1] + 1):
+def add_pool(missing: MissingPool, on_frame: Callable[[], None] = lambda: None) -> None:
+    """Trace the missing frames of a pool, then list it in clip.toml; `on_frame` runs after each."""
+    missing.claim_files()
+    preset, scene, kind = missing.job.preset, missing.job.scene, missing.kind
+    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
+    tracer = WavefrontTracer(scene, *preset.size, SEED, preset.radiance_cap / scene.exposure)
+    if frames := missing.missing_frames:
+        trace_frame = open_streams(tracer, kind, preset.pool_spp)
+        start = max(cut for cut in (0, *scene.cuts) if cut <= frames[0])
+        for index in range(start, frames[-1] + 1):
             tracer.set_time(float(index))
-            samples = pool()
-            if index in missing:
-                write_pool(lack.folder, index, lack.kind.name, samples)
-                traced()
-    header = read_header(lack.folder)
-    here = header.device == machine().name
-    taken = header.sample_ms * dearer(tracer, lack.kind) if here else math.nan
-    write_header(lack.folder, _with(header, lack.kind.name, taken))
+            samples = trace_frame()
+            if index in frames:
+                write_pool(missing.folder, index, kind.name, samples)
+                on_frame()
+    header = read_header(missing.folder)
+    is_same_machine = header.device == machine().name
+    sample_ms = header.sample_ms * relative_cost(tracer, kind) if is_same_machine else math.nan
+    write_header(missing.folder, _with_pool(header, kind.name, sample_ms))
 
 
-def chains(
+def open_streams(
     tracer: WavefrontTracer, kind: PoolKind, count: int
 ) -> Callable[[], Float[Array, "s h w 3"]]:
-    """`count` chains of a pool, so many at a time as memory is for; called once a frame.
+    """A function that traces the next frame of `count` streams of a pool; call it once per frame.
 
-    Samples are capped as the tracer's are.
+    Streams run in groups that fit into memory. The tracer's radiance cap applies.
     """
-    make = registry.resolve(kind.factory)
+    make_streams = registry.resolve(kind.factory)
     stage = PoolStage(tracer, kind.name)
-    most = max(1, LANES // (tracer.height * tracer.width))
-    groups = [range(first, min(first + most, count)) for first in range(0, count, most)]
-    parts: list[SampleStreams] = [make(stage, group) for group in groups]
-    return lambda: tracer.capped(np.concatenate([part() for part in parts]))
+    group = max(1, MAX_PATHS // (tracer.height * tracer.width))
+    ranges = [range(first, min(first + group, count)) for first in range(0, count, group)]
+    streams: list[SampleStreams] = [make_streams(stage, numbers) for numbers in ranges]
+    return lambda: tracer.apply_cap(np.concatenate([trace() for trace in streams]))
 
 
-def dearer(tracer: WavefrontTracer, kind: PoolKind) -> float:
-    """Time of a sample, shadow rays and all, over that of a path, each of several in one frame.
+def relative_cost(tracer: WavefrontTracer, kind: PoolKind) -> float:
+    """Time of one sample of a pool, shadow rays included, divided by that of one path.
 
-    Of several, as starting a kernel takes the interpreter's time, which is not the sampler's.
+    Both are measured with several samples per frame, so that the interpreter's time to launch a
+    kernel does not count.
     """
-    return tracer.relative_cost(chains(tracer, kind, TOGETHER), TOGETHER)
+    return tracer.relative_cost(open_streams(tracer, kind, TIMED_SPP), TIMED_SPP)
 
 
-def trace_ms(scene: Scene, height: int, width: int, pool: str) -> float:
-    """Milliseconds of one sample per pixel of a pool: what a path takes, times `dearer`.
+def pool_sample_ms(scene: Scene, height: int, width: int, pool: str) -> float:
+    """Milliseconds per frame at one sample per pixel of a pool: a path's time x `relative_cost`.
 
-    Raises LookupError where this machine cannot trace it.
+    Raises LookupError if this machine cannot trace the pool.
     """
-    kind: Any = registry.load("pools", pool)
+    kind: PoolKind = registry.load_plugin("pools", pool)
     if llvm.select_variant().startswith("scalar"):
-        raise LookupError(f"pool '{pool}' is traced with LLVM or CUDA alone: see `rlbench doctor`")
+        raise LookupError(
+            f"pool '{pool}' needs LLVM or CUDA, and this machine has neither: run `rlbench doctor`"
+        )
     tracer = WavefrontTracer(scene, height, width)
-    return tracer.sample_ms() * dearer(tracer, kind)
+    return tracer.measure_sample_ms() * relative_cost(tracer, kind)
 
 
-def _with(header: Header, pool: str, taken: float) -> Header:
-    times = tuple(header.sample_ms_of(each) for each in header.pools)
-    return replace(header, pools=(*header.pools, pool), pools_ms=(*times, taken))
+def _with_pool(header: Header, pool: str, sample_ms: float) -> Header:
+    times = tuple(header.sample_ms_of(name) for name in header.pools)
+    return replace(header, pools=(*header.pools, pool), pools_ms=(*times, sample_ms))
 
 
-def _without(header: Header, pool: str) -> Header:
-    pools = tuple(each for each in header.pools if each != pool)
-    times = tuple(header.sample_ms_of(each) for each in pools)
+def _without_pool(header: Header, pool: str) -> Header:
+    pools = tuple(name for name in header.pools if name != pool)
+    times = tuple(header.sample_ms_of(name) for name in pools)
     return replace(header, pools=pools, pools_ms=times if len(pools) > 1 else ())

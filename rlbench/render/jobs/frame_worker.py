@@ -1,4 +1,4 @@
-"""Tracing one frame of one of several clips, wherever that may be, and keeping it here."""
+"""Traces single frames on any worker; the process that started the job writes them to disk."""
 
 from __future__ import annotations
 
@@ -18,71 +18,73 @@ from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 
-SEED = 0  # of the light paths; frames, samples and streams are told apart below it
-CPUS = 4  # that a frame may use: more gain little, as views and textures are made by one
+__all__ = ["SEED", "FrameBuffers", "FrameRenderer", "FrameTask", "frame_resources", "save_frame"]
+
+SEED = 0  # of all light paths; frames, samples and streams have keys of their own
+CPUS = 4  # per frame; more are of little use, as G-buffers and textures are made by one
 
 
 @dataclass(frozen=True)
 class FrameTask:
-    """One frame to be traced."""
+    """One frame to trace."""
 
-    clip: int  # its place among the studio's clips
-    index: int  # of the frame
+    clip_index: int  # into `FrameRenderer.jobs`
+    frame: int
 
 
 class FrameBuffers(NamedTuple):
-    """One frame as traced: linear radiance, before exposure."""
+    """A traced frame: linear radiance, before exposure."""
 
-    gbuffer: dict[str, Any]  # buffers by name, h w c
+    gbuffer: dict[str, Any]  # [h w c], by buffer name
     pool: Float[Array, "s h w 3"]  # independent 1-spp images
-    half_a: Float[Array, "h w 3"]  # one half of the reference
-    half_b: Float[Array, "h w 3"]  # the other
-    spp: int  # that both halves cost
+    half_a: Float[Array, "h w 3"]  # of the reference
+    half_b: Float[Array, "h w 3"]
+    reference_spp: int  # samples per pixel of both halves together
 
 
 @dataclass
 class FrameRenderer:
-    """Traces frames of clips. The scene of the last one stays open, as opening takes seconds."""
+    """Traces frames of several clips. The last scene stays open, as opening takes seconds."""
 
     jobs: Sequence[Job]
     _open: tuple[int, Tracer] | None = None
 
-    def __call__(self, shot: FrameTask, tell: ProgressCallback) -> FrameBuffers:
-        """The frame; `tell` hears of light paths as they are done."""
-        job, tracer = self.jobs[shot.clip], self.tracer(shot.clip)
+    def __call__(self, task: FrameTask, on_progress: ProgressCallback) -> FrameBuffers:
+        """Trace one frame; `on_progress` receives the light paths of each launch."""
+        job, tracer = self.jobs[task.clip_index], self.open_clip_scene(task.clip_index)
         height, width = job.preset.size
 
-        def traced(spp: int) -> None:
-            tell(spp * height * width)
+        def on_samples(spp: int) -> None:
+            on_progress(spp * height * width)
 
-        tracer.set_time(float(shot.index))
+        tracer.set_time(float(task.frame))
         gbuffer = render_gbuffer(tracer, job.buffers)
-        pool = tracer.stack(job.preset.pool_spp)
-        traced(job.preset.pool_spp)
+        pool = tracer.trace_images(job.preset.pool_spp)
+        on_samples(job.preset.pool_spp)
         return FrameBuffers(
             gbuffer,
             pool,
-            *references.trace_reference(tracer, job.preset, job.scene.exposure, traced),
+            *references.trace_reference(tracer, job.preset, job.scene.exposure, on_samples),
         )
 
-    def tracer(self, clip: int) -> Tracer:
-        """The tracer of a clip's scene, in place of the one before."""
-        if self._open is None or self._open[0] != clip:
+    def open_clip_scene(self, clip_index: int) -> Tracer:
+        """The tracer of a clip's scene; the scene opened before is closed."""
+        if self._open is None or self._open[0] != clip_index:
             self._open = None
-            gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-            job = self.jobs[clip]
-            cap = job.preset.cap / job.scene.exposure
-            self._open = clip, open_tracer(job.scene, *job.preset.size, SEED, cap)
+            gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next again
+            job = self.jobs[clip_index]
+            cap = job.preset.radiance_cap / job.scene.exposure
+            self._open = clip_index, open_tracer(job.scene, *job.preset.size, SEED, cap)
         return self._open[1]
 
 
-def share() -> Resources:
-    """What a frame takes of a machine: some processors, or a GPU."""
+def frame_resources() -> Resources:
+    """Resources of one frame: a few CPU cores, or one GPU."""
     return Resources(CPUS, gpus=1 if llvm.select_variant().startswith("cuda") else 0)
 
 
-def keep(job: Job, index: int, frame: FrameBuffers) -> None:
-    """Write a frame to its clip's folder, each file whole or not at all."""
+def save_frame(job: Job, index: int, frame: FrameBuffers) -> None:
+    """Write a frame to the folder of its clip; each file is complete or absent."""
     if job.preset.max_reference_rounds > 1:
-        references.note(job.folder, index, frame.spp)
+        references.write_spp(job.folder, index, frame.reference_spp)
     write_frame(job.folder, index, frame.gbuffer, {"path": frame.pool}, frame.half_a, frame.half_b)

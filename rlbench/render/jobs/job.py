@@ -1,4 +1,4 @@
-"""One clip to be rendered: what of it is there, and whether that is of this very scene."""
+"""A render job: one clip, which of its frames are missing, and what its frames depend on."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from rlbench.clips.header import FILE, Header, version_1_names
 from rlbench.clips.stored import ClipError, has_frame
 from rlbench.frames import BUFFERS
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.jobs.references import NOTES, noted, stored_ceiling_db
+from rlbench.render.jobs.references import SPP_FILES, read_spp, stored_noise_ceiling_db
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.provenance import machine
 
-POOLS = ("path",)
-MARK = "scene.txt"  # beside the frames: what they were rendered from
+__all__ = ["CONTENT_KEY_FILE", "FRAME_POOLS", "Job", "read_content_key"]
+
+FRAME_POOLS = ("path",)  # pools that are traced with each frame; others are added to finished clips
+CONTENT_KEY_FILE = "scene.txt"  # beside the frames
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One clip to be rendered into a folder."""
+    """One clip to render into a folder."""
 
     name: str
     scene: Scene
@@ -31,44 +33,49 @@ class Job:
 
     @property
     def buffers(self) -> tuple[str, ...]:
-        """The view buffers to write: where nothing moves, there is no motion."""
-        names = (*BUFFERS, *self.preset.extras)
+        """The G-buffer channels to write; a static scene has no motion."""
+        names = (*BUFFERS, *self.preset.extra_buffers)
         return tuple(b for b in names if not (self.scene.static and b == "motion"))
 
     @property
-    def missing(self) -> list[int]:
-        """Frames that are not wholly there, or are of another scene or preset."""
-        ours = marked(self.folder) == self.content_key
-        return [i for i in range(self.preset.frames) if not (ours and self._there(i))]
+    def missing_frames(self) -> list[int]:
+        """Frames whose files are incomplete or were rendered with another content key."""
+        is_ours = read_content_key(self.folder) == self.content_key
+        return [i for i in range(self.preset.frames) if not (is_ours and self._is_complete(i))]
 
-    def _there(self, index: int) -> bool:
-        return has_frame(self.folder, index, POOLS) and self.reference_spp(index) > 0
+    def _is_complete(self, index: int) -> bool:
+        return has_frame(self.folder, index, FRAME_POOLS) and self.reference_spp(index) > 0
 
     def reference_spp(self, index: int) -> int:
-        """Samples per pixel of a frame's reference, both halves; 0 where that is not known."""
+        """Samples per pixel of a frame's reference, both halves together; 0 if unknown."""
         if self.preset.max_reference_rounds == 1:
             return 2 * self.preset.reference_spp
-        return noted(self.folder, index) or 0
+        return read_spp(self.folder, index) or 0
 
     @property
     def content_key(self) -> str:
-        """What the frames are rendered from; frames of another mark do not belong here."""
-        plan = self.preset
-        samples = f"{plan.pool_spp} + 2 x {plan.reference_spp} spp"
-        size = "x".join(map(str, plan.size))
-        samples += f", up to {plan.max_reference_rounds} rounds to {plan.ceiling_db:g} dB" * (
-            plan.max_reference_rounds > 1
+        """Everything the pixels depend on, as one line of text.
+
+        Frames that were rendered with another key are rendered again.
+        """
+        preset = self.preset
+        samples = f"{preset.pool_spp} + 2 x {preset.reference_spp} spp"
+        size = "x".join(map(str, preset.size))
+        samples += (
+            f", up to {preset.max_reference_rounds} rounds to {preset.min_noise_ceiling_db:g} dB"
+        ) * (preset.max_reference_rounds > 1)
+        samples += f", cap {preset.radiance_cap:g}" * (preset.radiance_cap < math.inf)
+        samples += f", with {' '.join(version_1_names(preset.extra_buffers))}" * bool(
+            preset.extra_buffers
         )
-        samples += f", cap {plan.cap:g}" * (plan.cap < math.inf)
-        samples += f", with {' '.join(version_1_names(plan.extras))}" * bool(plan.extras)
-        return f"{fingerprint(self.scene, plan.frames)} {size} {plan.frames} frames {samples}\n"
+        return f"{fingerprint(self.scene, preset.frames)} {size} {preset.frames} frames {samples}\n"
 
     @property
-    def finished(self) -> bool:
-        """Is there a header, and every frame, of this very scene?"""
-        return (self.folder / FILE).is_file() and not self.missing
+    def is_finished(self) -> bool:
+        """Does the folder hold a header and all frames with this content key?"""
+        return (self.folder / FILE).is_file() and not self.missing_frames
 
-    def header(
+    def make_header(
         self,
         sampler: str,
         version: str,
@@ -76,61 +83,62 @@ class Job:
         seed: int = 0,
         stratified: bool = False,
     ) -> Header:
-        """What clip.toml says of the clip, whose frames are all there.
+        """The header of the clip, whose frames must all be on disk.
 
-        The arguments are what only the tracer knows: its name, version, time of a sample (nan: not
-        known) and seed, and whether samples of a half of the reference follow a pattern.
+        The tracer provides the arguments: its name, version, milliseconds per sample (nan if
+        unknown), seed, and whether the samples of a reference half are stratified together.
         """
-        plan, scene = self.preset, self.scene
+        preset, scene = self.preset, self.scene
         return Header(
             name=self.name,
             scene=scene.name,
-            preset=plan.name,
+            preset=preset.name,
             sampler=sampler,
             sampler_version=version,
-            height=plan.size[0],
-            width=plan.size[1],
-            frames=plan.frames,
+            height=preset.size[0],
+            width=preset.size[1],
+            frames=preset.frames,
             seed=seed,
             exposure=scene.exposure,
-            pool_spp=plan.pool_spp,
-            radiance_cap=plan.cap,
-            reference_spp=tuple(map(self.reference_spp, range(plan.frames))),
+            pool_spp=preset.pool_spp,
+            radiance_cap=preset.radiance_cap,
+            reference_spp=tuple(map(self.reference_spp, range(preset.frames))),
             stratified=stratified,
             noise_ceiling_db=tuple(
-                stored_ceiling_db(self.folder, index, *plan.size, scene.exposure)
-                for index in range(plan.frames)
+                stored_noise_ceiling_db(self.folder, index, *preset.size, scene.exposure)
+                for index in range(preset.frames)
             ),
             buffers=self.buffers,
-            pools=POOLS,
+            pools=FRAME_POOLS,
             static=scene.static,
-            cuts=tuple(cut for cut in scene.cuts if cut < plan.frames),
+            cuts=tuple(cut for cut in scene.cuts if cut < preset.frames),
             licence=scene.licence,
             sample_ms=sample_ms,
             device=machine().name,
         )
 
-    def claim(self) -> None:
-        """Say what the frames of a folder are, after removing those of another scene or preset.
+    def claim_folder(self) -> None:
+        """Remove frames with another content key from the folder and write this job's key.
 
-        Raises ClipError where there are frames that bear no mark, for they are not ours to remove.
+        Raises ClipError if the folder holds frames without any key, which `rlbench render` did not
+        write and must not delete.
         """
-        files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(NOTES)]
-        kept = [file for file in files if file.is_file()]
-        if marked(self.folder) == self.content_key:
+        files = [self.folder / FILE, *self.folder.glob("*.exr"), *self.folder.glob(SPP_FILES)]
+        existing = [file for file in files if file.is_file()]
+        if read_content_key(self.folder) == self.content_key:
             return
-        if kept and not marked(self.folder):
+        if existing and not read_content_key(self.folder):
             raise ClipError(
                 f"{self.folder} holds frames that `rlbench render` did not write; "
-                "move the folder away, or render into another"
+                "move that folder, or render into another one"
             )
-        for file in kept:
+        for file in existing:
             file.unlink()
-        with paths.replacing(self.folder / MARK) as path:
+        with paths.atomic_write(self.folder / CONTENT_KEY_FILE) as path:
             path.write_text(self.content_key)
 
 
-def marked(folder: Path) -> str:
-    """What a folder's frames were rendered from, or empty where `rlbench render` wrote none."""
-    mark = folder / MARK
-    return mark.read_text() if mark.is_file() else ""
+def read_content_key(folder: Path) -> str:
+    """The content key of the frames in a folder; empty if `rlbench render` did not write them."""
+    file = folder / CONTENT_KEY_FILE
+    return file.read_text() if file.is_file() else ""

@@ -1,4 +1,4 @@
-"""The live pool: a sample is traced when it is bought, and what nobody buys is never traced."""
+"""The live pool: samples are traced when a method draws them, and no others are traced."""
 
 from __future__ import annotations
 
@@ -14,32 +14,34 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from rlbench.clips.exr import precision
+from rlbench.clips.exr import channel_dtype
 from rlbench.clips.frame_files import exr_path
 from rlbench.clips.stored import ClipError, StoredClip, read_header, sample_order
 from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
-from rlbench.render.jobs.job import POOLS, marked
+from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
 from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import open_tracer
-from rlbench.render.mitsuba.tracer import LANES, Tracer
+from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
 from rlbench.render.scene import Scene
+
+__all__ = ["LiveClip", "LivePool", "open_live_clip", "scene_of_folder"]
 
 
 @dataclass(frozen=True)
 class LivePool:
-    """A pool of one frame that traces exactly the samples it sells.
+    """The pool of one frame, which traces exactly the samples that are drawn.
 
-    Sample k of a pixel is the one that the clip's stored pool sells as its k-th, rounded and
-    exposed as that is: on the machine that rendered the clip they are equal, bit for bit.
+    Sample k of a pixel equals the k-th sample of the clip's stored pool, rounded and exposed alike:
+    on the machine that rendered the clip they are bit-identical.
     """
 
     tracer: Tracer
     time: float  # of the frame
-    order: tuple[int, ...]  # numbers of the samples, in the order of sale
-    key: int  # decides whose share is rounded up
+    sample_order: tuple[int, ...]  # sample numbers, in the order in which they are drawn
+    rounding_seed: int  # of the dither that rounds fractional counts
     exposure: float
-    stored: type[np.floating]  # precision to which the clip's file rounds radiance
+    stored_dtype: type[np.floating]  # of radiance in the clip's file
     device: torch.device
 
     @property
@@ -49,47 +51,51 @@ class LivePool:
 
     @property
     def max_samples(self) -> int:
-        """Number of samples that have a place in the order of sale."""
-        return len(self.order)
+        """The number of samples per pixel that can be drawn."""
+        return len(self.sample_order)
 
     @property
     def rounding_seeds(self) -> tuple[int, ...]:
-        """The frame's key."""
-        return (self.key,)
+        """The rounding seed of the one clip."""
+        return (self.rounding_seed,)
 
     def empty(self) -> Samples:
-        """No samples at all."""
+        """No samples at any pixel."""
         _, h, w = self.size
-        counts = _blank((1, 1, h, w), np.int64).to(self.device)
-        return Samples(_blank((1, self.max_samples, 3, h, w), np.float32).to(self.device), counts)
+        counts = _lazy_zeros((1, 1, h, w), np.int64).to(self.device)
+        radiance = _lazy_zeros((1, self.max_samples, 3, h, w), np.float32).to(self.device)
+        return Samples(radiance, counts)
 
     def read(self, before: Samples, counts: Int[Tensor, "1 1 h w"]) -> Float[Tensor, "1 s 3 h w"]:
-        """Radiance of the first `counts` samples of each pixel; what `before` lacks is traced."""
-        pixels, slots = _lacking(*(c.flatten().cpu().numpy() for c in (before.counts, counts)))
-        values = torch.from_numpy(self._traced(pixels, slots)).to(self.device) * self.exposure
+        """Radiance of the first `counts` samples of each pixel; traces those not in `before`."""
+        pixels, slots = _missing_samples(
+            *(c.flatten().cpu().numpy() for c in (before.counts, counts))
+        )
+        values = torch.from_numpy(self._trace(pixels, slots)).to(self.device) * self.exposure
         radiance = self.empty().radiance
-        most = int(before.counts.max())  # of one pixel: the slots beyond hold nothing to be copied
-        radiance[:, :most] = before.radiance[:, :most]
+        filled = int(before.counts.max())  # slots beyond are empty at every pixel
+        radiance[:, :filled] = before.radiance[:, :filled]
         row, column = (torch.from_numpy(i) for i in np.divmod(pixels, self.size.w))
         radiance[0].permute(0, 2, 3, 1)[torch.from_numpy(slots), row, column] = values
         return radiance
 
-    def _traced(self, pixels: Int[Array, " n"], slots: Int[Array, " n"]) -> Float[Array, "n 3"]:
-        """What the stored pool's file holds of these samples, in float32."""
+    def _trace(self, pixels: Int[Array, " n"], slots: Int[Array, " n"]) -> Float[Array, "n 3"]:
+        """Radiance of these samples as the stored pool's file would hold it, in float32."""
         if self.tracer.time != self.time:
             self.tracer.set_time(self.time)
-        numbers = np.asarray(self.order)[slots]
+        numbers = np.asarray(self.sample_order)[slots]
         radiance = np.zeros((len(pixels), 3), np.float32)
-        for start in range(0, len(pixels), LANES):
-            part = slice(start, start + LANES)
+        for start in range(0, len(pixels), MAX_PATHS):
+            part = slice(start, start + MAX_PATHS)
             radiance[part] = self.tracer.trace(pixels[part], numbers[part])
-        held = np.minimum(radiance, np.finfo(self.stored).max)  # of another machine's firefly
-        return np.asarray(held.astype(self.stored), np.float32)
+        # another machine may trace a firefly that the file's dtype cannot hold
+        clipped = np.minimum(radiance, np.finfo(self.stored_dtype).max)
+        return np.asarray(clipped.astype(self.stored_dtype), np.float32)
 
 
 @dataclass(frozen=True)
 class LiveClip:
-    """A rendered clip whose views and references are read, and whose samples are traced."""
+    """A rendered clip with stored G-buffers and references, and with live pools."""
 
     stored: StoredClip
     tracer: Tracer
@@ -101,7 +107,7 @@ class LiveClip:
 
     @property
     def scene(self) -> str:
-        """The scene that it shows."""
+        """The name of the clip's scene."""
         return self.stored.scene
 
     @property
@@ -111,89 +117,90 @@ class LiveClip:
 
     @property
     def digest(self) -> str:
-        """The stored clip's digest."""
+        """The digest of the stored clip."""
         return self.stored.digest
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """The number of frames."""
         return len(self.stored)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Frames in order, the scene moved to each when it is reached."""
+        """The frames in order; the scene moves to each as it is reached."""
         return (self.frame(index) for index in range(len(self)))
 
     def frame(self, index: int) -> Frame:
         """Frame `index`, float32 on the clip's device."""
         clip, header = self.stored, self.stored.header
-        order, key = sample_order(clip.seed, clip.name, index, header.pool_spp)
+        order, seed = sample_order(clip.seed, clip.name, index, header.pool_spp)
         file = exr_path(clip.arrays.folder, f"pool.{clip.pool}", index)
-        self.tracer.set_time(float(index))  # also what a renderer does before it traces
+        self.tracer.set_time(float(index))  # as a renderer does before it traces
         pool = LivePool(
             self.tracer,
             float(index),
             tuple(order[: clip.max_samples]),
-            key,
+            seed,
             header.exposure,
-            precision(file, "s0.R"),
+            channel_dtype(file, "s0.R"),
             clip.device,
         )
         return clip.frame_with_pool(index, pool)
 
 
-def scene_of(folder: Path) -> Scene:
+def scene_of_folder(folder: Path) -> Scene:
     """The scene that a clip folder was rendered from, built again.
 
-    Raises ClipError where it was not rendered by `rlbench render`, where the scene is not
-    installed, or where it has changed since.
+    Raises ClipError if `rlbench render` did not write the folder, or if the scene has changed
+    since, and LookupError if the scene is not installed.
     """
     header = read_header(folder)
-    told = f"clip {folder} cannot be sampled live"
-    if not (mark := marked(folder)):
-        raise ClipError(f"{told}: `rlbench render` did not write it; use --pool stored")
+    error = f"clip {folder} cannot be sampled live"
+    if not (key := read_content_key(folder)):
+        raise ClipError(f"{error}: `rlbench render` did not write it. Use --pool stored")
     scene = scene_of_clip(header.name)
-    found, wanted = fingerprint(scene, header.frames), mark.split()[0]
-    if found != wanted:
+    current, rendered = fingerprint(scene, header.frames), key.split()[0]
+    if current != rendered:
         raise ClipError(
-            f"{told}: its scene '{header.name}' is now {found}, the clip shows {wanted}; "
-            f"render it again, or use --pool stored"
+            f"{error}: its scene '{header.name}' has changed since (fingerprint {current}, the "
+            f"clip has {rendered}). Render the clip again, or use --pool stored"
         )
     return scene
 
 
-def open_live(stored: StoredClip) -> LiveClip:
-    """The same clip with a live pool, as far as the stored one can be sold.
+def open_live_clip(stored: StoredClip) -> LiveClip:
+    """The clip with live pools that hold as many samples as the stored ones.
 
     Raises ClipError as `scene_of` does, and for a pool other than `path`.
     """
-    if stored.pool not in POOLS:
+    if stored.pool not in FRAME_POOLS:
         raise ClipError(
-            f"no live pool '{stored.pool}', whose samples hang on those of earlier frames and of "
-            f"neighbours; use --pool stored. Samples are traced for: {', '.join(POOLS)}"
+            f"pool '{stored.pool}' cannot be sampled live, because its samples depend on those of "
+            f"earlier frames and neighbouring pixels. Use --pool stored. Live pools: "
+            f"{', '.join(FRAME_POOLS)}"
         )
-    return LiveClip(stored, _tracer(stored.arrays.folder, stored.digest))
+    return LiveClip(stored, _cached_tracer(stored.arrays.folder, stored.digest))
 
 
 @lru_cache(maxsize=1)
-def _tracer(folder: Path, digest: str) -> Tracer:
-    """The clip's tracer: one for all methods that run on the clip, and one clip at a time."""
-    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
+def _cached_tracer(folder: Path, digest: str) -> Tracer:
+    """The tracer of a clip, shared by all methods that run on it; one clip is open at a time."""
+    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
-    return open_tracer(scene_of(folder), header.height, header.width, header.seed, cap)
+    return open_tracer(scene_of_folder(folder), header.height, header.width, header.seed, cap)
 
 
-def _blank(shape: tuple[int, ...], kind: type[np.number]) -> Tensor:
-    """Zeros whose memory is not there until it is written: torch writes its own at once."""
-    return torch.from_numpy(np.zeros(shape, kind))
+def _lazy_zeros(shape: tuple[int, ...], dtype: type[np.number]) -> Tensor:
+    """Zeros whose memory is allocated on first write, as numpy does and torch does not."""
+    return torch.from_numpy(np.zeros(shape, dtype))
 
 
-def _lacking(
+def _missing_samples(
     before: Int[Array, " p"], counts: Int[Array, " p"]
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
-    """Pixel and slot of every sample from number `before` up to `counts`, pixel by pixel."""
-    more = counts - before
-    (where,) = np.nonzero(more > 0)
-    many = more[where]
-    start = np.cumsum(many) - many  # of each pixel in what is returned
-    slots = np.arange(many.sum()) - np.repeat(start - before[where], many)
-    return np.repeat(where, many), slots
+    """Pixel and slot of each sample from number `before` up to `counts`, pixel by pixel."""
+    new = counts - before
+    (pixels,) = np.nonzero(new > 0)
+    new = new[pixels]
+    start = np.cumsum(new) - new  # index of each pixel's first sample in the result
+    slots = np.arange(new.sum()) - np.repeat(start - before[pixels], new)
+    return np.repeat(pixels, new), slots

@@ -1,4 +1,4 @@
-"""The clip folders of a preset; what is missing of them is rendered."""
+"""The clip folders of a preset, for commands and training: renders the missing frames."""
 
 from __future__ import annotations
 
@@ -11,22 +11,25 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
 
+__all__ = ["render_preset_clips"]
 
-def rendered(
+
+def render_preset_clips(
     scenes: list[str] | None,
     preset: str,
-    cap: float | None = None,
-    chosen: tuple[int, ...] | None = None,
-    views: list[str] | None = None,
-    engine: Executor | None = None,
-    kinds: Collection[str] | None = None,
+    radiance_cap: float | None = None,
+    seeds: tuple[int, ...] | None = None,
+    buffers: list[str] | None = None,
+    executor: Executor | None = None,
+    pool_kinds: Collection[str] | None = None,
     takes: str | None = None,
 ) -> list[Path]:
-    """The clip folders of a preset, or of it with a radiance cap, or with more view buffers.
+    """The clip folders of a preset, after rendering the missing frames.
 
-    Missing ones are rendered now, with those `kinds` of sample pools of the preset's, or all.
-    Scenes, `takes` of each (main or all), and seeds of generated scenes replace those of the
-    preset.
+    `radiance_cap` and extra G-buffer `buffers` select a variant of the preset, in folders of its
+    own. `scenes`, seeds of generated scenes, and `takes` (main or all) replace those of the preset.
+    Of its sample pools only the given kinds are rendered; default all. Raises OptionError for an
+    unknown preset or scene, and PresetError for other values.
     """
     from rlbench import registry
     from rlbench.parallel.executor import LOCAL
@@ -34,13 +37,18 @@ def rendered(
     from rlbench.render.presets import PRESETS
 
     if preset not in PRESETS:
-        raise OptionError(f"no preset '{preset}'; there are: {', '.join(PRESETS)}")
-    known, wanted = registry.names("scenes"), scenes or []
-    if unknown := [n for n in wanted if not {n, n.rpartition("-")[0]} & set(known)]:
-        raise OptionError(f"no scene '{unknown[0]}'; there are: {', '.join(known)}")
-    plan = PRESETS[preset]
-    plan = plan if cap is None else plan.capped(cap)
-    plan = plan.with_buffers(views) if views else plan
-    plan = plan if kinds is None else plan.with_pools(kinds)
-    plan = plan if takes is None else plan.with_takes(takes)
-    return ensure(plan, wanted or None, chosen, engine=engine or LOCAL)
+        raise OptionError(f"no preset '{preset}'; available: {', '.join(PRESETS)}")
+    installed = registry.list_plugins("scenes")
+    for name in scenes or ():
+        if not {name, name.rpartition("-")[0]} & set(installed):
+            raise OptionError(f"no scene '{name}'; available: {', '.join(installed)}")
+    selected = PRESETS[preset]
+    if radiance_cap is not None:
+        selected = selected.with_radiance_cap(radiance_cap)
+    if buffers:
+        selected = selected.with_buffers(buffers)
+    if pool_kinds is not None:
+        selected = selected.with_pools(pool_kinds)
+    if takes is not None:
+        selected = selected.with_takes(takes)
+    return ensure(selected, scenes or None, seeds, executor=executor or LOCAL)

@@ -1,193 +1,190 @@
-"""Rendering what is missing of a preset's clips, frame by frame, resumable at any moment.
+"""Renders the missing frames of clips, frame by frame; can be interrupted and resumed at any time.
 
-Frames are traced by an engine, here or elsewhere, and written here. A clip's header, which says
-how long a sample takes, is written when no frame is being traced on this machine any more.
+An executor traces the frames, here or on other machines; this process writes them. Headers are
+written last, because they hold the time of a sample, which must be measured on an idle tracer.
 """
 
 from __future__ import annotations
 
 import gc
-import importlib
 import importlib.metadata
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from rlbench import registry
 from rlbench.clips.stored import Header, write_header
 from rlbench.parallel.executor import LOCAL, Executor, ProgressCallback
-from rlbench.render.jobs import extra_pools
-from rlbench.render.jobs.frame_worker import SEED, FrameRenderer, FrameTask, keep, share
+from rlbench.render import presets
+from rlbench.render.jobs import extra_pools, progress
+from rlbench.render.jobs.frame_worker import (
+    SEED,
+    FrameRenderer,
+    FrameTask,
+    frame_resources,
+    save_frame,
+)
 from rlbench.render.jobs.job import Job
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
-from rlbench.render.presets import GENERATED, Preset, preset
-from rlbench.render.scene import Scene
+from rlbench.render.presets import GENERATED, Preset
+from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
 
-TRIAL = 8  # samples per pixel that are traced to guess how long all of them take
-PATIENCE = 3600.0  # seconds of progress that a guess of the rest looks back on, if by whole frames
+__all__ = ["ensure", "render_clip", "render_missing", "scene_of_clip"]
+
+TRIAL_SPP = 8  # samples per pixel that are traced to estimate the rendering time
 
 
 def ensure(
-    chosen: Preset | str,
+    preset: Preset | str,
     scenes: Iterable[str] | None = None,
     seeds: Iterable[int] | None = None,
     folder: Path | None = None,
-    progress: Progress | None = None,
-    engine: Executor = LOCAL,
+    bar: Progress | None = None,
+    executor: Executor = LOCAL,
 ) -> list[Path]:
-    """The clip folders of a preset, after rendering what is missing of them.
+    """The clip folders of a preset, after rendering the missing frames.
 
-    `scenes` and `seeds` of generated scenes replace the preset's own; where only one is given, the
-    other is empty. A scene stands for the takes of it that the preset has, `<scene>-<take>` for
-    that take alone. Whole frames that are there are kept, unless the scene has changed since.
-    `folder` holds the clips, in place of the cache. `progress` shows how far it is, in place of a
-    bar of its own, and `engine` traces the frames. Raises LookupError for an unknown preset or
-    scene, SceneError for a take.
+    `scenes`, and `seeds` of generated scenes, replace those of the preset; if only one of the two
+    is given, the other is empty. A scene name selects the takes that the preset has of it,
+    `<scene>-<take>` selects one take. Complete frames are kept unless the scene has changed since.
+    `folder` holds the clips in place of the cache, `bar` replaces the progress bar on standard
+    error, and `executor` traces the frames. Raises LookupError for an unknown preset or scene, and
+    SceneError for an unknown take.
     """
-    chosen = preset(chosen) if isinstance(chosen, str) else chosen
-    folder = folder or paths.clips() / chosen.name
+    preset = presets.get_preset(preset) if isinstance(preset, str) else preset
+    folder = folder or paths.clips_folder() / preset.name
     if scenes is None and seeds is None:
-        scenes, seeds = chosen.scenes, chosen.seeds
+        scenes, seeds = preset.scenes, preset.seeds
     names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
-    made: dict[str, Scene] = {}
+    scene_of: dict[str, Scene] = {}
     for name in names:
-        made |= _takes(name, chosen)
-    jobs = [Job(name, scene, chosen, folder / name) for name, scene in made.items()]
-    return render_missing(jobs, progress, engine)
+        scene_of |= _select_takes(name, preset)
+    jobs = [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
+    return render_missing(jobs, bar, executor)
 
 
 def render_missing(
-    jobs: list[Job], progress: Progress | None = None, engine: Executor = LOCAL
+    jobs: list[Job], bar: Progress | None = None, executor: Executor = LOCAL
 ) -> list[Path]:
-    """The folders of clips of one preset, after rendering what is missing of them.
+    """The folders of clips of one preset, after rendering the missing frames.
 
-    Pools beside the path tracer's come last, here, whatever the engine: their frames hang together.
+    Pools other than the path tracer's are added last, always on this machine: their samples depend
+    on earlier frames.
     """
-    if unfinished := [job for job in jobs if not job.finished]:
-        with _shown(progress, engine) as bar:
-            _render_all(unfinished, bar, engine)
-    if lacking := extra_pools.lacking(jobs):
-        with _shown(progress, LOCAL) as bar:
-            extra_pools.add_all(lacking, bar)
+    if unfinished := [job for job in jobs if not job.is_finished]:
+        with progress.new_or_given_bar(bar, executor) as active_bar:
+            _render_all(unfinished, active_bar, executor)
+    if missing := extra_pools.find_missing_pools(jobs):
+        with progress.new_or_given_bar(bar, LOCAL) as active_bar:
+            extra_pools.add_pools(missing, active_bar)
     return [job.folder for job in jobs]
 
 
 def scene_of_clip(clip: str) -> Scene:
-    """The scene of a clip by the clip's name.
+    """The scene of a clip, by the name of the clip.
 
-    That is `generated-<seed>`, an installed scene, or `<scene>-<take>`. Raises LookupError for an
-    unknown scene, and SceneError for an unknown take.
+    The name is that of an installed scene, `<scene>-<take>`, or `generated-<seed>`. Raises
+    LookupError for an unknown scene, and SceneError for an unknown take or a missing seed.
     """
-    kind, _, last = clip.rpartition("-")
-    if kind == GENERATED and last.isdigit():
-        generated: Scene = importlib.import_module("rlbench.scenes.generator.scene").scene(
-            int(last)
-        )
+    name, _, suffix = clip.rpartition("-")
+    if GENERATED in (clip, name):
+        if not suffix.isdecimal() or clip == GENERATED:
+            raise SceneError(
+                f"'{clip}' is not a generated scene; give a seed, for example {GENERATED}-007"
+            )
+        generated: Scene = registry.load_plugin("scenes", GENERATED)(int(suffix))
         return generated
+    installed = registry.list_plugins("scenes")
+    is_main = clip in installed or name not in installed
+    scene: Scene = registry.load_plugin("scenes", clip if is_main else name)()
+    return scene if is_main else scene.select_take(suffix)
 
-    installed = registry.names("scenes")
-    whole = clip in installed or kind not in installed
-    scene: Scene = registry.load("scenes", clip if whole else kind)()
-    return scene if whole else scene.take(last)
 
-
-def render(
-    job: Job, traced: ProgressCallback = lambda samples: None, engine: Executor = LOCAL
+def render_clip(
+    job: Job, on_progress: ProgressCallback = lambda samples: None, executor: Executor = LOCAL
 ) -> None:
     """Render the missing frames of one clip, then write its header.
 
-    Stored radiance is as traced; `exposure` is in the header. `traced` is told of light paths as
-    they are done. Killed at any moment and called again, it leaves the same files. A frame that
-    cannot be traced does not stop the others; its error is raised when they are done.
+    Stored radiance is not exposed; the header holds the exposure. `on_progress` receives the light
+    paths of each launch. If interrupted and called again, it writes the same files. A frame that
+    fails does not stop the others; its error is raised at the end.
     """
-    _raise_first(_together([job], traced, engine))
-    for lack in extra_pools.lacking([job]):
-        extra_pools.add(lack)
+    _raise_first(_render_frames([job], on_progress, executor))
+    for missing_pool in extra_pools.find_missing_pools([job]):
+        extra_pools.add_pool(missing_pool)
 
 
-def _takes(name: str, chosen: Preset) -> dict[str, Scene]:
-    """The clips, by name, that a scene or a single take stands for in a preset."""
+def _select_takes(name: str, preset: Preset) -> dict[str, Scene]:
+    """The clips of a scene or of a single take, by clip name."""
     scene = scene_of_clip(name)
-    takes = scene.takes if chosen.takes == "all" else ()
-    return {name: scene, **{f"{name}-{take.name}": scene.take(take.name) for take in takes}}
+    takes = scene.takes if preset.takes == "all" else ()
+    return {name: scene, **{f"{name}-{take.name}": scene.select_take(take.name) for take in takes}}
 
 
-def _together(jobs: list[Job], traced: ProgressCallback, engine: Executor) -> list[Exception]:
-    """Render clips, a frame at a time, then write headers; the errors of frames that have none."""
+def _render_frames(
+    jobs: list[Job], on_progress: ProgressCallback, executor: Executor
+) -> list[Exception]:
+    """Render the missing frames, then write headers; returns the errors of frames that failed."""
     for job in jobs:
-        job.claim()
-    studio = FrameRenderer(jobs)
-    shots = [FrameTask(clip, index) for clip, job in enumerate(jobs) for index in job.missing]
+        job.claim_folder()
+    renderer = FrameRenderer(jobs)
+    tasks = [
+        FrameTask(clip, index) for clip, job in enumerate(jobs) for index in job.missing_frames
+    ]
     errors = []
-    for outcome in engine.map(studio, shots, share(), traced):
-        if outcome.error:
-            errors.append(outcome.error)
+    for result in executor.map(renderer, tasks, frame_resources(), on_progress):
+        if result.error:
+            errors.append(result.error)
         else:
-            keep(jobs[outcome.job.clip], outcome.job.index, outcome.result())
+            save_frame(jobs[result.job.clip_index], result.job.frame, result.result())
     for clip, job in enumerate(jobs):
-        if not job.missing:
-            write_header(job.folder, _header(job, studio.tracer(clip)))
+        if not job.missing_frames:
+            write_header(job.folder, _make_header(job, renderer.open_clip_scene(clip)))
     return errors
 
 
-def _render_all(jobs: list[Job], bar: Progress, engine: Executor) -> None:
-    area = jobs[0].preset.size[0] * jobs[0].preset.size[1]
-    total = sum(len(job.missing) * job.preset.frame_samples for job in jobs)
-    trial = open_tracer(jobs[0].scene, *jobs[0].preset.size).sample_ms(repeats=1, spp=TRIAL)
-    seconds = total / area * trial / 1e3
-    most = "at most " if jobs[0].preset.max_reference_rounds > 1 else ""
-    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    alone = f" by this machine alone; {engine.where}" if engine.where else ""
-    bar.console.print(
-        f"rendering {len(jobs)} clips of preset {jobs[0].preset.name} "
-        f"with {llvm.select_variant()}: "
-        f"{most}{total / 1e6:.0f} million light paths, about {_duration(seconds)}{alone}; "
-        f"into {jobs[0].folder.parent}"
-    )
-    task = bar.add_task("", total=total)
+def _render_all(jobs: list[Job], bar: Progress, executor: Executor) -> None:
+    bar.console.print(_estimate(jobs, executor))
+    task = bar.add_task("", total=_count_paths(jobs))
     errors: list[Exception] = []
-    for together in [[job] for job in jobs] if engine.exclusive else [jobs]:
-        named = together[0].name if len(together) == 1 else f"{len(together)} clips"
-        bar.update(task, description=named)
-        errors += _together(together, partial(bar.advance, task), engine)
+    for batch in [[job] for job in jobs] if executor.exclusive else [jobs]:
+        bar.update(task, description=batch[0].name if len(batch) == 1 else f"{len(batch)} clips")
+        errors += _render_frames(batch, partial(bar.advance, task), executor)
         gc.collect()
     _raise_first(errors)
 
 
+def _estimate(jobs: list[Job], executor: Executor) -> str:
+    """The work ahead in words, with the time it takes on this machine, after a short trial."""
+    preset, paths_to_trace = jobs[0].preset, _count_paths(jobs)
+    trial_ms = open_tracer(jobs[0].scene, *preset.size).measure_sample_ms(repeats=1, spp=TRIAL_SPP)
+    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
+    seconds = paths_to_trace / (preset.size[0] * preset.size[1]) * trial_ms / 1e3
+    at_most = "at most " if preset.max_reference_rounds > 1 else ""
+    alone = f" on this machine alone; {executor.description}" if executor.description else ""
+    return (
+        f"rendering {len(jobs)} clips of preset {preset.name} with {llvm.select_variant()} "
+        f"to {jobs[0].folder.parent}: {at_most}{paths_to_trace / 1e6:.0f} million light paths, "
+        f"about {progress.format_duration(seconds)}{alone}. "
+        "If interrupted, the same command resumes it"
+    )
+
+
+def _count_paths(jobs: list[Job]) -> int:
+    return sum(len(job.missing_frames) * job.preset.paths_per_frame for job in jobs)
+
+
 def _raise_first(errors: list[Exception]) -> None:
     if len(errors) > 1:
-        errors[0].add_note(f"and {len(errors) - 1} more, the last of which: {errors[-1]}")
+        errors[0].add_note(f"{len(errors) - 1} more frames failed; the last error: {errors[-1]}")
     if errors:
         raise errors[0]
 
 
-def _header(job: Job, tracer: Tracer) -> Header:
+def _make_header(job: Job, tracer: Tracer) -> Header:
     version = f"{importlib.metadata.version('mitsuba')} {llvm.select_variant()}"
-    return job.header("mitsuba path", version, tracer.sample_ms(), seed=SEED)
-
-
-def _duration(seconds: float) -> str:
-    for unit, length in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.0f} {unit}"
-    return f"{seconds:.0f} s"
-
-
-@contextmanager
-def _shown(progress: Progress | None, engine: Executor) -> Iterator[Progress]:
-    """The caller's bar, or one of its own on standard error."""
-    if progress:
-        yield progress
-        return
-    columns = (TextColumn("{task.description:>16}"), BarColumn(), TaskProgressColumn())
-    period = 120 if engine.exclusive else PATIENCE
-    with Progress(
-        *columns, TimeRemainingColumn(), console=Console(stderr=True), speed_estimate_period=period
-    ) as bar:
-        yield bar
+    return job.make_header("mitsuba path", version, tracer.measure_sample_ms(), seed=SEED)

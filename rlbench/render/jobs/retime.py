@@ -1,4 +1,4 @@
-"""Timing the samples of a clip anew: it was measured beside whatever else ran then."""
+"""Measures the time per sample of a rendered clip again, on an idle machine."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ from rlbench.render.jobs.render_clips import scene_of_clip
 from rlbench.render.mitsuba.open_tracer import sample_ms
 from rlbench.system.provenance import machine
 
+__all__ = ["remeasure_sample_ms"]
+
 
 def remeasure_sample_ms(folder: Path) -> Header:
-    """The header of a clip of an installed scene, whose samples are timed now, and written.
+    """Measure `sample_ms` of a clip of an installed scene, write its header and return it.
 
-    Those of pools beside the path tracer's cost as many times a path's as before: that was measured
-    in pairs, which other work on the machine slows alike. Pixels are not touched. Raises ClipError
-    for a clip that another machine has rendered: its times are of there.
+    The times of other pools keep their ratio to the path tracer's, because that ratio was measured
+    in alternating pairs, which other load on the machine slows alike. Pixels do not change. Raises
+    ClipError if another machine rendered the clip.
     """
-    header, here = read_header(folder), machine().name
-    if header.device != here:
+    header, this_machine = read_header(folder), machine().name
+    if header.device != this_machine:
         raise ClipError(
-            f"clip {folder} was rendered on '{header.device}', and --retime runs on '{here}'; "
-            "`rlbench run --cost measured` times its samples here by itself"
+            f"clip {folder} was rendered on '{header.device}', so its time per sample cannot be "
+            f"measured on '{this_machine}'. Run this on '{header.device}'; `rlbench run --cost "
+            "measured` times samples on this machine"
         )
-    taken = sample_ms(scene_of_clip(header.name), header.height, header.width)
-    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    slower = taken / header.sample_ms if header.sample_ms > 0 else math.nan
-    others = (each * slower for each in header.pools_ms[1:])  # the path tracer's comes first
-    pools_ms = (taken, *others) if header.pools_ms else ()
-    told = replace(header, sample_ms=taken, pools_ms=pools_ms)
-    write_header(folder, told)
-    return told
+    new_ms = sample_ms(scene_of_clip(header.name), header.height, header.width)
+    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
+    ratio = new_ms / header.sample_ms if header.sample_ms > 0 else math.nan
+    others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first
+    pools_ms = (new_ms, *others) if header.pools_ms else ()
+    remeasured = replace(header, sample_ms=new_ms, pools_ms=pools_ms)
+    write_header(folder, remeasured)
+    return remeasured

@@ -1,1 +1,1 @@
-"""Rendering by Mitsuba 3: scenes, tracers, auxiliary buffers and sample pools."""
+"""Rendering with Mitsuba 3: variants, scenes, tracers, G-buffers and sample pools."""

@@ -1,4 +1,4 @@
-"""Finding out whether Mitsuba can trace on this machine's NVIDIA device."""
+"""Checks whether Mitsuba can trace on this machine's NVIDIA device."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 
 from rlbench.render.mitsuba import probe
 from rlbench.system import paths
+
+__all__ = ["find_driver", "unusable_reason"]
 
 DRIVERS = (
     "/usr/lib/*/libcuda.so.1",
@@ -27,22 +29,24 @@ print("usable")
 """
 
 
-def driver() -> Path | None:
-    """The library of the NVIDIA driver, or None on a machine without one."""
-    found = sorted(file for pattern in DRIVERS for file in glob.glob(pattern))
-    return Path(found[0]).resolve() if found else None
+def find_driver() -> Path | None:
+    """The library of the NVIDIA driver, or None if none is installed."""
+    files = sorted(file for pattern in DRIVERS for file in glob.glob(pattern))
+    return Path(files[0]).resolve() if files else None
 
 
-def refused() -> str | None:
-    """Why there is no tracing with CUDA; empty where there is; None without an NVIDIA driver.
+def unusable_reason() -> str | None:
+    """Why Mitsuba cannot trace with CUDA; empty if it can; None without an NVIDIA driver.
 
-    Mitsuba needs the driver's OptiX, which containers often lack. A process of its own traces
-    three rays, once for each driver and version of Mitsuba.
+    Mitsuba needs the driver's OptiX, which containers often lack. A subprocess traces three rays,
+    once for each version of the driver and of Mitsuba; the result is cached.
     """
-    library = driver()
+    library = find_driver()
     if library is None:
         return None
-    note = paths.cache() / "cuda.json"
-    key = f"{probe.stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
-    known = probe.noted(note, key)
-    return probe.keep(note, key, probe.probe_subprocess(PROBE, {})) if known is None else known
+    cache = paths.cache_folder() / "cuda.json"
+    key = f"{probe.file_stamp(library)} mitsuba {importlib.metadata.version('mitsuba')}"
+    cached = probe.read_result(cache, key)
+    if cached is not None:
+        return cached
+    return probe.store_result(cache, key, probe.probe_subprocess(PROBE, {}))

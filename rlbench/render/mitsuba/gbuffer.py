@@ -1,9 +1,9 @@
-"""What a camera knows before any light is traced: albedo, normal, depth and exact motion.
+"""The G-buffer: auxiliary features without light transport: albedo, normal, depth, exact motion.
 
-All are of the pixel's centre. Normal, depth and motion are of the first surface, glass included, so
-that they belong together; albedo looks through glass and mirrors. Beside them there are, where they
-are asked for, the object that is hit, the first surface's own albedo, and what lies behind glass
-and mirrors.
+All are evaluated at pixel centres. Normal, depth and motion belong to the first surface, glass
+included, so that they agree with each other; albedo looks through glass and mirrors. Optional
+buffers hold the object that is hit, the first surface's own albedo, and the surface seen through
+glass and mirrors (primary surface replacement).
 """
 
 from __future__ import annotations
@@ -15,124 +15,131 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.clips.header import VIEWS
+from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.frames import BUFFERS
-from rlbench.render.mitsuba.specular import albedo, follow_specular_chain, reflectance
+from rlbench.render.mitsuba.specular import chain_albedo, follow_specular_chain, reflectance
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.pose import Pose
 
-OUTSIDE = -2.0  # images, along both axes, that motion leads at a cut: no pixel gets inside
-HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of a first look
+__all__ = ["CUT_MOTION", "render_gbuffer"]
+
+CUT_MOTION = -2.0  # motion at a cut, in image sizes along both axes: leads every pixel outside
+HIT = {"hit": 1, "mesh": 1, "face": 1, "u": 1, "v": 1, "normal": 3}  # channels of the first hit
 BEHIND = {"hit_psr": 1, "mesh_psr": 1, "normal_psr": 3, "length_psr": 1}
 
 
 def render_gbuffer(
-    tracer: Tracer, needs: Collection[str] = BUFFERS
+    tracer: Tracer, buffers: Collection[str] = BUFFERS
 ) -> dict[str, Float[Array, "h w channels"]]:
-    """The buffers `needs` of the tracer's present time, float32, in the conventions of `View`.
+    """The G-buffer at the tracer's current time, float32 [h w c] by name, as in `GBuffer`.
 
-    albedo: see `through.albedo`; 0 for background. normal: world space, towards the camera. depth:
-    along the view axis, +inf for background. motion: to the position one frame earlier, from the
-    poses at `time` and `time - 1` (also for frame 0), so exact for camera, rigid and deforming
-    motion; that of background is the camera's rotation. Where another shot begins, at a frame of
-    `Scene.cuts`, every pixel comes from OUTSIDE the previous frame, though some of what it shows
-    may have been seen there: an engine knows that its camera was cut, drops its history, and knows
-    no more.
-
-    object: 1 + the place in `scene.meshes`, or one more than the last of them for any other shape;
-    0 for background. albedo_first: of the first surface itself. normal_behind, depth_behind and
-    object_behind: of the first surface that is not only mirror or glass, found as albedo finds it;
-    depth as if the way there had no bends.
+    - albedo: see `specular.chain_albedo`; 0 for background.
+    - normal: world space, towards the camera; 0 for background.
+    - depth: along the view axis; +inf for background.
+    - motion: pixels to the position one frame earlier, from the poses at `time` and `time - 1`
+      (also for frame 0). It is exact for camera motion, rigid and deforming meshes; the motion of
+      the background is the camera's rotation. Where another shot begins (`Scene.cuts`), it leads
+      every pixel outside the previous frame, as if the history were dropped, even where both shots
+      show the same surface.
+    - object: 1 + index in `scene.meshes`, or one more than the last for other shapes; 0 for
+      background.
+    - albedo_first: albedo of the first surface itself.
+    - normal_psr, depth_psr, object_psr: of the first surface with a rough lobe, at the end
+      of the specular chain; depth as if the chain were a straight line.
     """
     height, width = tracer.height, tracer.width
     rows, columns = np.indices((height, width)).reshape(2, -1)
     film = np.stack([columns, rows], 1) + 0.5
-    channels = _channels(tracer, needs)
-    parts = np.cumsum(list(channels.values()))[:-1]
-    seen = tracer.each(lambda ray: _look(tracer, ray, channels), film)
-    found = dict(zip(channels, np.split(np.stack(seen, 1), parts, 1), strict=True))
-    hit, mesh, face = (found[name][:, 0] for name in ("hit", "mesh", "face"))
-    u, v = (found[name][:, 0].astype(np.float32) for name in "uv")
-    now, before = _points(tracer, hit > 0, mesh, face, u, v, film, found.get("point"))
-    here, depth = tracer.pose.project(now, height, width)
-    found["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
-    there, _ = Pose.of(tracer.scene, tracer.time - 1).project(before, height, width)
-    cut = any(tracer.time - 1 < first <= tracer.time for first in tracer.scene.cuts)
-    found["motion"] = np.full_like(here, OUTSIDE) * (width, height) if cut else there - here
-    found["object"] = np.where(hit > 0, mesh + 1, 0)[:, None]
-    if "hit_psr" in found:
-        ends = found["hit_psr"] > 0
-        ahead = tracer.pose.directions(film, height, width) @ tracer.pose.axes()[2]
-        found["depth_psr"] = np.where(ends, found["length_psr"] * ahead[:, None], np.inf)
-        found["object_psr"] = np.where(ends, found["mesh_psr"] + 1, 0)
+    channels = _ray_channels(tracer, buffers)
+    offsets = np.cumsum(list(channels.values()))[:-1]
+    values = tracer.evaluate_rays(lambda ray: _query_ray(tracer, ray, channels), film)
+    features = dict(zip(channels, np.split(np.stack(values, 1), offsets, 1), strict=True))
+    hit, mesh, face = (features[name][:, 0] for name in ("hit", "mesh", "face"))
+    u, v = (features[name][:, 0].astype(np.float32) for name in "uv")
+    now, before = _visible_points(tracer, hit > 0, mesh, face, u, v, film, features.get("point"))
+    position, depth = tracer.pose.project(now, height, width)
+    features["depth"] = np.where(hit > 0, depth, np.inf)[:, None]
+    previous, _ = Pose.at_time(tracer.scene, tracer.time - 1).project(before, height, width)
+    is_cut = any(tracer.time - 1 < first <= tracer.time for first in tracer.scene.cuts)
+    outside = np.full_like(position, CUT_MOTION) * (width, height)
+    features["motion"] = outside if is_cut else previous - position
+    features["object"] = np.where(hit > 0, mesh + 1, 0)[:, None]
+    if "hit_psr" in features:
+        is_hit = features["hit_psr"] > 0
+        cosine = tracer.pose.ray_directions(film, height, width) @ tracer.pose.camera_axes()[2]
+        depth_psr = features["length_psr"] * cosine[:, None]
+        features["depth_psr"] = np.where(is_hit, depth_psr, np.inf)
+        features["object_psr"] = np.where(is_hit, features["mesh_psr"] + 1, 0)
     return {
-        name: found[name].reshape(height, width, -1).astype(np.float32)
-        for name in VIEWS
-        if name in needs
+        name: features[name].reshape(height, width, -1).astype(np.float32)
+        for name in BUFFER_CHANNELS
+        if name in buffers
     }
 
 
-def _channels(tracer: Tracer, needs: Collection[str]) -> dict[str, int]:
-    """What has to be looked at along each ray, and how many numbers it is."""
-    more = {name: 3 for name in ("albedo", "albedo_first") if name in needs}
-    behind = BEHIND if any(name.endswith("_psr") for name in needs) else {}
-    return HIT | more | behind | ({"point": 3} if tracer.scene.document else {})
+def _ray_channels(tracer: Tracer, buffers: Collection[str]) -> dict[str, int]:
+    """The quantities to compute for each ray, and their numbers of channels."""
+    albedos = {name: 3 for name in ("albedo", "albedo_first") if name in buffers}
+    behind = BEHIND if any(name.endswith("_psr") for name in buffers) else {}
+    return HIT | albedos | behind | ({"point": 3} if tracer.scene.xml_file else {})
 
 
-def _look(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, ...]:
-    """The numbers of `channels` along a ray, one after the other; zeros where nothing is hit."""
+def _query_ray(tracer: Tracer, ray: Any, channels: Mapping[str, int]) -> tuple[Any, ...]:
+    """The values of `channels` for a ray, one after the other; zeros if the ray hits nothing."""
     import drjit as dr
     import mitsuba as mi
 
-    hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+    hit = tracer.mi_scene.ray_intersect_preliminary(ray)
     valid = hit.is_valid()
-    if valid is False:  # a single ray that has left the scene
+    if valid is False:  # scalar variant: the ray has left the scene
         return (0.0,) * sum(channels.values())
     surface = hit.compute_surface_interaction(ray, active=valid)
-    place = dr.select(valid, mi.Point2f(hit.prim_uv), mi.Point2f(0))
+    uv = dr.select(valid, mi.Point2f(hit.prim_uv), mi.Point2f(0))
     face = dr.select(valid, hit.prim_index, mi.UInt32(0))
-    found: dict[str, Any] = {"face": (face,), "u": (place.x,), "v": (place.y,)}
-    found |= _met(tracer, hit, surface, ray, valid)
+    features: dict[str, Any] = {"face": (face,), "u": (uv.x,), "v": (uv.y,)}
+    features |= _surface_features(tracer, hit, surface, ray, valid)
     if "point" in channels:
-        found["point"] = dr.select(valid, surface.p, mi.Point3f(0))
+        features["point"] = dr.select(valid, surface.p, mi.Point3f(0))
     if "albedo_first" in channels:
         share = dr.clip(reflectance(surface, ray, valid), 0, 1)
-        found["albedo_first"] = dr.select(valid, share, mi.Color3f(0))
+        features["albedo_first"] = dr.select(valid, share, mi.Color3f(0))
     if "albedo" in channels or "hit_psr" in channels:
-        last, tint, length, bounces = follow_specular_chain(tracer, ray)
+        last, throughput, length, bounces = follow_specular_chain(tracer, ray)
         if "albedo" in channels:
-            found["albedo"] = albedo(tracer, last, tint, bounces)
+            features["albedo"] = chain_albedo(tracer, last, throughput, bounces)
         if "hit_psr" in channels:
-            found |= _behind(tracer, last, length)
-    return tuple(number for name in channels for number in found[name])
+            features |= _features_psr(tracer, last, length)
+    return tuple(value for name in channels for value in features[name])
 
 
-def _met(tracer: Tracer, hit: Any, surface: Any, ray: Any, valid: Any) -> dict[str, Any]:
-    """Is there a hit, of which mesh, and its normal towards the ray?"""
+def _surface_features(
+    tracer: Tracer, hit: Any, surface: Any, ray: Any, valid: Any
+) -> dict[str, Any]:
+    """Whether there is a hit, its mesh index, and its normal towards the ray's origin."""
     import drjit as dr
     import mitsuba as mi
 
     normal = surface.sh_frame.n * dr.select(dr.dot(surface.n, ray.d) > 0, -1, 1)
     return {
         "hit": (dr.select(valid, mi.Float(1), mi.Float(0)),),
-        "mesh": (tracer.mesh(hit),),
+        "mesh": (tracer.mesh_index(hit),),
         "normal": dr.select(valid, normal, mi.Normal3f(0)),
     }
 
 
-def _behind(tracer: Tracer, last: Any, length: Any) -> dict[str, Any]:
-    """The same of the last part of a way, and how long all of it is."""
-    hit = tracer.mitsuba.ray_intersect_preliminary(last)
+def _features_psr(tracer: Tracer, last: Any, length: Any) -> dict[str, Any]:
+    """The same at the end of a specular chain, and the length of the whole chain."""
+    hit = tracer.mi_scene.ray_intersect_preliminary(last)
     valid = hit.is_valid()
     if valid is False:
         return {name: (0.0,) * count for name, count in BEHIND.items()}
     surface = hit.compute_surface_interaction(last, active=valid)
-    met = _met(tracer, hit, surface, last, valid)
-    found = {f"{name}_psr": numbers for name, numbers in met.items()}
-    return found | {"length_psr": (length + hit.t,)}
+    features = _surface_features(tracer, hit, surface, last, valid)
+    named = {f"{name}_psr": values for name, values in features.items()}
+    return named | {"length_psr": (length + hit.t,)}
 
 
-def _points(
+def _visible_points(
     tracer: Tracer,
     hit: Array,
     mesh: Array,
@@ -142,31 +149,31 @@ def _points(
     film: Array,
     fixed: Array | None,
 ) -> tuple[Float[Array, "p 4"], Float[Array, "p 4"]]:
-    """What is seen at each pixel, now and one frame earlier; directions where nothing is hit.
+    """Homogeneous points that the pixels show, now and one frame earlier; directions if no hit.
 
-    `fixed` are the points hit, which stay where they are unless they are of `scene.meshes`.
+    `fixed` are world positions of hits on shapes that are not in `scene.meshes` and never move.
     """
-    meshes, earlier = tracer.scene.meshes, Pose.of(tracer.scene, tracer.time - 1)
+    meshes, earlier = tracer.scene.meshes, Pose.at_time(tracer.scene, tracer.time - 1)
     sky = np.column_stack(
-        [tracer.pose.directions(film, tracer.height, tracer.width), np.zeros(len(film))]
+        [tracer.pose.ray_directions(film, tracer.height, tracer.width), np.zeros(len(film))]
     )
-    rest = sky
+    static = sky
     if fixed is not None:
-        rest = np.where(hit[:, None], np.column_stack([fixed, np.ones(len(film))]), sky)
+        static = np.where(hit[:, None], np.column_stack([fixed, np.ones(len(film))]), sky)
     if not meshes:
-        return rest, rest
-    moves = hit & (mesh < len(meshes))
-    mesh, face = np.where(moves, mesh, 0), np.where(moves, face, 0)
-    first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    faces = [m.faces.astype(np.int64) + f for m, f in zip(meshes, first[:-1], strict=True)]
+        return static, static
+    is_mesh = hit & (mesh < len(meshes))
+    mesh, face = np.where(is_mesh, mesh, 0), np.where(is_mesh, face, 0)
+    first_vertex = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    faces = [m.faces.astype(np.int64) + f for m, f in zip(meshes, first_vertex[:-1], strict=True)]
     corners = np.concatenate(faces)
-    start = np.cumsum([0, *(len(m.faces) for m in meshes)])
-    corners = corners[start[mesh.astype(np.int64)] + face.astype(np.int64)]
-    shares = np.stack([1 - u - v, u, v], 1).astype(np.float64)[..., None]
+    first_face = np.cumsum([0, *(len(m.faces) for m in meshes)])
+    corners = corners[first_face[mesh.astype(np.int64)] + face.astype(np.int64)]
+    barycentric = np.stack([1 - u - v, u, v], 1).astype(np.float64)[..., None]
 
-    def place(pose: Pose) -> Array:
+    def points_at(pose: Pose) -> Array:
         vertices = np.concatenate(pose.vertices).astype(np.float64)
-        points = np.column_stack([(vertices[corners] * shares).sum(1), np.ones(len(film))])
-        return np.where(moves[:, None], points, rest)
+        points = np.column_stack([(vertices[corners] * barycentric).sum(1), np.ones(len(film))])
+        return np.where(is_mesh[:, None], points, static)
 
-    return place(tracer.pose), place(earlier)
+    return points_at(tracer.pose), points_at(earlier)

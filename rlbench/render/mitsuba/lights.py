@@ -1,7 +1,7 @@
-"""Lights that change: factors on what the emitters of a loaded scene give, without loading again.
+"""Animated lights: scales the emitters of a loaded scene without loading it again.
 
-Mitsuba rebuilds its tables for sampling a bitmap, an environment or sun and sky by itself. How
-often a light is sampled stays as it is: one that is out costs samples, and makes nothing wrong.
+Mitsuba updates its sampling tables of bitmaps, environment maps, sun and sky by itself. How often
+an emitter is sampled does not change: an emitter scaled to 0 costs samples but causes no bias.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ import numpy as np
 
 from rlbench.render.mitsuba.load import LightError, upload
 
-STRENGTHS = (
+__all__ = ["EmitterScaler"]
+
+STRENGTH_PARAMETERS = (
     "radiance.value",
     "radiance.data",
     "irradiance.value",
@@ -21,63 +23,77 @@ STRENGTHS = (
     "scale",  # of an environment map
     "sky_scale",
     "sun_scale",
-)  # parameters to which Mitsuba's emitters are proportional
-OUT = 1e-20  # factor on a bitmap that is out: tables of zeros give NaN
+)  # emitter parameters to which the emitted light is proportional
+MIN_BITMAP_FACTOR = 1e-20  # a sampling table of zeros gives NaN
 
 
 class EmitterScaler:
-    """The lights of a loaded scene, each by the name of its mesh, or `sky0`, `sky1`, ..."""
+    """The emitters of a loaded scene, by the name of their mesh, or `sky0`, `sky1`, ..."""
 
     def __init__(self, parameters: Any) -> None:
-        """Take over `parameters`, which `mi.traverse` has found; all lights are at their full."""
+        """Take the `parameters` from `mi.traverse`; all emitters are at full strength."""
         self._parameters = parameters
-        self._full: dict[str, Any] = {}  # what a parameter was before it was first changed
+        self._full: dict[str, Any] = {}  # parameter values before the first change
         self._factors: Mapping[str, float] = {}
 
-    def set(self, factors: Mapping[str, float]) -> None:
-        """Let each light give `factors` times what it was made with; those not named give all.
+    def set_factors(self, factors: Mapping[str, float]) -> None:
+        """Scale emitters by factors of their full strength; those not named get the factor 1.
 
-        New values are new input to old kernels, but for the scales of sun and sky, which Mitsuba
-        compiles in: one compilation for each factor. Raises LightError for a factor that is not
-        finite or below 0, and for a name that no light has.
+        Kernels are not compiled again, except for the scales of sun and sky, which Mitsuba compiles
+        in: one compilation per factor. Raises LightError for a factor that is negative or not
+        finite, and for a name that no emitter has.
         """
         if factors == self._factors:
             return
-        steady = dict.fromkeys(self._factors, 1.0)
-        for name, factor in (steady | dict(factors)).items():
+        reset = dict.fromkeys(self._factors, 1.0)
+        for name, factor in (reset | dict(factors)).items():
             if not 0 <= factor < np.inf:
-                raise LightError(f"light '{name}' is to give {factor} times its light; from 0 on")
-            for key in self._keys(name):
+                raise LightError(
+                    f"light '{name}' is scaled by {factor}; factors must be finite and at least 0"
+                )
+            for key in self._strength_keys(name):
                 self._scale(key, factor)
         self._parameters.update()
         self._factors = dict(factors)
 
-    def _keys(self, name: str) -> list[str]:
-        """The parameters that say how strong a light is."""
-        wanted = [f"{name}.{middle}{s}" for middle in ("emitter.", "") for s in STRENGTHS]
-        if found := [key for key in wanted if key in self._parameters]:
-            return found
-        lit = [(key, s) for key in list(self._parameters.keys()) for s in STRENGTHS]
+    def _strength_keys(self, name: str) -> list[str]:
+        """The parameters that hold the strength of an emitter."""
+        candidates = [
+            f"{name}.{middle}{parameter}"
+            for middle in ("emitter.", "")
+            for parameter in STRENGTH_PARAMETERS
+        ]
+        if keys := [key for key in candidates if key in self._parameters]:
+            return keys
+        names = ", ".join(self._emitter_names()) or "none"
+        raise LightError(f"no light '{name}' whose strength can change; available: {names}")
+
+    def _emitter_names(self) -> list[str]:
+        """The names of the emitters that can be scaled."""
         names = {
-            key.removesuffix(f".{s}").removesuffix(".emitter") for key, s in lit if key.endswith(s)
+            key.removesuffix(f".{parameter}").removesuffix(".emitter")
+            for key in list(self._parameters.keys())
+            for parameter in STRENGTH_PARAMETERS
+            if key.endswith(parameter)
         }
-        have = ", ".join(sorted(n for n in names if ".bsdf" not in n)) or "none"
-        raise LightError(f"no light '{name}' whose strength can change; there are: {have}")
+        return sorted(name for name in names if ".bsdf" not in name)
 
     def _scale(self, key: str, factor: float) -> None:
-        now = self._parameters[key]
-        full = self._full.setdefault(key, now if isinstance(now, float) else np.array(now))
-        self._parameters[key] = _like(now, full, factor)
+        current = self._parameters[key]
+        value = current if isinstance(current, float) else np.array(current)
+        full = self._full.setdefault(key, value)
+        self._parameters[key] = _scaled(current, full, factor)
 
 
-def _like(now: Any, full: Any, factor: float) -> Any:
-    """`full` times `factor` as a value of the type of `now`, opaque to the compiler."""
+def _scaled(current: Any, full: Any, factor: float) -> Any:
+    """`full * factor` as a value of the type of `current`, opaque to Dr.Jit's compiler."""
     import drjit as dr
     import mitsuba as mi
 
-    if isinstance(now, float):
+    if isinstance(current, float):
         return full * factor
-    if isinstance(now, mi.TensorXf):
-        return mi.TensorXf(upload(type(now.array), full * max(factor, OUT)), full.shape)
-    values = [dr.opaque(mi.Float, float(v)) for v in np.reshape(full * factor, -1)]
-    return values[0] if type(now) is mi.Float else type(now)(values)
+    if isinstance(current, mi.TensorXf):
+        values = full * max(factor, MIN_BITMAP_FACTOR)
+        return mi.TensorXf(upload(type(current.array), values), full.shape)
+    channels = [dr.opaque(mi.Float, float(v)) for v in np.reshape(full * factor, -1)]
+    return channels[0] if type(current) is mi.Float else type(current)(channels)

@@ -1,4 +1,4 @@
-"""Finding a libLLVM that Dr.Jit can use, and starting Mitsuba with the fastest that works."""
+"""Finds a libLLVM that Dr.Jit can use, and selects Mitsuba's fastest variant that works."""
 
 from __future__ import annotations
 
@@ -16,7 +16,19 @@ from pathlib import Path
 from rlbench.render.mitsuba import cuda, probe
 from rlbench.system import paths
 
-OLDEST = 16  # 14 is refused by Dr.Jit, 15 aborts the process
+__all__ = [
+    "INSTALL_HINT",
+    "LlvmLibrary",
+    "fastest_variant",
+    "find_candidates",
+    "find_libraries",
+    "kernel_cache",
+    "probe_library",
+    "describe_variant",
+    "select_variant",
+]
+
+MIN_VERSION = 16  # Dr.Jit refuses 14; 15 aborts the process
 PATTERNS = (
     "/usr/lib/*/libLLVM*.so*",
     "/usr/lib/libLLVM*.so*",
@@ -28,7 +40,7 @@ PATTERNS = (
     f"{sys.prefix}/lib/libLLVM*",
     "{CONDA_PREFIX}/lib/libLLVM*",
 )
-ADVICE = (
+INSTALL_HINT = (
     "to trace several times faster, install LLVM 16 or newer: "
     "`apt-get install libllvm19`, `brew install llvm` or `conda install -c conda-forge libllvm19`"
 )
@@ -47,134 +59,146 @@ print("usable", ".".join(map(str, dr.detail.llvm_version())))
 
 
 @dataclass(frozen=True)
-class Library:
-    """One libLLVM on this machine, and why it cannot be used, or an empty reason if it can."""
+class LlvmLibrary:
+    """A libLLVM on this machine."""
 
     path: Path
-    version: int
-    refused: str = ""
+    version: int  # major
+    unusable_reason: str = ""  # empty if Dr.Jit can use it
 
 
-def candidates() -> list[tuple[int, Path]]:
-    """Every libLLVM found here as (major version, file), newest first."""
-    asked = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if asked:  # the user has chosen; it is probed all the same
-        return [(_version(Path(asked)) or OLDEST, Path(asked))]
+def find_candidates() -> list[tuple[int, Path]]:
+    """Every libLLVM on this machine as (major version, file), newest first."""
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if chosen:
+        return [(_version(Path(chosen)) or MIN_VERSION, Path(chosen))]
     prefix = os.environ.get("CONDA_PREFIX", sys.prefix)
     files = [f for p in PATTERNS for f in glob.glob(p.replace("{CONDA_PREFIX}", prefix))]
     unique = {Path(f).resolve() for f in files}
     return sorted(((v, f) for f in unique if (v := _version(f))), reverse=True)
 
 
-def probed(path: Path) -> str:
-    """Why `path` cannot be used, or an empty string if it can; an unsuitable LLVM aborts."""
+def probe_library(path: Path) -> str:
+    """Why Dr.Jit cannot use a libLLVM, or an empty string; runs in a subprocess."""
     return probe.probe_subprocess(PROBE, {"DRJIT_LIBLLVM_PATH": str(path)})
 
 
-def libraries() -> list[Library]:
-    """What was found, newest first, up to the first that can be used; each is probed only once."""
-    note = paths.cache() / "llvm.json"
-    found = []
-    for version, path in candidates():
-        if version < OLDEST:
-            found.append(Library(path, version, f"too old, {OLDEST} or newer is needed"))
+def find_libraries() -> list[LlvmLibrary]:
+    """Libraries from the newest to the first usable one. Each is probed once."""
+    cache = paths.cache_folder() / "llvm.json"
+    libraries = []
+    for version, path in find_candidates():
+        if version < MIN_VERSION:
+            libraries.append(
+                LlvmLibrary(path, version, f"too old, {MIN_VERSION} or newer is needed")
+            )
             continue
-        key = f"{probe.stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
-        known = probe.noted(note, key)
-        reason = probe.keep(note, key, probed(path)) if known is None else known
-        found.append(Library(path, version, reason))
+        key = f"{probe.file_stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
+        reason = probe.read_result(cache, key)
+        if reason is None:
+            reason = probe.store_result(cache, key, probe_library(path))
+        libraries.append(LlvmLibrary(path, version, reason))
         if not reason:
             break
-    return found
+    return libraries
 
 
 def select_variant(variant: str | None = None) -> str:
-    """Start Mitsuba and return its variant.
+    """Set Mitsuba's variant and return its name.
 
-    `variant`, or else the variable RLBENCH_VARIANT, asks for one by name, such as `llvm_ad_rgb`.
-    Otherwise it is the one that is running already, or the fastest that works: `cuda_ad_rgb` with
-    an NVIDIA device, `llvm_ad_rgb` with a libLLVM, or `scalar_rgb` with a warning. It must run
-    before anything else imports drjit, which loads LLVM at once. It traces with RLBENCH_THREADS
-    threads, or one for each processor.
+    The argument, or else the environment variable RLBENCH_VARIANT, names a variant such as
+    `llvm_ad_rgb`. By default it is the variant already set, or the fastest that works:
+    `cuda_ad_rgb` with an NVIDIA device, `llvm_ad_rgb` with a libLLVM, `scalar_rgb` with a warning.
+    Call this before anything else imports drjit, which loads LLVM on import. The variable
+    RLBENCH_THREADS limits the threads; default one per processor.
+
+    Raises ValueError for a variant that Mitsuba does not have.
     """
-    if not variant and "mitsuba" in sys.modules and (runs := sys.modules["mitsuba"].variant()):
-        _limit()
-        return str(runs)
-    asked = variant or os.environ.get("RLBENCH_VARIANT", "")
-    good = next((lib for lib in libraries() if not lib.refused), None)
-    chosen = asked or fastest(good, cuda.refused())
-    _prepare(good)
+    if not variant and "mitsuba" in sys.modules and (current := sys.modules["mitsuba"].variant()):
+        _limit_threads()
+        return str(current)
+    requested = variant or os.environ.get("RLBENCH_VARIANT", "")
+    library = next((lib for lib in find_libraries() if not lib.unusable_reason), None)
+    chosen = requested or fastest_variant(library, cuda.unusable_reason())
+    _configure_drjit(library)
     import mitsuba as mi
 
     if chosen not in mi.variants():
-        raise ValueError(f"Mitsuba has no variant '{chosen}'; it has: {', '.join(mi.variants())}")
-    if not asked and chosen == "scalar_rgb":
-        warnings.warn(f"no usable libLLVM: tracing is slow; {ADVICE}", stacklevel=2)
+        raise ValueError(
+            f"Mitsuba has no variant '{chosen}'; available: {', '.join(mi.variants())}"
+        )
+    if not requested and chosen == "scalar_rgb":
+        warnings.warn(f"no usable libLLVM: tracing is slow; {INSTALL_HINT}", stacklevel=2)
     mi.set_variant(chosen)
-    _limit()
+    _limit_threads()
     return str(mi.variant())
 
 
-def fastest(library: Library | None, cuda_refused: str | None) -> str:
-    """The variant for a machine with this LLVM, where CUDA was refused so (see `cuda.refused`)."""
-    if cuda_refused == "":
+def fastest_variant(library: LlvmLibrary | None, cuda_reason: str | None) -> str:
+    """The fastest variant given a usable libLLVM or None, and `cuda.unusable_reason()`."""
+    if cuda_reason == "":
         return "cuda_ad_rgb"
     return "llvm_ad_rgb" if library else "scalar_rgb"
 
 
-def report() -> str:
-    """Which variant is used and with what, what was refused and why, how to get a fast one."""
-    found, device = libraries(), cuda.refused()
-    good = next((lib for lib in found if not lib.refused), None)
-    chosen = fastest(good, device)
+def describe_variant() -> str:
+    """The variant in use, the libraries that cannot be used and why, and what to install."""
+    libraries, cuda_reason = find_libraries(), cuda.unusable_reason()
+    library = next((lib for lib in libraries if not lib.unusable_reason), None)
+    chosen = fastest_variant(library, cuda_reason)
     if chosen == "cuda_ad_rgb":
-        using = f"with {cuda.driver()}"
+        using = f"with {cuda.find_driver()}"
     else:
-        using = f"with {good.path}" if good else "no usable libLLVM"
+        using = f"with {library.path}" if library else "no usable libLLVM"
     lines = [f"path tracer: {chosen}, {using}"]
-    if device:
-        lines.append(f"refused cuda_ad_rgb with {cuda.driver()}: {device}")
-    lines += [f"refused {lib.path}: {lib.refused}" for lib in found if lib.refused]
-    return "\n".join(lines if good or device == "" else [*lines, ADVICE])
+    if cuda_reason:
+        lines.append(f"cannot use cuda_ad_rgb with {cuda.find_driver()}: {cuda_reason}")
+    lines += [
+        f"cannot use {lib.path}: {lib.unusable_reason}" for lib in libraries if lib.unusable_reason
+    ]
+    return "\n".join(lines if library or cuda_reason == "" else [*lines, INSTALL_HINT])
 
 
-def kernels(library: Library | None) -> Path:
-    """The folder of compiled kernels: Dr.Jit's own cache is not keyed by LLVM's version."""
-    kind = f"llvm{library.version}" if library else "nollvm"
-    return paths.cache() / f"drjit-{kind}-{_processor()}"
+def kernel_cache(library: LlvmLibrary | None) -> Path:
+    """Dr.Jit's folder of compiled kernels, one per LLVM version and processor.
+
+    Dr.Jit itself does not key its cache by the version of LLVM.
+    """
+    name = f"llvm{library.version}" if library else "nollvm"
+    return paths.cache_folder() / f"drjit-{name}-{_processor_id()}"
 
 
 def _version(path: Path) -> int | None:
-    """The major version as the file's name says it: libLLVM-15.so.1, libLLVM.so.19.1."""
+    """The major version in a file name: libLLVM-15.so.1, libLLVM.so.19.1."""
     match = re.search(r"libLLVM(?:-|\.so\.)(\d+)", path.name)
     match = match or re.search(r"llvm[-@/](\d+)", str(path), re.IGNORECASE)
     return int(match[1]) if match else None
 
 
-def _prepare(library: Library | None) -> None:
-    """Tell Dr.Jit which LLVM to load, and where to keep kernels, unless the user has."""
+def _configure_drjit(library: LlvmLibrary | None) -> None:
+    """Set the variables that give Dr.Jit its libLLVM and, unless already set, its kernel cache."""
     if library:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library.path)
     if "DRJIT_CACHE_DIR" not in os.environ:
-        folder = kernels(library)
+        folder = kernel_cache(library)
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["DRJIT_CACHE_DIR"] = str(folder)
 
 
-def _limit() -> None:
+def _limit_threads() -> None:
     import drjit as dr
 
-    asked = os.environ.get("RLBENCH_THREADS", "")
-    if asked.isdecimal() and 0 < int(asked) != dr.thread_count():
-        dr.set_thread_count(int(asked))
+    threads = os.environ.get("RLBENCH_THREADS", "")
+    if threads.isdecimal() and 0 < int(threads) != dr.thread_count():
+        dr.set_thread_count(int(threads))
 
 
-def _processor() -> str:
-    """A short name for this kind of processor: kernels of one may not run on another."""
+def _processor_id() -> str:
+    """A short hash of the processor type; kernels compiled for one may not run on another."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else [platform.processor()]
-    kinds = sorted(
+    types = sorted(
         {line for line in lines if re.match(r"model name|flags|Features|CPU part", line)}
     )
-    words = "\n".join([platform.machine(), *(kinds or lines[:1])])
-    return hashlib.sha256(words.encode()).hexdigest()[:8]
+    text = "\n".join([platform.machine(), *(types or lines[:1])])
+    return hashlib.sha256(text.encode()).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""Opening a scene with the tracer that suits this machine."""
+"""Opens a scene with the tracer that suits this machine."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 
-__all__ = ["Tracer", "WavefrontTracer", "ScalarTracer", "open_tracer", "sample_ms"]
+__all__ = ["ScalarTracer", "Tracer", "WavefrontTracer", "open_tracer", "sample_ms"]
 
 
 def open_tracer(
-    scene: Scene, height: int, width: int, seed: int = 0, cap: float = math.inf
+    scene: Scene, height: int, width: int, seed: int = 0, radiance_cap: float = math.inf
 ) -> Tracer:
-    """A tracer of `scene` for this machine: wavefronts with LLVM or CUDA, else whole images."""
+    """A tracer of `scene`: wavefronts with LLVM or CUDA, else whole scalar images."""
     kind = ScalarTracer if llvm.select_variant().startswith("scalar") else WavefrontTracer
-    return kind(scene, height, width, seed, cap)
+    return kind(scene, height, width, seed, radiance_cap)
 
 
 def sample_ms(scene: Scene, height: int, width: int, repeats: int = 5) -> float:
-    """Median milliseconds of one full frame at one sample per pixel on this machine, warmed up."""
-    return open_tracer(scene, height, width).sample_ms(repeats)
+    """Median milliseconds of one frame at one sample per pixel on this machine, after a warm-up."""
+    return open_tracer(scene, height, width).measure_sample_ms(repeats)

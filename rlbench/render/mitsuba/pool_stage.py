@@ -1,4 +1,4 @@
-"""A tracer's scene as a pool's plugin sees it, moved from frame to frame."""
+"""The scene of a tracer as the plugin of a sample pool sees it, moved from frame to frame."""
 
 from __future__ import annotations
 
@@ -11,51 +11,53 @@ from rlbench.render.mitsuba import load
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 
+__all__ = ["PoolStage"]
+
 
 @dataclass
 class PoolStage:
-    """A scene at the tracer's present time; see `rlbench.pools.Stage`."""
+    """A scene at the tracer's current time; implements `rlbench.pools.RenderContext`."""
 
     tracer: WavefrontTracer
     stream: str  # of random numbers
-    _moved: tuple[float, Any, Any] | None = field(default=None, repr=False)
+    _motion: tuple[float, Any, Any] | None = field(default=None, repr=False)
 
     @property
     def height(self) -> int:
-        """Of the image, in pixels."""
+        """Image height in pixels."""
         return self.tracer.height
 
     @property
     def width(self) -> int:
-        """Of the image, in pixels."""
+        """Image width in pixels."""
         return self.tracer.width
 
     @property
     def scene(self) -> Any:
-        """The Mitsuba scene, as it is now."""
-        return self.tracer.mitsuba
+        """The Mitsuba scene at the current time."""
+        return self.tracer.mi_scene
 
     @property
-    def depth(self) -> int:
+    def max_depth(self) -> int:
         """Longest light path, in edges."""
-        return self.tracer.scene.depth
+        return self.tracer.scene.max_depth
 
-    def rays(self, x: Any, y: Any) -> Any:
-        """The camera's rays through places on the film (mi.Float)."""
+    def camera_rays(self, x: Any, y: Any) -> Any:
+        """The camera rays through film positions in pixels (mi.Float)."""
         return self.tracer.rays(x, y)
 
-    def numbers(self, pixels: Any, samples: Any) -> Any:
-        """A sampler for lanes of pixels and samples (mi.UInt32)."""
-        return self.tracer.numbers(pixels, samples, self.stream)
+    def sampler(self, pixels: Any, samples: Any) -> Any:
+        """A sampler whose lanes are pixels and samples (mi.UInt32)."""
+        return self.tracer.make_sampler(pixels, samples, self.stream)
 
     def motion(self) -> tuple[Any, Any]:
-        """Of every pixel: pixels to where the same was one frame earlier, x and y."""
+        """Motion vectors x and y of every pixel (mi.Float): pixels to the previous position."""
         import mitsuba as mi
 
-        if self._moved is None or self._moved[0] != self.tracer.time:
-            found = np.zeros((self.height, self.width, 2), np.float32)
+        if self._motion is None or self._motion[0] != self.tracer.time:
+            motion = np.zeros((self.height, self.width, 2), np.float32)
             if not self.tracer.scene.static:
-                found = render_gbuffer(self.tracer, ("motion",))["motion"]
-            x, y = (load.upload(mi.Float, found[..., axis]) for axis in range(2))
-            self._moved = self.tracer.time, x, y
-        return self._moved[1:]
+                motion = render_gbuffer(self.tracer, ("motion",))["motion"]
+            x, y = (load.upload(mi.Float, motion[..., axis]) for axis in range(2))
+            self._motion = self.tracer.time, x, y
+        return self._motion[1:]

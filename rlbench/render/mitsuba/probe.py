@@ -1,4 +1,4 @@
-"""Trying a library in a process of its own, once: what cannot be used may end the process."""
+"""Tries a library in a subprocess, because an unusable one may abort the process."""
 
 from __future__ import annotations
 
@@ -11,41 +11,47 @@ from pathlib import Path
 
 from rlbench.system import paths
 
+__all__ = ["file_stamp", "probe_subprocess", "read_result", "store_result"]
 
-def probe_subprocess(code: str, setting: dict[str, str]) -> str:
-    """Why `code`, which prints `usable` at the end, fails with these variables; empty if it works.
+TIMEOUT_S = 120
 
-    It has an empty kernel cache, since kernels that another library has compiled would hide faults.
+
+def probe_subprocess(code: str, variables: dict[str, str]) -> str:
+    """Why `code` fails with these environment variables; empty if it prints `usable`.
+
+    The kernel cache is empty, since kernels that another library compiled would hide faults.
     """
     with tempfile.TemporaryDirectory() as empty:
-        environment = {**os.environ, "DRJIT_CACHE_DIR": empty, **setting}
-        run = [sys.executable, "-c", code]
+        environment = {**os.environ, "DRJIT_CACHE_DIR": empty, **variables}
+        command = [sys.executable, "-c", code]
         try:
-            done = subprocess.run(run, env=environment, capture_output=True, text=True, timeout=120)
+            process = subprocess.run(
+                command, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S
+            )
         except subprocess.TimeoutExpired:
-            return "did not finish within 120 s"
-    if done.returncode == 0 and done.stdout.startswith("usable"):
+            return f"did not finish within {TIMEOUT_S} s"
+    if process.returncode == 0 and process.stdout.startswith("usable"):
         return ""
-    if done.returncode < 0:
-        return f"ended by signal {-done.returncode} (too old, or of another kind)"
-    words = [line for line in done.stderr.splitlines() if line.strip()]
-    return words[-1].strip()[:200] if words else f"exit code {done.returncode}"
+    if process.returncode < 0:
+        return f"ended by signal {-process.returncode} (too old or incompatible)"
+    lines = [line for line in process.stderr.splitlines() if line.strip()]
+    return lines[-1].strip()[:200] if lines else f"exit code {process.returncode}"
 
 
-def stamp(path: Path) -> str:
-    """A library as it is now: another one in its place has another stamp."""
+def file_stamp(path: Path) -> str:
+    """Path and modification time of a library; changes if the file is replaced."""
     return f"{path} {path.stat().st_mtime_ns if path.exists() else 0}"
 
 
-def noted(note: Path, key: str) -> str | None:
-    """The reason that is noted in a file, or None where there is none for this key."""
-    known: dict[str, str] = json.loads(note.read_text()) if note.exists() else {}
-    return known.get(key)
+def read_result(cache: Path, key: str) -> str | None:
+    """The cached result of a probe, or None if there is none for this key."""
+    results: dict[str, str] = json.loads(cache.read_text()) if cache.exists() else {}
+    return results.get(key)
 
 
-def keep(note: Path, key: str, reason: str) -> str:
-    """Note a reason in a file, and return it."""
-    known: dict[str, str] = json.loads(note.read_text()) if note.exists() else {}
-    with paths.replacing(note) as file:
-        file.write_text(json.dumps({**known, key: reason}, indent=1))
+def store_result(cache: Path, key: str, reason: str) -> str:
+    """Add the result of a probe to the cache file, and return it."""
+    results: dict[str, str] = json.loads(cache.read_text()) if cache.exists() else {}
+    with paths.atomic_write(cache) as file:
+        file.write_text(json.dumps({**results, key: reason}, indent=1))
     return reason

@@ -1,4 +1,4 @@
-"""Random numbers that depend on pixel, sample, frame, stream and seed, and on nothing else."""
+"""Random numbers that depend on pixel, sample, frame, stream and seed only."""
 
 from __future__ import annotations
 
@@ -7,46 +7,48 @@ import struct
 from functools import cache
 from typing import Any
 
+__all__ = ["STREAMS", "make_sampler", "stream_key"]
+
 STREAMS = ("input", "pilot", "referenceA", "referenceB", "restir")
 
 
-def key(stream: str, time: float, seed: int) -> tuple[int, int]:
-    """Two 32-bit numbers for a stream of a frame; those of different streams never agree.
+def stream_key(stream: str, time: float, seed: int) -> tuple[int, int]:
+    """Two 32-bit numbers for one stream of one frame; no two streams share them.
 
-    `time` is the frame, or a moment between frames. Raises LookupError for an unknown stream.
+    `time` is in frames and may be fractional. Raises LookupError for an unknown stream.
     """
     if stream not in STREAMS:
-        raise LookupError(f"no sample stream '{stream}'; there are: {', '.join(STREAMS)}")
-    words = f"{stream} {seed} {float(time)!r}".encode()
-    return struct.unpack("<II", hashlib.blake2b(words, digest_size=8).digest())
+        raise LookupError(f"no sample stream '{stream}'; available: {', '.join(STREAMS)}")
+    text = f"{stream} {seed} {float(time)!r}".encode()
+    return struct.unpack("<II", hashlib.blake2b(text, digest_size=8).digest())
 
 
-def keyed(pixels: Any, samples: Any, salt: Any) -> Any:
-    """A Mitsuba sampler for one wavefront, lane by lane of `pixels` and `samples` (mi.UInt32).
+def make_sampler(pixels: Any, samples: Any, key: Any) -> Any:
+    """A Mitsuba sampler for a wavefront whose lanes are `pixels` and `samples` (mi.UInt32).
 
-    `salt` holds the two numbers of `key`, opaque to the compiler. Mitsuba's own `independent`
-    sampler is keyed by the lane, so there a sample's value changes with the wavefront around it.
+    `key` holds the two numbers of `stream_key`, opaque to the compiler. Mitsuba's own `independent`
+    sampler is keyed by the lane, so a sample's value would change with the wavefront around it.
     """
-    return _kind()(pixels, samples, salt)
+    return _sampler_class()(pixels, samples, key)
 
 
 @cache
-def _kind() -> type:
-    import mitsuba as mi  # a variant must be running before the class can be made
+def _sampler_class() -> type:
+    import mitsuba as mi  # the class can be defined only after a variant is set
 
-    class Keyed(mi.Sampler):
-        """A PCG32 for each lane; position and sequence come from two rounds of TEA.
+    class KeyedSampler(mi.Sampler):
+        """A PCG32 for each lane; two rounds of TEA give its sequence and its initial state.
 
-        TEA (Wheeler, Needham 1994) maps 64 bits to 64 one to one, so that two (pixel, sample)
-        pairs of one frame never start alike.
+        TEA (Wheeler and Needham 1994) maps 64 bits to 64 bits one to one, so no two (pixel, sample)
+        pairs of a frame start alike.
         """
 
-        def __init__(self, pixels: Any, samples: Any, salt: Any) -> None:
+        def __init__(self, pixels: Any, samples: Any, key: Any) -> None:
             super().__init__(mi.Properties())
             self.lanes = len(pixels)
             high, low = mi.sample_tea_32(pixels, samples)
             sequence = (mi.UInt64(high) << 32) | mi.UInt64(low)
-            high, low = mi.sample_tea_32(high ^ salt[0], low ^ salt[1])
+            high, low = mi.sample_tea_32(high ^ key[0], low ^ key[1])
             generator: Any = mi.PCG32
             self.rng = generator()
             self.rng.seed((mi.UInt64(high) << 32) | mi.UInt64(low), sequence)
@@ -69,4 +71,4 @@ def _kind() -> type:
         def traverse(self, callback: Any) -> None:
             callback.put("rng", self.rng, mi.ParamFlags.NonDifferentiable)
 
-    return Keyed
+    return KeyedSampler

@@ -1,4 +1,7 @@
-"""Looking through glass and mirrors, to the first surface that scatters; and what it reflects."""
+"""Specular chains: follows camera rays through glass and mirrors to the first rough surface.
+
+Also the albedo there, which for every BSDF is its directional-hemispherical reflectance.
+"""
 
 from __future__ import annotations
 
@@ -6,83 +9,87 @@ from typing import Any
 
 from rlbench.render.mitsuba.tracer import Tracer
 
-POINTS = 16  # directions of the albedo's quadrature
-BOUNCES = 4  # mirrors and panes that are looked through
-LATTICE = (
-    1,
-    5,
-    25,
-)  # Korobov 1959: point i is i * LATTICE / POINTS; 5 had the least error of 3 .. 13
+__all__ = ["chain_albedo", "follow_specular_chain", "reflectance"]
+
+QUADRATURE_POINTS = 16  # directions of the albedo's quadrature
+MAX_SPECULAR_BOUNCES = 4
+# Korobov 1959: point i is i * LATTICE / QUADRATURE_POINTS; 5 had the least error of 3 .. 13
+LATTICE = (1, 5, 25)
 
 
 def follow_specular_chain(tracer: Tracer, ray: Any) -> tuple[Any, Any, Any, Any]:
-    """The last part of the way of `ray`, the tint of what came before, its length, its bounces.
+    """The last segment of a camera ray; throughput, length and bounces before that segment.
 
-    Surfaces that are only mirror or glass are followed up to 4 times, through the pane rather than
-    off it. The last part ends at the first surface that scatters, or nowhere.
+    Surfaces with only delta lobes are followed up to 4 times; at glass the chain takes the
+    transmission. The last segment ends at the first surface with another lobe, or leaves the scene.
     """
     import drjit as dr
     import mitsuba as mi
 
-    context = _context()
+    context = _bsdf_context()
 
-    def follow(ray: Any, tint: Any, length: Any, bounce: Any, active: Any) -> tuple[Any, ...]:
-        surface = tracer.mitsuba.ray_intersect(ray, active)
+    def bounce_once(
+        ray: Any, throughput: Any, length: Any, bounces: Any, active: Any
+    ) -> tuple[Any, ...]:
+        surface = tracer.mi_scene.ray_intersect(ray, active)
         valid = active & surface.is_valid()
-        if valid is False:  # a single ray that has left the scene: there is no BSDF to ask
-            return ray, tint, length, bounce, False
+        if valid is False:  # scalar variant: the ray has left the scene, there is no BSDF
+            return ray, throughput, length, bounces, False
         bsdf = surface.bsdf(ray)
         smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        onward = valid ^ (valid & (smooth | (bounce >= BOUNCES)))
+        onward = valid ^ (valid & (smooth | (bounces >= MAX_SPECULAR_BOUNCES)))
         chosen, weight = bsdf.sample(context, surface, 0.999, mi.Point2f(0.5, 0.5), onward)
-        tint = dr.select(onward, tint * weight, tint)
+        throughput = dr.select(onward, throughput * weight, throughput)
         length = dr.select(onward, length + surface.t, length)
-        bounce = dr.select(onward, bounce + 1, bounce)
+        bounces = dr.select(onward, bounces + 1, bounces)
         after = mi.Ray3f(surface.spawn_ray(surface.to_world(chosen.wo)))
-        return dr.select(onward, after, ray), tint, length, bounce, onward
+        return dr.select(onward, after, ray), throughput, length, bounces, onward
 
     start = (mi.Ray3f(ray), mi.Color3f(1), mi.Float(0), mi.UInt32(0), mi.Bool(True))
-    return dr.while_loop(start, lambda *state: state[-1], follow)[:4]
+    return dr.while_loop(start, lambda *state: state[-1], bounce_once)[:4]
 
 
-def albedo(tracer: Tracer, last: Any, tint: Any, bounces: Any) -> Any:
-    """Share of light that the surface at the end of a way passes back along it, in [0, 1].
+def chain_albedo(tracer: Tracer, last: Any, throughput: Any, bounces: Any) -> Any:
+    """Albedo in [0, 1] at the end of a specular chain: reflectance times the chain's throughput.
 
-    The mean of the BSDF's own sample weights over fixed points: its directional-hemispherical
-    reflectance, whatever the BSDF, times the `tint` of mirrors and panes before it; a mirror that
-    shows the sky has its own tint, and the sky none. Mitsuba's own albedo is far above 1 or 0 for
-    rough metal and glass.
+    The reflectance is the mean of the BSDF's own sample weights over fixed points: its
+    directional-hemispherical reflectance, for any BSDF. Mitsuba's own albedo AOV is far above 1, or
+    0, for rough metal and glass. A chain that leaves the scene has its throughput as albedo, and
+    background 0.
     """
     import drjit as dr
     import mitsuba as mi
 
-    surface = tracer.mitsuba.ray_intersect(last)
+    surface = tracer.mi_scene.ray_intersect(last)
     valid = surface.is_valid()
-    beyond = dr.select(bounces > 0, tint, mi.Color3f(0))
+    beyond = dr.select(bounces > 0, throughput, mi.Color3f(0))
     if valid is False:
         return dr.clip(beyond, 0, 1)
-    share = tint * reflectance(surface, last, valid)
+    share = throughput * reflectance(surface, last, valid)
     return dr.clip(dr.select(valid, share, beyond), 0, 1)
 
 
 def reflectance(surface: Any, ray: Any, active: Any) -> Any:
-    """Directional-hemispherical reflectance, and transmittance, of a surface that `ray` has hit."""
+    """Directional-hemispherical reflectance plus transmittance of the surface that `ray` hits."""
     import drjit as dr
     import mitsuba as mi
 
-    context, bsdf = _context(), surface.bsdf(ray)
+    context, bsdf = _bsdf_context(), surface.bsdf(ray)
 
-    def add(point: Any, total: Any) -> tuple[Any, Any]:
-        choice, x, y = (_fraction((mi.Float(point) * step + 0.5) / POINTS) for step in LATTICE)
+    def add_point(point: Any, total: Any) -> tuple[Any, Any]:
+        choice, x, y = (
+            _fraction((mi.Float(point) * step + 0.5) / QUADRATURE_POINTS) for step in LATTICE
+        )
         _, weight = bsdf.sample(context, surface, choice, mi.Point2f(x, y), active)
         return point + 1, total + weight
 
     start = (mi.UInt32(0), mi.Color3f(0))
-    return dr.while_loop(start, lambda point, _: point < POINTS, add)[1] / POINTS
+    total = dr.while_loop(start, lambda point, _: point < QUADRATURE_POINTS, add_point)[1]
+    return total / QUADRATURE_POINTS
 
 
-def _context() -> Any:
-    """Importance transport, or refraction would scale weights by the squared refractive index."""
+def _bsdf_context() -> Any:
+    """Importance transport; with radiance transport, refraction scales weights by eta squared."""
     import mitsuba as mi
 
     return mi.BSDFContext(mi.TransportMode.Importance)

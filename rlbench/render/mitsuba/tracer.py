@@ -1,4 +1,4 @@
-"""What every tracer does: a scene that moves, stacks of samples, means."""
+"""The base of all tracers: an animated scene, independent 1-spp images, their mean and variance."""
 
 from __future__ import annotations
 
@@ -18,41 +18,43 @@ from rlbench.render.mitsuba.lights import EmitterScaler
 from rlbench.render.pose import Pose
 from rlbench.render.scene import Scene
 
-LANES = 2**20  # paths of one launch at most, each of about 100 bytes
+__all__ = ["MAX_PATHS", "Tracer"]
+
+MAX_PATHS = 2**20  # per launch; a path needs about 100 bytes
 
 
 class Tracer(ABC):
-    """A scene in Mitsuba, seen through a pinhole of height x width pixels with a box filter.
+    """A scene in Mitsuba with a pinhole camera of height x width pixels and a box filter.
 
-    Streams are named in `rlbench.render.mitsuba.rng`; they are independent of each other, and so
-    are the times and the samples of one stream. Radiance is linear, as the scene gives it.
+    Sample streams are listed in `rlbench.render.mitsuba.rng`. They are independent of each other,
+    as are the times and the samples of one stream. Radiance is linear and not exposed.
     """
 
     def __init__(
-        self, scene: Scene, height: int, width: int, seed: int = 0, cap: float = math.inf
+        self, scene: Scene, height: int, width: int, seed: int = 0, radiance_cap: float = math.inf
     ) -> None:
-        """Load `scene`; Mitsuba must be running. `seed` makes all of its streams other ones.
+        """Load `scene`; a Mitsuba variant must be set. Each `seed` gives other samples.
 
-        A sample of any stream that is brighter than `cap` in a channel is dimmed to it, in its own
-        colour: no fireflies, and a bias that inputs and references share. `cap` is in the scene's
-        radiance, above 0.
+        A sample that exceeds `radiance_cap` > 0 in a channel is scaled down to it, which keeps its
+        hue. This removes fireflies and biases inputs and references alike. The cap is in units of
+        the scene's radiance, before exposure.
         """
         self.scene, self.height, self.width, self.seed = scene, height, width, seed
-        self.cap = cap
+        self.radiance_cap = radiance_cap
         import mitsuba as mi
 
-        self.mitsuba = load.load(scene)
-        self.integrator = load.plugin({"type": "path", "max_depth": scene.depth})
-        self._parameters = mi.traverse(self.mitsuba)
+        self.mi_scene = load.load_scene(scene)
+        self.integrator = load.instantiate({"type": "path", "max_depth": scene.max_depth})
+        self._parameters = mi.traverse(self.mi_scene)
         self._lights = EmitterScaler(self._parameters)
         self.set_time(0.0)
 
     def set_time(self, time: float) -> None:
-        """Camera, vertices and lights as at `time`, in frames. Nothing is loaded again."""
-        self.time, self.pose = float(time), Pose.of(self.scene, time)
-        self._lights.set(self.scene.lights(time))
-        load.move(self._parameters, self.scene.vertex_animation(time), self.scene.meshes)
-        self._look()
+        """Move camera, vertices and lights to `time`, in frames. Nothing is loaded again."""
+        self.time, self.pose = float(time), Pose.at_time(self.scene, time)
+        self._lights.set_factors(self.scene.lights(time))
+        load.move_vertices(self._parameters, self.scene.vertex_animation(time), self.scene.meshes)
+        self._update_camera()
 
     @abstractmethod
     def trace(
@@ -61,30 +63,32 @@ class Tracer(ABC):
         """Radiance of any (pixel, sample) pairs; pixels count row by row from the upper left."""
 
     @abstractmethod
-    def each(
-        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    def evaluate_rays(
+        self, query: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
     ) -> list[Float[Array, " p"]]:
-        """The numbers that `look` finds along the ray of each film position.
+        """The values that `query` computes for the camera ray through each film position.
 
-        `film` is in pixels, x right and y down, from the upper left corner. `look` takes Mitsuba
-        rays, be it one or a wavefront, and returns one number or Dr.Jit array for each quantity.
+        `film` is in pixels, x right and y down, 0 at the upper left corner. `query` takes one
+        Mitsuba ray or a wavefront of rays, and returns one number or Dr.Jit array per quantity.
         """
 
     @abstractmethod
-    def mesh(self, hit: Any) -> Any:
-        """The place in `scene.meshes` of what a preliminary intersection has hit."""
+    def mesh_index(self, hit: Any) -> Any:
+        """The index in `scene.meshes` of the shape in a preliminary intersection."""
 
     @abstractmethod
-    def _look(self) -> None:
+    def _update_camera(self) -> None:
         """Take over the camera of the new pose."""
 
     @abstractmethod
     def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
-        """`count` independent images, or fewer images of which each is a mean of several."""
+        """1-spp images of samples `first` to `first + count - 1`."""
 
-    def stack(self, n: int, stream: str = "input", first: int = 0) -> Float[Array, "n h w 3"]:
-        """Samples `first` .. `first + n - 1` of every pixel: independent 1-spp images."""
-        chunk = self._chunk()
+    def trace_images(
+        self, n: int, stream: str = "input", first: int = 0
+    ) -> Float[Array, "n h w 3"]:
+        """Independent 1-spp images: samples `first` to `first + n - 1` of every pixel."""
+        chunk = self._images_per_launch()
         return np.concatenate(
             [
                 self._launch(start, min(chunk, first + n - start), stream)
@@ -92,92 +96,97 @@ class Tracer(ABC):
             ]
         )
 
-    def mean(
+    def trace_mean(
         self,
         spp: int,
         stream: str,
         chunk: int | None = None,
-        traced: Callable[[int], None] = lambda spp: None,
+        on_samples: Callable[[int], None] = lambda spp: None,
     ) -> Float[Array, "h w 3"]:
-        """The mean of samples 0 .. spp - 1 of every pixel, in float32; see `total`."""
-        return (self.total(spp, stream, 0, chunk, traced) / spp).astype(np.float32)
+        """The mean of samples 0 to spp - 1 of every pixel, in float32; see `trace_sum`."""
+        return (self.trace_sum(spp, stream, 0, chunk, on_samples) / spp).astype(np.float32)
 
-    def total(
+    def trace_sum(
         self,
         spp: int,
         stream: str,
         first: int = 0,
         chunk: int | None = None,
-        traced: Callable[[int], None] = lambda spp: None,
+        on_samples: Callable[[int], None] = lambda spp: None,
     ) -> Float[Array, "h w 3"]:
-        """The sum of samples `first` .. `first + spp - 1` of every pixel in float64, by launches.
+        """The sum of samples `first` to `first + spp - 1` of every pixel, in float64.
 
-        `traced` is told after each launch of at most `chunk` how many samples per pixel it had.
+        A launch traces at most `chunk` samples per pixel; `on_samples` receives their number.
         """
-        chunk = chunk or self._chunk()
+        chunk = chunk or self._images_per_launch()
         total = np.zeros((self.height, self.width, 3))
         for start in range(first, first + spp, chunk):
             count = min(chunk, first + spp - start)
-            total += self._sum(start, count, stream)
-            traced(count)
+            total += self._launch_sum(start, count, stream)
+            on_samples(count)
         return total
 
-    def moments(
+    def trace_moments(
         self, spp: int, stream: str, first: int = 0, chunk: int | None = None
     ) -> tuple[Float[Array, "h w 3"], Float[Array, "h w 3"]]:
-        """Mean and variance of samples `first` .. `first + spp - 1` of every pixel, in float32.
+        """Mean and variance of samples `first` to `first + spp - 1` of every pixel, in float32.
 
-        The variance is that of one sample, unbiased; over `spp` it is that of the mean. One sample
-        has none, and it is NaN then.
+        The variance is the unbiased variance of one sample; divided by `spp` it is that of the
+        mean. For a single sample it is NaN.
         """
-        chunk = chunk or self._chunk()
-        total = np.zeros((2, self.height, self.width, 3))  # of samples and of their squares
+        chunk = chunk or self._images_per_launch()
+        total = np.zeros((2, self.height, self.width, 3))  # sums of samples and of their squares
         for start in range(first, first + spp, chunk):
             images = self._launch(start, min(chunk, first + spp - start), stream)
             total[0] += images.sum(0, dtype=np.float64)
             total[1] += np.square(images, dtype=np.float64).sum(0)
         mean = total[0] / spp
-        spread = np.maximum(total[1] / spp - mean**2, 0)  # rounding may make it negative
-        variance = spread * (spp / (spp - 1) if spp > 1 else math.nan)
+        biased = np.maximum(total[1] / spp - mean**2, 0)  # rounding may make it negative
+        variance = biased * (spp / (spp - 1) if spp > 1 else math.nan)
         return mean.astype(np.float32), variance.astype(np.float32)
 
-    def sample_ms(self, repeats: int = 5, spp: int = 1) -> float:
-        """Median milliseconds of one full frame at one sample per pixel, after a warm-up.
+    def measure_sample_ms(self, repeats: int = 5, spp: int = 1) -> float:
+        """Median milliseconds of one frame at one sample per pixel, after a warm-up.
 
-        With `spp` samples a launch, as where many are wanted, it is the share of one of them.
+        With `spp` > 1, the time of a launch of that many samples, divided by their number.
         """
-        self.stack(spp, "pilot")
+        self.trace_images(spp, "pilot")
         times = []
         for number in range(repeats):
             start = clock.perf_counter()
-            self.stack(spp, "pilot", first=number)
+            self.trace_images(spp, "pilot", first=number)
             times.append(1e3 * (clock.perf_counter() - start) / spp)
         return statistics.median(times)
 
     def relative_cost(self, work: Callable[[], object], spp: int, warm_up: int = 2) -> float:
-        """Time of `work` over that of `spp` samples per pixel.
+        """Time of `work` divided by that of `spp` samples per pixel.
 
-        The median over three pairs that are taken one right after the other, so that it says the
-        same whatever else the machine has to do.
+        The median of three pairs, each measured back to back, so that other load on the machine
+        slows both alike.
         """
 
-        def timed(work: Callable[[], object]) -> float:
+        def seconds(work: Callable[[], object]) -> float:
             start = clock.perf_counter()
             work()
             return clock.perf_counter() - start
 
-        pairs = [(timed(work), timed(lambda: self.stack(spp, "pilot"))) for _ in range(warm_up + 3)]
-        return statistics.median(theirs / paths for theirs, paths in pairs[warm_up:])
+        pairs = [
+            (seconds(work), seconds(lambda: self.trace_images(spp, "pilot")))
+            for _ in range(warm_up + 3)
+        ]
+        return statistics.median(work_s / paths_s for work_s, paths_s in pairs[warm_up:])
 
-    def capped(self, radiance: Float[Array, "*shape 3"]) -> Float[Array, "*shape 3"]:
-        """Samples dimmed to the cap; without a cap, untouched."""
-        if self.cap == math.inf:
+    def apply_cap(self, radiance: Float[Array, "*shape 3"]) -> Float[Array, "*shape 3"]:
+        """Samples scaled down to the radiance cap; unchanged without a cap."""
+        cap = self.radiance_cap
+        if cap == math.inf:
             return radiance
         brightest = radiance.max(-1, keepdims=True)
-        return np.asarray(radiance * (self.cap / np.maximum(brightest, self.cap)), np.float32)
+        return np.asarray(radiance * (cap / np.maximum(brightest, cap)), np.float32)
 
-    def _sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
+    def _launch_sum(self, first: int, count: int, stream: str) -> Float[Array, "h w 3"]:
+        """The sum of the images of one launch, in float64."""
         return np.asarray(self._launch(first, count, stream).sum(0, dtype=np.float64))
 
-    def _chunk(self) -> int:
-        return max(1, LANES // (self.height * self.width))
+    def _images_per_launch(self) -> int:
+        return max(1, MAX_PATHS // (self.height * self.width))

@@ -1,4 +1,4 @@
-"""Tracing with LLVM or CUDA: any (pixel, sample) pairs in one wavefront."""
+"""The tracer for LLVM and CUDA: arbitrary (pixel, sample) pairs in one wavefront."""
 
 from __future__ import annotations
 
@@ -13,100 +13,102 @@ from numpy import ndarray as Array
 from rlbench.render.mitsuba import load, rng
 from rlbench.render.mitsuba.tracer import Tracer
 
+__all__ = ["WavefrontTracer"]
+
 
 class WavefrontTracer(Tracer):
-    """Traces on LLVM or CUDA: a sample depends on (pixel, sample, time, stream, seed) only.
+    """Traces wavefronts; a sample depends on (pixel, sample, time, stream, seed) only.
 
-    Bit for bit so on one machine, whatever else is in the wavefront and in whatever order, but for
-    one thing that is not ours: Mitsuba's integrator sends camera rays through Embree in coherent
-    packets, and where a ray meets two triangles at the same distance, on an edge they share or
-    where they coincide, Embree's choice depends on the packet. In the test scenes that is one
-    sample in ten thousand, most of which differ in the last bits.
+    On one machine samples are bit-identical, whatever else is in the wavefront and in any order,
+    with one exception: Mitsuba's integrator sends camera rays through Embree in coherent packets,
+    and where a ray meets two triangles at the same distance, on a shared edge or where they
+    coincide, Embree's choice depends on the packet. In the test scenes this affects one sample in
+    ten thousand, mostly in the last bits.
     """
 
     def trace(
         self, pixels: Int[Array, " n"], samples: Int[Array, " n"], stream: str = "input"
     ) -> Float[Array, "n 3"]:
-        """Radiance of any (pixel, sample) pairs; the only function that calls the integrator."""
+        """Radiance of any (pixel, sample) pairs. No other function calls the integrator."""
         import drjit as dr
         import mitsuba as mi
 
         if not len(pixels):
             return np.zeros((0, 3), np.float32)
-        if len(pixels) == 1:  # one lane would be a scalar to Dr.Jit, and so another kernel
+        if len(pixels) == 1:  # Dr.Jit treats one lane as a scalar and would compile another kernel
             return self.trace(np.repeat(pixels, 2), np.repeat(samples, 2), stream)[:1]
         pixel, sample = load.upload(mi.UInt32, pixels), load.upload(mi.UInt32, samples)
-        numbers = self.numbers(pixel, sample, stream)
-        jitter = numbers.next_2d()
+        sampler = self.make_sampler(pixel, sample, stream)
+        jitter = sampler.next_2d()
         row = pixel // self._columns
         x, y = mi.Float(pixel - row * self._columns) + jitter.x, mi.Float(row) + jitter.y
-        radiance, _, _ = self.integrator.sample(self.mitsuba, numbers, self.rays(x, y))
-        dr.eval(radiance)  # at once, or reading the channels traces every path three times
-        return self.capped(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
+        radiance, _, _ = self.integrator.sample(self.mi_scene, sampler, self.rays(x, y))
+        dr.eval(radiance)  # otherwise reading the channels traces every path three times
+        return self.apply_cap(np.stack([radiance[c].numpy() for c in range(3)], axis=-1))
 
-    def each(
-        self, look: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
+    def evaluate_rays(
+        self, query: Callable[[Any], Sequence[Any]], film: Float[Array, "p 2"]
     ) -> list[Float[Array, " p"]]:
-        """The numbers that `look` finds along the ray of each film position, in one kernel."""
+        """The values of `query` for the ray through each film position, in one kernel."""
         import drjit as dr
         import mitsuba as mi
 
-        found = look(self.rays(*(load.upload(mi.Float, film[:, axis]) for axis in range(2))))
-        dr.eval(*found)
-        return [np.broadcast_to(quantity.numpy(), len(film)) for quantity in found]
+        values = query(self.rays(*(load.upload(mi.Float, film[:, axis]) for axis in range(2))))
+        dr.eval(*values)
+        return [np.broadcast_to(value.numpy(), len(film)) for value in values]
 
-    def mesh(self, hit: Any) -> Any:
-        """The place in `scene.meshes` of what each preliminary intersection has hit.
+    def mesh_index(self, hit: Any) -> Any:
+        """The index in `scene.meshes` of the shape in each preliminary intersection.
 
-        What is none of them, as most of a document is not, has the place after the last.
+        Other shapes, such as most of those in an XML file, have the index after the last.
         """
         import drjit as dr
         import mitsuba as mi
 
-        number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
-        return dr.gather(mi.UInt32, self._places, number, hit.is_valid())
+        shape_id: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
+        return dr.gather(mi.UInt32, self._index_of_shape, shape_id, hit.is_valid())
 
-    def numbers(self, pixels: Any, samples: Any, stream: str) -> Any:
-        """The sampler of a wavefront with these pixels and samples (mi.UInt32) at this time."""
+    def make_sampler(self, pixels: Any, samples: Any, stream: str) -> Any:
+        """The sampler of a wavefront of these pixels and samples (mi.UInt32) at this time."""
         import drjit as dr
         import mitsuba as mi
 
-        salt = [dr.opaque(mi.UInt32, k) for k in rng.key(stream, self.time, self.seed)]
-        return rng.keyed(pixels, samples, salt)
+        key = [dr.opaque(mi.UInt32, k) for k in rng.stream_key(stream, self.time, self.seed)]
+        return rng.make_sampler(pixels, samples, key)
 
     def rays(self, x: Any, y: Any) -> Any:
-        """The camera's rays through film positions (mi.Float), as in `each`."""
+        """The camera rays through film positions (mi.Float), as in `evaluate_rays`."""
         import drjit as dr
         import mitsuba as mi
 
-        origin, corner, across, down = self._lens
+        origin, corner, across, down = self._pinhole
         return mi.RayDifferential3f(origin, dr.normalize(corner + across * x + down * y))
 
     @cached_property
-    def _places(self) -> Any:
-        """Mesh by the number that Dr.Jit has given its shape, which depends on what else lives."""
+    def _index_of_shape(self) -> Any:
+        """Mesh index by Dr.Jit's shape id, which depends on other scenes in the process."""
         import drjit as dr
         import mitsuba as mi
 
-        names = [m.name for m in self.scene.meshes]
-        shapes = self.mitsuba.shapes()
+        index_of_name = {mesh.name: index for index, mesh in enumerate(self.scene.meshes)}
+        shapes = self.mi_scene.shapes()
         pointers: list[Any] = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)) for s in shapes]
-        numbers = [int(pointer[0]) for pointer in pointers]
-        known = {name: place for place, name in enumerate(names)}
-        places = np.full(max([2, *numbers]) + 1, len(names), np.uint32)
-        places[numbers] = [known.get(s.id(), len(names)) for s in shapes]
-        return load.upload(mi.UInt32, places)
+        ids = [int(pointer[0]) for pointer in pointers]
+        other = len(index_of_name)
+        indices = np.full(max([2, *ids]) + 1, other, np.uint32)
+        indices[ids] = [index_of_name.get(shape.id(), other) for shape in shapes]
+        return load.upload(mi.UInt32, indices)
 
-    def _look(self) -> None:
+    def _update_camera(self) -> None:
         import drjit as dr
         import mitsuba as mi
 
-        self._lens = load.lens(self.pose, self.height, self.width)
+        self._pinhole = load.pinhole_vectors(self.pose, self.height, self.width)
         self._columns = dr.opaque(mi.UInt32, self.width)
 
     def _launch(self, first: int, count: int, stream: str) -> Float[Array, "count h w 3"]:
         area = self.height * self.width
-        # samples of a pixel side by side: their paths are alike, which Dr.Jit's vectors gain from
+        # samples of one pixel are neighbours: their paths are coherent, which Dr.Jit gains from
         pixels = np.repeat(np.arange(area, dtype=np.uint32), count)
         samples = np.tile(np.arange(first, first + count, dtype=np.uint32), area)
         radiance = self.trace(pixels, samples, stream)

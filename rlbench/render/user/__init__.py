@@ -1,1 +1,1 @@
-"""Rendering of the user's own scene files."""
+"""Rendering of a user's own scene files."""

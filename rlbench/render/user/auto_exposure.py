@@ -1,4 +1,4 @@
-"""What a user's camera sees, found out before anything is written: surfaces, light, brightness."""
+"""Inspects all frames of a user's scene before rendering: visible surfaces, light, and exposure."""
 
 from __future__ import annotations
 
@@ -7,139 +7,160 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from rlbench.ops.color import REC709_LUMINANCE, luminance
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.scene import SceneError
 
-GRID = 32  # rays along each side of the picture
-AREAS = 8  # along each side; brightness is averaged over them first, as samples are noisy
-SPP = (4, 64)  # samples of each ray; the second where the first found no light at all
-GREY, WHITE = 0.18, 1.0  # display values of the average, and of what 95 % of the picture is below
+__all__ = [
+    "area_luminance",
+    "estimate_exposure",
+    "exposure_from_areas",
+    "measure_distance",
+    "mitsuba_errors",
+]
+
+GRID = 32  # rays along each side of the image
+AREAS = 8  # along each side; luminance is averaged over them because samples are noisy
+SPP = (4, 64)  # samples per ray; the second number if the first gave a black image
+GREY, WHITE = 0.18, 1.0  # display values of the log-average, and of the 95th percentile at most
 
 
-def distance(tracer: Tracer) -> float:
-    """How far away is what the middle of the picture shows, to three digits, in scene units.
+def measure_distance(tracer: Tracer) -> float:
+    """Distance to the surface in the middle of the image, in scene units, to three digits.
 
-    The median over its middle quarter. Raises SceneError where that shows no surface.
+    The median over the middle quarter. Raises SceneError if no surface is visible there.
     """
-    lengths = _hits(tracer)[0].reshape(GRID, GRID)[GRID // 4 : -GRID // 4, GRID // 4 : -GRID // 4]
-    seen = lengths[np.isfinite(lengths)]
-    if not len(seen):
+    hits = _hit_distances(tracer)[0].reshape(GRID, GRID)
+    middle = hits[GRID // 4 : -GRID // 4, GRID // 4 : -GRID // 4]
+    visible = middle[np.isfinite(middle)]
+    if not len(visible):
         raise SceneError(
-            f"{_camera(tracer)} sees no surface in the middle of the picture, so there is nothing "
-            "to move around; use --camera still, or a JSON file of matrices"
+            f"{_describe_camera(tracer)} sees no surface in the middle of the image to move "
+            "around. Use --camera still, or a JSON file of matrices"
         )
-    return float(f"{np.median(seen):.3g}")
+    return float(f"{np.median(visible):.3g}")
 
 
 def estimate_exposure(tracer: Tracer, frames: int) -> float:
-    """Look at every frame, and say what exposure shows them at a usual brightness, to two digits.
+    """An exposure for all frames, to two digits, after a check of every frame.
 
     The log-average luminance over 8 x 8 areas of all frames becomes 0.18 (Reinhard et al. 2002,
     Photographic Tone Reproduction), or less if more than 5 % of the areas would exceed white.
-    Raises SceneError for a frame that shows no surface, or no light.
+    Raises SceneError for a frame without any visible surface, or without light.
     """
-    if not tracer.mitsuba.emitters():
-        raise SceneError("the scene has no light: every picture would be black; add an emitter")
-    bright, seen = [], False
-    with told():
+    if not tracer.mi_scene.emitters():
+        raise SceneError("the scene has no light, so all images would be black. Add an emitter")
+    areas, has_surface = [], False
+    with mitsuba_errors():
         for index in range(frames):
             tracer.set_time(float(index))
-            found = np.isfinite(_hits(tracer)[0])
-            if not found.any() and not tracer.mitsuba.environment():
-                raise SceneError(_nothing(tracer))
-            seen = seen or bool(found.any())
-            bright.append(_lit(tracer))
-        if not seen:
-            raise SceneError(_nothing(tracer))
+            is_hit = np.isfinite(_hit_distances(tracer)[0])
+            if not is_hit.any() and not tracer.mi_scene.environment():
+                raise SceneError(_no_surface(tracer))
+            has_surface = has_surface or bool(is_hit.any())
+            areas.append(_trace_areas(tracer))
+        if not has_surface:
+            raise SceneError(_no_surface(tracer))
         render_gbuffer(tracer)
-    return exposure(np.stack(bright))
+    return exposure_from_areas(np.stack(areas))
 
 
-def exposure(areas: Float[Array, "..."]) -> float:
-    """What shows luminances of areas at a usual brightness; see `survey`. One must be above 0."""
+def exposure_from_areas(areas: Float[Array, "..."]) -> float:
+    """The exposure for these luminances, at least one above 0; see `estimate_exposure`."""
     average = np.exp(np.log(areas[areas > 0]).mean())
     return float(f"{min(GREY / average, WHITE / np.percentile(areas, 95)):.2g}")
 
 
-def _hits(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-    """Of each ray of the grid: the distance to the first surface, and is it met from behind?"""
+def area_luminance(image: Float[Array, "h w 3"]) -> Float[Array, " areas"]:
+    """Mean luminance of 8 x 8 areas of an image with linear radiance, float64.
+
+    Height and width must be multiples of 8.
+    """
+    rgb = torch.from_numpy(np.asarray(image, np.float64)).movedim(-1, 0)
+    values = luminance(rgb, REC709_LUMINANCE)[0].numpy()
+    high, wide = (side // AREAS for side in values.shape)
+    return np.asarray(values.reshape(AREAS, high, AREAS, wide).mean((1, 3)).ravel())
+
+
+def _hit_distances(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+    """For each ray of the grid: distance to the first surface, and 1 if that is a back face."""
     import drjit as dr
     import mitsuba as mi
 
-    def look(ray: Any) -> tuple[Any, Any]:
-        hit = tracer.mitsuba.ray_intersect_preliminary(ray)
+    def query(ray: Any) -> tuple[Any, Any]:
+        hit = tracer.mi_scene.ray_intersect_preliminary(ray)
         valid = hit.is_valid()
         if valid is False:
             return np.inf, 0.0
         surface = hit.compute_surface_interaction(ray, active=valid)
-        behind = valid & (dr.dot(surface.n, ray.d) > 0)
-        return dr.select(valid, hit.t, np.inf), dr.select(behind, mi.Float(1), mi.Float(0))
+        is_back = valid & (dr.dot(surface.n, ray.d) > 0)
+        return dr.select(valid, hit.t, np.inf), dr.select(is_back, mi.Float(1), mi.Float(0))
 
     step = (np.arange(GRID) + 0.5) / GRID
     across, down = np.meshgrid(step * tracer.width, step * tracer.height)
-    lengths, behind = tracer.each(look, np.stack([across.ravel(), down.ravel()], 1))
-    return lengths, behind
+    distances, is_back = tracer.evaluate_rays(query, np.stack([across.ravel(), down.ravel()], 1))
+    return distances, is_back
 
 
-def _lit(tracer: Tracer) -> Float[Array, " areas"]:
-    """Mean luminance of 8 x 8 areas of the picture. Raises SceneError where all of it is black."""
+def _trace_areas(tracer: Tracer) -> Float[Array, " areas"]:
+    """Luminance of 8 x 8 areas of the current frame. Raises SceneError if all of it is black."""
     step = (np.arange(GRID) + 0.5) / GRID
     rows, columns = ((step * side).astype(np.uint32) for side in (tracer.height, tracer.width))
     pixels = (rows[:, None] * np.uint32(tracer.width) + columns).ravel()
     for spp in SPP:
         numbers = np.repeat(np.arange(spp, dtype=np.uint32), len(pixels))
         radiance = tracer.trace(np.tile(pixels, spp), numbers, "pilot")
-        luminance = np.nan_to_num(radiance, posinf=0.0) @ [0.2126, 0.7152, 0.0722]
-        side = GRID // AREAS
-        areas = luminance.reshape(spp, AREAS, side, AREAS, side).mean((0, 2, 4)).ravel()
+        finite = np.nan_to_num(radiance, posinf=0.0).reshape(spp, GRID, GRID, 3)
+        areas = area_luminance(finite.mean(0, dtype=np.float64))
         if areas.max() > 0:
-            return np.asarray(areas)
-    lengths, behind = _hits(tracer)
+            return areas
+    distances, is_back = _hit_distances(tracer)
     raise SceneError(
-        f"{_camera(tracer)} sees only black: the nearest surface is {lengths.min():.3g} away, and "
-        f"{behind.mean():.0%} of what it sees are backs of surfaces. It may be inside a wall or "
-        "a closed object, or (as near_clip is ignored) behind one; or no light gets there. Move "
-        "it with --camera path.json, or check the lights"
+        f"{_describe_camera(tracer)} sees only black: the nearest surface is {distances.min():.3g} "
+        f"away, and {is_back.mean():.0%} of what it sees are backs of surfaces. It may be inside a "
+        "wall or a closed object, or (as near_clip is ignored) behind one; or no light reaches "
+        "what it sees. Move it with --camera path.json, or check the lights"
     )
 
 
-def _nothing(tracer: Tracer) -> str:
-    box = tracer.mitsuba.bbox()
+def _no_surface(tracer: Tracer) -> str:
+    box = tracer.mi_scene.bbox()
     return (
-        f"{_camera(tracer)} sees no surface; the scene spans {_told_point(box.min)} to "
-        f"{_told_point(box.max)}. Matrices are camera-to-world, and cameras look along +z"
+        f"{_describe_camera(tracer)} sees no surface; the scene spans {_format_point(box.min)} to "
+        f"{_format_point(box.max)}. Matrices are camera-to-world, and cameras look along +z"
     )
 
 
-def _camera(tracer: Tracer) -> str:
-    place, towards = tracer.pose.camera.origin, tracer.pose.axes()[2]
+def _describe_camera(tracer: Tracer) -> str:
+    position, forward = tracer.pose.camera.origin, tracer.pose.camera_axes()[2]
     return (
-        f"frame {tracer.time:.0f}: the camera at {_told_point(place)}, which looks along "
-        f"{_told_point(towards)},"
+        f"frame {tracer.time:.0f}: the camera at {_format_point(position)}, which looks along "
+        f"{_format_point(forward)},"
     )
 
 
-def _told_point(point: Any) -> str:
+def _format_point(point: Any) -> str:
     return f"({', '.join(f'{float(v):.3g}' for v in point)})"
 
 
 @contextmanager
-def told() -> Iterator[None]:
-    """What Mitsuba refuses, such as spectra that RGB rendering lacks, as SceneError."""
+def mitsuba_errors() -> Iterator[None]:
+    """Raises Mitsuba's errors, such as for spectra that RGB variants lack, as SceneError."""
     try:
         yield
     except RuntimeError as error:
-        words: list[str] = []
+        messages: list[str] = []
         cause: BaseException | None = error
         while cause is not None:
-            words.append(str(cause))
+            messages.append(str(cause))
             cause = cause.__cause__ or cause.__context__
         raise SceneError(
-            f"Mitsuba cannot trace this scene with {_variant()}: {': '.join(words)}"
+            f"Mitsuba cannot trace this scene with {_variant()}: {': '.join(messages)}"
         ) from error
 
 

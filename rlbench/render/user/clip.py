@@ -1,4 +1,4 @@
-"""A user's own scene as a clip: opened, given a camera path, looked at, exposed, rendered."""
+"""Renders a user's scene file as a clip: opens it, chooses camera path and exposure, renders."""
 
 from __future__ import annotations
 
@@ -14,166 +14,187 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from rlbench.parallel.executor import LOCAL, Executor
-from rlbench.render.jobs.job import POOLS, Job
+from rlbench.render.jobs.job import FRAME_POOLS, Job
 from rlbench.render.jobs.render_clips import render_missing
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import Preset
 from rlbench.render.scene import Camera, Scene, SceneError
 from rlbench.render.user import auto_exposure, camera_path
-from rlbench.render.user.scene_file import UserScene, opened
+from rlbench.render.user.scene_file import UserScene, open_scene_file
 from rlbench.system import paths
 
-FOLDER = "own-"  # of these clips in the cache, with the preset's name
-STEP = 16  # pixels: widths and heights that are chosen here are multiples of it
+__all__ = ["CameraPath", "UserSceneOptions", "describe_job", "ensure_user_clip", "plan_clip"]
+
+FOLDER = "own-"  # prefix of the preset's folder in the cache
+SIZE_MULTIPLE = 16  # pixels: chosen widths and heights are multiples of it
 
 
 @dataclass(frozen=True)
 class UserSceneOptions:
-    """What is asked of a user's scene file."""
+    """The options of `rlbench render --scene`."""
 
     file: Path
-    camera: str = ""  # still, orbit, dolly, or a JSON file; else the Scene's own, or an orbit
-    frames: int | None = None  # else as many as there are matrices, or as the preset has
-    size: tuple[int, int] | None = None  # height, width; else the film's shape, as many pixels
-    exposure: float | None = None  # else a Scene's own, or of an XML that of sight.survey
-    parameters: tuple[tuple[str, str], ...] = ()  # of an XML file's <default> names
-    out: Path | None = None  # the clip's folder; else one in the cache
+    camera: str = (
+        ""  # still, orbit, dolly or a JSON file; default the scene's animation or an orbit
+    )
+    frames: int | None = None  # default: one per matrix, or those of the preset
+    size: tuple[int, int] | None = None  # height, width; default: the film's shape at preset size
+    exposure: float | None = None  # default: that of the Scene, or an estimate
+    parameters: tuple[tuple[str, str], ...] = ()  # values for an XML file's <default> names
+    out: Path | None = None  # the clip folder; default one in the cache
 
 
 @dataclass(frozen=True)
 class CameraPath:
-    """How the camera goes: by itself ("own"), through matrices, or from the first of them."""
+    """The camera's motion: the scene's own, matrices, or an orbit or dolly from the first."""
 
     kind: str  # own, still, orbit, dolly, or the name of a JSON file
     matrices: tuple[Float[Array, "4 4"], ...] = ()
-    fov: float = 60.0
+    fov: float = 60.0  # horizontal, degrees
 
     @property
-    def fixed(self) -> bool:
-        """Is it the same matrix throughout?"""
+    def is_static(self) -> bool:
+        """Are all matrices equal?"""
         first = self.matrices[:1]
         return self.kind not in ("own", "orbit", "dolly") and all(
             (m == first[0]).all() for m in self.matrices
         )
 
-    def camera(self, path: camera_path.Route | None = None) -> Callable[[float], Camera]:
-        """The pinhole on `path`, or else through the matrices."""
-        route = path or camera_path.listed(self.matrices)
-        return lambda time: camera_path.camera(route(time), self.fov)
+    def camera_at_time(
+        self, path: camera_path.MatrixPath | None = None
+    ) -> Callable[[float], Camera]:
+        """The pinhole as a function of time, along `path` or else along the matrices."""
+        matrix_at = path or camera_path.follow_matrices(self.matrices)
+        return lambda time: camera_path.camera_from_matrix(matrix_at(time), self.fov)
 
-    def around(self, away: float, frames: int) -> Callable[[float], Camera]:
-        """The pinhole on an orbit of the point `away` ahead, or on a dolly towards it."""
+    def move_around(self, distance: float, frames: int) -> Callable[[float], Camera]:
+        """The pinhole on an orbit around the point `distance` ahead, or on a dolly towards it."""
         start = self.matrices[0]
-        orbits = self.kind == "orbit"
-        return self.camera(
-            camera_path.orbit(start, away, frames) if orbits else camera_path.dolly(start, away)
-        )
+        if self.kind == "orbit":
+            return self.camera_at_time(camera_path.orbit(start, distance, frames))
+        return self.camera_at_time(camera_path.dolly(start, distance))
 
 
-def ensure_own(
-    wish: UserSceneOptions,
+def ensure_user_clip(
+    options: UserSceneOptions,
     preset: Preset,
-    tell: Callable[[str], None] = lambda words: None,
-    engine: Executor = LOCAL,
+    on_message: Callable[[str], None] = lambda message: None,
+    executor: Executor = LOCAL,
 ) -> Path:
-    """The clip folder of a user's scene, after rendering what is missing of it.
+    """The clip folder of a user's scene, after rendering the missing frames.
 
-    Nothing is written before the whole camera path was looked at. `tell` hears what was decided,
-    and what is rendered otherwise than the file says. Raises SceneError where the scene cannot be
-    rendered as asked, and ClipError where `out` holds frames of another origin.
+    Nothing is written before all frames have been inspected. `on_message` receives the chosen
+    settings, and the differences between the file and the rendering. Raises SceneError if the scene
+    cannot be rendered with these options, and ClipError if `out` holds frames of another renderer.
     """
     llvm.select_variant()
-    found = opened(wish.file, wish.parameters)
-    job, route = job_of(wish, found, preset)
-    if job.finished:
+    user_scene = open_scene_file(options.file, options.parameters)
+    job, path = plan_clip(options, user_scene, preset)
+    if job.is_finished:
         return job.folder
-    for note in found.notes:
-        tell(note)
-    seen, usual = _looked(job.scene, route, job.preset)
-    own = seen.exposure if found.animates_camera else usual
-    job = replace(job, scene=replace(seen, exposure=wish.exposure or own))
-    tell(told(job))
-    return render_missing([job], engine=engine)[0]
+    for note in user_scene.notes:
+        on_message(note)
+    scene, estimate = _inspect(job.scene, path, job.preset)
+    default = scene.exposure if user_scene.animates_camera else estimate
+    job = replace(job, scene=replace(scene, exposure=options.exposure or default))
+    on_message(describe_job(job))
+    return render_missing([job], None, executor)[0]
 
 
-def job_of(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[Job, CameraPath]:
-    """What is to be rendered of an opened scene, before it was looked at. Raises SceneError."""
-    route = _route(wish, found)
-    size = _size(wish, found, preset)
-    plan = replace(preset, frames=_frames(wish, route, preset), size=size, pools=POOLS)
-    name = re.sub(r"[^\w.-]+", "-", f"{found.name}-{route.kind}")
-    folder = wish.out or paths.clips() / f"{FOLDER}{preset.name}" / name
+def plan_clip(
+    options: UserSceneOptions, user_scene: UserScene, preset: Preset
+) -> tuple[Job, CameraPath]:
+    """The render job of an opened scene, and its camera path; exposure is still to be chosen.
+
+    Raises SceneError for options that do not fit the scene.
+    """
+    path = _choose_path(options, user_scene)
+    size = _choose_size(options, user_scene, preset)
+    frames = _choose_frames(options, path, preset)
+    own_preset = replace(preset, frames=frames, size=size, pools=FRAME_POOLS)
+    name = re.sub(r"[^\w.-]+", "-", f"{user_scene.name}-{path.kind}")
+    folder = options.out or paths.clips_folder() / f"{FOLDER}{preset.name}" / name
     if folder.exists() and not folder.is_dir():
-        raise SceneError(f"--out {folder} is a file; it takes a folder, which need not exist")
-    return Job(name, _scene(wish, found, route, plan), plan, folder), route
+        raise SceneError(f"--out {folder} is a file; give a folder, which need not exist")
+    return Job(name, _make_scene(options, user_scene, path, own_preset), own_preset, folder), path
 
 
-def told(job: Job) -> str:
-    """What was decided, in words."""
-    plan = job.preset
-    size = f"{plan.size[1]}x{plan.size[0]}"
-    return f"{job.name}: {plan.frames} frames of {size}, exposure {job.scene.exposure:g}"
+def describe_job(job: Job) -> str:
+    """The clip's name, number of frames, size and exposure in one line."""
+    preset = job.preset
+    size = f"{preset.size[1]}x{preset.size[0]}"
+    return f"{job.name}: {preset.frames} frames of {size}, exposure {job.scene.exposure:g}"
 
 
-def _looked(scene: Scene, route: CameraPath, plan: Preset) -> tuple[Scene, float]:
-    """`scene` on its route, and the exposure that would suit it, after a look at every frame."""
-    with auto_exposure.told():
-        tracer = open_tracer(scene, *plan.size)
-    if route.kind in ("orbit", "dolly"):
-        camera = route.around(auto_exposure.distance(tracer), plan.frames)
+def _inspect(scene: Scene, path: CameraPath, preset: Preset) -> tuple[Scene, float]:
+    """The scene with its camera, and an estimated exposure, after a look at every frame."""
+    with auto_exposure.mitsuba_errors():
+        tracer = open_tracer(scene, *preset.size)
+    if path.kind in ("orbit", "dolly"):
+        camera = path.move_around(auto_exposure.measure_distance(tracer), preset.frames)
         tracer.scene = replace(scene, camera=camera)
-    exposure, seen = auto_exposure.estimate_exposure(tracer, plan.frames), tracer.scene
+    exposure = auto_exposure.estimate_exposure(tracer, preset.frames)
+    inspected = tracer.scene
     del tracer
-    gc.collect()  # a scene that is still alive makes Dr.Jit compile the next one again
-    return seen, exposure
+    gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
+    return inspected, exposure
 
 
-def _route(wish: UserSceneOptions, found: UserScene) -> CameraPath:
-    kind = wish.camera or ("own" if found.animates_camera else "orbit")
-    fov = found.fov
+def _choose_path(options: UserSceneOptions, user_scene: UserScene) -> CameraPath:
+    kind = options.camera or ("own" if user_scene.animates_camera else "orbit")
     if kind == "own":
         return CameraPath(kind)
     if kind in ("still", "orbit", "dolly"):
-        return CameraPath(kind, (found.start(),), fov)
-    matrices, given = camera_path.read(Path(kind))
-    return CameraPath(Path(kind).stem, tuple(matrices), given or fov)
+        return CameraPath(kind, (user_scene.sensor_matrix(),), user_scene.fov)
+    matrices, fov = camera_path.read_matrices(Path(kind))
+    return CameraPath(Path(kind).stem, tuple(matrices), fov or user_scene.fov)
 
 
-def _frames(wish: UserSceneOptions, route: CameraPath, preset: Preset) -> int:
-    there = len(route.matrices)
-    if route.kind in ("own", "still", "orbit", "dolly"):
-        return wish.frames or preset.frames
-    if wish.frames and wish.frames > there:
+def _choose_frames(options: UserSceneOptions, path: CameraPath, preset: Preset) -> int:
+    available = len(path.matrices)
+    if path.kind in ("own", "still", "orbit", "dolly"):
+        return options.frames or preset.frames
+    if options.frames and options.frames > available:
         raise SceneError(
-            f"--frames {wish.frames}: {wish.camera} has {there} matrices, one a frame; "
-            f"ask for {there} at most"
+            f"--frames {options.frames}: {options.camera} has {available} matrices, one per frame. "
+            f"Give --frames {available} at most"
         )
-    return wish.frames or there
+    return options.frames or available
 
 
-def _size(wish: UserSceneOptions, found: UserScene, preset: Preset) -> tuple[int, int]:
-    """Height and width: as asked, or about as many pixels as the preset's in the film's shape."""
-    if wish.size or not found.aspect:
-        return wish.size or preset.size
-    height = math.sqrt(preset.size[0] * preset.size[1] / found.aspect)
-    high, wide = (max(1, round(side / STEP)) * STEP for side in (height, height * found.aspect))
+def _choose_size(
+    options: UserSceneOptions, user_scene: UserScene, preset: Preset
+) -> tuple[int, int]:
+    """Height and width: as given, or the film's shape with about as many pixels as the preset."""
+    if options.size or not user_scene.aspect:
+        return options.size or preset.size
+    aspect = user_scene.aspect
+    height = math.sqrt(preset.size[0] * preset.size[1] / aspect)
+    high, wide = (
+        max(1, round(side / SIZE_MULTIPLE)) * SIZE_MULTIPLE for side in (height, height * aspect)
+    )
     return high, wide
 
 
-def _scene(wish: UserSceneOptions, found: UserScene, route: CameraPath, plan: Preset) -> Scene:
-    """The scene as far as it is known before it is looked at, with the hash of its origin."""
-    matrices = [matrix.tolist() for matrix in route.matrices]
-    path = f"{route.kind} {matrices} {route.fov}"
-    words = f"{found.digest(plan.frames)} {path} exposure {wish.exposure}"
-    own = route.kind == "own"
+def _make_scene(
+    options: UserSceneOptions, user_scene: UserScene, path: CameraPath, preset: Preset
+) -> Scene:
+    """The scene before inspection, with the hash of its source files and its camera path."""
+    matrices = [matrix.tolist() for matrix in path.matrices]
+    source = (
+        f"{user_scene.content_hash(preset.frames)} {path.kind} {matrices} {path.fov} "
+        f"exposure {options.exposure}"
+    )
+    is_own = path.kind == "own"
+    scene = user_scene.scene
     return replace(
-        found.scene,
-        name=found.name,
-        camera=found.scene.camera if own else route.camera(),
-        cuts=found.scene.cuts if own else (),
+        scene,
+        name=user_scene.name,
+        camera=scene.camera if is_own else path.camera_at_time(),
+        cuts=scene.cuts if is_own else (),
         takes=(),
-        static=found.scene.static if own else route.fixed and not found.moves,
-        origin=hashlib.blake2b(words.encode(), digest_size=16).hexdigest(),
-        licence="",  # of the scene's author
+        static=scene.static if is_own else path.is_static and not user_scene.has_moving_shapes,
+        source_hash=hashlib.blake2b(source.encode(), digest_size=16).hexdigest(),
+        licence="",  # the scene's author decides
     )

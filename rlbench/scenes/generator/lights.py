@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.render.scene import Mesh, Plugin
+from rlbench.render.scene import Mesh, MitsubaDict
 from rlbench.scenes.generator.places import Place
 from rlbench.scenes.generator.textures import random_colour, rgb_texture
 from rlbench.scenes.parts.primitives import quads
@@ -23,7 +23,7 @@ class Lighting:
     """Lamps and sky, and an estimate of the mean radiance of the place under them."""
 
     mean_radiance: float
-    sky: tuple[Plugin, ...] = ()
+    sky: tuple[MitsubaDict, ...] = ()
     lamps: tuple[Mesh, ...] = ()
     has_small_sources: bool = False  # mirrors and glass would turn them into fireflies
 
@@ -56,7 +56,7 @@ def draw_lighting(rng: Generator, place: Place, light_kind: str) -> Lighting:
 
 def _draw_sky(
     rng: Generator, place: Place, light_kind: str
-) -> tuple[tuple[Plugin, ...], Float64Array, float, float]:
+) -> tuple[tuple[MitsubaDict, ...], Float64Array, float, float]:
     """Sky emitters, direction to the sun [3], irradiance by the sun, and radiance of the sky."""
     azimuth, elevation = rng.uniform(0, 2 * np.pi), rng.uniform(0.35, 0.9)
     if place.apertures:  # let the sun shine in
@@ -70,7 +70,7 @@ def _draw_sky(
         return (plugin | scale,), to_sun, 11.0, 0.9  # measured at elevations of 15 to 60 degrees
     night = light_kind in ("lamps", "bulbs")
     tint = _draw_white(rng) * (rng.uniform(0.01, 0.1) if night else 1)
-    sky: tuple[Plugin, ...] = ({"type": "constant", "radiance": rgb_texture(tint)},)
+    sky: tuple[MitsubaDict, ...] = ({"type": "constant", "radiance": rgb_texture(tint)},)
     sky_radiance = float(tint @ REC709_LUMINANCE)
     if light_kind != "sun":
         return sky, to_sun, 0.0, sky_radiance
@@ -158,8 +158,8 @@ def _bulbs_around(rng: Generator, place: Place, count: int) -> tuple[Float64Arra
     return positions, inward / np.linalg.norm(inward, axis=-1, keepdims=True)
 
 
-def _emissive_mesh(name: str, shape: Shape, radiance: Plugin) -> Mesh:
-    black: Plugin = {"type": "diffuse", "reflectance": rgb_texture(np.full(3, 0.1))}
+def _emissive_mesh(name: str, shape: Shape, radiance: MitsubaDict) -> Mesh:
+    black: MitsubaDict = {"type": "diffuse", "reflectance": rgb_texture(np.full(3, 0.1))}
     emission = {"type": "area", "radiance": radiance}
     return Mesh(name, shape.vertices, shape.faces, black, shape.uv, emission)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.render.scene import Plugin
+from rlbench.render.scene import MitsubaDict
 from rlbench.scenes.generator.textures import random_colour, random_texture, rgb_texture
 
 SHELL_ALBEDO = {  # darkest albedo by part of the place
@@ -18,7 +18,7 @@ SHELL_ALBEDO = {  # darkest albedo by part of the place
 }
 
 
-def draw_materials(rng: Generator, without_mirrors: bool) -> dict[str, Plugin]:
+def draw_materials(rng: Generator, without_mirrors: bool) -> dict[str, MitsubaDict]:
     """A material for every name that a part of a scene can have."""
     plain = (diffuse_bsdf, textured_bsdf, plastic_bsdf)
     finishes = [
@@ -38,7 +38,7 @@ def draw_materials(rng: Generator, without_mirrors: bool) -> dict[str, Plugin]:
     return solids | movers | shell | thin | clear
 
 
-def diffuse_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7) -> Plugin:
+def diffuse_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7) -> MitsubaDict:
     """A matte surface of one colour."""
     return {
         "type": "diffuse",
@@ -46,12 +46,14 @@ def diffuse_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 
     }
 
 
-def textured_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7) -> Plugin:
+def textured_bsdf(
+    rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7
+) -> MitsubaDict:
     """A matte surface with a random texture."""
     return {"type": "diffuse", "reflectance": random_texture(rng, darkest, max_saturation)}
 
 
-def plastic_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7) -> Plugin:
+def plastic_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7) -> MitsubaDict:
     """Coloured or textured plastic, from nearly polished to satin."""
     base = random_texture(rng, darkest, max_saturation)
     if rng.random() < 0.6:
@@ -64,7 +66,7 @@ def plastic_bsdf(rng: Generator, darkest: float = 0.15, max_saturation: float = 
     }
 
 
-def metal_bsdf(rng: Generator) -> Plugin:
+def metal_bsdf(rng: Generator) -> MitsubaDict:
     """A tinted rough metal, from brushed to satin."""
     return {
         "type": "roughconductor",
@@ -75,18 +77,18 @@ def metal_bsdf(rng: Generator) -> Plugin:
     }
 
 
-def mirror_bsdf(rng: Generator) -> Plugin:
+def mirror_bsdf(rng: Generator) -> MitsubaDict:
     """A perfect mirror with a light tint."""
     tint = random_colour(rng, 0.75, 0.92, max_saturation=0.2)
     return {"type": "conductor", "material": "none", "specular_reflectance": rgb_texture(tint)}
 
 
-def glass_bsdf(rng: Generator) -> Plugin:
+def glass_bsdf(rng: Generator) -> MitsubaDict:
     """Clear glass or water, for closed solids and for a water surface seen from above."""
     return {"type": "dielectric", "int_ior": float(rng.uniform(1.3, 1.55)), "ext_ior": 1.0}
 
 
-def leaf_bsdf(rng: Generator) -> Plugin:
+def leaf_bsdf(rng: Generator) -> MitsubaDict:
     """A thin sheet, matte on both sides: green, autumnal, or any colour."""
     tint = random_colour(rng, 0.2, 0.6, max_saturation=0.8)
     if rng.random() < 0.6:
@@ -94,6 +96,6 @@ def leaf_bsdf(rng: Generator) -> Plugin:
     return two_sided({"type": "diffuse", "reflectance": rgb_texture(tint)})
 
 
-def two_sided(material: Plugin) -> Plugin:
+def two_sided(material: MitsubaDict) -> MitsubaDict:
     """The same opaque material on both sides of a thin surface."""
     return {"type": "twosided", "bsdf": material}

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.render.scene import Mesh, Plugin, Scene
+from rlbench.render.scene import Mesh, MitsubaDict, Scene
 from rlbench.scenes.generator.camera import CAMERA_MOVES, draw_camera_track
 from rlbench.scenes.generator.lights import LIGHT_KINDS, draw_lighting
 from rlbench.scenes.generator.materials import draw_materials
@@ -69,7 +69,7 @@ def scene(seed: int) -> Scene:
         sky=lighting.sky,
         vertex_animation=lambda time: {name: motion(time) for name, motion in motions.items()},
         exposure=DISPLAY_GREY / lighting.mean_radiance * 2 ** rng.uniform(-0.7, 0.7),
-        depth=10 if any(mesh.material["type"] == "dielectric" for mesh in meshes) else 8,
+        max_depth=10 if any(mesh.material["type"] == "dielectric" for mesh in meshes) else 8,
         static=not motions and move in ("still", "frozen"),
     )
 
@@ -81,7 +81,7 @@ def _deal(seed: int, pack: Sequence[str], salt: int) -> str:
     return pack[int(order[card])]
 
 
-def _draw_mesh(rng: Generator, name: str, part: Shape, material: Plugin) -> Mesh:
+def _draw_mesh(rng: Generator, name: str, part: Shape, material: MitsubaDict) -> Mesh:
     """A mesh with a random size of texture tile."""
     tile_size = np.float32(rng.uniform(0.5, 2.5))  # metres
     smooth = name not in ("leaf", "wall", "floor", "block")

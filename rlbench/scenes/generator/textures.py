@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from rlbench.render.scene import Plugin
+from rlbench.render.scene import MitsubaDict
 from rlbench.scenes.parts.shape import Float64Array
 
 TEXTURE_SIZE = 128  # texels along each side
@@ -26,12 +26,14 @@ def random_colour(
     )
 
 
-def rgb_texture(value: Float64Array) -> Plugin:
+def rgb_texture(value: Float64Array) -> MitsubaDict:
     """A constant linear RGB colour [3] as a Mitsuba plugin."""
     return {"type": "rgb", "value": [float(v) for v in value]}
 
 
-def random_texture(rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7) -> Plugin:
+def random_texture(
+    rng: Generator, darkest: float = 0.15, max_saturation: float = 0.7
+) -> MitsubaDict:
     """A random tiling texture of two colours: checker, stripes, bricks or cloudy noise."""
     pattern = (_checker_pattern, _stripe_pattern, _brick_pattern, _cloud_noise)[rng.integers(4)](
         rng

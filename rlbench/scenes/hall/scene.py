@@ -46,7 +46,7 @@ def scene() -> Scene:
         camera=_camera,
         vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _moving_meshes(time)},
         exposure=6.0,
-        depth=4,
+        max_depth=4,
         takes=(
             static_camera_take(_camera, 20.0),
             cut_take(_camera, _gallery_camera, "tubes", 1.0, 0.0),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.render.scene import Mesh, Plugin
+from rlbench.render.scene import Mesh, MitsubaDict
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ class Shape(NamedTuple):
     faces: NDArray[np.uint32]  # f 3
     uv: Float32Array  # v 2, in repeats of the texture
 
-    def to_mesh(self, name: str, material: Plugin, smooth: bool = False) -> Mesh:
+    def to_mesh(self, name: str, material: MitsubaDict, smooth: bool = False) -> Mesh:
         """The shape as a mesh with one material."""
         return Mesh(name, self.vertices, self.faces, material, uv=self.uv, smooth=smooth)
 

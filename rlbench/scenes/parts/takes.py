@@ -17,7 +17,7 @@ def static_camera_take(camera: CameraFunction, time: float) -> Take:
 
 def frozen_take(camera: CameraFunction, time: float) -> Take:
     """The scene at frame 0, seen by the camera as it stands at one time."""
-    return Take("still", lambda _: camera(time), moving=lambda _: {}, static=True)
+    return Take("still", lambda _: camera(time), vertex_animation=lambda _: {}, static=True)
 
 
 def cut_take(

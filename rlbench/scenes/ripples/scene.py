@@ -48,7 +48,7 @@ def scene() -> Scene:
         sky=({"type": "constant", "radiance": rgb(0.15, 0.24, 0.39)},),
         vertex_animation=lambda time: {mesh.name: mesh.vertices for mesh in _moving_meshes(time)},
         exposure=1.8,
-        depth=8,
+        max_depth=8,
         takes=(static_camera_take(_camera, 25.0), cut_take(_camera, _low_camera, "lamp", 0.2, 1.0)),
     )
 

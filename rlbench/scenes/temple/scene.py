@@ -60,7 +60,7 @@ def scene() -> Scene:
         ),
         vertex_animation=_vertex_animation,
         exposure=0.95,
-        depth=4,
+        max_depth=4,
         takes=(
             static_camera_take(_below_lamp_camera, 0.0),
             cut_take(_camera, _altar_camera, "sky1", 1.0, 0.05),  # the sun fades

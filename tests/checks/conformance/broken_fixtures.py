@@ -1,4 +1,4 @@
-"""Tiny methods, each with one fault, and the claim that must find it."""
+"""Tiny methods, each with one fault, and the check that must find it."""
 
 from __future__ import annotations
 
@@ -16,27 +16,25 @@ from rlbench.family import Family, Traits, Variant
 from rlbench.frames import Size
 from rlbench.ops.reprojection import reproject_or_fill
 
-SIZE, LESSER = Size(1, 19, 31), Size(1, 17, 23)  # pixels: faults are as plain in small frames
-SOUND = Traits(inputs=frozenset({"albedo", "motion"}), adaptive=True, temporal=True)
+SIZE, SMALL_SIZE = Size(1, 19, 31), Size(1, 17, 23)  # faults show in small frames as well
+CORRECT = Traits(inputs=frozenset({"albedo", "motion"}), adaptive=True, temporal=True)
 
 
 @dataclass(frozen=True)
-class Sound:
-    """A method without fault, of which each fault replaces a part: half of it is its history."""
+class Correct:
+    """A correct method; each fault overrides a part of it. It adds half of its history."""
 
-    traits: Traits = SOUND
-    box: dict[str, Any] = field(default_factory=dict)  # where faulty ones hide their memory
+    traits: Traits = CORRECT
+    hidden: dict[str, Any] = field(default_factory=dict)  # memory outside the state
 
     def start(self, size):
         return None
 
     def plan(self, gbuffer, samples, state):
-        light = gbuffer.albedo.mean(1, keepdim=True) + 0.1
-        return (
-            light
-            if state is None
-            else light + reproject_or_fill(state, gbuffer.motion, 0.0).mean(1, True)
-        )
+        density = gbuffer.albedo.mean(1, keepdim=True) + 0.1
+        if state is None:
+            return density
+        return density + reproject_or_fill(state, gbuffer.motion, 0.0).mean(1, True)
 
     def denoise(self, gbuffer, samples, state):
         history = 0.0 if state is None else reproject_or_fill(state, gbuffer.motion, 0.0)
@@ -45,20 +43,20 @@ class Sound:
 
 
 @dataclass(frozen=True)
-class Careless(Traits):
-    """Traits that are not checked when they are made."""
+class UncheckedTraits(Traits):
+    """Traits without validation."""
 
     def __post_init__(self):
         pass
 
 
 class Handle:
-    """A state that says where the memory is, and holds none."""
+    """A state that is only a key to memory kept elsewhere."""
 
 
 @dataclass(frozen=True)
-class Still(Sound):
-    """The same without memory and without a wish."""
+class Stateless(Correct):
+    """A correct method without state, with a constant density."""
 
     def plan(self, gbuffer, samples, state):
         return torch.ones_like(gbuffer.albedo[:, :1])
@@ -67,34 +65,34 @@ class Still(Sound):
         return samples.mean + 0 * gbuffer.albedo, None
 
 
-class WithoutPadding(Sound):
+class WithoutPadding(Correct):
     def denoise(self, gbuffer, samples, state):
         coarse = F.avg_pool2d(samples.mean, 2)
         return samples.mean - F.interpolate(coarse, scale_factor=2), None
 
 
-class UnpaddedLater(WithoutPadding):
-    """Shows what is left of a frame, instead of stopping."""
+class Crops(WithoutPadding):
+    """Returns a cropped image instead of raising an error."""
 
     def denoise(self, gbuffer, samples, state):
         return samples.mean[..., :-1, :-1], None
 
 
-class LargePadding(Sound):
+class LargePadding(Correct):
     def denoise(self, gbuffer, samples, state):
         padded = F.pad(samples.mean, (16, 16, 16, 16), mode="reflect")
         image = padded[..., 16:-16, 16:-16]
         return super().denoise(gbuffer, replace_mean(samples, image), state)
 
 
-class InDouble(Sound):
+class DoublePrecision(Correct):
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
         return image.double(), state
 
 
-class NotFinite(Sound):
-    """Of one size alone, for else it would not run without samples or motion either."""
+class NotFinite(Correct):
+    """At one size only; otherwise it would fail without samples or motion as well."""
 
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
@@ -102,151 +100,151 @@ class NotFinite(Sound):
         return image / (0.0 if bad else 1.0), state
 
 
-class Negative(Sound):
+class NegativeDensity(Correct):
     def plan(self, gbuffer, samples, state):
         return super().plan(gbuffer, samples, state) - 0.3
 
 
-class Unplanned(Sound):
+class NoDensity(Correct):
     def plan(self, gbuffer, samples, state):
         super().plan(gbuffer, samples, state)
 
 
-class MixesPrecisions(Sound):
-    """Under autocast a product of matrices is of half precision, and what it is mixed with not."""
+class MixesPrecisions(Correct):
+    """Under autocast a matrix product is bfloat16, and the image it is mixed with float32."""
 
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
         return torch.lerp(image, image @ torch.eye(image.shape[-1]), 0.5), state
 
 
-class ReadsMore(Sound):
+class ReadsUndeclaredInput(Correct):
     def denoise(self, gbuffer, samples, state):
         gbuffer.depth  # noqa: B018
         return super().denoise(gbuffer, samples, state)
 
 
-class WritesSamples(Sound):
+class WritesSamples(Correct):
     def denoise(self, gbuffer, samples, state):
         samples.radiance.clamp_(max=10)
         return super().denoise(gbuffer, samples, state)
 
 
-class WritesView(Sound):
+class WritesGBuffer(Correct):
     def denoise(self, gbuffer, samples, state):
         gbuffer.albedo.clamp_(0.1, 0.9)
         return super().denoise(gbuffer, samples, state)
 
 
-class WritesState(Sound):
+class WritesState(Correct):
     def denoise(self, gbuffer, samples, state):
-        shown = super().denoise(gbuffer, samples, state)
+        result = super().denoise(gbuffer, samples, state)
         if state is not None:
             state.mul_(0.5)
-        return shown
+        return result
 
 
-class Trainable(Sound):
+class ImageWithGraph(Correct):
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
         return image * torch.ones(1, requires_grad=True), state
 
 
-class RemembersGraph(Sound):
+class StateWithGraph(Correct):
     def plan(self, gbuffer, samples, state):
-        return super().plan(gbuffer, samples, None if state is None else state["held"][0].detach())
+        return super().plan(gbuffer, samples, None if state is None else state["image"][0].detach())
 
     def denoise(self, gbuffer, samples, state):
-        image, _ = super().denoise(gbuffer, samples, None if state is None else state["held"][0])
-        return image.detach(), {"held": [image * torch.ones(1, requires_grad=True)]}
+        image, _ = super().denoise(gbuffer, samples, None if state is None else state["image"][0])
+        return image.detach(), {"image": [image * torch.ones(1, requires_grad=True)]}
 
 
-class NeedsOne(Sound):
+class DividesByCounts(Correct):
     def denoise(self, gbuffer, samples, state):
         share = samples.counts / samples.counts.sum()
         image, state = super().denoise(gbuffer, samples, state)
         return image + 0 * share, state
 
 
-class EightSlots(Sound):
+class NeedsEightSamples(Correct):
     def denoise(self, gbuffer, samples, state):
         samples.radiance[:, 7]
         return super().denoise(gbuffer, samples, state)
 
 
-class Dice(Sound):
+class Unseeded(Correct):
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
         return image + 1e-3 * torch.rand_like(image), state
 
 
-class Remembers(Sound):
-    """History that is never forgotten, in the method itself."""
+class CountsCalls(Correct):
+    """Memory in the method itself that nothing resets."""
 
     def denoise(self, gbuffer, samples, state):
-        self.box["calls"] = self.box.get("calls", 0) + 1
+        self.hidden["calls"] = self.hidden.get("calls", 0) + 1
         image, state = super().denoise(gbuffer, samples, state)
-        return image + 1e-3 * self.box["calls"], state
+        return image + 1e-3 * self.hidden["calls"], state
 
 
-class Peeks(Sound):
+class ReadsReference(Correct):
     """Finds the frame, and so the reference, in its callers' variables."""
 
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
-        return image + self.found(sys._getframe()), state
+        return image + self.read_frame(sys._getframe()), state
 
-    def found(self, caller):
+    def read_frame(self, caller):
         while not {"frame", "clip"} <= set(caller.f_locals):
             caller = caller.f_back
-        return self.wanted(caller.f_locals["frame"])
+        return self.secret(caller.f_locals["frame"])
 
-    def wanted(self, frame):
+    def secret(self, frame):
         return frame.reference.mean
 
 
-class PeeksPool(Peeks):
-    def wanted(self, frame):
+class ReadsPool(ReadsReference):
+    def secret(self, frame):
         return frame.pool.radiance.mean(1)
 
 
-class ExposesAll(Sound):
-    """Normalised by the brightest pixel of all images at once."""
+class NormalisesImageByBatch(Correct):
+    """Divides by the brightest pixel of the whole batch."""
 
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
         return image / image.amax().clamp_min(0.1), state
 
 
-class PlansForAll(Sound):
+class NormalisesDensityByBatch(Correct):
     def plan(self, gbuffer, samples, state):
-        wish = super().plan(gbuffer, samples, state)
-        return wish / wish.amax()
+        density = super().plan(gbuffer, samples, state)
+        return density / density.amax()
 
 
-class OneMemory(Sound):
-    """History in the method itself: forgotten where a clip starts, but shared by all clips."""
+class SharedMemory(Correct):
+    """History in the method itself: reset at the start of a clip, but shared by all clips."""
 
     def start(self, size):
-        self.box.clear()
+        self.hidden.clear()
 
     def plan(self, gbuffer, samples, state):
-        self.box["history"] = self.box.get("shown")
-        return super().plan(gbuffer, samples, self.box["history"])
+        self.hidden["history"] = self.hidden.get("image")
+        return super().plan(gbuffer, samples, self.hidden["history"])
 
     def denoise(self, gbuffer, samples, state):
-        image, self.box["shown"] = super().denoise(gbuffer, samples, self.box["history"])
+        image, self.hidden["image"] = super().denoise(gbuffer, samples, self.hidden["history"])
         return image, None
 
 
-class NeedsMotion(Sound):
+class NeedsMotion(Correct):
     def denoise(self, gbuffer, samples, state):
         gbuffer.motion.abs()
         return super().denoise(gbuffer, samples, state)
 
 
-class Lingers(Sound):
-    """Blends without moving."""
+class IgnoresMotion(Correct):
+    """Blends history without reprojection."""
 
     def denoise(self, gbuffer, samples, state):
         history = 0.0 if state is None else state
@@ -256,23 +254,23 @@ class Lingers(Sound):
         return image, image
 
 
-class Elsewhere(Sound):
-    """Memory by handle."""
+class StateIsHandle(Correct):
+    """Memory in the method itself, with a key to it as the state."""
 
     def start(self, size):
         return Handle()
 
     def plan(self, gbuffer, samples, state):
-        return super().plan(gbuffer, samples, self.box.get(state))
+        return super().plan(gbuffer, samples, self.hidden.get(state))
 
     def denoise(self, gbuffer, samples, state):
-        image, memory = super().denoise(gbuffer, samples, self.box.get(state))
+        image, memory = super().denoise(gbuffer, samples, self.hidden.get(state))
         after = Handle()
-        self.box[after] = memory
+        self.hidden[after] = memory
         return image, after
 
 
-class Uncopied(Sound):
+class UncopyableState(Correct):
     def denoise(self, gbuffer, samples, state):
         image, _ = super().denoise(gbuffer, samples, None if state is None else next(state))
         return image, (image for _ in count())
@@ -282,69 +280,71 @@ class Uncopied(Sound):
 
 
 def replace_mean(samples, image):
-    """Samples of which the mean is another one."""
+    """Samples with another mean."""
     return SimpleNamespace(mean=image)
 
 
 class Fault(NamedTuple):
-    """The claim that must find it, what is built, and what is declared if not the same."""
+    """The check that must fail, a function that builds the method, and its declared traits."""
 
-    claim: str
+    check: str
     build: Callable[[Traits], Any]
-    traits: Traits = SOUND
+    traits: Traits = CORRECT
 
 
 FAULTS = {
-    "other traits": Fault("built", lambda traits: Sound(replace(traits, min_samples=1))),
-    "no method at all": Fault("built", lambda traits: SimpleNamespace(traits=traits)),
-    "can be written to": Fault(
+    "other traits": Fault("built", lambda traits: Correct(replace(traits, min_samples=1))),
+    "not a method": Fault("built", lambda traits: SimpleNamespace(traits=traits)),
+    "not frozen": Fault(
         "frozen",
         lambda traits: SimpleNamespace(
-            traits=traits, start=Sound().start, plan=Sound().plan, denoise=Sound().denoise
+            traits=traits, start=Correct().start, plan=Correct().plan, denoise=Correct().denoise
         ),
     ),
-    "odd sides do not fit": Fault("runs", WithoutPadding),
-    "odd sides are cropped": Fault("runs", UnpaddedLater),
-    "pads more than there is": Fault("small", LargePadding),
-    "double precision": Fault("image", InDouble),
-    "not finite": Fault("image", NotFinite),
-    "mixes precisions": Fault("half", MixesPrecisions),
-    "a negative density": Fault("density", Negative),
-    "no density": Fault("density", Unplanned),
-    "adapts in secret": Fault("uniform", Sound, replace(SOUND, adaptive=False)),
-    "reads what it did not declare": Fault("reads", ReadsMore),
-    "declares what it does not read": Fault(
-        "reads", Sound, replace(SOUND, inputs=SOUND.inputs | {"normal"})
+    "fails at odd sizes": Fault("odd_size", WithoutPadding),
+    "crops odd sizes": Fault("odd_size", Crops),
+    "pads by more than the frame": Fault("tiny_size", LargePadding),
+    "double precision": Fault("image", DoublePrecision),
+    "NaN or infinite image": Fault("image", NotFinite),
+    "mixes precisions": Fault("half_precision", MixesPrecisions),
+    "a negative density": Fault("density", NegativeDensity),
+    "no density": Fault("density", NoDensity),
+    "adapts without declaring it": Fault("uniform", Correct, replace(CORRECT, adaptive=False)),
+    "reads an undeclared input": Fault("inputs", ReadsUndeclaredInput),
+    "declares an unread input": Fault(
+        "inputs", Correct, replace(CORRECT, inputs=CORRECT.inputs | {"normal"})
     ),
-    "writes to samples": Fault("inputs", WritesSamples),
-    "writes to the view": Fault("inputs", WritesView),
-    "writes to its state": Fault("inputs", WritesState),
-    "an image with a graph": Fault("graph", Trainable),
+    "writes to samples": Fault("in_place", WritesSamples),
+    "writes to the G-buffer": Fault("in_place", WritesGBuffer),
+    "writes to its state": Fault("in_place", WritesState),
+    "an image with a graph": Fault("autograd", ImageWithGraph),
     "a state with a graph": Fault(
-        "graph", RemembersGraph, replace(SOUND, inputs=frozenset({"albedo", "motion"}))
+        "autograd", StateWithGraph, replace(CORRECT, inputs=frozenset({"albedo", "motion"}))
     ),
-    "buys half": Fault("budget", Sound, Careless(SOUND.inputs, "path", True, True, passes=(0.5,))),
-    "a cap below its range": Fault("spread", Sound, replace(SOUND, max_samples=4)),
-    "a floor above its range": Fault("runs", Sound, replace(SOUND, min_samples=1)),
-    "divides by what it bought": Fault("nothing", NeedsOne),
-    "wants eight slots": Fault("fewer", EightSlots),
-    "draws without a seed": Fault("repeats", Dice),
-    "never forgets": Fault("repeats", Remembers),
-    "peeks at the reference": Fault("leak", Peeks),
-    "peeks at unbought samples": Fault("leak", PeeksPool),
-    "exposes a batch as one": Fault("batch", ExposesAll),
-    "plans for a batch as one": Fault("batch", PlansForAll),
-    "remembers one clip": Fault("alone", OneMemory),
+    "draws half of its budget": Fault(
+        "budget", Correct, UncheckedTraits(CORRECT.inputs, "path", True, True, passes=(0.5,))
+    ),
+    "max_samples below its budgets": Fault("spp_range", Correct, replace(CORRECT, max_samples=4)),
+    "min_samples above its budgets": Fault("odd_size", Correct, replace(CORRECT, min_samples=1)),
+    "divides by sample counts": Fault("zero_samples", DividesByCounts),
+    "needs eight samples in the pool": Fault("small_pool", NeedsEightSamples),
+    "random numbers without a seed": Fault("determinism", Unseeded),
+    "counts its calls": Fault("determinism", CountsCalls),
+    "reads the reference": Fault("leak", ReadsReference),
+    "reads undrawn samples": Fault("leak", ReadsPool),
+    "normalises images over a batch": Fault("batch", NormalisesImageByBatch),
+    "normalises densities over a batch": Fault("batch", NormalisesDensityByBatch),
+    "shares memory between clips": Fault("interleaved", SharedMemory),
     "needs motion": Fault("static", NeedsMotion),
-    "lingers after a cut": Fault("cut", Lingers),
-    "temporal in secret": Fault("temporal", Sound, replace(SOUND, temporal=False)),
-    "remembers by handle": Fault("replay", Elsewhere),
-    "a state that cannot be copied": Fault("replay", Uncopied),
+    "ignores motion at cuts": Fault("cut", IgnoresMotion),
+    "temporal without declaring it": Fault("temporal", Correct, replace(CORRECT, temporal=False)),
+    "a state that is a handle": Fault("state_copy", StateIsHandle),
+    "a state that cannot be copied": Fault("state_copy", UncopyableState),
 }
 
 TRAITS = {
-    "sound": SOUND,
-    "still": replace(SOUND, adaptive=False, temporal=False, inputs=frozenset({"albedo"})),
+    "correct": CORRECT,
+    "stateless": replace(CORRECT, adaptive=False, temporal=False, inputs=frozenset({"albedo"})),
 }
 TRAITS |= {name: fault.traits for name, fault in FAULTS.items()}
 
@@ -352,12 +352,12 @@ TRAITS |= {name: fault.traits for name, fault in FAULTS.items()}
 def build(variant, device, weights):
     if variant in FAULTS:
         return FAULTS[variant].build(FAULTS[variant].traits)
-    return {"sound": Sound, "still": Still}[variant](TRAITS[variant])
+    return {"correct": Correct, "stateless": Stateless}[variant](TRAITS[variant])
 
 
 FAMILY = Family(
-    "plants",
-    "Planted faults",
+    "faulty",
+    "Methods with known faults",
     "Nobody 2026",
     "MIT",
     {name: Variant("Is it found?", traits, learned=False) for name, traits in TRAITS.items()},

@@ -22,9 +22,9 @@ ROWS, COLUMNS = np.mgrid[:H, :W]
 
 def imported(source: Path, format_: str, out: Path, **options: object) -> StoredClip:
     """Import the only clip of a source and open it."""
-    (sequence,) = formats.sequences(source, format_, options.get("frames"))
+    (sequence,) = formats.find_sequences(source, format_, options.get("frames"))
     header = writer.clip_header(sequence, options.get("samples"))
-    writer.store(sequence, header, out / sequence.name)
+    writer.write_clip(sequence, header, out / sequence.name)
     return open_clip(out / sequence.name, frozenset(sequence.buffers), max_samples=64)
 
 

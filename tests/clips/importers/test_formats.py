@@ -13,19 +13,19 @@ def test_an_unknown_format_is_reported_with_the_known_ones(source):
     with pytest.raises(
         SourceError, match="no format 'pfm'; there are: oidn, noisebase, rl-path-tracing$"
     ):
-        formats.sequences(source, "pfm")
+        formats.find_sequences(source, "pfm")
 
 
 def test_the_former_name_paper_is_rl_path_tracing(tmp_path):
     source = write_rl_path_tracing(tmp_path)
-    (old,), (new,) = (formats.sequences(source, name) for name in ("paper", "rl-path-tracing"))
+    (old,), (new,) = (formats.find_sequences(source, name) for name in ("paper", "rl-path-tracing"))
     assert (old.name, old.numbers, old.files) == (new.name, new.numbers, new.files)
 
 
 @pytest.mark.parametrize("format_", ["noisebase", "rl-path-tracing"])
 def test_a_source_of_another_format_is_reported_with_the_expected_files(source, format_):
     with pytest.raises(SourceError, match="expected files such as .*; it holds: walk_0000_seed0"):
-        formats.sequences(source, format_)
+        formats.find_sequences(source, format_)
 
 
 def test_two_clips_of_one_name_are_an_error(tmp_path):
@@ -34,14 +34,14 @@ def test_two_clips_of_one_name_are_an_error(tmp_path):
     for path in (tmp_path / "day-walk").iterdir():
         path.rename(path.with_name(path.name.replace("walk_", "")))
     with pytest.raises(SourceError, match="two clips named 'day-walk'; import .* separately"):
-        formats.sequences(tmp_path, "oidn")
+        formats.find_sequences(tmp_path, "oidn")
 
 
 def test_a_name_in_the_source_does_not_leave_the_output(tmp_path):
     source = write_oidn(tmp_path / "source", frames=1)
     for path in list(source.iterdir()):
         path.rename(source / path.name.replace("walk_0000", ".."))
-    (sequence,) = formats.sequences(source, "oidn")
+    (sequence,) = formats.find_sequences(source, "oidn")
     assert sequence.name == "source"  # dots are removed, and the folder's name is used
 
 
@@ -49,4 +49,4 @@ def test_frames_beyond_the_last_are_missing(source):
     with pytest.raises(
         SourceError, match="frames 1 to 4 are required and 2 of them are missing: 3, 4"
     ):
-        formats.sequences(source, "oidn", (1, 5))
+        formats.find_sequences(source, "oidn", (1, 5))

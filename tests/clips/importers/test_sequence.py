@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rlbench.clips.importers.sequence import SourceError, clip_name, span
+from rlbench.clips.importers.sequence import SourceError, clip_name, parse_frame_range
 
 
 @pytest.mark.parametrize("name", ["..", ".hidden", "a/b", "-o", "", "a\nb"])
@@ -16,4 +16,4 @@ def test_a_name_that_is_not_safe_as_a_folder_name_is_an_error(name):
 @pytest.mark.parametrize("text", ["5", "3:3", "5:2", "a:b", "-1:3"])
 def test_an_invalid_range_of_frames_is_an_error(text):
     with pytest.raises(SourceError, match="FIRST:END"):
-        span(text)
+        parse_frame_range(text)

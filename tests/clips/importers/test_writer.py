@@ -104,14 +104,14 @@ def test_each_clip_has_a_folder_of_its_own(tmp_path):
 
 
 def _interrupt_after(source, folder, frames: int) -> None:
-    (sequence,) = formats.sequences(source, "oidn")
+    (sequence,) = formats.find_sequences(source, "oidn")
     remaining = iter(range(frames))
 
     def interrupt() -> None:
         if next(remaining, None) is None:
             raise KeyboardInterrupt
 
-    writer.store(sequence, writer.clip_header(sequence, None), folder, interrupt)
+    writer.write_clip(sequence, writer.clip_header(sequence, None), folder, interrupt)
 
 
 def test_an_interrupted_import_is_unfinished(source, tmp_path):
@@ -158,9 +158,9 @@ def test_an_image_that_is_not_finite_is_not_imported(tmp_path):
     image = radiance(1, 0)
     image[2, 3, 1] = math.nan
     exr(source / "walk_0001_seed0_0001spp.hdr.exr", image)
-    (sequence,) = formats.sequences(source, "oidn")
+    (sequence,) = formats.find_sequences(source, "oidn")
     with pytest.raises(ClipError, match=r"frame 1: 1 values of pool\.path are not finite"):
-        writer.store(sequence, writer.clip_header(sequence, None), tmp_path / "out")
+        writer.write_clip(sequence, writer.clip_header(sequence, None), tmp_path / "out")
 
 
 def test_fireflies_are_not_clipped(tmp_path):

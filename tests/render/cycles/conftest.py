@@ -1,4 +1,4 @@
-"""The Python that has bpy, or a reason why there is none."""
+"""The Python that has bpy, as a fixture; skips if there is none."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from rlbench.render.cycles import process
 @pytest.fixture(scope="session")
 def blender():
     """The interpreter that can import bpy."""
-    if not process.installed():
-        pytest.skip(f"no bpy in {process.interpreter()}: {process.INSTALL}")
+    if not process.bpy_version():
+        pytest.skip(f"no bpy in {process.interpreter()}: {process.INSTALL_HINT}")
     return process.interpreter()
 
 

@@ -1,4 +1,4 @@
-"""Clips that Cycles renders: the same scene as Mitsuba's, in every format, killed and resumed."""
+"""Clips of Cycles against Mitsuba's, for every file format, killed and resumed."""
 
 import json
 import os
@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rlbench.checks.finding import Verdict
-from rlbench.checks.lint.checks import examine
-from rlbench.checks.lint.clip_arrays import read_footage
+from rlbench.checks.lint.checks import lint_clip
+from rlbench.checks.lint.clip_arrays import read_clip_arrays
+from rlbench.checks.result import Verdict
 from rlbench.clips.stored import open_clip, read_header, verify
 from rlbench.render.cycles import process
 from rlbench.render.cycles.clip import ensure_cycles
@@ -26,13 +26,13 @@ from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
 from rlbench.render.user import camera_path
 from rlbench.render.user.clip import UserSceneOptions
-from tests.render.cycles import both
+from tests.render.cycles import shared_scene
 
 pytestmark = pytest.mark.slow
 H, W = 64, 64
-PLAN = Preset("test", "tests", (H, W), both.FRAMES, reference_spp=40)  # in two spans
-SMALL = replace(PLAN, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
-ASKED = (("max_bounces", str(both.BOUNCES)),)
+PRESET = Preset("test", "tests", (H, W), shared_scene.FRAMES, reference_spp=40)  # in two spans
+SMALL = replace(PRESET, size=(32, 32), frames=2, reference_spp=2, pool_spp=2)
+PARAMETERS = (("max_bounces", str(shared_scene.BOUNCES)),)
 FORMATS = ("blend", "usd", "glb", "fbx")
 HERE = Path(__file__).parent
 
@@ -41,47 +41,52 @@ HERE = Path(__file__).parent
 def files(blender, tmp_path_factory):
     """Folder with the scene in every format."""
     folder = tmp_path_factory.mktemp("scene")
-    both.for_blender(folder)
+    shared_scene.for_blender(folder)
     subprocess.run(
-        [blender, "-I", str(HERE / "export.py"), str(folder)], check=True, capture_output=True
+        [blender, "-I", str(HERE / "export_scene.py"), str(folder)], check=True, capture_output=True
     )
     return folder
 
 
-def wish(folder, out, **more):
-    asked = {"exposure": 1.0, "size": (H, W), "parameters": ASKED, **more}
-    return UserSceneOptions(folder / "both.gltf", str(folder / "path.json"), out=out, **asked)
+def make_options(folder, out, **more):
+    options = {"exposure": 1.0, "size": (H, W), "parameters": PARAMETERS, **more}
+    return UserSceneOptions(folder / "both.gltf", str(folder / "path.json"), out=out, **options)
 
 
 @pytest.fixture(scope="module")
 def cycles(files, tmp_path_factory):
-    return ensure_cycles(wish(files, tmp_path_factory.mktemp("cycles") / "clip"), PLAN)
+    return ensure_cycles(make_options(files, tmp_path_factory.mktemp("cycles") / "clip"), PRESET)
 
 
 @pytest.fixture(scope="module")
 def mitsuba(tmp_path_factory):
-    scene, matrices = both.for_mitsuba(), [camera_path.matrix(both.camera(t)) for t in range(4)]
-    path = camera_path.listed(matrices)  # before frame 0, nothing moves, as in the file
-    scene = replace(scene, camera=lambda time: camera_path.camera(path(time), both.FOV))
-    job = Job("both", scene, PLAN, tmp_path_factory.mktemp("mitsuba") / "clip")
+    scene, matrices = (
+        shared_scene.for_mitsuba(),
+        [camera_path.matrix_from_camera(shared_scene.camera(t)) for t in range(4)],
+    )
+    path = camera_path.follow_matrices(matrices)  # before frame 0, nothing moves, as in the file
+    scene = replace(
+        scene, camera=lambda time: camera_path.camera_from_matrix(path(time), shared_scene.FOV)
+    )
+    job = Job("both", scene, PRESET, tmp_path_factory.mktemp("mitsuba") / "clip")
     return render_missing([job])[0]
 
 
 @pytest.mark.parametrize("tracer", ["cycles", "mitsuba"])
 def test_the_linter_finds_no_fault(tracer, llvm, request):
-    findings = examine(read_footage(request.getfixturevalue(tracer)))
-    assert not [finding for finding in findings if finding.verdict == Verdict.FAIL]
+    results = lint_clip(read_clip_arrays(request.getfixturevalue(tracer)))
+    assert not [result for result in results if result.verdict is Verdict.FAILED]
 
 
-@pytest.mark.parametrize("index", range(both.FRAMES))
+@pytest.mark.parametrize("index", range(shared_scene.FRAMES))
 def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index):
     ours, theirs = (open_clip(clip).frame(index) for clip in (cycles, mitsuba))
-    seen = (theirs.gbuffer.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.gbuffer.albedo)
+    visible = (theirs.gbuffer.albedo.sum(1, keepdim=True) > 0).expand_as(theirs.gbuffer.albedo)
     means, errors = [], []
     for frame in (ours, theirs):
-        noise = (frame.reference.half_a - frame.reference.half_b)[seen] / 2
-        means.append(float(frame.reference.mean[seen].mean()))
-        errors.append(float(noise.double().square().mean().sqrt()) / int(seen.sum()) ** 0.5)
+        noise = (frame.reference.half_a - frame.reference.half_b)[visible] / 2
+        means.append(float(frame.reference.mean[visible].mean()))
+        errors.append(float(noise.double().square().mean().sqrt()) / int(visible.sum()) ** 0.5)
     # 4 standard errors of the difference of two means, noise of pixels being independent
     assert abs(means[0] - means[1]) < 4 * np.hypot(*errors)
 
@@ -89,24 +94,24 @@ def test_diffuse_surfaces_are_as_bright_as_mitsubas(cycles, mitsuba, llvm, index
 @pytest.mark.parametrize(
     ("name", "tolerance"), [("normal", 1e-3), ("motion", 1e-2), ("depth", 2e-3)]
 )
-def test_geometry_is_that_of_mitsuba(cycles, mitsuba, llvm, name, tolerance):
+def test_geometry_equals_mitsubas(cycles, mitsuba, llvm, name, tolerance):
     # half precision of normals, float32 matrices; pixels at edges may see another surface
     ours, theirs = (open_clip(clip).frame(2).gbuffer.buffers[name] for clip in (cycles, mitsuba))
-    apart = (ours - theirs).abs().amax(1)
-    assert float((apart > tolerance).float().mean()) < 5e-3
+    difference = (ours - theirs).abs().amax(1)
+    assert float((difference > tolerance).float().mean()) < 5e-3
 
 
-def test_the_header_says_who_traced_it(cycles):
+def test_the_header_records_the_renderer(cycles):
     header = read_header(cycles)
-    told = (header.sampler, header.sampler_version, header.stratified, header.pool_spp)
-    assert told == ("cycles", "Blender 4.5.15 LTS, 6 bounces, light tree", True, 8)
+    renderer = (header.sampler, header.sampler_version, header.stratified, header.pool_spp)
+    assert renderer == ("cycles", "Blender 4.5.15 LTS, 6 bounces, light tree", True, 8)
     assert header.sample_ms > 0
 
 
 def test_a_finished_clip_needs_no_blender(cycles, files, monkeypatch):
     assert verify(cycles) == []
-    monkeypatch.setenv(process.VARIABLE, "/nowhere")
-    assert ensure_cycles(wish(files, cycles), PLAN) == cycles
+    monkeypatch.setenv(process.PYTHON_VARIABLE, "/nowhere")
+    assert ensure_cycles(make_options(files, cycles), PRESET) == cycles
 
 
 def test_samples_are_antialiased(cycles, mitsuba, llvm):
@@ -121,62 +126,66 @@ def test_samples_are_antialiased(cycles, mitsuba, llvm):
     assert ratio == pytest.approx(1, abs=0.25)  # without anti-aliasing it was 22
 
 
-def test_a_killed_rendering_goes_on_and_makes_the_same_pixels(cycles, files, tmp_path):
+def test_a_killed_rendering_resumes_to_the_same_pixels(cycles, files, tmp_path):
     out, log = tmp_path / "clip", tmp_path / "log"
     code = (
         "from tests.render.cycles.test_clip import *; import sys;"
         "ensure_cycles(wish(Path(sys.argv[1]), Path(sys.argv[2])), PLAN)"
     )
-    with log.open("wb") as words:
-        going = subprocess.Popen(
-            [sys.executable, "-c", code, str(files), str(out)], stderr=words, cwd=HERE.parents[2]
+    with log.open("wb") as stderr:
+        rendering = subprocess.Popen(
+            [sys.executable, "-c", code, str(files), str(out)], stderr=stderr, cwd=HERE.parents[2]
         )
-        while going.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
+        while rendering.poll() is None and not list(out.glob(".cycles/path.*.3.exr")):
             pass
-        going.send_signal(signal.SIGKILL)
-        going.wait()
+        rendering.send_signal(signal.SIGKILL)
+        rendering.wait()
     assert not (out / "clip.toml").exists(), log.read_text()
-    again = ensure_cycles(wish(files, out), PLAN)
+    resumed = ensure_cycles(make_options(files, out), PRESET)
     for file in cycles.glob("*.exr"):
-        assert (again / file.name).read_bytes() == file.read_bytes(), file.name
-    assert not (again / ".cycles").exists()
+        assert (resumed / file.name).read_bytes() == file.read_bytes(), file.name
+    assert not (resumed / ".cycles").exists()
 
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_every_format_has_the_camera_the_shapes_and_their_motion(kind, files, tmp_path, llvm):
-    asked = UserSceneOptions(
+    options = UserSceneOptions(
         files / f"both.{kind}", "", size=SMALL.size, exposure=1.0, out=tmp_path / "clip"
     )
-    found = open_clip(ensure_cycles(asked, SMALL)).frame(1).gbuffer
-    tracer = open_tracer(both.for_mitsuba(), *SMALL.size)
+    gbuffer = open_clip(ensure_cycles(options, SMALL)).frame(1).gbuffer
+    tracer = open_tracer(shared_scene.for_mitsuba(), *SMALL.size)
     tracer.set_time(1.0)
-    for name, wanted in render_gbuffer(tracer, ("depth", "motion")).items():
-        apart = np.abs(found.buffers[name][0].permute(1, 2, 0).numpy() - wanted).max(-1)
-        assert (apart > 1e-2).mean() < 0.01, name  # pixels at edges may see another surface
+    for name, expected in render_gbuffer(tracer, ("depth", "motion")).items():
+        difference = np.abs(gbuffer.buffers[name][0].permute(1, 2, 0).numpy() - expected).max(-1)
+        assert (difference > 1e-2).mean() < 0.01, name  # pixels at edges may see another surface
 
 
-def test_a_still_camera_and_nothing_that_moves_make_a_static_clip(files, tmp_path):
+def test_a_still_camera_and_static_meshes_make_a_static_clip(files, tmp_path):
     still = files / "still.gltf"
     text = (files / "both.gltf").read_text()
     still.write_text(text.replace('"animations"', '"extras"'))
-    asked = replace(wish(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json"))
-    first = camera_path.matrix(both.camera(0)).tolist()
-    Path(asked.camera).write_text(json.dumps({"camera_to_world": [first] * 2, "fov": both.FOV}))
-    header = read_header(ensure_cycles(replace(asked, size=(32, 32)), SMALL))
+    options = replace(
+        make_options(files, tmp_path / "clip"), file=still, camera=str(tmp_path / "one.json")
+    )
+    first = camera_path.matrix_from_camera(shared_scene.camera(0)).tolist()
+    Path(options.camera).write_text(
+        json.dumps({"camera_to_world": [first] * 2, "fov": shared_scene.FOV})
+    )
+    header = read_header(ensure_cycles(replace(options, size=(32, 32)), SMALL))
     assert header.static
     assert "motion" not in header.buffers
 
 
-def test_a_scene_without_light_is_told_before_anything_is_written(files, tmp_path):
+def test_a_scene_without_light_is_refused_before_anything_is_written(files, tmp_path):
     dark = files / "dark.gltf"
     dark.write_text((files / "both.gltf").read_text().replace("emissiveFactor", "extras"))
-    asked = replace(wish(files, tmp_path / "clip"), file=dark)
+    options = replace(make_options(files, tmp_path / "clip"), file=dark)
     with pytest.raises(SceneError, match="frames 0, 1.* are black.*world=1"):
-        ensure_cycles(replace(asked, exposure=None), SMALL)
+        ensure_cycles(replace(options, exposure=None), SMALL)
     assert not (tmp_path / "clip").exists()
 
 
-def test_a_broken_file_is_told_with_blenders_words(blender, tmp_path):
+def test_the_error_of_a_broken_file_has_blenders_message(blender, tmp_path):
     file = tmp_path / "broken.blend"
     file.write_bytes(b"BLENDER-v405 and nothing more")
     with pytest.raises(CyclesError, match=r"Blender: .*broken\.blend"):
@@ -184,7 +193,7 @@ def test_a_broken_file_is_told_with_blenders_words(blender, tmp_path):
 
 
 def test_a_worker_that_is_killed_is_a_crash(files, tmp_path):
-    events = process.run(
+    events = process.run_worker(
         {
             "scene": str(files / "both.blend"),
             "frames": 2000,

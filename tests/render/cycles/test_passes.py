@@ -1,4 +1,4 @@
-"""Channels as Cycles writes them become a view in the conventions of a clip."""
+"""Conversion of Cycles' passes to the conventions of a clip."""
 
 import math
 
@@ -25,39 +25,39 @@ SCENE = Scene("pan", "pan", (), panning)
 def planes(albedo=(0.5, 0.4, 0.3), normal=(0, 0, 1), depth=2.0, vector=(3.0, 5.0)):
     """One value for all pixels; the last column is sky, as Cycles writes it."""
     values = np.array([*albedo, *normal, depth, *vector], np.float32)
-    made = np.broadcast_to(values[:, None, None], (9, H, W)).copy()
-    made[:, :, -1] = np.array([9, 9, 9, 0, 0, 0, 1e10, 0, 0], np.float32)[:, None]
-    return made
+    channels = np.broadcast_to(values[:, None, None], (9, H, W)).copy()
+    channels[:, :, -1] = np.array([9, 9, 9, 0, 0, 0, 1e10, 0, 0], np.float32)[:, None]
+    return channels
 
 
 def test_motion_is_vector_with_y_down():
-    assert_allclose(passes.view(planes(), SCENE, 0.0)["motion"][0, 0], [3, -5])
+    assert_allclose(passes.convert_passes(planes(), SCENE, 0.0)["motion"][0, 0], [3, -5])
 
 
 def test_depth_of_sky_is_infinite_and_of_surfaces_unchanged():
-    depth = passes.view(planes(), SCENE, 0.0)["depth"]
+    depth = passes.convert_passes(planes(), SCENE, 0.0)["depth"]
     assert np.isposinf(depth[:, -1]).all()
     assert_allclose(depth[:, :-1], 2.0)
 
 
 @pytest.mark.parametrize("name", ["albedo", "normal"])
-def test_sky_has_no(name):
-    assert not passes.view(planes(), SCENE, 0.0)[name][:, -1].any()
+def test_sky_has_neither_albedo_nor_normal(name):
+    assert not passes.convert_passes(planes(), SCENE, 0.0)[name][:, -1].any()
 
 
-def test_albedo_of_what_glows_is_cut_to_one():
-    albedo = passes.view(planes(albedo=(23.9, 0.5, -0.1)), SCENE, 0.0)["albedo"][0, 0]
+def test_albedo_of_emitters_is_clipped_to_one():
+    albedo = passes.convert_passes(planes(albedo=(23.9, 0.5, -0.1)), SCENE, 0.0)["albedo"][0, 0]
     assert_allclose(albedo, [1, 0.5, 0])
 
 
 def test_normals_become_unit_length():
-    normal = passes.view(planes(normal=(0.0, 0.3, 0.4)), SCENE, 0.0)["normal"][0, 0]
+    normal = passes.convert_passes(planes(normal=(0.0, 0.3, 0.4)), SCENE, 0.0)["normal"][0, 0]
     assert_allclose(normal, [0, 0.6, 0.8], atol=1e-6)  # float32
 
 
 def test_a_surface_without_a_normal_is_background():
-    # the linter refuses clips whose depth and normal disagree on what is background
-    gbuffer = passes.view(planes(normal=(0, 0, 0)), SCENE, 0.0)
+    # the linter refuses clips whose depth and normal disagree about the background
+    gbuffer = passes.convert_passes(planes(normal=(0, 0, 0)), SCENE, 0.0)
     assert np.isposinf(gbuffer["depth"]).all()
 
 
@@ -70,9 +70,9 @@ def test_sky_moves_by_the_turn_of_the_camera():
 
 
 def test_channels_are_found_by_name_in_a_file(tmp_path):
-    made = planes()
+    channels = planes()
     file = tmp_path / "view.exr"
-    write_exr(file, dict(zip(reversed(passes.GEOMETRY), made[::-1], strict=True)))
-    found = passes.read_view(file, SCENE, 0, (H, W))
-    wanted = passes.view(made, SCENE, 0.0)
-    assert all(np.array_equal(found[name], wanted[name]) for name in wanted)
+    write_exr(file, dict(zip(reversed(passes.GEOMETRY), channels[::-1], strict=True)))
+    gbuffer = passes.read_gbuffer(file, SCENE, 0, (H, W))
+    expected = passes.convert_passes(channels, SCENE, 0.0)
+    assert all(np.array_equal(gbuffer[name], expected[name]) for name in expected)

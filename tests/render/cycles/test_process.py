@@ -1,4 +1,4 @@
-"""Blender's process: missing, refusing, dying; each is told as what it is."""
+"""Errors of Blender's process: missing bpy, rejected job, crash."""
 
 import os
 import sys
@@ -11,26 +11,26 @@ from rlbench.render.cycles.process import CyclesError
 
 @pytest.fixture
 def python(tmp_path, monkeypatch):
-    """Lets a script stand in for the Python that has bpy, to die in ways that bpy does not."""
+    """Replaces the Python that has bpy by a script, which can die in other ways."""
 
     def install(body):
         script = tmp_path / "python"
         script.write_text(f"#!/bin/sh\n{body}\n")
         script.chmod(0o755)
-        monkeypatch.setenv(process.VARIABLE, str(script))
+        monkeypatch.setenv(process.PYTHON_VARIABLE, str(script))
 
     return install
 
 
 def events(tmp_path, job=None):
-    return list(process.run(job or {}, tmp_path / "logs" / "render.log"))
+    return list(process.run_worker(job or {}, tmp_path / "logs" / "render.log"))
 
 
 @pytest.mark.parametrize(
     ("signal", "why"),
     [("SEGV", "segmentation fault"), ("KILL", "ran out of memory"), ("ABRT", "aborted")],
 )
-def test_a_crash_is_told_as_one_with_the_end_of_the_log(python, tmp_path, signal, why):
+def test_the_error_of_a_crash_has_the_signal_and_the_end_of_the_log(python, tmp_path, signal, why):
     python(f"echo 'BVH build of Suzanne' >&2; kill -{signal} $$")
     with pytest.raises(CyclesError, match=f"(?s)SIG{signal}.*{why}.*BVH build of Suzanne"):
         events(tmp_path)
@@ -48,25 +48,25 @@ def test_half_a_line_of_a_process_that_died_is_no_event(python, tmp_path):
         events(tmp_path)
 
 
-def test_events_come_as_they_are_told(python, tmp_path):
+def test_events_arrive_in_order(python, tmp_path):
     python("""echo '{"event": "made", "file": "a", "seconds": 1}'; echo '{"event": "done"}'""")
     assert [event["event"] for event in events(tmp_path)] == ["made", "done"]
 
 
-def test_an_interpreter_that_is_not_there_is_told_with_the_variable(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.VARIABLE, str(tmp_path / "none"))
-    with pytest.raises(CyclesError, match=f"{process.VARIABLE}: .*none cannot be run"):
+def test_the_error_of_a_missing_interpreter_names_the_variable(tmp_path, monkeypatch):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
+    with pytest.raises(CyclesError, match=f"{process.PYTHON_VARIABLE}: .*none cannot be run"):
         events(tmp_path)
 
 
-def test_an_interpreter_that_is_not_there_has_no_bpy(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.VARIABLE, str(tmp_path / "none"))
-    assert process.installed() is None
+def test_a_missing_interpreter_has_no_bpy(tmp_path, monkeypatch):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, str(tmp_path / "none"))
+    assert process.bpy_version() is None
 
 
-def test_a_python_without_bpy_is_told_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setenv(process.VARIABLE, sys.executable)
-    if process.installed():
+def test_the_error_of_a_python_without_bpy_says_how_to_install_it(tmp_path, monkeypatch):
+    monkeypatch.setenv(process.PYTHON_VARIABLE, sys.executable)
+    if process.bpy_version():
         pytest.skip("this Python has bpy")
     with pytest.raises(CyclesError, match=r"rlbench\[cycles\]"):
         events(tmp_path)
@@ -74,7 +74,7 @@ def test_a_python_without_bpy_is_told_how_to_get_it(tmp_path, monkeypatch):
 
 def test_a_caller_that_stops_listening_ends_the_process(python, tmp_path):
     python(f"""echo $$ > {tmp_path}/pid; echo '{{"event": "made"}}'; exec sleep 60""")
-    listening = process.run({}, tmp_path / "render.log")
+    listening = process.run_worker({}, tmp_path / "render.log")
     next(listening)
     listening.close()
     with pytest.raises(ProcessLookupError):

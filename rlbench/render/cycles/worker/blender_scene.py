@@ -1,4 +1,4 @@
-"""What a scene that Blender has opened holds: camera, motion, light, and the files it needs.
+"""Describes a scene in Blender: camera, motion, light, and the files it needs.
 
 SPDX-License-Identifier: GPL-3.0-or-later
 """
@@ -14,13 +14,13 @@ from typing import Any
 import bpy
 import mathutils
 
-GRID = 12  # rays along each side of the picture's middle quarter, for its distance
+GRID = 12  # rays along each side of the image's middle quarter, which measure its distance
 SIMULATED = {"CLOTH", "FLUID", "SOFT_BODY", "DYNAMIC_PAINT", "OCEAN", "EXPLODE", "NODES"}
 CACHED = {"MESH_SEQUENCE_CACHE", "MESH_CACHE", "PARTICLE_SYSTEM", "PARTICLE_INSTANCE"}
 
 
 def first_frame(scene: Any, file: Path) -> int:
-    """Where a scene begins: as it says, or where the first key is in a format without a range."""
+    """The first frame of a scene: its own, or the first key in a format without a frame range."""
     starts = [action.frame_range[0] for action in bpy.data.actions]
     if file.suffix.lower() in (".glb", ".gltf", ".fbx") and starts:
         return int(math.floor(min(starts)))
@@ -28,7 +28,7 @@ def first_frame(scene: Any, file: Path) -> int:
 
 
 def describe(scene: Any, job: dict[str, Any], start: int) -> dict[str, Any]:
-    """What the scene is: its camera's path, what moves, what lights it, which files it lacks."""
+    """The scene's description: camera path, moving objects, lights, and missing files."""
     camera = scene.camera or next((o for o in scene.objects if o.type == "CAMERA"), None)
     film = (scene.render.resolution_y, scene.render.resolution_x)
     height, width = job["size"] or film
@@ -56,7 +56,7 @@ def describe(scene: Any, job: dict[str, Any], start: int) -> dict[str, Any]:
 def _path(
     scene: Any, camera: Any, frames: int, start: int, size: tuple[int, int]
 ) -> dict[str, Any]:
-    """The camera from frame -1: matrices, horizontal views in degrees, largest lens shift."""
+    """The camera from frame -1 on: matrices, horizontal fov in degrees, largest lens shift."""
     path: dict[str, Any] = {"matrices": [], "fov": [], "lens": "none", "shift": 0.0}
     if not camera:
         return path
@@ -73,7 +73,7 @@ def _path(
 
 
 def _files() -> set[str]:
-    """Files that the scene refers to and does not hold itself."""
+    """The external files that the scene refers to."""
     images = [i for i in bpy.data.images if i.source == "FILE" and i.filepath and not i.packed_file]
     parts = [*images, *bpy.data.libraries, *bpy.data.cache_files]
     return {
@@ -82,7 +82,7 @@ def _files() -> set[str]:
 
 
 def _moves(scene: Any, camera: Any) -> bool:
-    """May anything but the camera change with time? Yes where that cannot be ruled out."""
+    """May anything but the camera change with time? True if that cannot be ruled out."""
     parts = [
         getattr(bpy.data, name)
         for name in ("objects", "meshes", "curves", "lights", "materials", "worlds", "armatures")
@@ -103,7 +103,7 @@ def _moves(scene: Any, camera: Any) -> bool:
 
 
 def _distance(scene: Any, path: dict[str, Any], start: int) -> float | None:
-    """Median distance of what the middle quarter of the first picture shows, if it shows any."""
+    """Median distance to the surfaces in the middle quarter of the first image, or None."""
     matrix = mathutils.Matrix(path["matrices"][1])
     slope = math.tan(math.radians(path["fov"][1]) / 2) / 2
     scene.frame_set(start)

@@ -1,4 +1,4 @@
-"""What the worker sets, so that Cycles gives independent, unbiased, unfiltered samples.
+"""Settings with which Cycles gives independent, unbiased, unfiltered samples.
 
 SPDX-License-Identifier: GPL-3.0-or-later
 """
@@ -12,7 +12,7 @@ import bpy
 import mathutils
 
 LAYER = "view"  # the prefix of every channel
-# what each is for is in README.md
+# README.md gives the reason for each
 CYCLES = {
     "device": "CPU",
     "sampling_pattern": "TABULATED_SOBOL",
@@ -42,7 +42,7 @@ CYCLES = {
 RENDER = {
     "engine": "CYCLES",
     "use_motion_blur": False,  # with it, the Vector pass is zero
-    "use_persistent_data": False,  # with it, passes that change crash, and seeds change meaning
+    "use_persistent_data": False,  # with it, changing passes crash, and seeds change meaning
     "use_compositing": False,
     "use_sequencer": False,
     "use_freestyle": False,
@@ -60,7 +60,7 @@ RENDER = {
 
 
 def prepare(scene: Any, job: dict[str, Any]) -> None:
-    """Settings for all renders of a job; there are no others, so that none can leak into one."""
+    """All settings of a job, equal for all its images, so that none can leak into another job."""
     for group, settings in ((scene.cycles, CYCLES), (scene.render, RENDER)):
         for name, value in settings.items():
             setattr(group, name, value)
@@ -88,7 +88,7 @@ def _white(strength: float) -> Any:
 
 
 def _passes(scene: Any, geometry: bool) -> None:
-    """Radiance only, or all that a view needs, in one layer; the same in all renders of a job."""
+    """One layer with radiance, or with the passes of a G-buffer; equal for all images of a job."""
     kept, *others = scene.view_layers
     for layer in others:
         layer.use = False
@@ -102,7 +102,7 @@ def _passes(scene: Any, geometry: bool) -> None:
 
 
 def aim(scene: Any, path: dict[str, Any], start: int) -> None:
-    """Replace the camera by a pinhole that goes through `path`, with keys, as Vector needs."""
+    """Replace the camera by a pinhole along `path`, with keys, which the Vector pass needs."""
     data = bpy.data.cameras.new("rlbench")
     item = bpy.data.objects.new("rlbench", data)
     scene.collection.objects.link(item)

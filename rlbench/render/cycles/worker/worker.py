@@ -1,14 +1,14 @@
-"""Blender, run by a job file: opens a scene, says what is in it, renders frames into EXR files.
+"""Runs a job in Blender: opens a scene, describes it, and renders frames to EXR files.
 
 SPDX-License-Identifier: GPL-3.0-or-later
 
-This file imports bpy, which is Blender and GPL; see LICENSE and README.md beside it. It runs in a
-process of its own, `python -I worker.py job.json`, and needs nothing but bpy. Events go to standard
-output, one JSON object a line: hello, opened, made (one for each file), done, or error. Whatever
-Blender prints goes to standard error. The job is described in README.md.
+This file imports bpy, which is Blender and GPL; see LICENSE and README.md beside it. It runs in its
+own process, `python -I worker.py job.json`, and needs nothing but bpy. Events go to standard
+output, one JSON object per line: hello, opened, made (one for each file), done, or error. Blender's
+output goes to standard error. README.md describes the job.
 
 The camera's matrices are camera-to-world in Blender's convention: it looks along -z, y is up, x is
-to the right. Frame i of a job is frame start + i of the scene; matrices are for -1, 0, ... frames.
+to the right. Frame i of a job is frame start + i of the scene; matrices cover -1, 0, ... frames.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from pathlib import Path
 from typing import Any
 
 EVENTS = os.dup(1)
-os.dup2(2, 1)  # Blender prints where events would go
+os.dup2(2, 1)  # Blender prints to the file descriptor of the events
 
 
 class JobError(Exception):
-    """A scene that cannot be rendered as asked; its message is for the user."""
+    """A job that cannot be rendered; the message is for the user."""
 
 
 def tell(event: str, **facts: Any) -> None:
-    """One event. If nobody listens any more, the process ends."""
+    """Send one event. If the reader is gone, the process ends."""
     os.write(EVENTS, (json.dumps({"event": event, **facts}) + "\n").encode())
 
 
@@ -49,17 +49,19 @@ def load(file: Path) -> None:
         **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "wm.usd_import"),
     }
     if kind not in importers:
-        raise JobError(f"{file} is of no known format; known are .blend, {', '.join(importers)}")
+        raise JobError(
+            f"{file} has an unknown format; known formats: .blend, {', '.join(importers)}"
+        )
     group, _, name = importers[kind].partition(".")
-    more = {"anim_offset": 0.0} if kind == ".fbx" else {}  # or animations begin a frame late
+    more = {"anim_offset": 0.0} if kind == ".fbx" else {}  # otherwise animations begin a frame late
     if "FINISHED" not in getattr(getattr(bpy.ops, group), name)(filepath=str(file), **more):
-        raise JobError(f"Blender could not import {file}; its log says why")
+        raise JobError(f"Blender could not import {file}; see its log")
     for item in bpy.data.objects:
         _awaken(item)
 
 
 def _awaken(item: Any) -> None:
-    """Play the animation that the glTF importer left in a muted track, where none is active."""
+    """If no animation is active, play the one that the glTF importer left in a muted track."""
     for owner in (item, getattr(item.data, "shape_keys", None)):
         data = owner.animation_data if owner else None
         if not data or data.action:
@@ -72,16 +74,19 @@ def _awaken(item: Any) -> None:
 
 
 def render(scene: Any, plan: dict[str, Any], geometry: bool, start: int) -> None:
-    """One picture. Sample 0 goes through pixel centres, whatever the seed: so radiance has none.
+    """Render one image.
 
-    Geometry is of sample 0 alone, for depth is written by no other. Which pattern samples follow
-    depends on `total`, so it is the same for all pictures that belong together.
+    Radiance excludes sample 0, which goes through pixel centres for every seed. Geometry uses
+    sample 0 alone, because no other sample writes depth. The sampling pattern depends on `total`,
+    so it is equal for all images of one seed.
     """
     file = Path(plan["file"])
     part = file.with_name(f".part.{file.name}")
     cycles = scene.cycles
     if not geometry and plan["first"] < 1:
-        raise JobError("a picture of sample 0 has no anti-aliasing and does not converge")
+        raise JobError(
+            "an image of sample 0 has no anti-aliasing and does not converge; start at sample 1"
+        )
     cycles.seed, cycles.samples = plan["seed"], 1 if geometry else 1 + plan["total"]
     cycles.use_sample_subset = not geometry
     cycles.sample_offset = 0 if geometry else plan["first"]
@@ -91,13 +96,13 @@ def render(scene: Any, plan: dict[str, Any], geometry: bool, start: int) -> None
     begun = time.perf_counter()
     bpy.ops.render.render(write_still=True, scene=scene.name)
     if not part.is_file():
-        raise JobError(f"Blender wrote no picture for frame {plan['frame']}; its log says why")
+        raise JobError(f"Blender wrote no image for frame {plan['frame']}; see its log")
     part.replace(file)
     tell("made", file=plan["file"], seconds=time.perf_counter() - begun)
 
 
 def work(job: dict[str, Any]) -> None:
-    """Open, say what is there, and render what is asked for."""
+    """Open the scene, describe it, and render the images of the job."""
     tell("hello", blender=bpy.app.version_string)
     file = Path(job["scene"])
     load(file)
@@ -114,7 +119,7 @@ def work(job: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     try:
-        sys.path.insert(0, str(Path(__file__).parent))  # which -I leaves out
+        sys.path.insert(0, str(Path(__file__).parent))  # -I leaves it out
         import blender_scene
         import blender_settings
         import bpy

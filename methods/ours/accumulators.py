@@ -1,0 +1,192 @@
+"""Accumulators: the radiance that the denoiser reads, and the image from its output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from baselines.oidn.method import inputs as oidn_inputs
+from methods.ours.accumulation import (
+    AccumulatedRadiance,
+    accumulate,
+    fill_holes,
+    frame_radiance,
+)
+from methods.ours.antilag import HistoryRejection
+from methods.ours.state import ReprojectedHistory
+from rlbench.frames import GBuffer, Samples
+from rlbench.ops.exposure import autoexposure
+from rlbench.ops.transfer import LOG_SCALE, log_forward, log_inverse, pu_inverse
+
+__all__ = ["Accumulator", "FrameRadiance", "StateOnly", "TemporalRadiance"]
+
+MIN_RADIANCE = -0.5 / LOG_SCALE  # while training; log transfer is defined above twice this
+
+Denoiser = Callable[[Float[Tensor, "n c h w"]], Float[Tensor, "n c2 h w"]]
+
+
+class Accumulator(Protocol):
+    """Accumulates radiance before the denoiser and reconstructs the image behind it.
+
+    `trust` in the accumulated radiance, in [0, 1], is an output of the encoder: one channel with
+    temporal accumulation, zero channels without.
+    """
+
+    def hold_static(
+        self,
+        latent: Float[Tensor, "n s h w"],
+        trust: Float[Tensor, "n _ h w"],
+        counts: Int[Tensor, "n 1 h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
+        """Latent and trust, with those of static pixels that got no sample replaced."""
+
+    def accumulate(
+        self,
+        gbuffer: GBuffer,
+        samples: Samples,
+        trust: Float[Tensor, "n _ h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+        """Radiance up to this frame without holes, and the history that was not rejected."""
+
+    def reconstruct(
+        self,
+        denoiser: Denoiser,
+        gbuffer: GBuffer,
+        latent: Float[Tensor, "n s h w"],
+        radiance: AccumulatedRadiance,
+        history: ReprojectedHistory,
+    ) -> Float[Tensor, "n 3 h w"]:
+        """The image, linear radiance."""
+
+
+@dataclass(frozen=True)
+class StateOnly:
+    """No radiance: the denoiser reads the recurrent state alone, as in the paper."""
+
+    def hold_static(
+        self,
+        latent: Float[Tensor, "n s h w"],
+        trust: Float[Tensor, "n _ h w"],
+        counts: Int[Tensor, "n 1 h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
+        """Both, unchanged."""
+        return latent, trust
+
+    def accumulate(
+        self,
+        gbuffer: GBuffer,
+        samples: Samples,
+        trust: Float[Tensor, "n _ h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+        """The history, unchanged, and its radiance, which has zero channels."""
+        return history.radiance, history
+
+    def reconstruct(
+        self,
+        denoiser: Denoiser,
+        gbuffer: GBuffer,
+        latent: Float[Tensor, "n s h w"],
+        radiance: AccumulatedRadiance,
+        history: ReprojectedHistory,
+    ) -> Float[Tensor, "n 3 h w"]:
+        """The denoiser's output, which is in log transfer."""
+        return log_inverse(denoiser(latent))
+
+
+@dataclass(frozen=True)
+class FrameRadiance(StateOnly):
+    """The radiance of one frame; the denoiser reads it as Open Image Denoise (Afra 2019) does."""
+
+    def accumulate(
+        self,
+        gbuffer: GBuffer,
+        samples: Samples,
+        trust: Float[Tensor, "n _ h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+        """The mean of this frame's samples, with holes filled."""
+        return fill_holes(frame_radiance(samples), gbuffer.albedo), history
+
+    def reconstruct(
+        self,
+        denoiser: Denoiser,
+        gbuffer: GBuffer,
+        latent: Float[Tensor, "n s h w"],
+        radiance: AccumulatedRadiance,
+        history: ReprojectedHistory,
+    ) -> Float[Tensor, "n 3 h w"]:
+        """The denoiser's output: un-exposed, out of PU transfer."""
+        return _denoise_exposed(denoiser, gbuffer, latent, radiance)[0]
+
+
+@dataclass(frozen=True)
+class TemporalRadiance:
+    """Radiance accumulated over frames; the image is blended with the previous one.
+
+    The encoder predicts how far the accumulated radiance is trusted, the denoiser how far the
+    previous image is kept.
+    """
+
+    rejection: HistoryRejection
+
+    def hold_static(
+        self,
+        latent: Float[Tensor, "n s h w"],
+        trust: Float[Tensor, "n _ h w"],
+        counts: Int[Tensor, "n 1 h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
+        """A static pixel without samples keeps its latent, and trusts its radiance in full."""
+        held = history.static_mask & (counts == 0)
+        return history.features.where(held, latent), trust.masked_fill(held, 1.0)
+
+    def accumulate(
+        self,
+        gbuffer: GBuffer,
+        samples: Samples,
+        trust: Float[Tensor, "n _ h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+        """Samples of this frame and trusted history, with holes filled."""
+        current = frame_radiance(samples)
+        history = self.rejection.apply(history, current)
+        radiance = accumulate(history.radiance, current, trust)
+        return fill_holes(radiance, gbuffer.albedo), history
+
+    def reconstruct(
+        self,
+        denoiser: Denoiser,
+        gbuffer: GBuffer,
+        latent: Float[Tensor, "n s h w"],
+        radiance: AccumulatedRadiance,
+        history: ReprojectedHistory,
+    ) -> Float[Tensor, "n 3 h w"]:
+        """The denoiser's colour and the previous image, mixed in log transfer.
+
+        The weight of the previous image is the denoiser's last channel times surface similarity.
+        """
+        image, blend = _denoise_exposed(denoiser, gbuffer, latent, radiance)
+        weight = blend.sigmoid() * history.similarity
+        return log_inverse(torch.lerp(log_forward(image), history.image, weight))
+
+
+def _denoise_exposed(
+    denoiser: Denoiser,
+    gbuffer: GBuffer,
+    latent: Float[Tensor, "n s h w"],
+    radiance: AccumulatedRadiance,
+) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n _ h w"]]:
+    """Linear radiance from exposed radiance, G-buffer and latent, and the other outputs."""
+    exposure = autoexposure(radiance.mean.detach())
+    value = denoiser(torch.cat((oidn_inputs(radiance.mean * exposure, gbuffer), latent), dim=1))
+    image = (pu_inverse(value[:, :3].clamp_max(1)) / exposure).clamp_min(MIN_RADIANCE)
+    return image, value[:, 3:]

@@ -1,0 +1,106 @@
+"""Identity of a cell in the results: what was measured, and a hash of what the numbers depend on.
+
+A results folder keeps one cell for each slot: method, clip, budget, seed and device. A cell of the
+same slot with other content replaces the stored one.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+
+from rlbench.errors import RlbenchError
+
+__all__ = ["CellId", "CellKey", "CellsError", "check_no_overwrite", "superseded_cells"]
+
+FAILED = "failed"  # content hash of a cell that an error stopped; equal to no other
+MAX_STEM_LENGTH = 150  # characters of a file name before its digest; file systems allow 255
+
+
+class CellsError(RlbenchError, ValueError):
+    """Cells that the results could not keep apart."""
+
+
+@dataclass(frozen=True)
+class CellKey:
+    """What was measured: one method on one clip at one budget with one seed on one device."""
+
+    method: str  # name of the rows, family/variant@label
+    clip: str
+    target_spp: float  # requested samples per pixel
+    seed: int  # of the sample order and of rounding
+    device: str  # model name
+    preset: str = ""  # of the clip; empty for a clip without one
+    first_frames_only: bool = False  # was the clip cut short by --limit-frames?
+
+    @property
+    def slot(self) -> CellKey:
+        """The key without preset and length: results keep one cell for each slot."""
+        return replace(self, preset="", first_frames_only=False)
+
+    def __str__(self) -> str:
+        """The key in words, for messages."""
+        return f"{self.method} on {self.clip} at {self.target_spp:g} spp, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class CellId:
+    """A key and a hash of all that the cell's numbers depend on: code, weights, clip, cost, ..."""
+
+    key: CellKey
+    content_hash: str
+
+    @property
+    def is_failed(self) -> bool:
+        """Did an error stop the cell, so that it holds no numbers?"""
+        return self.content_hash == FAILED
+
+    @property
+    def file_stem(self) -> str:
+        """A file name without suffix: readable, unique, and never parsed."""
+        key = self.key
+        words = f"{key.method} {key.clip} {key.target_spp:g}spp seed{key.seed}"
+        readable = re.sub(r"^\.|[^\w.+@= -]", "-", words, flags=re.ASCII)[:MAX_STEM_LENGTH]
+        content = json.dumps(asdict(self), sort_keys=True)
+        return f"{readable} {sha256(content.encode()).hexdigest()[:16]}"
+
+
+def by_slot(stored: Iterable[CellId]) -> dict[CellKey, set[CellId]]:
+    """Stored cells by slot. A slot has two cells where a run was killed while replacing one."""
+    slots: dict[CellKey, set[CellId]] = {}
+    for cell in stored:
+        slots.setdefault(cell.key.slot, set()).add(cell)
+    return slots
+
+
+def superseded_cells(cell: CellId, slots: Mapping[CellKey, set[CellId]]) -> set[CellId]:
+    """The stored cells that `cell` replaces: those of its slot with other content."""
+    return slots.get(cell.key.slot, set()) - {cell}
+
+
+def check_no_overwrite(cell: CellId, slots: Mapping[CellKey, set[CellId]]) -> None:
+    """Raise CellsError where `cell` would replace scores that it does not measure again.
+
+    These are scores of a clip of another preset with the same name, and scores of a whole clip
+    where `cell` has only its first frames.
+    """
+    for stored in superseded_cells(cell, slots):
+        if stored.is_failed:
+            continue
+        if stored.key.preset != cell.key.preset:
+            old, new = (
+                f"preset {preset}" if preset else "no preset"
+                for preset in (stored.key.preset, cell.key.preset)
+            )
+            raise CellsError(
+                f"results for '{cell.key}' exist for {old} and would be overwritten by {new}, "
+                "because cells are keyed by clip name. Use another --out"
+            )
+        if cell.key.first_frames_only and not stored.key.first_frames_only:
+            raise CellsError(
+                f"results for '{cell.key}' exist for the whole clip and would be overwritten by "
+                "its first frames (--limit-frames). Use another --out"
+            )

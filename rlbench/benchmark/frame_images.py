@@ -1,0 +1,131 @@
+"""Images of one frame: each method's image as PNG and EXR, and a sheet of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from rlbench import registry
+from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.image_sheet import LinearImage, MethodImage, draw_sheet
+from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.clips.exr import write_exr
+from rlbench.clips.header import Header
+from rlbench.errors import RlbenchError
+from rlbench.run import FrameResult, run_clip
+from rlbench.system import paths
+
+__all__ = ["ImagesError", "Sheet", "frame_at", "method_image", "write_images"]
+
+
+class ImagesError(RlbenchError, ValueError):
+    """A frame of which there are no images."""
+
+
+class Sheet(NamedTuple):
+    """The image of all methods on one frame, and the methods it lacks."""
+
+    file: Path
+    missing: dict[str, str]  # method -> reason
+
+
+def write_images(
+    plan: RunPlan,
+    frame: int,
+    out: Path,
+    on_cell: Callable[[ResolvedCell], None] = lambda cell: None,
+) -> Iterator[Sheet]:
+    """Write images of one frame, -1 for a clip's last, into OUT/CLIP-SPPspp-FRAME; yields sheets.
+
+    The first seed of `plan` is used. Earlier frames are run too, so that methods have a history.
+    Raises ImagesError if a clip has no such frame, and, with the reasons, if no method can run.
+    """
+    loader = CellLoader(plan)
+    for clip, spp in product(plan.clips, plan.target_spp):
+        part = replace(plan, clips=(clip,), target_spp=(spp,), seeds=plan.seeds[:1])
+        index = _frame_index(clip.header, frame)
+        yield _write_sheet(loader, resolve_cells(part), index, out, on_cell)
+
+
+def frame_at(results: Iterable[FrameResult], index: int) -> FrameResult:
+    """The result of frame `index`; later frames are not run."""
+    return next(result for result in results if result.frame.index == index)
+
+
+def method_image(row_name: str, result: FrameResult) -> MethodImage:
+    """The image of a frame with its PSNR and sample counts."""
+    reference = result.frame.reference
+    psnr = registry.load_or_explain("metrics", "psnr")
+    score = psnr.score(result.image, reference.half_a, reference.half_b)
+    counts = result.samples.counts[0, 0].cpu().numpy()
+    return MethodImage(row_name, _linear_image(result.image), counts, float(score[0]))
+
+
+def _frame_index(header: Header, frame: int) -> int:
+    index = frame if frame >= 0 else header.frames + frame
+    if not 0 <= index < header.frames:
+        raise ImagesError(
+            f"--frame {frame}: clip '{header.name}' has frames 0 to {header.frames - 1}, and -1 is "
+            "its last"
+        )
+    return index
+
+
+def _write_sheet(
+    loader: CellLoader,
+    cells: list[ResolvedCell],
+    index: int,
+    out: Path,
+    on_cell: Callable[[ResolvedCell], None],
+) -> Sheet:
+    """Run all methods on one clip at one budget, and write their images and the sheet."""
+    images: list[MethodImage] = []
+    missing: dict[str, str] = {}
+    for cell in cells:
+        try:
+            result = _run_to(loader, cell, index)
+        except Exception as error:  # whatever a method may raise is reported beside the sheet
+            prefix = "" if isinstance(error, RlbenchError) else f"{type(error).__name__}: "
+            missing[cell.method.name] = f"{prefix}{error}"
+        else:
+            images.append(method_image(cell.method.row_name, result))
+            reference = _linear_image(result.frame.reference.mean)
+        on_cell(cell)
+    if not images:
+        raise ImagesError("; ".join(f"{method}: {reason}" for method, reason in missing.items()))
+    clip, spp = cells[0].header.name, cells[0].target_spp
+    folder = out / f"{clip}-{spp:g}spp-{index:02}"
+    _save(folder / "reference", reference)
+    for image in images:
+        _save(folder / image.row_name.replace("/", "-"), image.image)
+    title = f"{clip}, frame {index}, {spp:g} spp"
+    return Sheet(draw_sheet(images, reference, title, out / f"{folder.name}.png"), missing)
+
+
+def _run_to(loader: CellLoader, cell: ResolvedCell, index: int) -> FrameResult:
+    if reason := loader.incompatibility(cell):
+        raise ImagesError(reason)
+    results = run_clip(loader.method(cell), loader.clip(cell), cell.target_spp)
+    return frame_at(results, index)
+
+
+def _linear_image(image: Tensor) -> LinearImage:
+    return LinearImage(np.asarray(image[0].movedim(0, -1).float().cpu().numpy()))
+
+
+def _save(stem: Path, image: LinearImage) -> None:
+    """Write STEM.exr with linear radiance and STEM.png with clipped sRGB."""
+    from PIL import Image
+
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    planes = np.moveaxis(image.radiance.astype(np.float32), -1, 0)
+    write_exr(stem.parent / f"{stem.name}.exr", dict(zip("RGB", planes, strict=True)))
+    with paths.atomic_write(stem.parent / f"{stem.name}.png") as temporary:
+        Image.fromarray(image.rgb8).save(temporary, format="png")

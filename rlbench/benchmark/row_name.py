@@ -1,0 +1,43 @@
+"""Names of rows in the results, `family/variant@label`: parsed and printed here only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["BF16", "CROSSVAL", "RESERVED_LABELS", "RowName"]
+
+BF16 = "bf16"  # label of rows whose networks ran in bfloat16
+CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
+OLD_BF16 = "half"  # label of bfloat16 rows in results of schema 1
+RESERVED_LABELS = (BF16, CROSSVAL, OLD_BF16)  # labels that no weights may have
+
+
+@dataclass(frozen=True)
+class RowName:
+    """A method and the label of its weights or precision; without a label, pretrained weights.
+
+    >>> RowName.parse("ours/A2@seed3")
+    RowName(family='ours', variant='A2', label='seed3')
+    >>> str(RowName("ours", label="bf16"))
+    'ours@bf16'
+    """
+
+    family: str
+    variant: str = ""  # empty for the family's main variant
+    label: str = ""  # bf16, crossval, a name of weights, or bf16-NAME
+
+    @classmethod
+    def parse(cls, text: str) -> RowName:
+        """The parts of a name that was printed by `str`."""
+        method, _, label = text.partition("@")
+        family, _, variant = method.partition("/")
+        return cls(family, variant, label)
+
+    @property
+    def method(self) -> str:
+        """The method as on the command line: `family` or `family/variant`."""
+        return f"{self.family}/{self.variant}" if self.variant else self.family
+
+    def __str__(self) -> str:
+        """The name as it stands in the results."""
+        return f"{self.method}@{self.label}" if self.label else self.method

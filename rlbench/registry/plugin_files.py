@@ -1,0 +1,97 @@
+"""Plugin files: Python files given with `--plugin`, which define families of methods."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from rlbench.errors import PluginError
+from rlbench.registry.entry import PluginEntry
+
+__all__ = [
+    "clear_plugins",
+    "file_entries",
+    "import_file",
+    "plugin_file",
+    "plugin_files",
+    "use_plugin",
+]
+
+_files: dict[str, Path] = {}  # plugin files by name without .py, in the order given
+
+
+def use_plugin(path: str | Path) -> None:
+    """Add the families of a plugin file; it is imported when methods are next looked up.
+
+    Raises PluginError for a missing file and for two files of one name.
+    """
+    file = Path(path).resolve()
+    if not file.is_file():
+        raise PluginError(f"no plugin file at {file}. --plugin takes the path of a Python file")
+    if _files.setdefault(file.stem, file) != file:
+        raise PluginError(
+            f"two plugin files are called {file.name}: {_files[file.stem]} and {file}. Rename one"
+        )
+
+
+def clear_plugins() -> None:
+    """Undo every `use_plugin`."""
+    _files.clear()
+
+
+def plugin_files() -> tuple[Path, ...]:
+    """The files given with `--plugin`, in the order given."""
+    return tuple(_files.values())
+
+
+def plugin_file(module: str) -> Path | None:
+    """The file given with `--plugin` that has this module name, or None."""
+    return _files.get(module)
+
+
+def file_entries(file: Path) -> list[PluginEntry]:
+    """The families that a file defines, or one entry that raises the error of the file."""
+    origin = f"--plugin {file.name}"
+    try:
+        module = import_file(file)
+        families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
+        if None in families:
+            raise PluginError(f"{file.name} has neither FAMILY nor METHODS; see docs/how-to/add-a-method.md")
+        if others := [type(item).__name__ for item in families if not hasattr(item, "variants")]:
+            raise PluginError(
+                f"{file.name} defines an object of type {others[0]} as a method; a Family is "
+                "expected, see docs/how-to/add-a-method.md"
+            )
+    except Exception as error:  # the plugin is listed, and raises this error when it is loaded
+        return [PluginEntry(file.stem, str(file), origin, partial(_raise, error))]
+    return [PluginEntry(f.name, f"{file}:{f.name}", origin, partial(_same, f)) for f in families]
+
+
+def import_file(file: Path) -> Any:
+    """Import a file once, under a name that no installed module has."""
+    name = f"rlbench_plugin_{sha256(str(file).encode()).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise PluginError(f"{file} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _raise(error: Exception) -> Any:
+    raise error
+
+
+def _same(family: Any) -> Any:
+    return family

@@ -1,0 +1,38 @@
+"""Names of rows: printed and parsed alike, and old labels under their new names."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench.benchmark.results_v1 import current_name
+from rlbench.benchmark.row_name import RowName
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("ours", ("ours", "", "")),
+        ("ours/A2", ("ours", "A2", "")),
+        ("ours@bf16", ("ours", "", "bf16")),
+        ("ours/A2@bf16-seed0", ("ours", "A2", "bf16-seed0")),
+        ("restir+oidn@crossval", ("restir+oidn", "", "crossval")),
+    ],
+)
+def test_a_name_is_parsed_as_it_is_printed(text, parts):
+    assert RowName.parse(text) == RowName(*parts)
+    assert str(RowName(*parts)) == text
+    assert RowName.parse(text).method == text.partition("@")[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("ours@half", "ours@bf16"),
+        ("ours/A2@half-seed0", "ours/A2@bf16-seed0"),
+        ("ours/half", "ours/half"),
+        ("ours@halfway", "ours@halfway"),
+        ("ours@seed0-half", "ours@seed0-half"),
+    ],
+)
+def test_rows_in_half_precision_have_a_new_label(old, new):
+    assert current_name(old) == new

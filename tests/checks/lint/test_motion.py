@@ -1,0 +1,92 @@
+"""The motion check."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rlbench.checks.lint.checks import lint_clip
+from rlbench.checks.lint.clip_arrays import ClipArrays, read_clip_arrays
+from rlbench.checks.lint.motion import check_motion
+from rlbench.checks.result import Verdict
+from tests.checks.lint.broken_fixtures import correct_clip, store
+
+
+def cut_at(arrays: ClipArrays, index: int, outside: bool) -> ClipArrays:
+    """The arrays with another clip from frame `index` on, as in the header."""
+    other, before = correct_clip(7), slice(None, index)
+    gbuffer = {
+        k: torch.cat((v[before], other.gbuffer[k][index:])) for k, v in arrays.gbuffer.items()
+    }
+    if outside:
+        away = torch.tensor([-2.0 * arrays.header.width, -2.0 * arrays.header.height])
+        gbuffer["motion"][index] = away.view(2, 1, 1)
+    a, b = (torch.cat((one[before], two[index:])) for one, two in _halves(arrays, other))
+    pool = torch.cat((arrays.pools["path"][before], other.pools["path"][index:]))
+    return ClipArrays(replace(arrays.header, cuts=(index,)), gbuffer, {"path": pool}, a, b)
+
+
+def _halves(one: ClipArrays, two: ClipArrays):
+    return (one.half_a, two.half_a), (one.half_b, two.half_b)
+
+
+@pytest.mark.parametrize("index", [1, 2])
+def test_a_clip_whose_motion_points_outside_at_a_cut_passes(arrays, tmp_path, index):
+    found = lint_clip(read_clip_arrays(store(cut_at(arrays, index, True), tmp_path / "cut")))
+    assert {f.check: f.found for f in found if f.verdict is not Verdict.PASSED} == {}
+
+
+def test_motion_that_points_into_another_shot_fails(arrays, tmp_path):
+    faulty = store(cut_at(arrays, 2, False), tmp_path / "cut")
+    (found,) = (f for f in lint_clip(read_clip_arrays(faulty)) if f.verdict is Verdict.FAILED)
+    assert found.check == "motion"
+    assert "frame 2 is a cut" in found.found
+
+
+def test_an_undeclared_cut_is_a_warning(arrays, tmp_path):
+    secret = cut_at(arrays, 2, True)
+    secret = replace(secret, header=replace(secret.header, cuts=()))
+    found = lint_clip(read_clip_arrays(store(secret, tmp_path / "cut")))
+    assert [f.check for f in found if f.verdict is Verdict.WARNING] == ["motion"]
+
+
+def test_a_static_clip_needs_no_motion(tmp_path):
+    still = correct_clip(frames=1)
+    frozen = {name: image.repeat(3, 1, 1, 1) for name, image in still.gbuffer.items()}
+    header = replace(
+        still.header, frames=3, static=True, reference_spp=still.header.reference_spp * 3,
+        buffers=("albedo", "normal", "depth"),
+    )  # fmt: skip
+    many = correct_clip(frames=3)
+    arrays = ClipArrays(
+        header, {k: frozen[k] for k in header.buffers}, many.pools, many.half_a, many.half_b
+    )
+    (motion,) = (f for f in lint_clip(arrays) if f.check == "motion")
+    assert (motion.verdict, motion.found) == (
+        Verdict.PASSED,
+        "static, and the G-buffer does not change",
+    )
+
+
+def test_an_object_before_empty_background_is_compared_alone():
+    """A disc that turns before empty background, as seen by an orbiting camera."""
+    frames, h, w, turn, pan = 3, 64, 96, 0.1, 1.1  # pixels a frame: of the disc, and behind it
+    y, x = torch.meshgrid(torch.arange(h) - 31.3, torch.arange(w) - 47.6, indexing="ij")
+    disc = (x.square() + y.square() < 14**2).expand(frames, 1, h, w)
+    at = torch.stack([x - turn * t for t in range(frames)])[:, None]
+    waves = [torch.sin(a * at + b * y) for a, b in ((0.9, 0.4), (-0.5, 1.1), (0.3, -0.8))]
+    texture = torch.cat(waves, 1)
+    motion = torch.zeros(frames, 2, h, w)
+    motion[:, :1] = torch.where(disc, -turn, pan)
+    gbuffer = {
+        "albedo": (texture * 0.4 + 0.5).where(disc, 0.0),
+        "normal": torch.nn.functional.normalize(texture + 2, dim=1).where(disc, 0.0),
+        "depth": torch.where(disc, 4.0, torch.inf),
+        "motion": motion,
+    }
+    light = torch.zeros(frames, 3, h, w)
+    header = replace(correct_clip(frames=1).header, frames=frames, reference_spp=(1,) * frames)
+    found = check_motion(ClipArrays(header, gbuffer, {}, light, light))
+    assert found.verdict is Verdict.PASSED, found.found

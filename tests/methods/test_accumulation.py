@@ -1,0 +1,163 @@
+"""Accumulated radiance: closed forms of its mean and weight, and the filling of holes."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from methods.ours.accumulation import (
+    AccumulatedRadiance,
+    accumulate,
+    feature_similarity,
+    fill_holes,
+    frame_radiance,
+    network_features,
+)
+from methods.ours.method import build
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import GBuffer, Samples, Size
+
+SIZE = (1, 40, 56)
+
+
+def random_samples(seed: int, most: int = 4) -> Samples:
+    """Exponential noise, with 0 to `most` samples per pixel."""
+    n, h, w = SIZE
+    generator = torch.Generator().manual_seed(seed)
+    radiance = torch.empty(n, 8, 3, h, w).exponential_(generator=generator)
+    counts = torch.randint(0, most + 1, (n, 1, h, w), generator=generator)
+    samples = Samples(radiance, counts)
+    return Samples(radiance.where(samples.valid_mask, 0.0), counts)
+
+
+def luminance(radiance: Tensor) -> Tensor:
+    red, green, blue = radiance.unbind(-3)
+    return (0.212671 * red + 0.715160 * green + 0.072169 * blue).unsqueeze(-3)
+
+
+def test_with_full_trust_it_is_the_mean_of_the_samples_of_all_frames():
+    frames = [random_samples(seed) for seed in range(5)]
+    radiance = frame_radiance(frames[0])
+    for samples in frames[1:]:
+        radiance = accumulate(
+            radiance, frame_radiance(samples), torch.ones_like(radiance.accumulated_spp)
+        )
+    counts = sum(samples.counts for samples in frames)
+    total = sum(samples.radiance.sum(1) for samples in frames)
+    squares = sum(luminance(samples.radiance).square().sum(1) for samples in frames)
+    expected = AccumulatedRadiance(
+        total / counts.clamp_min(1), squares / counts.clamp_min(1), counts.float()
+    )
+    for part, expected_part in zip(radiance, expected, strict=True):
+        torch.testing.assert_close(part, expected_part, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("trust", [0.0, 0.25, 0.7])
+def test_the_weight_of_equal_frames_is_a_geometric_series(trust):
+    new = frame_radiance(Samples(torch.ones(1, 8, 3, 2, 2), torch.full((1, 1, 2, 2), 8)))
+    radiance = new
+    for _ in range(60):
+        radiance = accumulate(radiance, new, torch.full_like(radiance.accumulated_spp, trust))
+    torch.testing.assert_close(
+        radiance.accumulated_spp, torch.full_like(radiance.accumulated_spp, 8 / (1 - trust))
+    )
+    torch.testing.assert_close(radiance.mean, new.mean)
+
+
+def test_without_trust_it_is_the_new_frame():
+    old, new = frame_radiance(random_samples(0)), frame_radiance(random_samples(1))
+    total = accumulate(old, new, torch.zeros_like(old.accumulated_spp))
+    sampled = new.accumulated_spp > 0
+    torch.testing.assert_close(total.mean.where(sampled, 0.0), new.mean.where(sampled, 0.0))
+    assert torch.equal(total.accumulated_spp, new.accumulated_spp)
+
+
+def test_a_pixel_without_new_samples_keeps_its_radiance():
+    old = frame_radiance(random_samples(0))
+    none = frame_radiance(
+        Samples(torch.zeros(1, 8, 3, *SIZE[1:]), torch.zeros(1, 1, *SIZE[1:]).long())
+    )
+    total = accumulate(old, none, torch.ones_like(old.accumulated_spp))
+    for before, after in zip(old, total, strict=True):
+        assert torch.equal(before, after)
+
+
+def test_filling_holes_leaves_sampled_pixels_unchanged():
+    radiance = frame_radiance(random_samples(3))
+    albedo = torch.rand(1, 3, *SIZE[1:], generator=torch.Generator().manual_seed(1))
+    sampled = (radiance.accumulated_spp > 0).expand(-1, 3, -1, -1)
+    filled = fill_holes(radiance, albedo)
+    assert torch.equal(filled.mean[sampled], radiance.mean[sampled])
+    assert torch.equal(filled.second_moment[sampled[:, :1]], radiance.second_moment[sampled[:, :1]])
+    assert torch.equal(filled.accumulated_spp, radiance.accumulated_spp)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.02, 1 / 2240])
+def test_holes_under_even_light_show_the_texture(share):
+    """2240 pixels: at the last share one pixel is sampled, and all others are one hole."""
+    generator = torch.Generator().manual_seed(2)
+    albedo = 0.1 + 0.8 * torch.rand(1, 3, *SIZE[1:], generator=generator)
+    image = 2.5 * (albedo + 0.01)  # light of 2.5 on the demodulation albedo
+    order = torch.rand(1, 1, *SIZE[1:], generator=generator).flatten().argsort().view(1, 1, 40, 56)
+    weight = (order < share * 2240).float()
+    radiance = AccumulatedRadiance(image * weight, torch.zeros_like(weight), weight)
+    filled = fill_holes(radiance, albedo)
+    torch.testing.assert_close(filled.mean, image, rtol=1e-4, atol=1e-5)
+    assert (
+        not network_features(filled)[:, 3:4].where(weight == 0, 0.0).gt(0.1).any()
+    )  # holes claim no deviation
+
+
+def test_a_frame_without_any_sample_is_black():
+    zero = torch.zeros(1, 1, *SIZE[1:])
+    nothing = AccumulatedRadiance(zero.expand(-1, 3, -1, -1), zero, zero)
+    assert not any(part.any() for part in fill_holes(nothing, torch.ones(1, 3, 40, 56)))
+
+
+def test_a_hole_takes_the_radiance_of_its_side_of_the_image():
+    """Left dark, right bright; a hole of 4x4 pixels in each."""
+    mean = torch.ones(1, 3, 64, 64)
+    mean[..., 32:] = 5.0
+    weight = torch.ones(1, 1, 64, 64)
+    weight[..., 30:34, 8:12] = weight[..., 30:34, 52:56] = 0
+    filled = fill_holes(AccumulatedRadiance(mean, weight, weight), torch.ones(1, 3, 64, 64))
+    torch.testing.assert_close(filled.mean, mean)
+
+
+def test_even_radiance_keeps_its_brightness_when_reprojected_beside_holes():
+    """Unfilled holes would be black, and bilinear taps would mix them in."""
+    (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
+    even = {"albedo": torch.full((1, 3, 32, 32), 0.5), "motion": torch.full((1, 2, 32, 32), 0.4)}
+    gbuffer, method = (
+        GBuffer({**frame.gbuffer.buffers, **even}),
+        build("", torch.device("cpu"), "random"),
+    )
+    counts = torch.zeros(1, 1, 32, 32, dtype=torch.long)
+    counts[..., ::4, ::4] = 1
+    samples = Samples(torch.full((1, 1, 3, 32, 32), 2.0) * counts.unsqueeze(1), counts)
+    _, state = method.denoise(gbuffer, samples, method.start(Size(1, 32, 32)))
+    radiance = method.reproject(gbuffer, state).radiance
+    assert radiance.accumulated_spp.any()
+    assert not radiance.accumulated_spp.all()
+    torch.testing.assert_close(radiance.mean[..., :31, :31], torch.full((1, 3, 31, 31), 2.0))
+
+
+def test_the_same_surface_has_similarity_one_and_another_has_less():
+    features = torch.rand(1, 7, 5, 6, generator=torch.Generator().manual_seed(0))
+    other = features.clone()
+    other[:, 3:6] = 1 - other[:, 3:6]
+    assert torch.equal(feature_similarity(features, features), torch.ones(1, 1, 5, 6))
+    difference = (features - other)[:, 3:6].abs().sum(1, keepdim=True)
+    torch.testing.assert_close(feature_similarity(features, other), torch.exp(-2 * difference))
+
+
+def test_networks_read_the_relative_deviation_of_the_samples():
+    """Black or white with equal chance: deviation = mean, which is half of their sum."""
+    generator = torch.Generator().manual_seed(0)
+    radiance = 4.0 * torch.randint(0, 2, (1, 4096, 1, 2, 2), generator=generator).float()
+    samples = Samples(radiance.expand(-1, -1, 3, -1, -1), torch.full((1, 1, 2, 2), 4096))
+    features = network_features(frame_radiance(samples))
+    torch.testing.assert_close(features[:, 3:4], torch.full((1, 1, 2, 2), 0.5), rtol=0.03, atol=0)
+    assert (features >= 0).all()
+    assert (features[:, 3:] < 1).all()

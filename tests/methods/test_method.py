@@ -1,0 +1,180 @@
+"""One frame of `ours`: history, encoding and the density, variant by variant."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from methods.ours.method import build
+from methods.ours.state import gbuffer_features
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Frame, GBuffer, Samples, Size
+
+CPU = torch.device("cpu")
+
+
+GBUFFER = next(iter(procedural_clip(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
+
+
+@pytest.mark.parametrize(("variant", "channels"), [("C", 3), ("C+count", 4)])
+def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(variant, channels):
+    clip = procedural_clip(seed=3, size=Size(1, 16, 24), frames=1)
+    (frame,) = clip
+    counts = torch.arange(16 * 24).view(1, 1, 16, 24) % 9
+    samples = Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+    values = build(variant, CPU, "random").sample_encoding.encode(samples)
+    assert values.shape[1] == channels
+    for x, y in ((0, 0), (3, 2), (8, 5), (23, 15)):
+        n = int(counts[0, 0, y, x])
+        radiance = frame.pool.radiance[0, :n, :, y, x]
+        mean = torch.log1p(64 * radiance.mean(0)) / math.log(65) if n else torch.full((3,), -1.0)
+        torch.testing.assert_close(values[0, :3, y, x], mean)
+        assert channels == 3 or values[0, 3, y, x] == n / 8
+
+
+@pytest.mark.parametrize("variant", ["B1", "B2"])
+def test_without_a_state_the_image_depends_on_this_frame_alone(variant):
+    method = build(variant, CPU, "random")
+    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
+    first, second = clip
+    counts = torch.full((1, 1, 32, 32), 2)
+    samples = [Samples(f.pool.read(f.pool.empty(), counts), counts) for f in (first, second)]
+    _, state = method.denoise(first.gbuffer, samples[0], method.start(clip.size))
+    alone, _ = method.denoise(second.gbuffer, samples[1], method.start(clip.size))
+    after, _ = method.denoise(second.gbuffer, samples[1], state)
+    assert torch.equal(alone, after)
+
+
+def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
+    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
+    first, second = clip
+    counts = torch.full((1, 1, 32, 32), 2)
+    samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
+    for variant, differs in (("B1", True), ("B2", False)):
+        method = build(variant, CPU, "random")
+        gbuffer = second.gbuffer.select(method.traits.inputs)
+        start = method.start(clip.size)
+        _, after = method.denoise(first.gbuffer, samples, start)
+        plans = [method.plan(gbuffer, samples, state) for state in (after, start)]
+        assert (not torch.equal(*plans)) == differs
+
+
+def draw(frame: Frame, counts: Tensor) -> Samples:
+    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+
+
+@pytest.fixture
+def after_one():
+    """A method, a frame, and the state after it with two samples in each pixel."""
+    method = build("", CPU, "random")
+    (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
+    samples = draw(frame, torch.full((1, 1, 32, 32), 2))
+    _, state = method.denoise(frame.gbuffer, samples, method.start(Size(1, 32, 32)))
+    return method, frame, state
+
+
+def test_a_static_pixel_without_samples_keeps_its_state_and_its_radiance(after_one):
+    method, frame, before = after_one
+    motion = torch.zeros(1, 2, 32, 32)
+    motion[..., 16:] = 0.25  # the right half moves
+    counts = torch.full((1, 1, 32, 32), 2)
+    counts[..., :16, :] = 0  # the upper half gets nothing
+    gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": motion}).select(method.traits.inputs)
+    _, after = method.denoise(gbuffer, draw(frame, counts), before)
+    held = (after.features == before.features).all(1)
+    held &= (after.radiance.accumulated_spp == 2)[:, 0]
+    assert held[:, :16, :16].all()
+    assert not held[:, 16:].any()
+    assert not held[:, :, 16:].any()
+
+
+def test_a_disoccluded_static_pixel_keeps_nothing(after_one):
+    method, frame, before = after_one
+    nearer = frame.gbuffer.depth.clone()
+    nearer[..., :16] = 1.0  # something hid the left half in the previous frame
+    previous = GBuffer({**frame.gbuffer.buffers, "depth": nearer})
+    before = replace(before, gbuffer_features=gbuffer_features(previous))
+    gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": torch.zeros(1, 2, 32, 32)})
+    gbuffer = gbuffer.select(method.traits.inputs)
+    _, after = method.denoise(gbuffer, frame.pool.empty(), before)
+    held = (after.features == before.features).all(1)
+    assert held[..., 16:].all()
+    assert not held[..., :16].any()
+
+
+def test_the_sampler_reads_the_spp_of_the_previous_frame(after_one):
+    method, frame, state = after_one
+    first, second = method.start(Size(1, 32, 32)).previous_spp, state.previous_spp
+    assert (float(first), float(second)) == (1.0, 2.0)
+    inputs = method.reproject(replace(frame.gbuffer, static=True), state).sampler_inputs
+    assert inputs.shape[1] == method.networks.sampler_channels
+    assert torch.allclose(inputs[:, -1], torch.tensor(2.0).log())
+    _, unsampled = method.denoise(frame.gbuffer, frame.pool.empty(), state)
+    assert method.reproject(frame.gbuffer, unsampled).sampler_inputs.isfinite().all()
+    outside = GBuffer({**frame.gbuffer.buffers, "motion": torch.full((1, 2, 32, 32), 100.0)})
+    # the first frame of another shot starts from 1 spp, whose logarithm is 0
+    assert not method.reproject(outside, state).sampler_inputs[:, -1].any()
+
+
+def test_the_state_is_reprojected_once_for_planning_and_denoising_a_frame(after_one):
+    method, frame, state = after_one
+    equal_gbuffer, start = replace(frame.gbuffer), method.start(Size(1, 32, 32))
+    with torch.inference_mode():
+        history = method.reproject(frame.gbuffer, state)
+        assert method.reproject(frame.gbuffer, state) is history
+        for other in ((equal_gbuffer, state), (frame.gbuffer, start)):
+            assert method.reproject(*other) is not history
+        history = method.reproject(frame.gbuffer, state)
+    assert method.reproject(frame.gbuffer, state) is not history  # training needs a new graph
+
+
+def test_the_memo_of_the_reprojection_keeps_no_input_alive(after_one):
+    method, frame, state = after_one
+    gbuffer = replace(frame.gbuffer)
+    with torch.inference_mode():
+        _, following = method.denoise(gbuffer, frame.pool.empty(), state)
+        method.reproject(gbuffer, following)
+    references = [weakref.ref(gbuffer), weakref.ref(following)]
+    del gbuffer, following
+    assert [reference() for reference in references] == [None, None]
+
+
+@pytest.mark.parametrize("variant", ["paper", "B1"])
+def test_without_accumulated_radiance_sampler_and_encoder_read_the_same(variant):
+    method = build(variant, CPU, "random")
+    history = method.reproject(GBUFFER, method.start(Size(1, 32, 32)))
+    assert torch.equal(history.sampler_inputs, history.inputs)
+
+
+@pytest.mark.parametrize(
+    ("variant", "low", "high"), [("", math.exp(-1.5), math.exp(1.5)), ("paper", 0, 2)]
+)
+def test_densities_are_exponential_and_in_the_papers_recipe_linear(variant, low, high):
+    method = build(variant, CPU, "random")
+    density = method.action_density(torch.tensor([-2.0, -1.0, 0.0, 1.0, 2.0]).view(1, 1, 1, 5))
+    torch.testing.assert_close(density.flatten(), torch.tensor([low, low, 1.0, high, high]))
+
+
+def test_radiance_of_another_surface_has_little_weight(after_one):
+    method, frame, state = after_one
+    gbuffer = replace(frame.gbuffer, static=True)
+    similarity = method.reproject(gbuffer, state).similarity
+    assert torch.equal(similarity, torch.ones_like(similarity))
+    turned = state.gbuffer_features.clone()
+    turned[:, :3] *= -1  # normals
+    other = replace(state, gbuffer_features=turned)
+    weight = method.reproject(gbuffer, other).radiance.accumulated_spp
+    solid = frame.gbuffer.depth.isfinite()
+    assert weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
+    assert (weight[~solid] == 2).all()
+
+
+def test_the_first_frame_has_no_state():
+    state = build("", CPU, "random").start(Size(1, 8, 9))
+    assert (state.features == -1).all()
+    assert not state.radiance.accumulated_spp.any()

@@ -1,0 +1,44 @@
+"""The networks of `ours`: their sizes, and the pace of the sampler."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from methods.ours.networks import Encoder, Networks, Sampler
+from methods.ours.variants import VARIANTS
+from rlbench.ops.init import kaiming_init
+
+
+def parameters(network: nn.Module) -> int:
+    return sum(p.numel() for p in network.parameters())
+
+
+@pytest.mark.parametrize(
+    ("network", "count"),
+    [
+        (Networks(VARIANTS["paper"]).sampler, 31_101),
+        (Networks(VARIANTS["paper"]).encoder, 54_816),
+        (Networks(VARIANTS["paper"]).denoiser, 939_683),
+        (Encoder(63, (64,), 32, 1), 6_176),  # 1x1 kernels, as in the release
+        (Sampler(39, VARIANTS["small"].sampler), 486 - 19),  # the release has two outputs
+    ],
+    ids=["sampler", "encoder", "denoiser", "small encoder", "small sampler"],
+)
+def test_parameter_counts_are_those_of_the_fact_sheet(network, count):
+    assert parameters(network) == count
+
+
+def test_a_paced_sampler_multiplies_its_action_by_a_power_of_the_budget():
+    sampler = Sampler(4, (4, 8, 16), paced=True)
+    kaiming_init(sampler, 0)
+    sampler.last.weight.data.mul_(0.01)  # where tanh is nearly linear
+    inputs = torch.randn(1, 4, 16, 16, generator=torch.Generator().manual_seed(0))
+    inputs[:, -1] = math.log(3.0)
+    with torch.no_grad():
+        plain = sampler(inputs).atanh()
+        sampler.pace.copy_(torch.tensor([math.log(0.5), -1.0]))
+        torch.testing.assert_close(sampler(inputs).atanh(), plain / 6, rtol=1e-3, atol=1e-4)

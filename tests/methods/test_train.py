@@ -1,0 +1,139 @@
+"""Training `ours`: its first weights, its losses, and the gradients that reach the networks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.oidn.method import Oidn
+from methods.ours.method import assemble
+from methods.ours.train import training_task
+from methods.ours.variants import VARIANTS
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Size
+from rlbench.ops.init import kaiming_init
+from rlbench.ops.losses import l1_ms_ssim_loss
+from rlbench.ops.transfer import log_forward
+from rlbench.run import run_clip, unroll
+
+CPU = torch.device("cpu")
+
+
+def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
+    """The gradient is that of the loss over the loss: equal decibels count equally."""
+    task = training_task("A2", CPU, seed=0)
+    clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
+    ((loss,), (result,)) = task.losses(clip, 1.0), unroll(task.method, clip, 1.0)
+    plain = l1_ms_ssim_loss(log_forward(result.image), log_forward(result.frame.reference.mean))
+    weights = list(task.networks.parameters())
+    of_loss = torch.autograd.grad(loss, weights, allow_unused=True)
+    of_plain = torch.autograd.grad(plain, weights, allow_unused=True)
+    factor = 0.02 / plain.item()
+    for gradient, expected in zip(of_loss, of_plain, strict=True):
+        assert (gradient is None) == (expected is None)
+        if gradient is not None:
+            torch.testing.assert_close(gradient, expected * factor, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("variant", [v for v in VARIANTS if v not in ("paper", "denoiser-large")])
+def test_training_starts_with_the_image_of_open_image_denoise(variant):
+    """In the first frame no radiance is accumulated, and the weights of the state are zero."""
+    pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
+    from baselines.oidn_intel.networks import network
+
+    method = training_task(variant, CPU, seed=0).method
+    method.networks.eval()
+    clip = procedural_clip(seed=3, size=Size(1, 48, 64), frames=1)
+    (result,) = run_clip(replace(method, sampler=None), clip, 2.0)
+    intel = Oidn(network(VARIANTS[variant].denoiser))
+    expected, _ = intel.denoise(result.frame.gbuffer, result.samples, None)
+    # sums in another order, and the exposure is of the same image
+    torch.testing.assert_close(result.image, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_an_untrained_sampler_is_uniform():
+    method = training_task("", CPU, seed=0).method
+    clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=1)
+    frame = next(iter(clip))
+    density = method.plan(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
+    assert density.unique().numel() == 1
+
+
+def contrast(variant: str, steps: int = 6) -> float:
+    """Mean absolute action after steps of Adam towards random actions, at the variant's rate."""
+    task, generator = training_task(variant, CPU, seed=0), torch.Generator().manual_seed(0)
+    sampler = task.networks.sampler
+    adam = torch.optim.Adam(sampler.parameters(), task.max_lr * task.lr_multipliers["sampler"])
+    inputs = torch.rand(1, task.networks.sampler_channels, 16, 16, generator=generator)
+    target = torch.rand(1, 1, 16, 16, generator=generator) * 2 - 1
+    for _ in range(steps):
+        adam.zero_grad()
+        (-sampler(inputs) * target).mean().backward()
+        adam.step()
+    return float(sampler(inputs).detach().abs().mean())
+
+
+def test_steps_change_the_map_of_a_wider_sampler_no_further():
+    """At the full rate six steps end at 0.91, with nearly all of the map at its bounds."""
+    assert 0 < contrast("sampler-large") <= contrast("")
+
+
+@pytest.mark.parametrize("variant", ["", "paper", "B1"])
+def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_frame(variant):
+    """Contrast in its image, its state, or its samples."""
+    method = training_task(variant, CPU, seed=0).method
+    outputs: list[Tensor] = []
+    method.networks.sampler.head.register_forward_hook(lambda layer, x, out: outputs.append(out))
+    clip = procedural_clip(seed=1, size=Size(1, 64, 64), frames=1)
+    (frame,) = clip
+    noise = torch.rand(1, 1, 64, 32, generator=torch.Generator().manual_seed(0)) - 0.5
+    state = replace(method.start(clip.size), age=1)
+    state.features[:] = 0.1
+    state.features[:, :3, :, 32:] += 0.2 * noise
+    if method.config.accumulates:
+        state.image[:] = 0.5
+        state.image[..., 32:] += noise
+    with torch.no_grad():
+        method.act(replace(frame.gbuffer, static=True), state)
+    contrast = outputs[0][0, 0]
+    assert contrast[8:-8, 40:-8].mean() > contrast[8:-8, 8:24].mean() + 0.2
+
+
+def test_every_network_gets_a_gradient_from_one_sequence():
+    task = training_task("", CPU, seed=0)
+    kaiming_init(task.networks, 0)
+    clip = procedural_clip(seed=1, size=Size(2, 32, 32), frames=2)
+    for loss in task.losses(clip, 2.0):
+        loss.backward()
+    without = [k for k, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()]
+    # biases of dead units may be untouched, but no whole layer may be
+    assert not [name for name in without if name.endswith("weight")]
+
+
+@pytest.mark.parametrize("bptt", [1, 2])
+def test_the_state_carries_a_gradient_over_bptt_frames(bptt):
+    method = training_task("", CPU, seed=0).method
+    method = assemble(replace(method.config, bptt=bptt), method.traits, method.networks)
+    clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=1)
+    frame = next(iter(clip))
+    _, state = method.denoise(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
+    assert state.features.requires_grad
+    state.features.retain_grad()
+    image, _ = method.denoise(frame.gbuffer, frame.pool.empty(), state)
+    image.sum().backward()
+    assert (state.features.grad is None) == (bptt == 1)
+
+
+@pytest.mark.parametrize(("bptt", "steps"), [(1, 3), (2, 2)])
+def test_a_step_is_taken_every_bptt_frames(bptt, steps, monkeypatch):
+    monkeypatch.setitem(VARIANTS, "", replace(VARIANTS[""], bptt=bptt))
+    task = training_task("", CPU, seed=0)
+    clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=3)
+    taken = 0
+    for loss in task.losses(clip, 2.0):
+        loss.backward()
+        taken += 1
+    assert taken == steps

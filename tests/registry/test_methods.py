@@ -1,0 +1,84 @@
+"""Methods are built, trained and selected by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench import registry
+from rlbench.registry import PluginError
+from tests.conftest import write_plugin
+
+
+def test_a_method_whose_traits_differ_from_the_declared_ones_is_refused(tmp_path):
+    build = "return Scaled(Traits(min_samples=1))"
+    registry.use_plugin(write_plugin(tmp_path / "loose.py", "liar", build=build))
+    with pytest.raises(
+        PluginError, match="'liar' is declared with .*, but .* returned .*min_samples=1"
+    ):
+        registry.load_method("liar")
+
+
+@pytest.mark.parametrize(
+    ("patterns", "expected"),
+    [
+        (["mine"], ["mine"]),
+        (["mine/*"], ["mine", "mine/B1"]),
+        (["mine/B1", "mean", "mine/*"], ["mine/B1", "mean", "mine"]),
+    ],
+)
+def test_patterns_are_expanded_without_repeats(tmp_path, patterns, expected):
+    registry.use_plugin(write_plugin(tmp_path / "loose.py", "mine"))
+    assert registry.expand(patterns) == expected
+
+
+@pytest.mark.parametrize(
+    ("patterns", "trained", "expected"),
+    [
+        (["ours/*"], True, False),
+        (["ours/*"], False, True),
+        (["ours/denoiser-large"], True, True),
+    ],
+)
+def test_a_pattern_leaves_out_variants_without_pretrained_weights(patterns, trained, expected):
+    assert ("ours/denoiser-large" in registry.expand(patterns, trained)) == expected
+
+
+def test_all_selects_every_family_once():
+    assert registry.expand(["all"]) == registry.list_plugins("methods")
+
+
+def test_a_method_without_weights_has_no_training_task():
+    with pytest.raises(PluginError, match="'mean' has nothing to train"):
+        registry.training_task("mean")
+
+
+def test_all_skips_a_family_that_cannot_be_imported_and_says_so(tmp_path):
+    (tmp_path / "torn.py").write_text("1 / 0")
+    registry.use_plugin(tmp_path / "torn.py")
+    messages = []
+    names = registry.expand(["all"], on_skip=messages.append)
+    assert names == [name for name in registry.list_plugins("methods") if name != "torn"]
+    assert messages == [
+        "'all' skips torn, which cannot be imported: ZeroDivisionError: division by zero"
+    ]
+
+
+def test_a_method_whose_package_is_missing_says_what_to_install(tmp_path):
+    file = write_plugin(tmp_path / "odd.py", "odd")
+    requires = "learned=False, requires=('nowhere-at-all',)"
+    file.write_text(file.read_text().replace("learned=False", requires))
+    registry.use_plugin(file)
+    message = "'odd' needs nowhere-at-all, which is not installed: pip install nowhere-at-all"
+    with pytest.raises(PluginError, match=message):
+        registry.load_method("odd")
+
+
+def test_the_shipped_weights_of_every_pretrained_method_exist():
+    names = [name for name in registry.expand(["all/*"]) if registry.get_variant(name).learned]
+    assert names
+    assert [name for name in names if not registry.shipped_weights(name).is_file()] == []
+
+
+def test_shipped_weights_lie_beside_the_module_that_builds_the_method(tmp_path):
+    registry.use_plugin(write_plugin(tmp_path / "my_method.py", "mine"))
+    assert registry.shipped_weights("mine/B1") == tmp_path / "cards" / "B1.safetensors"

@@ -1,0 +1,168 @@
+"""Rendering clips to folders."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from rlbench import registry
+from rlbench.cli.app import app
+from rlbench.clips.stored import ClipError, open_clip, read_header, verify
+from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.render_clips import ensure, render_clip, scene_of_clip
+from rlbench.render.mitsuba.gbuffer import render_gbuffer
+from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.presets import Preset
+from rlbench.render.scene import SceneError
+from tests.render.small_scenes import diffuse, room
+
+PRESET = Preset("test", "tests", (16, 24), frames=3, reference_spp=2, pool_spp=3)
+
+
+def job(folder, scene=None, preset=PRESET):
+    return Job("room", scene or room(), preset, folder)
+
+
+def contents(folder):
+    return {file.name: file.read_bytes() for file in sorted(folder.glob("*.exr"))}
+
+
+@pytest.fixture
+def clip(llvm, tmp_path):
+    render_clip(job(tmp_path / "room"))
+    return tmp_path / "room"
+
+
+class Killed(BaseException):
+    """Interrupts a rendering."""
+
+
+def killer(after):
+    calls = iter(range(after))
+
+    def traced(samples):
+        if next(calls, None) is None:
+            raise Killed
+
+    return traced
+
+
+@pytest.mark.parametrize("after", [0, 2, 4, 7])
+def test_an_interrupted_clip_is_unfinished_and_resumes_to_the_same_files(clip, tmp_path, after):
+    resumed = tmp_path / "again"
+    with pytest.raises(Killed):
+        render_clip(job(resumed), killer(after))
+    assert not (resumed / "clip.toml").exists()
+    render_clip(job(resumed))
+    assert contents(resumed) == contents(clip)
+    assert (resumed / "clip.toml").exists()
+
+
+def test_a_lost_file_is_rendered_again_and_the_others_are_left_alone(clip):
+    before = contents(clip)
+    written_ns = (clip / "view.0000.exr").stat().st_mtime_ns
+    (clip / "referenceA.0001.exr").unlink()
+    assert not job(clip).is_finished
+    render_clip(job(clip))
+    assert contents(clip) == before
+    assert (clip / "view.0000.exr").stat().st_mtime_ns == written_ns
+
+
+def test_a_rendered_clip_passes_verification(clip):
+    assert verify(clip) == []
+
+
+def test_the_header_describes_the_clip(clip):
+    header = read_header(clip)
+    assert (header.height, header.width, header.frames, header.pool_spp) == (16, 24, 3, 3)
+    assert header.reference_spp == (4, 4, 4)
+    assert header.sample_ms > 0
+
+
+def test_stored_samples_are_those_of_the_tracer_before_exposure(clip):
+    tracer = open_tracer(room(), 16, 24)
+    tracer.set_time(1.0)
+    stored = open_clip(clip).frame(1).pool.radiance[0].permute(0, 2, 3, 1).numpy() / 2.0
+    stack = tracer.trace_images(3)
+    # sorted, because the clip has its own sample order; half precision has 11 bits
+    np.testing.assert_allclose(np.sort(stored, 0), np.sort(stack, 0), rtol=2**-10, atol=1e-6)
+
+
+def test_the_reference_halves_come_from_different_paths(clip):
+    reference = open_clip(clip).frame(0).reference
+    assert not (reference.half_a == reference.half_b).all()
+
+
+def test_a_static_scene_has_no_motion_buffer(llvm, tmp_path):
+    render_clip(job(tmp_path, room(static=True), replace(PRESET, frames=1)))
+    assert read_header(tmp_path).static
+    assert "motion" not in read_header(tmp_path).buffers
+
+
+EXTRAS = ("object", "albedo_first", "normal_psr", "depth_psr", "object_psr")
+
+
+def test_extra_buffers_are_in_the_clip(llvm, tmp_path):
+    render_clip(job(tmp_path, preset=PRESET.with_buffers(EXTRAS)))
+    assert verify(tmp_path) == []
+    gbuffer = open_clip(tmp_path, inputs=frozenset(EXTRAS)).frame(1).gbuffer
+    tracer = open_tracer(room(), 16, 24)
+    tracer.set_time(1.0)
+    for name, expected in render_gbuffer(tracer, EXTRAS).items():
+        buffer = gbuffer.extra(name)[0].permute(1, 2, 0).numpy()
+        np.testing.assert_allclose(buffer, expected, atol=2**-11, err_msg=name)  # half, up to 1
+
+
+def test_opening_a_clip_without_extra_buffers_lists_those_it_has(clip):
+    with pytest.raises(ClipError, match="no buffer object; it has: albedo, normal, depth, motion"):
+        open_clip(clip, inputs=frozenset({"object"}))
+
+
+def test_a_changed_scene_replaces_its_frames(clip):
+    before = contents(clip)
+    painted = replace(room().meshes[0], material=diffuse(0.9, 0.1, 0.1))
+    changed = replace(room(), meshes=(painted, *room().meshes[1:]))
+    assert not job(clip, changed).is_finished
+    render_clip(job(clip, changed))
+    assert not set(contents(clip).values()) & {before["view.0000.exr"], before["view.0002.exr"]}
+
+
+def test_frames_of_another_renderer_are_not_removed(llvm, tmp_path):
+    (tmp_path / "view.0000.exr").write_bytes(b"somebody's work")
+    with pytest.raises(ClipError, match="did not write"):
+        render_clip(job(tmp_path))
+    assert (tmp_path / "view.0000.exr").exists()
+
+
+def test_an_unknown_scene_is_an_error_that_lists_the_available_ones(tmp_path):
+    with pytest.raises(LookupError, match="temple"):
+        ensure("tiny", scenes=["atlantis"], folder=tmp_path)
+
+
+def test_a_cap_dims_inputs_and_references_alike_and_is_in_the_header(clip, tmp_path):
+    render_clip(job(tmp_path / "capped", preset=PRESET.with_radiance_cap(0.25)))
+    assert read_header(tmp_path / "capped").radiance_cap == 0.25
+    free, capped = (open_clip(folder).frame(1) for folder in (clip, tmp_path / "capped"))
+    assert free.pool.radiance.max() > 1
+    assert free.reference.half_a.max() > 1
+    # half precision has 11 bits; the header's exposure is a power of two
+    assert capped.pool.radiance.max() <= 0.25 * (1 + 2**-10)
+    assert capped.reference.half_a.max() <= 0.25 * (1 + 1e-6)
+
+
+def test_a_generated_scene_comes_from_the_registry_with_its_seed():
+    scene = registry.load_plugin("scenes", "generated")(7)
+    assert scene_of_clip("generated-007").name == scene.name == "generated-7"
+
+
+@pytest.mark.parametrize("name", ["generated", "generated-cut"])
+def test_a_generated_scene_without_a_seed_is_an_error(name):
+    with pytest.raises(SceneError, match=f"'{name}' is not a generated scene; give a seed"):
+        scene_of_clip(name)
+
+
+def test_a_missing_seed_on_the_command_line_is_an_error():
+    result = CliRunner().invoke(app, ["render", "--scenes", "generated"])
+    assert result.exit_code != 0
+    assert "give a seed" in result.output

@@ -1,0 +1,24 @@
+"""Scenes and their takes."""
+
+import numpy as np
+
+from tests.render.small_scenes import OTHER_CAMERA, room_with_takes
+
+
+def test_a_take_changes_only_what_it_defines():
+    scene, take = room_with_takes(), room_with_takes().select_take("still")
+    assert [mesh.name for mesh in take.meshes] == [mesh.name for mesh in scene.meshes]
+    assert (take.name, take.sky, take.exposure, take.max_depth) == ("room", scene.sky, 2.0, 8)
+    assert (take.static, take.camera(7.0), take.vertex_animation(7.0), take.takes) == (
+        True,
+        OTHER_CAMERA,
+        {},
+        (),
+    )
+
+
+def test_a_take_without_vertex_animation_moves_like_the_scene():
+    scene = room_with_takes()
+    assert np.array_equal(
+        scene.select_take("cut").vertex_animation(3.0)["cube"], scene.vertex_animation(3.0)["cube"]
+    )

@@ -1,0 +1,65 @@
+"""Training and validation clips: nothing of a test set is trained on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rlbench.errors import OptionError
+from rlbench.render.jobs import render_clips
+from rlbench.training import dataset
+
+
+@pytest.fixture
+def rendered(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
+    """The preset, scenes and seeds of all clips that are requested; none is rendered."""
+    requested = []
+
+    def ensure(preset, scenes, seeds, engine):
+        requested.append((preset.name, scenes, seeds))
+        return [Path(preset.name, str(name)) for name in scenes or seeds or range(4)]
+
+    monkeypatch.setattr(render_clips, "ensure", ensure)
+    return requested
+
+
+def test_the_first_and_the_middle_clip_validate(rendered):
+    split = dataset.split_generated("train")
+    assert split.train == [Path("train", name) for name in "13"]
+    assert split.validation == [Path("train", name) for name in "02"]
+    assert rendered == [("train", None, None)]
+
+
+def test_of_two_clips_one_validates(rendered):
+    split = dataset.split_generated("train", (30, 31))
+    assert split == ([Path("train", "31")], [Path("train", "30")])
+    assert rendered == [("train", None, (30, 31))]
+
+
+def test_seeds_can_be_rendered_at_the_size_of_a_test_set(rendered):
+    dataset.select_split("mini", (30, 31), None)
+    assert rendered == [("mini", None, (30, 31))]
+
+
+def test_a_held_out_scene_is_neither_trained_nor_validated_on(rendered):
+    split = dataset.select_split("standard", None, "hall")
+    assert split.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
+    assert split.validation == [Path("train", "0"), Path("train", "14")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((None, None, "attic"), "no scene 'attic' to hold out: preset 'mini' has: city, temple"),
+        (("train", None, "hall"), "needs a preset with named scenes, and 'train' has none"),
+        ((None, (0, 9), "hall"), "--seeds applies to generated scenes only"),
+        (("mini", None, None), "preset 'mini' is a test set .*must not be trained on it"),
+        ((None, (79, 80, 81), None), "--seeds 80, 81: these belong to test set 'unseen'"),
+        ((None, (7,), None), "--seeds 7 gives one clip. Training needs at least 2 clips"),
+    ],
+)
+def test_a_choice_that_cannot_be_trained_on_is_refused(rendered, arguments, message):
+    with pytest.raises(OptionError, match=message):
+        dataset.select_split(*arguments)
+    assert rendered == []

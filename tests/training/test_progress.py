@@ -1,0 +1,64 @@
+"""The progress of a run: the note in the model card, and the progress bar's text."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+
+from rlbench.cli import console
+from rlbench.training import Progress
+
+
+def test_the_progress_bar_shows_loss_validation_and_speed():
+    history = [(3, 20.0), (6, 21.5)]
+    progress = Progress(frames_seen=6, frames_per_second=12.34, validation_history=history)
+    status = console.training_status(progress, 0.12345)
+    assert status == "loss 0.1235, validation 21.50 dB, 12.3 frames/s"
+    assert console.training_status(Progress(), 1.0) == "loss 1.0000, 0.0 frames/s"
+
+
+@pytest.mark.parametrize(
+    ("frames", "history", "expected"),
+    [
+        (500, [], "stopped at 500 of 3000 frames"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.5)], "rose by 0.50 dB after 2000 frames"),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 24.05)], ""),
+        (3000, [(1000, 20.0), (2000, 24.0), (3000, 23.0)], ""),
+        (1000, [(1000, 20.0)], "stopped"),
+    ],
+)
+def test_the_note_says_if_training_was_too_short(frames, history, expected):
+    note = Progress(frames_seen=frames, validation_history=history).note(3000)
+    assert expected in note
+    assert bool(note) == bool(expected)
+
+
+def test_a_change_of_the_config_is_noted_with_its_frame():
+    progress = Progress(frames_seen=9, config={"bf16": True, "crop": 16})
+    progress.switch_config({"bf16": False, "crop": 16})
+    assert progress.note(9) == "after 9 frames: bf16 True -> False"
+    assert progress.config == {"bf16": False, "crop": 16}
+
+
+def test_progress_with_the_old_field_names_is_read():
+    config = {"frames": 24, "length": 3, "average": 0.998, "norm": 1.0, "half": False, "every": 6}
+    old = {"seen": 6, "draws": 2, "steps": 6, "seconds": 1.5, "speed": 9.0, "curve": [[6, 20.5]]}
+    progress = Progress.from_dict(old | {"plan": config, "changes": ["after 3 frames: norm"]})
+    assert asdict(progress) == {
+        "frames_seen": 6,
+        "sequences": 2,
+        "steps": 6,
+        "seconds": 1.5,
+        "frames_per_second": 9.0,
+        "validation_history": [[6, 20.5]],
+        "config": {
+            "frames": 24,
+            "sequence_length": 3,
+            "ema_decay": 0.998,
+            "max_grad_norm": 1.0,
+            "bf16": False,
+            "eval_interval": 6,
+        },
+        "config_changes": ["after 3 frames: norm"],
+    }
