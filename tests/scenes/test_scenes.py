@@ -135,7 +135,7 @@ def _ahead(camera):
 
 def _takes(scene):
     """All clips of a scene as scenes of their own."""
-    return [scene, *(scene.take(take.name) for take in scene.takes)]
+    return [scene, *(scene.select_take(take.name) for take in scene.takes)]
 
 
 @pytest.mark.parametrize("time", [-1.0, 0.0, 10.0, 20.0, 100.0, 1000.0])
@@ -161,7 +161,7 @@ def _check_room_around(scene, time):
 
 
 def test_every_scene_has_a_take_with_a_camera_that_stands_while_things_move(scene):
-    take = scene.take("static")
+    take = scene.select_take("static")
     assert take.camera(3.0) == take.camera(17.0)
     assert not take.static
     before, after = take.vertex_animation(3.0), take.vertex_animation(4.0)
@@ -169,7 +169,7 @@ def test_every_scene_has_a_take_with_a_camera_that_stands_while_things_move(scen
 
 
 def test_every_scene_has_a_take_with_a_cut_and_a_light_that_changes_at_another_frame(scene):
-    take = scene.take("cut")
+    take = scene.select_take("cut")
     places = np.array([take.camera(float(t)).origin for t in range(20)])
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     assert take.cuts == (10,)
@@ -187,7 +187,7 @@ def test_lights_that_change_exist(scene):
 
 
 def test_both_shots_have_the_same_field_of_view(scene):
-    take = scene.take("cut")  # or `rlbench lint`, which fits one, could not tell it
+    take = scene.select_take("cut")  # or `rlbench lint`, which fits one, could not tell it
     assert take.camera(9.0).fov == take.camera(10.0).fov
 
 
