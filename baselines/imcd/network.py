@@ -104,8 +104,8 @@ class Encoder(nn.Module):
 class UNet(nn.Module):
     """U-Net with five levels of two 3 x 3 convolutions, 64 to 32 channels; 938,944 parameters.
 
-    UNetWidths and bilinear upsampling are those of a reimplementation of Isik et al. 2021; a second one
-    agrees on the widths. Ours: ReLU.
+    Widths and bilinear upsampling are those of a reimplementation of Isik et al. 2021; a second
+    one agrees on the widths. Ours: ReLU.
     """
 
     def __init__(self) -> None:

@@ -84,7 +84,7 @@ def test_a_shipped_card_records_the_config_of_its_variant(file):
         FORMER_FIELDS.get(name, name): FORMER_VALUES.get(value, value)
         if isinstance(value, str)
         else value
-        for name, value in json.loads(card.config).items()
+        for name, value in json.loads(card.method_config).items()
     }
     config = json.loads(json.dumps(asdict(VARIANTS[card.name.partition("/")[2]].for_training)))
     assert recorded == {name: config[name] for name in recorded}

@@ -25,7 +25,7 @@ def test_the_error_for_a_metric_that_cannot_be_imported_names_it(monkeypatch):
         raise ImportError("no such codec")
 
     plugins = {"flip": registry.PluginEntry("flip", "flip:FLIP", "flip-metric 1.0", torn)}
-    monkeypatch.setattr("rlbench.registry.lookup.entries", lambda group: plugins)
+    monkeypatch.setattr("rlbench.registry.lookup.list_entries", lambda group: plugins)
     message = r"metric 'flip' from flip-metric 1.0 cannot be imported: ImportError: no such codec"
     with pytest.raises(PluginError, match=message):
         registry.load_metrics()
@@ -48,7 +48,7 @@ def test_families_are_read_without_torch():
         for name in registry.list_plugins("methods"):
             registry.load_family(name)
         for name in registry.list_plugins("metrics"):
-            registry.load("metrics", name)
+            registry.load_plugin("metrics", name)
         print("torch" in sys.modules)
     """
     assert run_python(code) == "False\n"

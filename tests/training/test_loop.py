@@ -133,7 +133,7 @@ def test_budgets_are_those_of_the_config_or_the_methods_own_and_are_in_the_card(
     config = TrainingConfig(24, crop=16, sequence_length=3, spp=spp)
     result = train("blur", [clip], [clip], tmp_path / "run", config)
     assert budgets == expected
-    stored = json.loads(read_card(result.weights).plan)
+    stored = json.loads(read_card(result.weights).training_config)
     assert set(stored["spp"]) == expected
     assert stored["max_lr"] == 1e-2
 

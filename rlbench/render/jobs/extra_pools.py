@@ -50,7 +50,7 @@ TIMED_SPP = 4  # samples per pixel and frame in a time measurement
 
 @dataclass(frozen=True, eq=False)
 class MissingPool:
-    """A pool that the preset of a clip lists, and that the clip lacks or has of another recipe."""
+    """A pool that the preset of a clip lists, and that the clip lacks or has of another version."""
 
     job: Job
     kind: PoolKind
@@ -67,7 +67,7 @@ class MissingPool:
 
     @property
     def missing_frames(self) -> list[int]:
-        """Frames without a file of this pool, scene and recipe."""
+        """Frames without a file of this pool, scene and version."""
         is_ours = self._key_file.is_file() and self._key_file.read_text() == self.content_key
         frames = range(self.job.preset.frames)
         return [i for i in frames if not (is_ours and self._file(i).is_file())]

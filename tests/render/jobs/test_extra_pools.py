@@ -106,7 +106,7 @@ def test_a_lost_file_is_traced_again_and_the_others_are_left_alone(clip):
 
 def test_a_pool_of_another_recipe_is_replaced(clip):
     (missing,) = [
-        extra_pools.MissingPool(job(clip), replace(kind, recipe=kind.recipe + 1))
+        extra_pools.MissingPool(job(clip), replace(kind, version=kind.version + 1))
         for kind in [extra_pools.registry.load_plugin("pools", "restir")]
     ]
     assert missing.missing_frames == [0, 1, 2, 3]
