@@ -21,6 +21,8 @@ def plugin(tmp_path, monkeypatch):
     (package / "__init__.py").write_text("")
     (package / "net.py").write_text("WIDTH = 8\n")
     monkeypatch.syspath_prepend(str(tmp_path))
+    for module in [name for name in sys.modules if name.partition(".")[0] == "stranger"]:
+        monkeypatch.delitem(sys.modules, module)  # of another test, and of another folder
     yield package
     sys.modules.pop("stranger", None)
 
