@@ -21,7 +21,8 @@ def relative_loss(
 
     mean(|x - y| / (y + 0.01) + |edges(x) - edges(y)| / (y + 0.01)), where edges are found by a
     Laplacian of Gaussian after a Gaussian. Image x and reference y are given as log(1 + L).
-    Kuznetsov et al. 2018, as in the training code behind `network.UNet`. Computed in float32, also under autocast.
+    Kuznetsov et al. 2018, as in the training code behind `network.UNet`. Computed in float32,
+    also under autocast.
     """
     with torch.autocast(image.device.type, enabled=False):
         difference, scale = (image - reference).float(), reference.float() + EPS

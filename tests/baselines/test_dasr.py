@@ -18,7 +18,7 @@ from baselines.dasr.method import Dasr, build
 from baselines.dasr.network import Networks
 from baselines.dasr.train import training_task
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, Size, StoredPool
 from rlbench.run import run_clip
 from rlbench.training.loop import TrainingConfig, train
@@ -36,7 +36,7 @@ def random_tensor(*shape: int, seed: int = 0) -> Tensor:
 
 
 def small_clip(frames: int = 1, size: Size = SIZE, seed: int = 0) -> InMemoryClip:
-    return procedural(seed, size, frames=frames)
+    return procedural_clip(seed, size, frames=frames)
 
 
 def half_noisy(seed: int, side: int = 32) -> InMemoryClip:

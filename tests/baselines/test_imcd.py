@@ -379,14 +379,14 @@ import resource, torch
 torch.set_num_threads(1)
 from baselines.imcd.method import build
 from rlbench.frames import Size
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.run import run_clip
 
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 method = build("", torch.device("cpu"), "random")
-list(run_clip(method, procedural(0, Size(1, 32, 32), frames=2), 8.0))
+list(run_clip(method, procedural_clip(0, Size(1, 32, 32), frames=2), 8.0))
 before = peak()
-for _ in run_clip(method, procedural(0, Size(1, 720, 720), frames=2), 8.0):
+for _ in run_clip(method, procedural_clip(0, Size(1, 720, 720), frames=2), 8.0):
     pass
 print(peak() - before)  # KiB
 """

@@ -13,20 +13,20 @@ import torch
 from baselines.oidn_intel import FAMILY, TRAITS
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import provenance
 
 installed = pytest.mark.skipif(
-    bool(provenance.missing(["pyoidn"])), reason="the extra oidn is not installed"
+    bool(provenance.missing_packages(["pyoidn"])), reason="the extra oidn is not installed"
 )
 SIZE = Size(1, 96, 128)
 CPU = torch.device("cpu")
 
 
 def clip() -> InMemoryClip:
-    return procedural(3, SIZE, frames=1)
+    return procedural_clip(3, SIZE, frames=1)
 
 
 @cache
@@ -98,7 +98,7 @@ def test_images_of_other_sizes_in_between_have_no_effect():
 
     method = build("", CPU, None)
     for size in (Size(1, 17, 40), Size(1, 1, 1), Size(2, 33, 20)):
-        (other,) = run_clip(method, procedural(5, size, frames=1), 2.0)
+        (other,) = run_clip(method, procedural_clip(5, size, frames=1), 2.0)
         assert other.image.shape == (size.n, 3, size.h, size.w)
     (again,) = run_clip(method, clip(), 2.0)
     assert torch.equal(again.image, denoise("").image)

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from baselines.oidn import method, tza
 from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn, build
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural
+from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.unet import UNet
 from rlbench.run import FrameResult, run_clip
@@ -39,7 +39,7 @@ float32_library = pytest.mark.skipif(
 
 @cache
 def noisy(size: Size = UNPADDED) -> InMemoryClip:
-    return procedural(3, size, frames=1)
+    return procedural_clip(3, size, frames=1)
 
 
 def run_ours(method: Oidn, size: Size = UNPADDED) -> FrameResult:
