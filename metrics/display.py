@@ -18,7 +18,7 @@ def encode_display(radiance: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]
     nothing from rlbench.
 
     >>> import torch
-    >>> display(torch.tensor([-1.0, 0.0, 0.214041, 1.0, 30.0]))
+    >>> encode_display(torch.tensor([-1.0, 0.0, 0.214041, 1.0, 30.0]))
     tensor([0.0000, 0.0000, 0.5000, 1.0000, 1.0000])
     """
     linear = radiance.clamp(0, 1)

@@ -159,7 +159,7 @@ def depth_gradient(
     """Change of depth per pixel, horizontal plus vertical, within one surface.
 
     >>> ramp = torch.arange(1.0, 5.0).expand(1, 1, 4, 4)
-    >>> gradient(ramp, ramp > 0)[0, 0, 0]
+    >>> depth_gradient(ramp, ramp > 0)[0, 0, 0]
     tensor([1., 1., 1., 1.])
     """
     total = torch.zeros_like(depth)

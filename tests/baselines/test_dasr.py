@@ -217,18 +217,18 @@ class KilledError(Exception):
 
 def test_a_training_killed_within_a_stage_resumes_in_that_stage(tmp_path: Path) -> None:
     clip = write_noise(tmp_path / "clips" / "noise", frames=1, h=32, w=32)
-    config = TrainingConfig(frames=12, crop=16, every=4)  # stages of 5 frames, 1, and 6
+    config = TrainingConfig(frames=12, crop=16, eval_interval=4)  # stages of 5 frames, 1, and 6
 
     def run(out: Path, kill_after: int | None = None) -> str:
         def report(progress, loss) -> None:
-            if progress.draws == kill_after:
+            if progress.sequences == kill_after:
                 raise KilledError
 
-        train("dasr", [clip], [clip], out, config, report=report)
+        train("dasr", [clip], [clip], out, config, on_progress=report)
         return digest(out / "dasr.safetensors")
 
     with pytest.raises(KilledError):
-        run(tmp_path / "killed", kill_after=5)  # one draw after the first checkpoint
+        run(tmp_path / "killed", kill_after=5)  # one sequence after the first checkpoint
     assert run(tmp_path / "killed") == run(tmp_path / "undisturbed")
 
 

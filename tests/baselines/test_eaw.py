@@ -40,7 +40,7 @@ def test_a_frame_equals_plain_loops(config):
     moving = frame(0)
     image = denoise(moving.gbuffer, moving.radiance, config)[0].permute(1, 2, 0)
     expected = wavelet_twins.eaw(
-        moving.noisy, moving.arrays, config.light, config.normal, config.depth
+        moving.noisy, moving.arrays, config.phi_color, config.phi_normal, config.phi_depth
     )
     # float32 logarithms of radiance up to 4000 are halved in width, and squared
     np.testing.assert_allclose(image, expected, rtol=1e-3, atol=1e-5)

@@ -124,6 +124,6 @@ def test_invalid_weights_are_rejected():
 
 @installed
 def test_the_config_records_the_library_version():
-    method = registry.method("oidn-intel")
+    method = registry.load_method("oidn-intel")
     assert method.traits == TRAITS
     assert re.fullmatch(r"2\.\d+\.\d+", method.config.library_version)

@@ -98,9 +98,9 @@ def test_at_odd_sizes_only_the_padding_differs(monkeypatch):
         **CLOSE,
     )
 
-    def pad_with_zeros(image: torch.Tensor, to: int) -> torch.Tensor:
+    def pad_with_zeros(image: torch.Tensor, multiple: int) -> torch.Tensor:
         h, w = image.shape[-2:]
-        return F.pad(image, (0, -w % to, 0, -h % to))
+        return F.pad(image, (0, -w % multiple, 0, -h % multiple))
 
     monkeypatch.setattr(method, "pad", pad_with_zeros)
     result = run_ours(oidn, odd)

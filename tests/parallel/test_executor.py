@@ -87,8 +87,8 @@ def test_a_clip_that_cannot_be_read_does_not_stop_the_others(tmp_path):
     """Times are measured before cells are distributed, and both clips would share one."""
     folders = [write_noise(tmp_path / name) for name in ("aaa", "bbb")]
     (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
-    plan = RunPlan(("mean",), tuple(map(StoredSource, folders)), spp=(1.0,), repeats=2)
-    summary = measure(plan, tmp_path / "r", engine=replace(LOCAL, exclusive=False))
+    plan = RunPlan(("mean",), tuple(map(StoredSource, folders)), target_spp=(1.0,), repeats=2)
+    summary = measure(plan, tmp_path / "r", executor=replace(LOCAL, exclusive=False))
     assert summary == RunSummary(measured=1, skipped=1)
     rows = results.read(tmp_path / "r")
     assert set(rows[rows["value"].isna() & (rows["metric"] == "psnr")]["clip"]) == {"aaa"}
@@ -194,15 +194,15 @@ def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_pa
     monkeypatch.setenv(METHODS_VARIABLE, "far=faraway:FAMILY")
     clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
     plan = RunPlan(
-        ("mean", "ours", "loose", "far"), clips, spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
+        ("mean", "ours", "loose", "far"), clips, target_spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
     )
     local, remote = tmp_path / "local", tmp_path / "ray"
-    summaries = measure(plan, local), measure(plan, remote, engine=workers)
+    summaries = measure(plan, local), measure(plan, remote, executor=workers)
     assert summaries == (RunSummary(measured=12, skipped=4),) * 2
     assert repr(scores(local)) == repr(scores(remote))  # as text, since nan differs from nan
     assert rows_without_values(local) == rows_without_values(remote)
     assert results.cells(local) == results.cells(remote)
-    assert measure(plan, remote, engine=workers).cached == 12
+    assert measure(plan, remote, executor=workers).cached == 12
 
 
 @pytest.mark.slow
@@ -210,8 +210,8 @@ def test_a_method_that_kills_its_worker_is_a_row_with_the_reason(workers, clip_f
     body = "import os; os.kill(os.getpid(), 9)"
     use_plugin(write_plugin(tmp_path / "deadly.py", "deadly", body=body))
     clips = (StoredSource(clip_folder),)
-    plan = RunPlan(("deadly", "mean"), clips, spp=(1.0,), repeats=2, cost="paper-2080ti")
-    summary = measure(plan, tmp_path / "r", engine=workers)
+    plan = RunPlan(("deadly", "mean"), clips, target_spp=(1.0,), repeats=2, cost="paper-2080ti")
+    summary = measure(plan, tmp_path / "r", executor=workers)
     assert summary == RunSummary(measured=1, skipped=1)
     rows = results.read(tmp_path / "r")
     (reason,) = rows[rows["method"] == "deadly"]["note"]
