@@ -35,7 +35,7 @@ def compare(results, scenes, methods, spp, subset) -> regression.RegressionRepor
     measure(plan, results)
     rows, baseline = read_cells(plan, results), load_baseline(BASELINE)
     if subset:
-        rows, baseline = benchmark.part(rows, baseline, methods)
+        rows, baseline = benchmark.select_baseline(rows, baseline, methods)
     return regression.compare(rows, baseline, subset=subset)
 
 

@@ -108,10 +108,10 @@ def warn_without_networks(names: Collection[str], bf16: bool, weights: WeightsCh
     """Say that --bf16 and --weights have no effect, if no method has networks."""
     from rlbench import registry
 
-    if bf16 or weights.file:
-        if not any(registry.get_variant(name).learned for name in names):
-            message = f"--bf16 and --weights have no effect: no networks in {', '.join(names)}"
-            typer.echo(message, err=True)
+    has_networks = any(registry.get_variant(name).learned for name in names)
+    if (bf16 or weights.file) and not has_networks:
+        text = f"--bf16 and --weights have no effect, because {', '.join(names)} has no networks"
+        typer.echo(text, err=True)
 
 
 def report(

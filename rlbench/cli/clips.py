@@ -188,7 +188,7 @@ def render_scene(
 def lint(
     clips: Annotated[
         list[Path],
-        typer.Argument(metavar="CLIPS...", exists=True, help="a clip, or a folder of clips"),
+        typer.Argument(metavar="CLIPS", exists=True, help="a clip, or a folder of clips"),
     ],
     figure: Annotated[
         Path | None,

@@ -37,7 +37,7 @@ def images(
             help="budgets in samples per pixel; default: 1",
             rich_help_panel=options.MEASUREMENT,
         ),
-    ] = Budgets((1.0,)),
+    ] = options.DEFAULT_IMAGE_SPP,
     seed: Annotated[
         int,
         typer.Option(

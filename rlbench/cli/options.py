@@ -14,6 +14,8 @@ METHODS, CLIPS, TRAINING = "Methods", "Clips", "Training"  # titles of groups of
 MEASUREMENT, EXECUTION, OUTPUT = "Measurement", "Execution", "Output"
 
 DEFAULT_SPP = Budgets((0.5, 1.0, 2.0, 4.0))
+DEFAULT_IMAGE_SPP = Budgets((1.0,))
+DEFAULT_TRAIN_SPP = Budgets(())  # those of the method
 
 # methods
 Methods = Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import typer
 
@@ -29,7 +29,7 @@ def load_plugins(files: list[Path] | None, allow_broken: bool = False) -> None:
 
 
 def list_(
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="|".join(get_args(Kind)))] = "all",
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="what to list")] = "all",
     as_json: Annotated[bool, typer.Option("--json", help="print JSON, for scripts")] = False,
     plugin: options.Plugins = None,
 ) -> None:
@@ -58,7 +58,7 @@ def list_(
 def check(
     methods: Annotated[
         list[str],
-        typer.Argument(metavar="METHODS...", help="names a,b; family/*; all"),
+        typer.Argument(metavar="METHODS", help="names a,b; family/*; all"),
     ],
     plugin: options.Plugins = None,
     device: options.Device = "cpu",
