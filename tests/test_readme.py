@@ -24,6 +24,7 @@ DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [README, *DOCS]
 GUIDES = [README, *(page for page in DOCS if page.parent.name in ("start", "how-to", "concepts"))]
 GENERATED = ("docs/reference/api.md",)  # by `make site`
+SEPARATORS = ("&&", "||", "|", ";")
 PACKAGES = "rlbench|baselines|methods|metrics|reports|tests|docs"
 
 page_id = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -91,7 +91,8 @@ def test_a_preset_with_a_radiance_cap_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "match"), [("none.blend", "none.blend does not exist"), ("a.max", "it takes .blend, .usd")]
+    ("name", "match"),
+    [("none.blend", "none.blend does not exist"), ("a.max", "it takes .blend, .usd")],
 )
 def test_a_file_that_cannot_be_opened_is_refused_without_blender(name, match, tmp_path):
     with pytest.raises(SceneError, match=match):
