@@ -27,7 +27,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen equal takes crossval appendix seeds contact test test-all format clean
+.PHONY: demo docs table1 unseen equal takes crossval appendix seeds contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -101,6 +101,10 @@ seeds: .venv/dev.stamp
 contact: .venv/run.stamp
 	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
 
+# the documentation as a site, in site/; a broken link or an undocumented name fails it
+site: .venv/docs.stamp
+	$(BIN)/mkdocs build
+
 test: .venv/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -116,7 +120,7 @@ format: .venv/dev.stamp
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv build site *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 
 # entry points are read from installed metadata: a changed pyproject.toml is installed again
 .venv/run.stamp: pyproject.toml constraints.txt | $(BIN)/pip
@@ -125,6 +129,10 @@ clean:
 
 .venv/dev.stamp: pyproject.toml constraints.txt | $(BIN)/pip
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+	touch $@ .venv/run.stamp
+
+.venv/docs.stamp: pyproject.toml constraints.txt | $(BIN)/pip
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[docs]'
 	touch $@ .venv/run.stamp
 
 $(BIN)/pip:

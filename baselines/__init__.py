@@ -1,1 +1,1 @@
-"""Published methods, as near to their papers as we can get: one file each, or one folder."""
+"""Published methods, as close to their papers as possible: one module or one package each."""

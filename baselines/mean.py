@@ -1,4 +1,4 @@
-"""The Monte-Carlo average: what a path tracer shows by itself, the floor of any table."""
+"""Monte Carlo average: a path tracer's image without denoising, the lower end of every table."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from rlbench.frames import GBuffer, Samples, Size
 
+__all__ = ["FAMILY", "Mean", "build"]
+
 TRAITS = Traits()
 
 FAMILY = Family(
@@ -21,22 +23,22 @@ FAMILY = Family(
     title="Monte-Carlo average",
     paper="Kajiya 1986, The Rendering Equation",
     licence="Apache-2.0",
-    variants={"": Variant("What does one get for the samples alone?", TRAITS, learned=False)},
+    variants={"": Variant("How good are the samples alone?", TRAITS, learned=False)},
     build="baselines.mean:build",
 )
 
 
 @dataclass(frozen=True)
 class Mean:
-    """Uniform sampling and the mean of what was bought; black where nothing was."""
+    """Uniform sampling, and the mean of each pixel's samples; black where a pixel has none."""
 
     traits: Traits = TRAITS
 
     def start(self, size: Size) -> None:
-        """Nothing is remembered."""
+        """No state: frames are independent."""
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
-        """Ones: every pixel wants the same."""
+        """Uniform density."""
         return samples.radiance.new_ones(samples.counts.shape)
 
     def denoise(
@@ -47,5 +49,5 @@ class Mean:
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Mean:
-    """The method; it has one variant, no weights, and runs wherever its samples lie."""
+    """The only variant; it has no weights and runs on the device of its samples."""
     return Mean()

@@ -1,1 +1,1 @@
-"""Pure functions of tensors that score an image; imports nothing of ours."""
+"""Image metrics: pure functions of tensors that import nothing from the benchmark."""

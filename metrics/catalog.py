@@ -1,4 +1,4 @@
-"""The metrics that ship: each a name, a direction, a convention, and a score for every image."""
+"""The shipped metrics: each has a name, a unit, a direction, a convention, and a score function."""
 
 from __future__ import annotations
 
@@ -8,85 +8,104 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-Tensor = Any  # torch.Tensor; torch is imported at the first score, so that listing stays fast
+__all__ = ["BIAS", "MSE_DEBIASED", "MS_SSIM", "NONFINITE", "PSNR", "RELMSE", "TPSNR", "Metric"]
+
+Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
 Score = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A number for each image of a batch.
+    """A metric: one number for each image of a batch.
 
-    `score(image, a, b)` takes the image and both independent halves of its reference, [n 3 h w] of
-    linear radiance where 1.0 is display white, and returns [n]. Scores are finite, whatever the
-    image holds, or NaN at a size at which there are none; the halves must be finite. `fit(height,
-    width)` is the metric that is defined at that size, under a name of its own, where not every
-    size is. One that is `temporal` takes two frames of each, the one before and this one,
-    [n 2 3 h w]; a clip's first frame has no score.
+    `score(image, half_a, half_b)` takes the image and the two independent halves of its reference,
+    all [n 3 h w] in linear radiance where 1.0 is display white, and returns [n]. Scores are finite
+    for any image; they are NaN only at a size for which the metric is undefined. The halves must be
+    finite. A `temporal` metric takes two frames of each, the previous and the current one,
+    [n 2 3 h w]; the first frame of a clip has no score.
+
+    >>> import torch
+    >>> mean_error = Metric(
+    ...     name="l1",
+    ...     unit="",
+    ...     direction="lower",
+    ...     convention="linear radiance, mean of absolute differences",
+    ...     score=lambda image, a, b: (image - (a + b) / 2).abs().mean((1, 2, 3)),
+    ... )
+    >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
+    >>> mean_error.score(black, white, white)
+    tensor([1.])
     """
 
     name: str
     unit: str  # "dB", or empty for a plain number
     direction: str  # "higher" or "lower" is better; empty for a signed error, best at zero
-    convention: str  # what must be known to reproduce the number
+    convention: str  # what is needed to reproduce the number: colour space, peak, window
     score: Score
-    fit: Callable[[int, int], Metric] | None = None
-    needs_reference_halves: bool = False  # is it only defined where `a` and `b` are independent?
-    temporal: bool = False  # does it look at the frame before, too?
-    requires: tuple[str, ...] = ()  # distributions that make its scores; measured anew with others
+    fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
+    needs_reference_halves: bool = False  # undefined unless the halves are independent
+    temporal: bool = False  # compares the change from the previous frame
+    requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
 
     def at(self, height: int, width: int) -> Metric:
-        """This metric, or the one that stands in for it at a size at which it is not defined."""
+        """The metric to use at an image size: this one, or its substitute for small images.
+
+        A substitute has a different name, because its numbers are not comparable.
+
+        >>> MS_SSIM.at(1080, 1920).name, MS_SSIM.at(96, 128).name
+        ('ms_ssim', 'ms_ssim_4')
+        """
         return self.fit(height, width) if self.fit else self
 
 
-def _psnr(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _psnr(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     from metrics.image import psnr
 
-    return psnr(image, (a + b) / 2)
+    return psnr(image, (half_a + half_b) / 2)
 
 
-def _tpsnr(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _tpsnr(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     from metrics.image import tpsnr
 
-    return tpsnr(image, (a + b) / 2)
+    return tpsnr(image, (half_a + half_b) / 2)
 
 
-def _relmse(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _relmse(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     from metrics.image import relmse
 
-    return relmse(image, (a + b) / 2)
+    return relmse(image, (half_a + half_b) / 2)
 
 
-def _mse_debiased(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _mse_debiased(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     from metrics.image import mse_debiased
 
-    return mse_debiased(image, a, b)
+    return mse_debiased(image, half_a, half_b)
 
 
-def _bias(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _bias(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     from metrics.image import bias
 
-    return bias(image, (a + b) / 2)
+    return bias(image, (half_a + half_b) / 2)
 
 
-def _nonfinite(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _nonfinite(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     from metrics.image import nonfinite
 
     return nonfinite(image)
 
 
-def _ms_ssim(image: Tensor, a: Tensor, b: Tensor, scales: int) -> Tensor:
+def _ms_ssim(image: Tensor, half_a: Tensor, half_b: Tensor, scales: int) -> Tensor:
     from metrics.image import ms_ssim
 
-    return ms_ssim(image, (a + b) / 2, scales)
+    return ms_ssim(image, (half_a + half_b) / 2, scales)
 
 
-def _undefined(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+def _undefined(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
     return image.new_full(image.shape[:1], math.nan)
 
 
 def _ms_ssim_at(height: int, width: int) -> Metric:
-    """MS-SSIM of as many scales as fit; fewer than five are named in the name, of none is NaN."""
+    """MS-SSIM with as many scales as fit, named ms_ssim_4 to ms_ssim_1; NaN if none fits."""
     from metrics.image import max_scales
 
     scales = max_scales(height, width)

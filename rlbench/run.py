@@ -71,7 +71,7 @@ def run_clip(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
     >>> grey = torch.full((1, 3, 9, 11), 0.5)
     >>> frame = Frame(0, GBuffer({}, static=True), pool, Reference(grey, grey))
     >>> clip = InMemoryClip("noise", "noise", "no digest", [frame])
-    >>> method = registry.method("mean", torch.device("cpu"))
+    >>> method = registry.load_method("mean", torch.device("cpu"))
     >>> for result in run_clip(method, clip, spp=1.5):
     ...     print(tuple(result.image.shape), int(result.samples.counts.sum()))  # 1.5 * 9 * 11
     (1, 3, 9, 11) 148

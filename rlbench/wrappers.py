@@ -31,7 +31,7 @@ class MethodWrapper(Generic[M]):
     ...         image, state = super().denoise(gbuffer, samples, state)
     ...         return 2 * image, state
     >>> from rlbench import registry
-    >>> Brighter(registry.method("mean", torch.device("cpu"))).traits.adaptive
+    >>> Brighter(registry.load_method("mean", torch.device("cpu"))).traits.adaptive
     False
     """
 

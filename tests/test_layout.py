@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import graphlib
 import importlib
 import importlib.metadata
 import re
 import tomllib
 from pathlib import Path
 
+import grimp
 import pytest
 
 CHECKOUT = Path(__file__).parents[1]
@@ -74,3 +77,42 @@ def test_modules_are_short_enough_to_read(file):
 def test_only_the_bench_makes_rows(file):
     made = re.search(r"(?<!class )\bRow\(", file.read_text())
     assert not made or of(file) == "rlbench/benchmark/results.py"
+
+
+def test_the_package_has_nine_modules_and_eleven_packages():
+    entries = [path for path in (CHECKOUT / "rlbench").iterdir() if not path.name.startswith("__")]
+    assert len([path for path in entries if path.suffix == ".py"]) == 9
+    assert len([path for path in entries if (path / "__init__.py").is_file()]) == 11
+
+
+def test_imports_form_few_units_on_few_levels_without_cycles():
+    graph = grimp.build_graph(*PACKAGES, exclude_type_checking_imports=False, cache_dir=None)
+    units = {module: _unit(module) for module in graph.modules}
+    imports: dict[str, set[str]] = {unit: set() for unit in units.values()}
+    for module, unit in units.items():
+        imported = {units[name] for name in graph.find_modules_directly_imported_by(module)}
+        imports[unit] |= imported - {unit, "rlbench"}
+    imports.pop("rlbench")  # its public names, imported lazily
+    levels = 0
+    order = graphlib.TopologicalSorter(imports)
+    order.prepare()  # raises CycleError
+    while order.is_active():
+        ready = order.get_ready()
+        order.done(*ready)
+        levels += 1
+    assert len(imports) <= 26
+    assert levels <= 9
+
+
+def _unit(module: str) -> str:
+    """A top-level package, or a module or package directly in rlbench."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] == "rlbench" else parts[0]
+
+
+@pytest.mark.parametrize("file", SOURCES, ids=of)
+def test_names_say_what_they_hold(file):
+    names = {
+        node.id for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Name)
+    }
+    assert not names & {"told", "asked", "looked", "foreseen", "shown", "made", "whole", "wanted"}

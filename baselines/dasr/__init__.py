@@ -1,8 +1,10 @@
-"""DASR: one sample a pixel shows where more are needed, a second network denoises (2018)."""
+"""DASR (Kuznetsov 2018): a network plans adaptive samples from one initial spp, one denoises."""
 
 from __future__ import annotations
 
 from rlbench.family import Family, Traits, Variant
+
+__all__ = ["FAMILY", "TRAITS"]
 
 TRAITS = Traits(
     inputs=frozenset({"albedo", "normal", "depth"}),
@@ -21,9 +23,9 @@ FAMILY = Family(
     ),
     licence="Apache-2.0",
     variants={
-        "": Variant("Does a first sample per pixel tell where the others should go?", TRAITS),
-        "gamma": Variant("Does the map learn better from a smooth model of the samples?", TRAITS),
+        "": Variant("Does one sample per pixel show where the others should go?", TRAITS),
+        "gamma": Variant("Does the sampler learn better from a smooth sample model?", TRAITS),
     },
     build="baselines.dasr.method:build",
-    train="baselines.dasr.train:trainer",
+    train="baselines.dasr.train:training_task",
 )

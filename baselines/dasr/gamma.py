@@ -1,4 +1,4 @@
-"""Samples drawn anew for training: gamma-distributed means, smooth in how many were taken."""
+"""Gamma-distributed sample means for training: differentiable in the number of samples."""
 
 from __future__ import annotations
 
@@ -9,55 +9,68 @@ from torch.nn import functional as F
 
 from rlbench.frames import Frame, Samples, StoredPool
 
-WINDOW = 3  # side of the square of pixels whose variances are averaged
-SPARSE = 1e-2  # gamma shapes below this are drawn as this: nearly all draws are black
-SMOOTH = 1e5  # gamma shapes above this are not drawn: their deviation is below 0.3 %
+__all__ = ["draw_gamma_mean", "redraw_as_gamma", "sample_variance"]
+
+WINDOW = 3  # side of the window over which variances are averaged, pixels
+MIN_SHAPE = 1e-2  # lower bound of the gamma shape; below it nearly all draws are black
+MAX_SHAPE = 1e5  # at larger gamma shapes the deviation is below 0.3 %, and the mean is used
 
 
-def gamma(samples: Samples, due: Float[Tensor, "n 1 h w"], frame: Frame) -> Samples:
-    """In place of what was bought, one mean a pixel, as of `due` samples that were never taken.
+def redraw_as_gamma(
+    samples: Samples, relaxed_counts: Float[Tensor, "n 1 h w"], frame: Frame
+) -> Samples:
+    """One sample per pixel in place of `samples`: the mean of `relaxed_counts` simulated samples.
 
-    In the way of Salehi et al. 2022, Deep Adaptive Sampling and Reconstruction using Analytic
-    Distributions, of which little more than the gamma distribution could be confirmed; so what
-    this trains is not their system. Ours: each colour by itself, the mean from the reference, the
-    variance from the stored samples, and a draw that is independent of the pilot, so that
-    training does not see the bias that the pilot leaves in the mean. Trainer's only: a method has
-    neither reference nor pool. One seed a frame, from the pool.
+    After Salehi et al. 2022, Deep Adaptive Sampling and Reconstruction using Analytic
+    Distributions. Only the gamma distribution could be confirmed, so this does not reproduce their
+    system. Our choices: colour channels are independent; the mean comes from the reference and the
+    variance from the stored samples; draws are independent of the pilot, so training does not see
+    the bias that the pilot adds to the mean.
+
+    For training only, because it reads the reference and the pool. The random seed comes from the
+    frame's pool, so equal frames give equal draws.
     """
     assert isinstance(frame.pool, StoredPool)
     radiance = frame.pool.radiance
     generator = torch.Generator(radiance.device).manual_seed(frame.pool.rounding_seeds[0])
-    drawn = draw(frame.reference.mean.clamp_min(0), variance(radiance), due, generator)
-    return Samples(drawn.unsqueeze(1), torch.ones_like(samples.counts))
+    mean = frame.reference.mean.clamp_min(0)
+    simulated = draw_gamma_mean(mean, sample_variance(radiance), relaxed_counts, generator)
+    return Samples(simulated.unsqueeze(1), torch.ones_like(samples.counts))
 
 
-def variance(radiance: Float[Tensor, "n s 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Variance of one sample: that of the stored ones, unbiased, averaged over 3x3 pixels.
+def sample_variance(radiance: Float[Tensor, "n s 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """Unbiased variance of one sample, from the stored samples, averaged over 3 x 3 pixels.
 
-    Of 8 samples it is mostly too small where light is rare: that is seldom among them. What is not
-    finite counts as 0.
+    With 8 stored samples the estimate is mostly too small where light is rare, because few of them
+    contain it. Variances that are not finite count as 0.
     """
-    each = radiance.var(1).nan_to_num(0.0, posinf=0.0)  # n 3 h w
-    reach = WINDOW // 2
-    return F.avg_pool2d(F.pad(each, (reach,) * 4, mode="replicate"), WINDOW, stride=1)
+    per_pixel = radiance.var(1).nan_to_num(0.0, posinf=0.0)  # n 3 h w
+    margin = WINDOW // 2
+    return F.avg_pool2d(F.pad(per_pixel, (margin,) * 4, mode="replicate"), WINDOW, stride=1)
 
 
-def draw(
+def draw_gamma_mean(
     mean: Float[Tensor, "n c h w"],
     variance: Float[Tensor, "n c h w"],
-    number: Float[Tensor, "n 1 h w"],
+    count: Float[Tensor, "n 1 h w"],
     generator: torch.Generator,
 ) -> Float[Tensor, "n c h w"]:
-    """A mean of `number` samples, any positive real: of that mean, and variance / number.
+    """A random mean of `count` samples, any positive real: expectation `mean`, variance v / count.
 
-    Gamma with shape k = number mean^2 / variance and scale mean / k. The gradient to `number` is
-    the implicit one of Figurnov et al. 2018, as in torch.distributions.Gamma.rsample. Where k is
-    above 1e5 it is `mean` itself, without gradient, as where the variance or the mean is zero;
-    where k is below 0.01 the mean is kept, but deviation and gradient are those of 0.01 and zero.
+    Gamma with shape k = count mean^2 / variance and scale mean / k. The gradient with respect to
+    `count` is the implicit gradient of Figurnov et al. 2018, as in
+    torch.distributions.Gamma.rsample. Where k > 1e5, or the variance or the mean is zero, the
+    result is `mean` without gradient. Where k < 0.01, the expectation is exact, but the deviation
+    is that of k = 0.01 and the gradient is zero.
+
+    >>> ones = torch.ones(1, 1, 100, 100)
+    >>> means = draw_gamma_mean(ones, 4 * ones, 2 * ones, torch.Generator().manual_seed(0))
+    >>> abs(means.mean().item() - 1) < 0.1, abs(means.var().item() - 4 / 2) < 0.5
+    (True, True)
     """
-    shape = number * mean.square() / variance.clamp_min(torch.finfo(mean.dtype).tiny)
-    noisy = (shape < SMOOTH) & (mean > 0)
-    shape = shape.where(noisy, 1.0).clamp_min(SPARSE)
-    # the distribution of torch takes no generator; this is the function that it calls
-    drawn = torch._standard_gamma(shape, generator=generator)
-    return torch.where(noisy, mean / shape * drawn, mean)
+    shape = count * mean.square() / variance.clamp_min(torch.finfo(mean.dtype).tiny)
+    is_noisy = (shape < MAX_SHAPE) & (mean > 0)
+    shape = shape.where(is_noisy, 1.0).clamp_min(MIN_SHAPE)
+    # torch.distributions.Gamma accepts no generator; this is the function that it calls
+    unscaled = torch._standard_gamma(shape, generator=generator)
+    return torch.where(is_noisy, mean / shape * unscaled, mean)

@@ -1,8 +1,10 @@
-"""EAW: blur one frame in five passes, less across edges (Dammertz 2010)."""
+"""EAW (Dammertz 2010): an edge-avoiding a-trous wavelet filter on single frames."""
 
 from __future__ import annotations
 
 from rlbench.family import Family, Traits, Variant
+
+__all__ = ["FAMILY", "TRAITS"]
 
 TRAITS = Traits(inputs=frozenset({"albedo", "normal", "depth"}), spp_range=(1.0, 8.0))
 
@@ -15,9 +17,7 @@ FAMILY = Family(
     ),
     licence="Apache-2.0",
     variants={
-        "": Variant(
-            "How far does one get without learning and without memory?", TRAITS, learned=False
-        ),
+        "": Variant("How far does a filter get without learning or history?", TRAITS, learned=False)
     },
     build="baselines.eaw.method:build",
 )

@@ -1,4 +1,4 @@
-"""One frame through EAW: divide texture out, five passes of a wavelet, multiply it back."""
+"""One frame through EAW: demodulate albedo, five a-trous passes, modulate albedo."""
 
 from __future__ import annotations
 
@@ -16,94 +16,108 @@ from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mas
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.stencils import atrous_taps
 
-FAR = 1e4  # stands for the logarithm of a depth that is none: weights to it are exactly 0
-LOG2E = 1 / math.log(2)  # exp(x) is 2^(LOG2E x)
+__all__ = ["Config", "Eaw", "build", "atrous_pass"]
+
+NO_SURFACE = 1e4  # log depth of pixels without a surface: weights to them are exactly 0
+LOG2E = 1 / math.log(2)  # exp(x) = 2^(LOG2E x)
 
 
 @dataclass(frozen=True)
 class Config:
-    """How fast weights fall: each is the squared distance at which a weight is 1/e."""
+    """Filter widths: the squared distance at which an edge-stopping weight is 1/e."""
 
     passes: int = 5  # >= 1
-    light: float = 16.0  # of log(1 + irradiance); half as much in each further pass
-    normal: float = 0.1  # of unit normals, over the squared step in pixels
-    depth: float = 1e-3  # of the logarithm of depth
+    phi_color: float = 16.0  # of log(1 + irradiance) in the first pass; halved in each further pass
+    phi_normal: float = 0.1  # of unit normals, divided by the squared step in pixels
+    phi_depth: float = 1e-3  # of log depth
 
 
 @dataclass(frozen=True)
 class Eaw:
-    """The edge-avoiding a-trous wavelet transform (Dammertz et al. 2010), used as a blur.
+    """Edge-avoiding a-trous wavelet transform (Dammertz et al. 2010), used as a filter.
 
-    Pass i averages 5 x 5 pixels that lie 2^i apart, by a B3 spline times w_rt * w_n * w_x: falling
-    exponentials of squared distances in colour, normal and position.
+    Pass i averages 5 x 5 pixels with a step of 2^i, weighted by a B3 spline times w_rt * w_n * w_x:
+    exponentials of negative squared distances in colour, normal and position. Uniform sampling,
+    frames are independent.
 
-    That the width in colour halves from pass to pass is not verified. Ours: no view holds
-    positions, so w_x compares logarithms of depth, which know no unit; colours are compared as
-    log(1 + c), so that it is not the bright light alone that stops the filter; what is filtered is
-    radiance over albedo (the mean of 3x3 pixels), so that texture is not blurred; background, and
-    what emits without reflecting, passes through; the widths are the best of a grid on training
-    clips (`python -m baselines.eaw.search`). A pixel whose mean is not finite is black before it is
-    filtered.
+    Not verified: that the width in colour halves from pass to pass. Ours: G-buffers hold no
+    positions, so w_x compares log depth, which is independent of the scene's unit; colours are
+    compared as log(1 + c), so that bright light does not dominate the edges; the filtered signal is
+    radiance over albedo (its mean over 3 x 3 pixels), so that textures are not blurred; background
+    and emitters that reflect nothing pass through unfiltered; the widths are the best of a grid on
+    training clips (`python -m baselines.eaw.search`). A pixel whose mean is not finite is black
+    before filtering.
     """
 
     config: Config = Config()
     traits: Traits = FAMILY.variants[""].traits
 
     def start(self, size: Size) -> None:
-        """Nothing is remembered."""
+        """No state: frames are independent."""
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
-        """Uniform."""
+        """Uniform density."""
         return torch.ones_like(gbuffer.depth)
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
-        """The filtered image, in linear radiance."""
-        noisy, shade = sanitize_radiance(samples.mean), reflectance(gbuffer.albedo)
-        solid = surface_mask(gbuffer.albedo, gbuffer.depth)
+        """The filtered image, linear radiance."""
+        # demodulate
+        noisy, albedo = sanitize_radiance(samples.mean), reflectance(gbuffer.albedo)
+        surface = surface_mask(gbuffer.albedo, gbuffer.depth)
         n, _, h, w = noisy.shape
-        flat = PaddedRows(n, h, w, margin=2**self.config.passes)
-        light = flat.pack((noisy / shade).where(solid, 0.0))
-        normal = flat.pack(gbuffer.normal)
-        depth = flat.pack(gbuffer.depth.log().where(solid, FAR), fill=FAR)
+        rows = PaddedRows(n, h, w, margin=2**self.config.passes)
+        irradiance = rows.pack((noisy / albedo).where(surface, 0.0))
+
+        # a-trous passes
+        normal = rows.pack(gbuffer.normal)
+        log_depth = rows.pack(gbuffer.depth.log().where(surface, NO_SURFACE), fill=NO_SURFACE)
         for index in range(self.config.passes):
-            guide = self._guide(index, light, normal, depth)
-            light = smooth(flat, 2**index, guide, light)
-        return (flat.unpack(light) * shade).where(solid, noisy), None
+            features = self._scale_features(index, irradiance, normal, log_depth)
+            irradiance = atrous_pass(rows, 2**index, features, irradiance)
 
-    def _guide(
-        self, index: int, light: Tensor, normal: Tensor, depth: Tensor
+        # modulate
+        return (rows.unpack(irradiance) * albedo).where(surface, noisy), None
+
+    def _scale_features(
+        self, index: int, irradiance: Tensor, normal: Tensor, log_depth: Tensor
     ) -> Float[Tensor, "7 row"]:
-        """Colour, normal and depth, such that the weight is 2 to minus the squared distance."""
-        of_light = (LOG2E * 2**index / self.config.light) ** 0.5
-        of_normal = (LOG2E / self.config.normal) ** 0.5 / 2**index
-        of_depth = (LOG2E / self.config.depth) ** 0.5
-        return torch.cat((light.log1p() * of_light, normal * of_normal, depth * of_depth))
+        """Colour, normal and depth, scaled so that a weight is 2^-(squared distance)."""
+        color_scale = (LOG2E * 2**index / self.config.phi_color) ** 0.5
+        normal_scale = (LOG2E / self.config.phi_normal) ** 0.5 / 2**index
+        depth_scale = (LOG2E / self.config.phi_depth) ** 0.5
+        return torch.cat(
+            (irradiance.log1p() * color_scale, normal * normal_scale, log_depth * depth_scale)
+        )
 
 
-def smooth(
-    flat: PaddedRows, step: int, guide: Float[Tensor, "g row"], light: Float[Tensor, "c row"]
+def atrous_pass(
+    rows: PaddedRows,
+    step: int,
+    features: Float[Tensor, "g row"],
+    irradiance: Float[Tensor, "c row"],
 ) -> Float[Tensor, "c row"]:
-    """One pass: the mean of 5 x 5 pixels, weighted by a spline and 2^-|guide_p - guide_q|^2.
+    """One a-trous pass: mean over 5 x 5 pixels, `step` pixels apart.
 
-    A weight is the same both ways, so each is computed once and serves two pixels.
+    The weight is a B3 spline times 2^-|f_p - f_q|^2 for features f. Weights are symmetric, so each
+    is computed once and used for both pixels.
     """
-    total, weights = light.clone(), torch.ones_like(light[:1])
-    for start, stop in flat.chunks(light):
-        apart = torch.empty(len(guide), stop - start, device=light.device)
-        weight = apart[:1].clone()
+    total, weights = irradiance.clone(), torch.ones_like(irradiance[:1])
+    for start, stop in rows.chunks(irradiance):
+        difference = torch.empty(len(features), stop - start, device=irradiance.device)
+        weight = difference[:1].clone()
         for tap in atrous_taps(step):
-            away = flat.offset(tap.down, tap.right)
-            here, there = slice(start, stop), slice(start + away, stop + away)
-            torch.sub(guide[:, here], guide[:, there], out=apart).square_()
-            torch.sum(apart, 0, keepdim=True, out=weight).neg_().exp2_().mul_(tap.weight)
-            for to, source in ((here, there), (there, here)):
-                total[:, to].addcmul_(light[:, source], weight)
-                weights[:, to].add_(weight)
+            shift = rows.offset(tap.down, tap.right)
+            p, q = slice(start, stop), slice(start + shift, stop + shift)
+            torch.sub(features[:, p], features[:, q], out=difference).square_()
+            torch.sum(difference, 0, keepdim=True, out=weight).neg_().exp2_().mul_(tap.weight)
+            for target, source in ((p, q), (q, p)):
+                total[:, target].addcmul_(irradiance[:, source], weight)
+                weights[:, target].add_(weight)
     return total / weights
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Eaw:
-    """EAW; nothing is learned."""
+    """EAW with the default widths; it has no weights."""
     return Eaw()

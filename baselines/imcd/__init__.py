@@ -1,8 +1,10 @@
-"""IMCD: a network draws features, and each pixel is averaged with those like it (Isik 2021)."""
+"""IMCD (Isik 2021): filter with kernels from the affinity of learned per-pixel features."""
 
 from __future__ import annotations
 
 from rlbench.family import Family, Traits, Variant
+
+__all__ = ["FAMILY", "TRAITS"]
 
 TRAITS = Traits(
     inputs=frozenset({"albedo", "normal", "depth", "motion"}),
@@ -19,8 +21,8 @@ FAMILY = Family(
     ),
     licence="Apache-2.0",
     variants={
-        "": Variant("How far do uniform samples get, each seen by itself and filtered?", TRAITS),
+        "": Variant("How far do affinity kernels get on uniform samples, read one by one?", TRAITS)
     },
     build="baselines.imcd.method:build",
-    train="baselines.imcd.train:trainer",
+    train="baselines.imcd.train:training_task",
 )

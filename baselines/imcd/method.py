@@ -1,4 +1,4 @@
-"""One frame through IMCD: embed samples, blend with memory, draw kernels, filter four times."""
+"""One frame through IMCD: embed samples, reproject, predict affinities, blend, filter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from baselines.imcd import FAMILY
-from baselines.imcd.filter import Past, Windows, filtered
+from baselines.imcd.filter import KernelSizes, PreviousFrame, apply_affinity_kernels
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
@@ -20,51 +20,53 @@ from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
+__all__ = ["Config", "Imcd", "State", "build"]
+
 CARDS = Path(__file__).parent / "cards"
-LARGEST = 65504.0  # radiance above this, the largest half, is cut
-CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state, in its order
+MAX_RADIANCE = 65504.0  # the largest half float; radiance is clamped to this
+CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state's images, in their order
 
 
 @dataclass(frozen=True)
 class Config:
-    """What of IMCD is a choice."""
+    """Choices that the paper's outline leaves open."""
 
-    windows: Windows = field(default_factory=Windows)
+    kernel_sizes: KernelSizes = field(default_factory=KernelSizes)
     bptt: int = 2  # frames that training differentiates through, >= 1
 
 
 class State(NamedTuple):
-    """What is remembered of the frames so far."""
+    """What the next frame needs of the frames so far."""
 
-    embedding: Float[Tensor, "n 32 h w"]  # blended over frames
-    light: Float[Tensor, "n 3 h w"]  # noisy radiance over reflectance, blended over frames
+    embedding: Float[Tensor, "n 32 h w"]  # accumulated over frames
+    irradiance: Float[Tensor, "n 3 h w"]  # noisy, demodulated, accumulated over frames
     features: Float[Tensor, "n 8 h w"]  # of the last spatial pass
-    image: Float[Tensor, "n 3 h w"]  # the last image over its reflectance, linear
-    age: int  # frames so far; at 0 the rest means nothing
+    denoised: Float[Tensor, "n 3 h w"]  # the previous image, demodulated, linear
+    age: int  # frames so far; at 0 the images are meaningless
 
     def detach(self) -> State:
-        """The same without its past's graph."""
+        """The same state without the autograd graph."""
         return State._make((*(image.detach() for image in self[:4]), self.age))
 
 
 @dataclass(frozen=True)
 class Imcd:
-    """Interactive Monte Carlo denoising by affinity of neural features (Isik et al. 2021).
+    """Interactive Monte Carlo denoising using affinity of neural features (Isik et al. 2021).
 
-    Samples are embedded one by one and averaged; a U-Net sees the mean e_t and its memory, and
-    gives features, sharpness and centre weights of three spatial passes and a temporal one (see
-    `filter`), and the weight of memory, lambda. Embedding and noisy light are blended over
-    frames by lambda, eq. 3 and 5.
+    Every sample is embedded, and the embeddings are averaged to e_t. A U-Net maps e_t and the
+    accumulated embedding to the kernels of three spatial passes and a temporal one (see `filter`):
+    features, sharpness and centre weights; and to lambda, the weight of history. Embedding and
+    noisy irradiance are accumulated over frames with lambda, eq. 3 and 5. Uniform sampling.
 
-    The paper was not at hand: equations are as two reimplementations have them. Ours: the U-Net
-    sees e_t as memory where there is none, as in a first frame; there memory is e_t, so that
-    blending leaves it; light is radiance over (albedo of 3x3 pixels + 0.01), or over 1.01 where
-    the albedo is black, as it is for lights and sky; depth enters as 1 / (1 + depth), and there
-    is no roughness. Of samples, what is NaN or negative enters as 0, what is above 65504 as 65504;
-    memory that is not finite is missing.
+    The paper was not at hand: equations are those of two reimplementations. Ours: where there is no
+    history, as in the first frame, e_t and the noisy irradiance take its place, so blending
+    leaves them unchanged; irradiance is radiance over (albedo of 3 x 3 pixels + 0.01), or over 1.01
+    where albedo is black, as for emitters and sky; depth enters as 1 / (1 + depth), and there is no
+    roughness. Samples that are NaN or negative enter as 0, those above 65504 as 65504; history that
+    is not finite is invalid.
 
-    Memory: a frame takes some 2 kB a pixel, nearly all of it the U-Net's, whatever the windows;
-    with samples, views and references that is below 2 GB at 720x720.
+    A frame takes about 2 kB per pixel, nearly all of it for the U-Net, at any kernel size; with
+    samples, G-buffers and references that is below 2 GB at 720 x 720.
     """
 
     networks: Networks
@@ -72,68 +74,75 @@ class Imcd:
     traits: Traits = FAMILY.variants[""].traits
 
     def start(self, size: Size) -> State:
-        """Nothing is remembered."""
+        """A state without history."""
         weight = next(self.networks.parameters())
-        empty = [torch.zeros(size.n, c, size.h, size.w, device=weight.device) for c in CHANNELS]
-        return State._make((*empty, 0))
+        images = [torch.zeros(size.n, c, size.h, size.w, device=weight.device) for c in CHANNELS]
+        return State._make((*images, 0))
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
-        """Uniform."""
+        """Uniform density."""
         return torch.ones_like(gbuffer.depth)
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The image; state is cut off each `bptt` frames."""
-        image, state, _ = self.step(gbuffer, samples, state)
+        """The image in linear radiance; the state is detached every `bptt` frames."""
+        image, state, _ = self.denoise_with_kernels(gbuffer, samples, state)
         return image, state
 
-    def step(
+    def denoise_with_kernels(
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State, Kernels]:
-        """The same with the kernels that the image was filtered by."""
-        reflectance = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        noisy, now = self._seen(gbuffer, samples, reflectance)
+        """As `denoise`, and the kernels that filtered the image."""
+        # demodulate and embed
+        albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
+        noisy, embedding = self._embed_samples(gbuffer, samples, albedo)
 
-        # move memory here; where there is none, it is what is seen now
-        moved, valid = _moved(gbuffer, state)
-        memory = moved.embedding.where(valid, now)
-        kernels = self.networks.kernels(now, memory)
-        embedding = torch.lerp(now, memory, kernels.keep)
-        light = torch.lerp(noisy, moved.light.where(valid, noisy), kernels.keep)
+        # reproject; without history, the current values take its place
+        reprojected, valid = _reproject_state(gbuffer, state)
+        history_embedding = reprojected.embedding.where(valid, embedding)
+        history_irradiance = reprojected.irradiance.where(valid, noisy)
 
-        past = Past(moved.features, moved.image, valid) if state.age else None
-        image = filtered(light, kernels, past, self.config.windows)
-        state = State(embedding, light, kernels.features[:, -1], image, state.age + 1)
+        # predict affinities and accumulate
+        kernels = self.networks.predict_kernels(embedding, history_embedding)
+        embedding = torch.lerp(embedding, history_embedding, kernels.history_weight)
+        irradiance = torch.lerp(noisy, history_irradiance, kernels.history_weight)
+
+        # filter and modulate
+        previous = PreviousFrame(reprojected.features, reprojected.denoised, valid)
+        denoised = apply_affinity_kernels(
+            irradiance, kernels, previous if state.age else None, self.config.kernel_sizes
+        )
+        state = State(embedding, irradiance, kernels.features[:, -1], denoised, state.age + 1)
         if state.age % self.config.bptt == 0:
             state = state.detach()
-        return image * reflectance, state, kernels
+        return denoised * albedo, state, kernels
 
-    def _seen(
-        self, gbuffer: GBuffer, samples: Samples, reflectance: Tensor
+    def _embed_samples(
+        self, gbuffer: GBuffer, samples: Samples, albedo: Tensor
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
-        """Mean light of the samples, and the mean of their embeddings e_t."""
-        clean = samples.radiance.nan_to_num(0.0, posinf=LARGEST, neginf=0.0).clamp(0, LARGEST)
-        light = clean / reflectance[:, None]
-        shape = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
-        embedding = self.networks.encoder(light.log1p(), shape, samples.valid_mask)
-        return light.sum(1) / samples.counts.clamp_min(1), embedding
+        """Mean irradiance of the samples, and the mean of their embeddings e_t."""
+        radiance = samples.radiance.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0)
+        irradiance = radiance.clamp(0, MAX_RADIANCE) / albedo[:, None]
+        features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
+        embedding = self.networks.encoder(irradiance.log1p(), features, samples.valid_mask)
+        return irradiance.sum(1) / samples.counts.clamp_min(1), embedding
 
 
-def _moved(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
-    """The state as seen from this frame, and where it is valid; zero where it is not."""
+def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
+    """The state as seen from this frame, zero where it is invalid, and the validity mask."""
     if state.age == 0:
-        return state, torch.zeros_like(state.light[:, :1], dtype=torch.bool)
-    moved, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
-    valid = valid & torch.isfinite(moved).all(1, keepdim=True)
-    parts = moved.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
+        return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
+    images, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
+    valid = valid & torch.isfinite(images).all(1, keepdim=True)
+    parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Imcd:
-    """IMCD with shipped weights, those of a file, or random ones."""
+    """IMCD with pretrained weights (None), those of a file (its path), or "random" ones."""
     networks = Networks()
     if weights == "random":
-        networks.draw(seed=0)
+        networks.init_weights(seed=0)
     load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
     return Imcd(networks, traits=FAMILY.variants[variant].traits)

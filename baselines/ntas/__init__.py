@@ -1,8 +1,10 @@
-"""NTAS: one network places the samples, a second filters them with kernels (Hasselgren 2020)."""
+"""NTAS (Hasselgren 2020): one network plans the samples, one predicts kernels that filter them."""
 
 from __future__ import annotations
 
 from rlbench.family import Family, Traits, Variant
+
+__all__ = ["FAMILY", "TRAITS"]
 
 TRAITS = Traits(
     inputs=frozenset({"albedo", "normal", "depth", "motion"}),
@@ -25,5 +27,5 @@ FAMILY = Family(
         "direct": Variant("Are kernels needed, or does a colour per pixel do as well?", TRAITS),
     },
     build="baselines.ntas.method:build",
-    train="baselines.ntas.train:trainer",
+    train="baselines.ntas.train:training_task",
 )

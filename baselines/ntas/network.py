@@ -1,4 +1,4 @@
-"""The two networks: one draws the map of samples, one predicts a hierarchy of kernels."""
+"""NTAS's two networks: a sampler for the density, a denoiser that predicts kernels."""
 
 from __future__ import annotations
 
@@ -16,152 +16,160 @@ from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
 from rlbench.ops.unet import BASE_WIDTHS, STRIDE, UNet
 
-VIEW = 7  # normal, albedo, depth
-COLOUR = 3
-TAPS = 25  # 5x5
-COARSEST = 4  # halvings of the coarsest level that is filtered
-FAINT = 0.1  # share of He's weights that the last layers start with
-MIDDLE = 0.5  # log_forward of light of 0.11
-BRIGHTEST = math.log1p(LOG_SCALE * HALF_MAX) / math.log1p(
-    LOG_SCALE
-)  # log_forward of the largest half
-SATURATED = 30.0  # a log weight above this one leaves nothing of the others in float32
+__all__ = ["Denoiser", "DirectDenoiser", "Networks", "Sampler"]
+
+GBUFFER_CHANNELS = 7  # normal, albedo, depth
+COLOUR_CHANNELS = 3
+TAPS = 25  # 5 x 5
+COARSEST_LEVEL = 4  # halvings of the coarsest filtered level
+LAST_LAYER_GAIN = 0.1  # of the last layers' initial weights, times He's
+OUTPUT_OFFSET = 0.5  # log_forward of irradiance 0.11
+# log_forward of the largest half float
+MAX_LOG = math.log1p(LOG_SCALE * HALF_MAX) / math.log1p(LOG_SCALE)
+MAX_LOG_WEIGHT = 30.0  # other weights vanish beside a larger one in float32
 
 
 class Networks(nn.Module):
     """Sampler and denoiser, trained and stored together."""
 
-    def __init__(self, denoiser: Callable[[], Denoiser | Direct] | None = None) -> None:
-        """Weights are the U-Net's; for seeded ones see `draw`. `denoiser` makes the second one."""
+    def __init__(self, denoiser: Callable[[], Denoiser | DirectDenoiser] | None = None) -> None:
+        """`denoiser` makes the second network; `init_weights` draws seeded weights."""
         super().__init__()
         self.sampler = Sampler()
         self.denoiser = (denoiser or Denoiser)()
 
-    def draw(self, seed: int) -> None:
-        """Seeded weights, faint in the last layers: map and kernels start near uniform."""
+    def init_weights(self, seed: int) -> None:
+        """Draw seeded weights; small last layers start density and kernels near uniform."""
         kaiming_init(self, seed)
-        for layer in (self.sampler.unet.dec_conv0, *self.denoiser.last_layers()):
+        for layer in (self.sampler.unet.dec_conv0, *self.denoiser.last_layers):
             for weight in layer.parameters():
-                weight.data.mul_(FAINT)
+                weight.data.mul_(LAST_LAYER_GAIN)
 
 
 class Sampler(nn.Module):
-    """The map of samples: a U-Net from the view and the last image to one number a pixel."""
+    """A U-Net from the G-buffer and the previous image to the log density."""
 
     def __init__(self) -> None:
-        """10 channels in, 1 out."""
+        """From 10 channels to 1."""
         super().__init__()
-        self.unet = UNet(VIEW + COLOUR, 1)
+        self.unet = UNet(GBUFFER_CHANNELS + COLOUR_CHANNELS, 1)
 
-    def forward(self, seen: Float[Tensor, "n 10 h w"]) -> Float[Tensor, "n 1 h w"]:
-        """The logarithm of the density, up to a constant; any size."""
-        wish = self.unet(pad(seen, STRIDE)).float()
-        return crop(wish, *seen.shape[-2:])
+    def forward(self, features: Float[Tensor, "n 10 h w"]) -> Float[Tensor, "n 1 h w"]:
+        """The logarithm of the density, up to a constant; any image size."""
+        log_density = self.unet(pad(features, STRIDE)).float()
+        return crop(log_density, *features.shape[-2:])
 
 
 class Denoiser(nn.Module):
-    """Kernels on a pyramid of the noisy light, blended from coarse to fine, and on the history.
+    """Predicted kernels on a pyramid of the noisy irradiance and on the reprojected history.
 
-    Level l holds the light averaged over squares of 2^l pixels, l = 0 .. 4, and F_l is it filtered
-    by softmax kernels of 5x5 taps, one for each pixel. Then O_4 = F_4 and
-    O_l = a_l F_l + (1 - a_l) up(O_{l+1}), a_l a sigmoid, up bilinear. At l = 0 the softmax runs
-    over 25 taps of the light and 25 of the history, without those where history is not valid.
-    The light that comes out is thus a mean of what came in: never negative, never above it.
+    Level l = 0 .. 4 holds the irradiance averaged over 2^l x 2^l pixels, and F_l is that level
+    filtered by one softmax kernel of 5 x 5 taps per pixel. Then O_4 = F_4 and
+    O_l = a_l F_l + (1 - a_l) up(O_{l+1}), with a sigmoid a_l and bilinear upsampling. At l = 0 the
+    softmax runs over 25 taps of the irradiance and 25 of the history, without invalid ones. The
+    output is therefore a weighted mean of the input: never negative, never brighter.
 
-    Kernels in a hierarchy and warped feedback are those of Hasselgren et al. 2020; more of the
-    paper could not be confirmed. What follows is ours and may differ: the trunk, the five levels,
-    the 5x5 taps, the blend, heads of 1x1 (3x3 at l = 0, the U-Net's own last layer), and the
-    coarsest head, which sees the features of level 3 averaged over 2x2.
+    Hierarchical kernels and warped feedback are those of Hasselgren et al. 2020; more of the paper
+    could not be confirmed. Ours, and possibly different: the trunk, the five levels, the 5 x 5
+    taps, the blend, the 1 x 1 heads (3 x 3 at l = 0, the U-Net's own last layer), and the coarsest
+    head, which reads the features of level 3 averaged over 2 x 2.
     """
 
     def __init__(self) -> None:
-        """13 channels into the trunk, a head at each level."""
+        """A trunk that takes 13 channels, and a head at each level."""
         super().__init__()
-        self.unet = UNet(COLOUR + VIEW + COLOUR, 2 * TAPS + 1)
+        self.unet = UNet(COLOUR_CHANNELS + GBUFFER_CHANNELS + COLOUR_CHANNELS, 2 * TAPS + 1)
         widths = BASE_WIDTHS.dec4[1], BASE_WIDTHS.dec3[1], BASE_WIDTHS.dec2[1]
         self.coarsest = nn.Conv2d(widths[0], TAPS, 1)
         self.heads = nn.ModuleList(nn.Conv2d(width, TAPS + 1, 1) for width in widths)
 
+    @property
     def last_layers(self) -> list[nn.Module]:
-        """The layers that kernels and blends come from, coarse to fine."""
+        """The layers that return kernels and blend weights, coarse to fine."""
         return [self.coarsest, *self.heads, self.unet.dec_conv0]
 
     def forward(
         self,
-        seen: Float[Tensor, "n 13 h w"],
-        light: Float[Tensor, "n 3 h w"],
+        features: Float[Tensor, "n 13 h w"],
+        irradiance: Float[Tensor, "n 3 h w"],
         history: Float[Tensor, "n 3 h w"],
         valid: Bool[Tensor, "n 1 h w"],
     ) -> Float[Tensor, "n 3 h w"]:
-        """Filtered light, linear as `light` and `history` are; history is finite everywhere."""
-        *coarse, finest = self.unet.decoder_features(pad(seen, STRIDE))
-        pyramid = [pad(light, STRIDE)]
-        for _ in range(COARSEST):
+        """Filtered irradiance, linear; `history` must be finite everywhere, even where invalid."""
+        *coarse, finest = self.unet.decoder_features(pad(features, STRIDE))
+        pyramid = [pad(irradiance, STRIDE)]
+        for _ in range(COARSEST_LEVEL):
             pyramid.append(F.avg_pool2d(pyramid[-1], 2))
 
         kernels = self.coarsest(F.avg_pool2d(coarse[0], 2)).float().softmax(1)
-        output: Tensor = apply_kernels(kernels, pyramid[COARSEST])
-        for head, features, level in zip(self.heads, coarse, pyramid[3:0:-1], strict=True):
-            taps, share = head(features).float().split_with_sizes((TAPS, 1), 1)
-            output = _blend(apply_kernels(taps.softmax(1), level), output, share)
+        output: Tensor = apply_kernels(kernels, pyramid[COARSEST_LEVEL])
+        for head, level_features, level in zip(self.heads, coarse, pyramid[3:0:-1], strict=True):
+            logits, blend = head(level_features).float().split_with_sizes((TAPS, 1), 1)
+            output = _blend(apply_kernels(logits.softmax(1), level), output, blend)
 
-        taps, past_taps, share = (
+        logits, history_logits, blend = (
             self.unet.dec_conv0(finest).float().split_with_sizes((TAPS, TAPS, 1), 1)
         )
-        past = pad(torch.cat((history * valid, valid.to(history.dtype)), 1), STRIDE)
-        output = _blend(_filter(taps, past_taps, pyramid[0], past), output, share)
-        return crop(output, *light.shape[-2:])
+        masked_history = pad(torch.cat((history * valid, valid.to(history.dtype)), 1), STRIDE)
+        finest_level = _filter_with_history(logits, history_logits, pyramid[0], masked_history)
+        return crop(_blend(finest_level, output, blend), *irradiance.shape[-2:])
 
 
-class Direct(nn.Module):
-    """A U-Net from what `Denoiser` sees to the light itself, colour by colour, without kernels.
+class DirectDenoiser(nn.Module):
+    """A U-Net from the inputs of `Denoiser` to the irradiance itself, without kernels.
 
-    In place of kernels Scardigli et al. 2023 have a U-Net that says colours, in their release:
-    convolutions of 48 to 96 channels, six poolings, two layers without padding at the end, a ReLU
-    on what it says, at half resolution, enlarged to 2x2 pixels and cropped. Differs from it: the
-    U-Net is that of the sampler and of the kernels here, so that only what is said differs;
-    it speaks at full resolution; what it says is `log_forward(light)`, where theirs are colours
-    of the display, and light is free of albedo. Ours: it says how far light is from 0.5 in log
-    transfer, so that no colour starts where the ReLU has no slope.
+    In the release of Scardigli et al. 2023 a U-Net predicts colours instead of kernels:
+    convolutions of 48 to 96 channels, six poolings, two last layers without padding, and a ReLU on
+    the output, at half resolution, upsampled to 2 x 2 pixels and cropped. Differs from it: the
+    U-Net is the one that predicts the density and the kernels here, so that the outputs alone
+    differ; its output has full resolution and is `log_forward(irradiance)`, demodulated, where
+    theirs is display colour. Ours: 0.5 is added to the output, so that no colour starts where the
+    ReLU has no gradient.
     """
 
     def __init__(self) -> None:
-        """13 channels in, 3 out."""
+        """From 13 channels to 3."""
         super().__init__()
-        self.unet = UNet(COLOUR + VIEW + COLOUR, COLOUR)
+        self.unet = UNet(COLOUR_CHANNELS + GBUFFER_CHANNELS + COLOUR_CHANNELS, COLOUR_CHANNELS)
 
+    @property
     def last_layers(self) -> list[nn.Module]:
-        """The layer that colours come from."""
+        """The layer that returns colours."""
         return [self.unet.dec_conv0]
 
     def forward(
         self,
-        seen: Float[Tensor, "n 13 h w"],
-        light: Float[Tensor, "n 3 h w"],
+        features: Float[Tensor, "n 13 h w"],
+        irradiance: Float[Tensor, "n 3 h w"],
         history: Float[Tensor, "n 3 h w"],
         valid: Bool[Tensor, "n 1 h w"],
     ) -> Float[Tensor, "n 3 h w"]:
-        """Light, linear, in [0, 65504]; samples and history enter by `seen` alone."""
-        said = self.unet(pad(seen, STRIDE)).float() + MIDDLE
-        return log_inverse(crop(said, *light.shape[-2:]).clamp(0, BRIGHTEST))
+        """Irradiance, linear, in [0, 65504]; samples and history enter through `features` alone."""
+        output = self.unet(pad(features, STRIDE)).float() + OUTPUT_OFFSET
+        return log_inverse(crop(output, *irradiance.shape[-2:]).clamp(0, MAX_LOG))
 
 
-def _filter(
-    taps: Float[Tensor, "n taps h w"],
-    past_taps: Float[Tensor, "n taps h w"],
-    light: Float[Tensor, "n 3 h w"],
-    past: Float[Tensor, "n 4 h w"],
+def _filter_with_history(
+    logits: Float[Tensor, "n taps h w"],
+    history_logits: Float[Tensor, "n taps h w"],
+    irradiance: Float[Tensor, "n 3 h w"],
+    masked_history: Float[Tensor, "n 4 h w"],
 ) -> Float[Tensor, "n 3 h w"]:
-    """Softmax over the taps of light and history jointly; `past` is history and its validity."""
-    top = taps.detach().amax(1, keepdim=True)
-    weights = (taps - top).exp()
-    past_weights = (past_taps - top).clamp_max(SATURATED).exp()
-    remembered, trust = apply_kernels(past_weights, past).split_with_sizes((COLOUR, 1), 1)
-    total = weights.sum(1, keepdim=True) + trust  # >= 1, from the largest of `taps`
-    return (apply_kernels(weights, light) + remembered) / total
+    """Joint softmax over the taps of irradiance and history.
+
+    `masked_history` holds the history, zero where invalid, and a channel with its validity.
+    """
+    largest = logits.detach().amax(1, keepdim=True)
+    weights = (logits - largest).exp()
+    history_weights = (history_logits - largest).clamp_max(MAX_LOG_WEIGHT).exp()
+    history_sum, history_weight = apply_kernels(history_weights, masked_history).split_with_sizes(
+        (COLOUR_CHANNELS, 1), 1
+    )
+    total = weights.sum(1, keepdim=True) + history_weight  # >= 1, by the largest of `logits`
+    return (apply_kernels(weights, irradiance) + history_sum) / total
 
 
-def _blend(fine: Tensor, coarse: Tensor, share: Tensor) -> Tensor:
-    """The finer level and the coarser one, brought to its size, in the proportion of a sigmoid."""
-    raised = F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)
-    return torch.lerp(raised, fine, share.sigmoid())
+def _blend(fine: Tensor, coarse: Tensor, logit: Tensor) -> Tensor:
+    """sigmoid(logit) of the finer level plus the rest of the upsampled coarser level."""
+    upsampled = F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)
+    return torch.lerp(upsampled, fine, logit.sigmoid())

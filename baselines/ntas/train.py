@@ -1,4 +1,4 @@
-"""Training both networks jointly: what was bought gets a gradient that reaches the map."""
+"""Train NTAS's networks jointly: a surrogate gradient through the samples reaches the sampler."""
 
 from __future__ import annotations
 
@@ -16,40 +16,44 @@ from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.training import BUDGETS_FROM_1_SPP, SurrogateGradient, TrainingTask
 
-SHARES = {"sampler": 0.2}  # of the rate: 1e-4
+__all__ = ["training_task"]
+
+LR_MULTIPLIERS = {"sampler": 0.2}  # learning rate 1e-4
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """NTAS with seeded weights, and the loss that trains sampler and denoiser together.
 
-    L1 of the image plus L1 of its change since the last frame, both against the reference's and
-    in log transfer, weights 1 and 1. Hasselgren et al. 2020 take the last frames of a sequence,
-    here it is all frames of each `bptt`; their transfer is not known to us.
+    L1 of the image plus L1 of its change from the previous frame, both against the reference and in
+    log transfer space, weights 1 and 1. Hasselgren et al. 2020 use the last frames of a sequence;
+    here all frames of each `bptt` count. Their transfer function is not known to us.
     """
     config = VARIANTS[variant]
     networks = Networks(config.denoiser)
-    networks.draw(seed)
+    networks.init_weights(seed)
     networks.to(device)
     method = Ntas(networks, config, FAMILY.variants[variant].traits)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         return _losses(method, clip, spp)
 
-    return TrainingTask(method, networks, losses, BUDGETS_FROM_1_SPP, lr_multipliers=SHARES)
+    return TrainingTask(method, networks, losses, BUDGETS_FROM_1_SPP, lr_multipliers=LR_MULTIPLIERS)
 
 
 def _losses(method: Ntas, clip: Clip, spp: float) -> Iterator[Tensor]:
-    taught = SurrogateGradient(method, iter(clip), spp)
-    terms: list[Tensor] = []  # of the frames since the last yield
-    before: tuple[Tensor, Tensor] | None = None  # image and reference of the last frame
-    for shown in unroll(taught, clip, spp):
-        image, truth = log_forward(shown.image), log_forward(shown.frame.reference.mean)
-        terms.append(F.l1_loss(image, truth))
-        if before is not None:
-            terms[-1] = terms[-1] + F.l1_loss(image - before[0], truth - before[1])
-        before = image, truth
-        if len(terms) == method.config.bptt:
-            yield torch.stack(terms).mean()
-            terms, before = [], (image.detach(), truth)
-    if terms:
-        yield torch.stack(terms).mean()
+    """One loss for each `bptt` frames, the mean of the frames' losses."""
+    trained = SurrogateGradient(method, iter(clip), spp)
+    frame_losses: list[Tensor] = []  # since the last yield
+    previous: tuple[Tensor, Tensor] | None = None  # image and reference of the previous frame
+    for result in unroll(trained, clip, spp):
+        image, reference = log_forward(result.image), log_forward(result.frame.reference.mean)
+        loss = F.l1_loss(image, reference)
+        if previous is not None:
+            loss = loss + F.l1_loss(image - previous[0], reference - previous[1])
+        frame_losses.append(loss)
+        previous = image, reference
+        if len(frame_losses) == method.config.bptt:
+            yield torch.stack(frame_losses).mean()
+            frame_losses, previous = [], (image.detach(), reference)
+    if frame_losses:
+        yield torch.stack(frame_losses).mean()

@@ -1,4 +1,4 @@
-"""One frame through OIDN: expose, transfer, pad, network, crop, inverse transfer, un-expose."""
+"""One frame through OIDN: expose, transfer, pad, U-Net, crop, inverse transfer, undo exposure."""
 
 from __future__ import annotations
 
@@ -19,30 +19,32 @@ from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
 from rlbench.weights import load_for_inference
 
-CARDS = Path(__file__).parent / "cards"
-INPUTS = 9  # colour, albedo, normal
+__all__ = ["INPUT_CHANNELS", "VARIANTS", "Config", "Oidn", "build", "encode_inputs", "to_radiance"]
 
-Expose = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 1 1 1"]]
-Develop = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 1 1"]], Float[Tensor, "n 3 h w"]]
+CARDS = Path(__file__).parent / "cards"
+INPUT_CHANNELS = 9  # colour, albedo, normal
+
+EstimateExposure = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 1 1 1"]]
+Decode = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 1 1"]], Float[Tensor, "n 3 h w"]]
 
 
 @dataclass(frozen=True)
 class Config:
-    """What tells the variants apart."""
+    """What distinguishes the variants."""
 
     widths: UNetWidths = BASE_WIDTHS  # channels of each convolution
-    intel: bool = False  # does training start from Intel's weights?
+    starts_from_intel: bool = False  # training starts from Intel's weights
 
 
 VARIANTS = {
     "": Config(),
     "small": Config(widths=FAST_WIDTHS),  # is a third of the parameters enough?
-    "tuned": Config(intel=True),  # what do our clips add to Intel's weights?
+    "tuned": Config(starts_from_intel=True),  # what does fine-tuning Intel's weights add?
 }
 
 
-def inputs(exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer) -> Float[Tensor, "n 9 h w"]:
-    """What the network reads: exposed radiance in transfer space, albedo, normals in [0, 1]."""
+def encode_inputs(exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer) -> Float[Tensor, "n 9 h w"]:
+    """The network's input: exposed radiance in transfer space, albedo, and normals in [0, 1]."""
     normal = gbuffer.normal.clamp(-1, 1) * 0.5 + 0.5
     return torch.cat((pu_forward(exposed), gbuffer.albedo.clamp(0, 1), normal), dim=1)
 
@@ -50,7 +52,7 @@ def inputs(exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer) -> Float[Tensor,
 def to_radiance(
     value: Float[Tensor, "n 3 h w"], exposure: Float[Tensor, "n 1 1 1"]
 ) -> Float[Tensor, "n 3 h w"]:
-    """What the network says, as linear radiance: clamped, out of transfer space, un-exposed.
+    """Linear radiance from the network's output: clamp, inverse transfer, undo the exposure.
 
     OIDN clamps below only; here also at the largest half float, so that the image stays finite.
     """
@@ -59,39 +61,39 @@ def to_radiance(
 
 @dataclass(frozen=True)
 class Oidn:
-    """Afra 2019, Open Image Denoise: its ray-tracing filter for HDR with albedo and normal.
+    """Open Image Denoise (Afra 2019): its ray-tracing filter for HDR with albedo and normal.
 
-    The U-Net, the transfer function and the exposure are those of its training toolkit. The weights
-    are ours, trained on the frames that every other method here is trained on; those of
-    `oidn/tuned` start from Intel's. Differs from OIDN: borders are repeated, not zero, up to a
-    multiple of 16.
+    U-Net, transfer function and exposure are those of its training toolkit. The weights are ours,
+    trained on the same frames as every other method here; those of `oidn/tuned` start from Intel's.
+    Uniform sampling, frames are independent. Differs from OIDN: images are padded to a multiple of
+    16 by repeating the border, not with zeros.
     """
 
     network: nn.Module  # 9 channels to 3, in transfer space
     traits: Traits = TRAITS
-    expose: Expose = field(default=autoexposure)  # noisy image to exposure
-    develop: Develop = field(default=to_radiance)  # network's output and exposure to image
+    estimate_exposure: EstimateExposure = field(default=autoexposure)  # from the noisy image
+    decode: Decode = field(default=to_radiance)  # network output and exposure to image
 
     def start(self, size: Size) -> None:
-        """Nothing: every frame is its own."""
+        """No state: frames are independent."""
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
-        """Uniform."""
+        """Uniform density."""
         return torch.ones_like(gbuffer.albedo[:, :1])
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
-        """The image, from the mean of the samples, albedo and normal."""
+        """The image in linear radiance, from the mean of the samples, albedo and normal."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
-        exposure = self.expose(noisy)
-        seen = inputs(noisy * exposure, gbuffer)
-        value = crop(self.network(pad(seen, multiple=STRIDE)), *seen.shape[-2:])
-        return self.develop(value, exposure), None
+        exposure = self.estimate_exposure(noisy)
+        features = encode_inputs(noisy * exposure, gbuffer)
+        output = crop(self.network(pad(features, multiple=STRIDE)), *features.shape[-2:])
+        return self.decode(output, exposure), None
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
-    """OIDN with our weights, those of a file, or `"random"` ones."""
-    network = UNet(INPUTS, widths=VARIANTS[variant].widths)
+    """OIDN with pretrained weights (None), those of a file (its path), or "random" ones."""
+    network = UNet(INPUT_CHANNELS, widths=VARIANTS[variant].widths)
     load_for_inference(network, weights, CARDS / FAMILY.weights_file(variant), device)
     return Oidn(network)

@@ -1,14 +1,14 @@
-"""How OIDN learns: its own loss, in its transfer space, at the reference's exposure."""
+"""Train OIDN with its own loss, in transfer space, at the exposure of the reference."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from baselines.oidn.method import INPUTS, VARIANTS, Oidn
+from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip
 from rlbench.ops.exposure import autoexposure
@@ -16,51 +16,62 @@ from rlbench.ops.losses import UNIFORM_WEIGHTS, l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import pu_forward
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
-from rlbench.training import BUDGETS_FROM_1_SPP, TrainingTask
+from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
 
-PEAK = 1e-3  # learning rate
-TUNING = 4e-5  # the same, where training starts from Intel's weights
+__all__ = ["fine_tuning_task", "training_task"]
+
+MAX_LR = 1e-3
+FINE_TUNING_MAX_LR = 4e-5  # for training that starts from Intel's weights
 
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """A seeded U-Net and its loss, 0.16 L1 + 0.84 (1 - MS-SSIM) with five equal scales.
 
-    As in OIDN's training toolkit (Afra 2019), exposure comes from the reference, and output and
-    reference are compared in transfer space, where display white at an exposure of 1 lies at 0.319.
-    Differs from it in what all methods here share: crops, schedule, averaged weights; normals
-    are not permuted; and crops below 176 pixels use the scales that fit. What starts from Intel's
-    weights is tuned as `ours` is, at its rate and with the logarithm of the loss. Raises
-    LibraryError where Intel's weights are wanted and the extra `oidn` is not installed.
+    As in OIDN's training toolkit (Afra 2019), the exposure comes from the reference, and output and
+    reference are compared in transfer space, where display white at exposure 1 is 0.319. Differs
+    from it in what all methods here share: crops, schedule, averaged weights; normals are not
+    permuted; and crops below 176 pixels use the scales that fit. The variant `tuned` starts from
+    Intel's weights and is fine-tuned as `ours` is, with its learning rate and the logarithm of the
+    loss. Raises LibraryError for `tuned` if the extra `oidn` is not installed.
     """
     config = VARIANTS[variant]
-    network = UNet(INPUTS, widths=config.widths, seed=seed).to(device)
-    return (tuning if config.intel else learning)(Oidn(network))
+    network = UNet(INPUT_CHANNELS, widths=config.widths, seed=seed).to(device)
+    make_task = fine_tuning_task if config.starts_from_intel else _task
+    return make_task(Oidn(network))
 
 
-def tuning(method: Oidn) -> TrainingTask:
-    """How a U-Net goes on from Intel's weights. Raises LibraryError without the extra `oidn`."""
+def fine_tuning_task(method: Oidn) -> TrainingTask:
+    """Fine-tuning of `method` from Intel's weights, on the pool that the method's traits name.
+
+    Loads Intel's weights into the method's network. Raises LibraryError without the extra `oidn`.
+    """
     from baselines.oidn_intel import networks
 
-    known = networks.network(method.network.widths).state_dict()
-    method.network.load_state_dict(known)
-    return replace(learning(method, TUNING, even=True), origin=networks.origin())
+    intel_weights = networks.load_network(method.network.widths).state_dict()
+    method.network.load_state_dict(intel_weights)
+    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=networks.weights_origin())
 
 
-def learning(method: Oidn, peak: float = PEAK, even: bool = False) -> TrainingTask:
-    """How a U-Net learns from the pool that the method's traits name; even: by decibels."""
-
+def _task(
+    method: Oidn,
+    max_lr: float = MAX_LR,
+    transform_loss: Callable[[Tensor], Tensor] = lambda loss: loss,
+) -> TrainingTask:
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for frame in clip:
-            loss = _loss(method, InMemoryClip(clip.name, clip.scene, clip.digest, [frame]), spp)
-            yield log_loss(loss) if even else loss
+            single = InMemoryClip(clip.name, clip.scene, clip.digest, [frame])
+            yield transform_loss(_frame_loss(method, single, spp))
 
-    return TrainingTask(method, method.network, losses, BUDGETS_FROM_1_SPP, peak)
+    return TrainingTask(method, method.network, losses, BUDGETS_FROM_1_SPP, max_lr)
 
 
-def _loss(method: Oidn, still: InMemoryClip, spp: float) -> Tensor:
-    reference = still.frames[0].reference.mean
+def _frame_loss(method: Oidn, clip: InMemoryClip, spp: float) -> Tensor:
+    """The loss of a clip's only frame."""
+    reference = clip.frames[0].reference.mean
     exposure = autoexposure(reference)
-    # the network's output as it is, no clamp: what is clamped gets no gradient
-    method = replace(method, expose=lambda noisy: exposure, develop=lambda value, _: value)
-    (shown,) = unroll(method, still, spp)
-    return l1_ms_ssim_loss(shown.image, pu_forward(reference * exposure), UNIFORM_WEIGHTS)
+    # compare the raw output: clamped values would get no gradient
+    method = replace(
+        method, estimate_exposure=lambda noisy: exposure, decode=lambda output, _: output
+    )
+    (result,) = unroll(method, clip, spp)
+    return l1_ms_ssim_loss(result.image, pu_forward(reference * exposure), UNIFORM_WEIGHTS)

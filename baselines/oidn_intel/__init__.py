@@ -1,4 +1,4 @@
-"""Open Image Denoise itself: Intel's library with Intel's weights, beside our retrained network."""
+"""OIDN by Intel: the library with Intel's weights, for comparison with our retrained network."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import replace
 
 from rlbench.family import Family, Traits, Variant
 
+__all__ = ["FAMILY", "TRAITS"]
+
 TRAITS = Traits(inputs=frozenset({"albedo", "normal"}), spp_range=(1.0, 8.0))
 INTEL = Variant(
-    "How far does the library get as it comes, trained by Intel on its own scenes?",
+    "How far does the library get with its own weights, trained by Intel on other scenes?",
     TRAITS,
     learned=False,  # by us
     requires=("pyoidn",),
@@ -21,9 +23,9 @@ FAMILY = Family(
     licence="Apache-2.0 (Intel's library and weights; the binding pyoidn is MIT)",
     variants={
         "": INTEL,
-        "balanced": replace(INTEL, question="Does its middle quality cost anything?"),
-        "fast": replace(INTEL, question="What does its network for previews cost?"),
-        "clean": replace(INTEL, question="Does it help to say that albedo and normal are clean?"),
+        "balanced": replace(INTEL, question="Does quality 'balanced' cost accuracy?"),
+        "fast": replace(INTEL, question="Does quality 'fast', a smaller network, cost accuracy?"),
+        "clean": replace(INTEL, question="Does declaring albedo and normal noise-free help?"),
     },
     build="baselines.oidn_intel.method:build",
 )

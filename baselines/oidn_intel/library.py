@@ -1,4 +1,4 @@
-"""Intel's library through pyoidn: one filter for one image size, with Intel's weights or others."""
+"""Intel's library through pyoidn: a filter for one image size, with Intel's or other weights."""
 
 from __future__ import annotations
 
@@ -15,38 +15,40 @@ from torch import Tensor
 
 from rlbench.errors import RlbenchError
 
+__all__ = ["Filter", "LibraryError", "FilterSettings", "library_version"]
+
 IMAGES = ("color", "albedo", "normal", "output")
 
 
 class LibraryError(RlbenchError, RuntimeError):
-    """What the library itself reports."""
+    """An error that Open Image Denoise reports, or a missing part of it."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How the library's ray-tracing filter is set, for HDR colour with albedo and normal."""
+class FilterSettings:
+    """Settings of the library's ray-tracing filter for HDR colour with albedo and normal."""
 
     quality: str = "high"  # high, balanced, fast
-    clean: bool = False  # albedo and normal are claimed to be free of noise
-    weights: bytes = b""  # a TZA file to use in place of Intel's
+    clean_aux: bool = False  # OIDN's cleanAux: albedo and normal are free of noise
+    weights: bytes = b""  # a TZA file that replaces Intel's weights
 
 
 class Filter:
-    """The filter for images of one size on so many threads of this processor.
+    """The library's filter for images of one size, on a number of CPU threads.
 
-    Not for two threads of a program at once: the images that the library reads lie in here.
+    Not thread-safe: it holds the image buffers that the library reads and writes.
     """
 
-    def __init__(self, settings: Settings, h: int, w: int, threads: int) -> None:
-        """Build the library's network. Raises LibraryError, e.g. for weights that are no TZA."""
-        import pyoidn  # an extra; what only lists methods does not need it
+    def __init__(self, settings: FilterSettings, h: int, w: int, threads: int) -> None:
+        """Build the library's network. Raises LibraryError, e.g. for weights that are not a TZA."""
+        import pyoidn  # an optional dependency that listing methods does not need
 
         self._images = {name: np.zeros((h, w, 3), np.float32) for name in IMAGES}
         self._weights = settings.weights  # the library does not copy them
         self._device = pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU)
         weakref.finalize(self, self._device.release)
         self._device.set_int("numThreads", threads)
-        self._device.set_bool("setAffinity", False)  # as torch, which pins no thread either
+        self._device.set_bool("setAffinity", False)  # torch does not pin threads either
         self._device.commit()
         self._check()
 
@@ -55,10 +57,10 @@ class Filter:
         for name, image in self._images.items():
             self._filter.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
         self._filter.set_bool("hdr", True)
-        self._filter.set_bool("cleanAux", settings.clean)
+        self._filter.set_bool("cleanAux", settings.clean_aux)
         self._filter.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{settings.quality.upper()}"))
         if self._weights:
-            _give_weights(self._filter, self._weights)
+            _set_weights(self._filter, self._weights)
         self._filter.commit()
         self._check()
 
@@ -70,8 +72,8 @@ class Filter:
     ) -> Float[Tensor, "3 h w"]:
         """The denoised image, linear radiance, on the device of `colour`.
 
-        `colour` is linear radiance, albedo in [0, 1], normals in [-1, 1]. The library exposes the
-        image itself. Tensors of another device are copied to the processor and back.
+        `colour` is linear radiance, albedo in [0, 1], normals in [-1, 1]. The library estimates the
+        exposure itself. Tensors on another device are copied to the CPU and back.
         """
         for name, image in zip(IMAGES, (colour, albedo, normal), strict=False):
             torch.from_numpy(self._images[name]).copy_(image.movedim(0, 2))
@@ -81,12 +83,12 @@ class Filter:
         return output.movedim(2, 0).to(colour.device, copy=True).contiguous()
 
     def _check(self) -> None:
-        if told := self._device.get_error():
-            raise LibraryError(f"Open Image Denoise: {told}")
+        if message := self._device.get_error():
+            raise LibraryError(f"Open Image Denoise: {message}")
 
 
-def version() -> str:
-    """Version of the library that pyoidn brings, as in "2.5.1"."""
+def library_version() -> str:
+    """Version of the library inside pyoidn, for example "2.5.1"."""
     import pyoidn
 
     with pyoidn.Device(pyoidn.OIDN_DEVICE_TYPE_CPU) as device:
@@ -95,15 +97,15 @@ def version() -> str:
         )
 
 
-def _give_weights(filter_: Any, weights: bytes) -> None:
-    """Set the filter's parameter "weights", for which pyoidn has no call; the bytes are shared."""
+def _set_weights(filter_: Any, weights: bytes) -> None:
+    """Set the filter's data "weights", for which pyoidn has no function; the bytes are shared."""
     from pyoidn import capi
 
     folder = Path(capi.__file__).parent / "oidn"
     name = capi.wrap_dylib("OpenImageDenoise")
     (path,) = (p for p in (folder / "lib" / name, folder / "bin" / name) if p.exists())
-    give = ctypes.CDLL(str(path)).oidnSetSharedFilterData  # the library that pyoidn has loaded
-    give.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_size_t)
-    give.restype = None
+    set_data = ctypes.CDLL(str(path)).oidnSetSharedFilterData  # the library that pyoidn loaded
+    set_data.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_size_t)
+    set_data.restype = None
     handle = int(capi.oidn_ffi.cast("uintptr_t", filter_._filter))
-    give(handle, b"weights", weights, len(weights))
+    set_data(handle, b"weights", weights, len(weights))

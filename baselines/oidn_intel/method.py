@@ -1,4 +1,4 @@
-"""One frame through Intel's library: the mean of the samples, albedo and normal in, image out."""
+"""One frame through Intel's library, from the mean of the samples, albedo and normal."""
 
 from __future__ import annotations
 
@@ -10,63 +10,65 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.oidn_intel import TRAITS
-from baselines.oidn_intel.library import Filter, Settings, version
+from baselines.oidn_intel.library import Filter, FilterSettings, library_version
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.transfer import HALF_MAX
 
-filter_for = lru_cache(maxsize=4)(Filter)  # building one takes as long as using it
+__all__ = ["VARIANTS", "Config", "OidnIntel", "build"]
+
+get_filter = lru_cache(maxsize=4)(Filter)  # building a filter takes as long as running it
 
 
 @dataclass(frozen=True)
 class Config:
-    """What tells the variants apart."""
+    """What distinguishes the variants."""
 
     quality: str = "high"  # the library's default
-    clean: bool = False  # albedo and normal are claimed to be free of noise
-    library: str = ""  # its version
+    clean_aux: bool = False  # OIDN's cleanAux: albedo and normal are free of noise
+    library_version: str = ""  # its version, which the results record
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    "balanced": replace(BASE, quality="balanced"),  # does the middle quality cost anything?
-    "fast": replace(BASE, quality="fast"),  # what does the network for previews cost?
-    "clean": replace(BASE, clean=True),  # does it help to say that albedo and normal are clean?
+    "balanced": replace(BASE, quality="balanced"),  # does it cost accuracy?
+    "fast": replace(BASE, quality="fast"),  # does a smaller network cost accuracy?
+    "clean": replace(BASE, clean_aux=True),  # does declaring clean features help?
 }
 
 
 @dataclass(frozen=True)
 class OidnIntel:
-    """Afra 2019, Open Image Denoise: the library, its ray-tracing filter and its weights.
+    """Open Image Denoise (Afra 2019): Intel's library, its ray-tracing filter and its weights.
 
-    HDR colour with albedo and normal, one frame at a time. It runs on the processor, on as many
-    threads as torch has; what lies on another device is copied there and back. Where the library's
-    own rules differ from those of `baselines.oidn`: borders are zero up to a multiple of 16, and
-    large images are cut into overlapping tiles.
+    HDR colour with albedo and normal; uniform sampling, frames are independent. It runs on the CPU
+    with as many threads as torch; tensors on another device are copied there and back. Differs
+    from `baselines.oidn`: the library pads images with zeros to a multiple of 16, and processes
+    large images in overlapping tiles.
     """
 
     config: Config
     traits: Traits = TRAITS
 
     def start(self, size: Size) -> None:
-        """Nothing: every frame is its own."""
+        """No state: frames are independent."""
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: None) -> Float[Tensor, "n 1 h w"]:
-        """Uniform."""
+        """Uniform density."""
         return torch.ones_like(gbuffer.albedo[:, :1])
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
-        """The image, from the mean of the samples, albedo and normal; clip by clip."""
+        """The image in linear radiance; the clips of a batch one after another."""
         noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
-        settings = Settings(self.config.quality, self.config.clean)
-        run = filter_for(settings, *noisy.shape[-2:], torch.get_num_threads())
+        settings = FilterSettings(self.config.quality, self.config.clean_aux)
+        run_filter = get_filter(settings, *noisy.shape[-2:], torch.get_num_threads())
         inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)
-        return torch.stack([run(*each) for each in inputs]), None
+        return torch.stack([run_filter(*clip_inputs) for clip_inputs in inputs]), None
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> OidnIntel:
-    """The library in one of its qualities, with the weights that it brings."""
-    return OidnIntel(replace(VARIANTS[variant], library=version()))
+    """The library with the settings of `variant` and its own weights."""
+    return OidnIntel(replace(VARIANTS[variant], library_version=library_version()))

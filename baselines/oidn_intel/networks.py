@@ -1,4 +1,4 @@
-"""Intel's networks as ours: read out of the library, which holds them as TZA files."""
+"""Intel's networks as torch modules, read from the library, which contains them as TZA files."""
 
 from __future__ import annotations
 
@@ -11,65 +11,79 @@ import numpy as np
 import torch
 
 from baselines.oidn import tza
-from baselines.oidn.method import INPUTS, Oidn
-from baselines.oidn_intel.library import Filter, LibraryError, Settings, version
+from baselines.oidn.method import INPUT_CHANNELS, Oidn
+from baselines.oidn_intel.library import Filter, FilterSettings, LibraryError, library_version
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, UNet, UNetWidths
+
+__all__ = ["load_network", "weights_origin", "read_library_networks"]
 
 QUALITIES = {
     BASE_WIDTHS: "high",
     FAST_WIDTHS: "fast",
-}  # of the library, by the network that it takes for it
-LONGEST = 8_000_000  # bytes of a network in the library, at most
-SIDE = 64  # pixels of the image by which a network is known
-ALIKE = 0.02  # relative difference, more than half floats make; other networks differ by 0.19
+}  # the library's quality that uses each network
+MAX_TZA_BYTES = 8_000_000  # upper bound of a network's size in the library
+TEST_SIDE = 64  # pixels; side of the image that identifies a network
+MAX_DIFFERENCE = 0.02  # relative; half floats cause less, and other networks differ by 0.19
 
 
-def inside() -> list[Mapping[str, tza.Array]]:
-    """All networks that are built into the library that pyoidn brings. Raises LibraryError."""
+def read_library_networks() -> list[Mapping[str, tza.Array]]:
+    """All networks inside pyoidn's library, as tensors by name.
+
+    Raises LibraryError if pyoidn is not installed.
+    """
     try:
-        import pyoidn  # an extra
+        import pyoidn  # an optional dependency
     except ImportError as error:
         raise LibraryError(
-            "Intel's weights are in pyoidn, which is not installed: pip install pyoidn"
+            "Intel's weights are part of pyoidn, which is not installed: pip install pyoidn"
         ) from error
     core = min(Path(pyoidn.__file__).parent.glob("oidn/*/*OpenImageDenoise_core*"))
-    held, magic = core.read_bytes(), struct.pack("<HBB", tza.MAGIC, *tza.VERSION)
-    begins = [i for i in range(0, len(held), tza.ALIGNED) if held.startswith(magic, i)]
-    return [tza.read(held[i : i + LONGEST]) for i in begins]
+    content, magic = core.read_bytes(), struct.pack("<HBB", tza.MAGIC, *tza.VERSION)
+    offsets = [i for i in range(0, len(content), tza.ALIGNMENT) if content.startswith(magic, i)]
+    return [tza.decode(content[i : i + MAX_TZA_BYTES]) for i in offsets]
 
 
 @cache
-def network(widths: UNetWidths = BASE_WIDTHS) -> UNet:
-    """Intel's network of a size, for HDR colour with albedo and normal; do not train it in place.
+def load_network(widths: UNetWidths = BASE_WIDTHS) -> UNet:
+    """Intel's network with these widths, for HDR colour with albedo and normal.
 
-    Several have that size: it is the one whose image of some noise is the library's. Raises
-    LibraryError where none is, or where the extra `oidn` is not installed.
+    The library contains several networks of equal size; this is the one that gives the library's
+    own image for random input. The result is cached, so do not train it in place. Raises
+    LibraryError if no network matches, or if the extra `oidn` is not installed.
     """
-    made = UNet(INPUTS, widths=widths).eval().requires_grad_(False)
-    wanted = {name: tuple(tensor.shape) for name, tensor in made.state_dict().items()}
-    fitting = [n for n in inside() if {k: v.shape for k, v in n.items()} == wanted]
-    for held in fitting:
-        made.load_state_dict({k: torch.from_numpy(v.astype(np.float32)) for k, v in held.items()})
-        if _difference(made, QUALITIES[widths]) < ALIKE:
-            return made
+    unet = UNet(INPUT_CHANNELS, widths=widths).eval().requires_grad_(False)
+    shapes = {name: tuple(tensor.shape) for name, tensor in unet.state_dict().items()}
+    candidates = [
+        tensors
+        for tensors in read_library_networks()
+        if {name: tensor.shape for name, tensor in tensors.items()} == shapes
+    ]
+    for tensors in candidates:
+        unet.load_state_dict(
+            {name: torch.from_numpy(t.astype(np.float32)) for name, t in tensors.items()}
+        )
+        if _relative_difference(unet, QUALITIES[widths]) < MAX_DIFFERENCE:
+            return unet
     raise LibraryError(
-        f"none of the {len(fitting)} networks of {sum(map(np.prod, wanted.values()))} weights in "
-        "the library makes the library's image; the layout of pyoidn may be new"
+        f"looked for Intel's network of {sum(map(np.prod, shapes.values()))} weights; the library "
+        f"has {len(candidates)} of that size, and none gives the library's image. This version of "
+        "pyoidn may store its networks differently: try an earlier version"
     )
 
 
-def origin() -> str:
-    """What the card of weights says that started from these."""
-    return f"Intel's weights of Open Image Denoise {version()}, Apache-2.0"
+def weights_origin() -> str:
+    """Origin and licence of these weights, for the model card of weights trained from them."""
+    return f"Intel's weights of Open Image Denoise {library_version()}, Apache-2.0"
 
 
-def _difference(made: UNet, quality: str) -> float:
+def _relative_difference(unet: UNet, quality: str) -> float:
+    """Mean difference between the images of `unet` and of the library, relative to the latter."""
     generator = torch.Generator().manual_seed(0)
-    colour, albedo, normal = torch.rand(3, 1, 3, SIDE, SIDE, generator=generator)
+    colour, albedo, normal = torch.rand(3, 1, 3, TEST_SIDE, TEST_SIDE, generator=generator)
     gbuffer = GBuffer({"albedo": albedo, "normal": 2 * normal - 1})
-    samples = Samples(colour[:, None], torch.ones(1, 1, SIDE, SIDE, dtype=torch.int64))
-    image, _ = Oidn(made).denoise(gbuffer, samples, None)
-    run = Filter(Settings(quality), SIDE, SIDE, threads=1)
-    library = run(colour[0], albedo[0], 2 * normal[0] - 1)
-    return float((image[0] - library).abs().mean() / library.abs().mean())
+    samples = Samples(colour[:, None], torch.ones(1, 1, TEST_SIDE, TEST_SIDE, dtype=torch.int64))
+    image, _ = Oidn(unet).denoise(gbuffer, samples, None)
+    run_filter = Filter(FilterSettings(quality), TEST_SIDE, TEST_SIDE, threads=1)
+    library_image = run_filter(colour[0], albedo[0], 2 * normal[0] - 1)
+    return float((image[0] - library_image).abs().mean() / library_image.abs().mean())

@@ -1,10 +1,12 @@
-"""ReSTIR DI: many lights for few shadow rays, by reuse of what neighbours and the past found.
+"""ReSTIR DI (Bitterli 2020): direct light by reservoirs that neighbours and frames share.
 
-The pool draws the samples; `restir` shows their mean, and `restir+oidn` denoises it.
+The pool draws the samples. The method `restir` returns their mean, and `restir+oidn` denoises it.
 """
 
 from rlbench.family import Family, Traits, Variant
 from rlbench.pools import PoolKind
+
+__all__ = ["DENOISED", "FAMILY", "POOL"]
 
 POOL = PoolKind(
     name="restir",
@@ -32,13 +34,13 @@ DENOISED = Family(
     name="restir+oidn",
     title="ReSTIR DI, denoised by Open Image Denoise, retrained on it",
     paper="Bitterli et al. 2020 and Áfra 2019",
-    licence="Apache-2.0 (reimplemented; the weights are ours, from Intel's)",
+    licence="Apache-2.0 (reimplemented; our weights, started from Intel's)",
     variants={
         "": Variant(
-            "Does a plain U-Net gain from better direct-light samples, correlated as they are?",
+            "Does a plain U-Net gain from better direct-light samples, despite correlation?",
             Traits(inputs=frozenset({"albedo", "normal"}), pool=POOL.name, spp_range=(1.0, 8.0)),
         ),
     },
-    build="baselines.restir.method:denoised",
-    train="baselines.restir.train:trainer",
+    build="baselines.restir.method:build_denoised",
+    train="baselines.restir.train:training_task",
 )

@@ -1,4 +1,4 @@
-"""What a path tracer finds beyond a first surface, without the light that reservoirs give."""
+"""Indirect light: one path-traced continuation per pixel, without the direct light of ReSTIR."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from typing import Any
 
 from baselines.restir.surface import Surface
 
+__all__ = ["trace_indirect"]
 
-def indirect(surface: Surface, path: Any, numbers: Any) -> Any:
-    """Radiance that comes to first surfaces by others, by one continuation of the path each.
 
-    `path` is a Mitsuba integrator and `numbers` its sampler. The direction is drawn by the BSDF.
-    Where its lobe was not a mirror, what the lamp that it meets gives at once is taken off again:
-    that is direct light, which the reservoirs have. Where it was one, no sample of the lights can
-    give it, and it stays.
+def trace_indirect(surface: Surface, path: Any, sampler: Any) -> Any:
+    """Radiance that reaches the first surfaces from other surfaces, by one path each.
+
+    `path` is a Mitsuba integrator and `sampler` its random number generator. The BSDF draws the
+    direction. If the lobe was not a delta lobe, the emission at the path's next hit is subtracted,
+    because that is direct light, which the reservoirs provide. Light samples cannot provide it for
+    delta lobes (mirror and glass), so there it stays.
     """
     import drjit as dr
     import mitsuba as mi
@@ -21,13 +23,13 @@ def indirect(surface: Surface, path: Any, numbers: Any) -> Any:
     scene, hit = surface.scene, surface.hit
     valid = hit.is_valid()
     sample, weight = surface.bsdf.sample(
-        mi.BSDFContext(), hit, numbers.next_1d(), numbers.next_2d(), valid
+        mi.BSDFContext(), hit, sampler.next_1d(), sampler.next_2d(), valid
     )
     valid &= dr.any(weight != 0)
-    onward = mi.RayDifferential3f(hit.spawn_ray(hit.to_world(sample.wo)))
-    light, _, _ = path.sample(scene, numbers, onward, active=valid)
-    mirror = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-    met = scene.ray_intersect(onward, valid & ~mirror)
-    lamp = met.emitter(scene).eval(met, valid & ~mirror)
-    rest = dr.select(mirror, light, dr.maximum(light - lamp, 0))
-    return dr.select(valid, weight * rest, 0)
+    ray = mi.RayDifferential3f(hit.spawn_ray(hit.to_world(sample.wo)))
+    radiance, _, _ = path.sample(scene, sampler, ray, active=valid)
+    is_delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+    next_hit = scene.ray_intersect(ray, valid & ~is_delta)
+    direct = next_hit.emitter(scene).eval(next_hit, valid & ~is_delta)
+    indirect = dr.select(is_delta, radiance, dr.maximum(radiance - direct, 0))
+    return dr.select(valid, weight * indirect, 0)

@@ -1,4 +1,4 @@
-"""What is shown of the samples of the ReSTIR pool: their mean, or OIDN on it."""
+"""Methods on the ReSTIR pool: the mean of its samples, and OIDN on that mean."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from pathlib import Path
 import torch
 
 from baselines.mean import Mean
-from baselines.oidn.method import INPUTS, Oidn
+from baselines.oidn.method import INPUT_CHANNELS, Oidn
 from baselines.restir import DENOISED, FAMILY
 from rlbench.ops.unet import UNet
 from rlbench.weights import load_for_inference
+
+__all__ = ["build", "build_denoised"]
 
 CARDS = Path(__file__).parent / "cards"
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Mean:
-    """The mean of what was bought: S samples per pixel are S chains of reservoirs."""
+    """The mean of the pool's samples: S samples per pixel are S chains of reservoirs."""
     return Mean(FAMILY.variants[variant].traits)
 
 
-def denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
-    """OIDN as in `baselines.oidn`, with weights that were trained on this pool.
+def build_denoised(variant: str, device: torch.device, weights: str | None) -> Oidn:
+    """OIDN as in `baselines.oidn`, with weights trained on this pool.
 
-    Its noise is correlated between neighbours, who share samples, unlike that of paths.
+    Unlike path-traced samples, neighbouring pixels share samples, so their noise is correlated.
     """
-    network = UNet(INPUTS)
+    network = UNet(INPUT_CHANNELS)
     load_for_inference(network, weights, CARDS / DENOISED.weights_file(variant), device)
     return Oidn(network, DENOISED.variants[variant].traits)

@@ -1,40 +1,38 @@
-"""Reservoirs: one sample of the lights out of a stream of many, and what it stands for."""
+"""Reservoirs, and streaming weighted reservoir sampling of light samples."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+__all__ = ["Reservoir", "ReservoirStream", "empty_reservoirs"]
+
 
 @dataclass
 class Reservoir:
-    """One sample for each lane, drawn nearly in proportion to a target.
+    """One light sample per lane, drawn approximately in proportion to a target function.
 
-    `weight` is W of Bitterli et al. 2020: an estimate of 1 / (the density that `place` has).
+    `weight` is W of Bitterli et al. 2020: an estimate of 1 / (the probability density of `sample`).
     """
 
-    place: Any  # mi.Point2f: two random numbers, of which the lights make a sample
+    sample: Any  # mi.Point2f: the light sample as two random numbers, see `surface`
     weight: Any  # mi.Float: W
-    M: Any  # mi.Float: M, how many samples it was drawn from
+    M: Any  # mi.Float: number of candidates that it was drawn from
 
-    def at(self, lane: Any, active: Any) -> Reservoir:
+    def gather(self, lane: Any, active: Any) -> Reservoir:
         """The reservoirs of other lanes; empty where not active."""
         import drjit as dr
         import mitsuba as mi
 
         x, y, weight, count = (
             dr.gather(mi.Float, values, lane, active)
-            for values in (self.place.x, self.place.y, self.weight, self.M)
+            for values in (self.sample.x, self.sample.y, self.weight, self.M)
         )
         return Reservoir(mi.Point2f(x, y), weight, count)
 
-    def arrays(self) -> tuple[Any, ...]:
-        """All that it consists of."""
-        return self.place.x, self.place.y, self.weight, self.M
 
-
-def empty(lanes: int) -> Reservoir:
-    """Reservoirs that have seen nothing, in memory."""
+def empty_reservoirs(lanes: int) -> Reservoir:
+    """Evaluated reservoirs without candidates, M = 0."""
     import drjit as dr
     import mitsuba as mi
 
@@ -43,40 +41,48 @@ def empty(lanes: int) -> Reservoir:
 
 
 @dataclass
-class Stream:
-    """Weighted reservoir sampling (Chao 1982): keeps one of all that it is shown."""
+class ReservoirStream:
+    """Weighted reservoir sampling (Chao 1982): selects one sample of a stream."""
 
-    place: Any  # mi.Point2f of the one that is kept
-    target: Any  # its target, here
-    source: Any  # mi.UInt32: which of the contributors it came from
-    total: Any  # sum of all weights
-    count: Any  # M of all that were shown
+    sample: Any  # mi.Point2f: the selected sample
+    target: Any  # its target function at this pixel
+    source: Any  # mi.UInt32: index of the reservoir that it came from; 0 is the pixel's own
+    weight_sum: Any  # of all samples so far
+    M: Any  # of all samples so far
 
     @classmethod
-    def nothing(cls) -> Stream:
-        """Before anything is shown."""
+    def empty(cls) -> ReservoirStream:
+        """A stream without samples."""
         import mitsuba as mi
 
         return cls(mi.Point2f(0), mi.Float(0), mi.UInt32(0), mi.Float(0), mi.Float(0))
 
-    def show(self, place: Any, target: Any, weight: Any, count: Any, source: Any, u: Any) -> Stream:
-        """After one more: `weight` decides how likely it is kept, by the random number `u`."""
+    def update(
+        self, sample: Any, target: Any, weight: Any, count: Any, source: Any, u: Any
+    ) -> ReservoirStream:
+        """The stream after one more sample of M = `count`.
+
+        The sample is selected with probability weight / weight_sum; `u` is a random number.
+        """
         import drjit as dr
         import mitsuba as mi
 
-        total = self.total + weight
-        kept = (weight > 0) & (u * total < weight)
-        return Stream(
-            mi.Point2f(dr.select(kept, place, self.place)),
-            dr.select(kept, target, self.target),
-            dr.select(kept, mi.UInt32(source), self.source),
-            total,
-            self.count + count,
+        weight_sum = self.weight_sum + weight
+        is_selected = (weight > 0) & (u * weight_sum < weight)
+        return ReservoirStream(
+            mi.Point2f(dr.select(is_selected, sample, self.sample)),
+            dr.select(is_selected, target, self.target),
+            dr.select(is_selected, mi.UInt32(source), self.source),
+            weight_sum,
+            self.M + count,
         )
 
-    def reservoir(self, share: Any) -> Reservoir:
-        """What is kept, with W = share x total / target; `share` is 1 / M if biased (eq. 6)."""
+    def to_reservoir(self, normalisation: Any) -> Reservoir:
+        """The selected sample with W = normalisation * weight_sum / target (eq. 6).
+
+        `normalisation` is 1 / M for biased reuse.
+        """
         import drjit as dr
 
-        weight = dr.select(self.target > 0, self.total * share / self.target, 0)
-        return Reservoir(self.place, dr.select(dr.isfinite(weight), weight, 0), self.count)
+        weight = dr.select(self.target > 0, self.weight_sum * normalisation / self.target, 0)
+        return Reservoir(self.sample, dr.select(dr.isfinite(weight), weight, 0), self.M)

@@ -1,4 +1,4 @@
-"""Taking over what other reservoirs hold: those of the last frame, or those of neighbours."""
+"""Combine reservoirs, biased or unbiased; temporal and spatial reuse differ in their source."""
 
 from __future__ import annotations
 
@@ -6,86 +6,100 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.restir.reservoir import Reservoir, Stream
-from baselines.restir.surface import Surface, brightness
+from baselines.restir.reservoir import Reservoir, ReservoirStream
+from baselines.restir.surface import Surface, finite_luminance
 
-Meet = Callable[[Any], tuple[Any, Any]]  # random numbers to a lane, and whether there is one
+__all__ = ["ReuseSource", "combine_reservoirs"]
+
+ChooseLane = Callable[[Any], tuple[Any, Any]]  # random numbers to a lane, and whether it exists
 
 
 @dataclass(frozen=True)
-class Others:
-    """Reservoirs to take over, a few for each lane."""
+class ReuseSource:
+    """The reservoirs to reuse: those of neighbours or of the previous frame."""
 
-    number: int
-    meet: Meet
-    take: Callable[[Any, Any], Reservoir]  # of lanes, where active
-    surface: Callable[[Any, Any], Surface]  # theirs; asked for by the unbiased form alone
+    count: int  # reservoirs per lane
+    choose_lane: ChooseLane
+    read_reservoir: Callable[[Any, Any], Reservoir]  # of lanes, where active
+    read_surface: Callable[[Any, Any], Surface]  # of lanes, where active; unbiased reuse only
 
 
-def merge(
-    surface: Surface, own: Reservoir, others: Others, rng: Callable[[], Any], unbiased: bool
+def combine_reservoirs(
+    surface: Surface,
+    own: Reservoir,
+    source: ReuseSource,
+    make_rng: Callable[[], Any],
+    unbiased: bool,
 ) -> Reservoir:
-    """One reservoir out of one's own and others' (Bitterli et al. 2020, algorithms 4 and 6).
+    """One reservoir from a pixel's own and others (Bitterli et al. 2020, algorithms 4 and 6).
 
-    A sample's weight is its target here, times its W and M. `rng` gives the same generator of
-    random numbers at every call.
+    The weight of a sample is its target at this pixel times its W and M. `make_rng` returns the
+    same random number generator at every call.
     """
     import drjit as dr
     import mitsuba as mi
 
-    here = surface.target(own.place, own.weight > 0)
-    start = Stream.nothing().show(own.place, here, here * own.weight * own.M, own.M, 0, 0.0)
+    own_target = surface.target(own.sample, own.weight > 0)
+    start = ReservoirStream.empty().update(
+        own.sample, own_target, own_target * own.weight * own.M, own.M, 0, 0.0
+    )
 
-    def look(index: Any, numbers: Any, stream: Stream) -> tuple[Any, ...]:
-        lane, active = others.meet(numbers)
-        other = others.take(lane, active & surface.lit)
-        target = surface.target(other.place, other.weight > 0)
+    def update(index: Any, rng: Any, stream: ReservoirStream) -> tuple[Any, ...]:
+        lane, active = source.choose_lane(rng)
+        other = source.read_reservoir(lane, active & surface.has_non_delta_lobe)
+        target = surface.target(other.sample, other.weight > 0)
         weight = target * other.weight * other.M
-        u = numbers.next_float32()
-        return (
-            index + 1,
-            numbers,
-            stream.show(other.place, target, weight, other.M, index + 1, u),
-        )
+        u = rng.next_float32()
+        return index + 1, rng, stream.update(other.sample, target, weight, other.M, index + 1, u)
 
-    state = (mi.UInt32(0), rng(), start)
-    _, _, stream = dr.while_loop(state, lambda i, *_: i < others.number, look)
+    state = (mi.UInt32(0), make_rng(), start)
+    _, _, stream = dr.while_loop(state, lambda i, *_: i < source.count, update)
     if not unbiased:
-        return stream.reservoir(1 / dr.maximum(stream.count, 1))
-    return stream.reservoir(_share(surface, own, others, rng, stream))
+        return stream.to_reservoir(1 / dr.maximum(stream.M, 1))
+    return stream.to_reservoir(_mis_normalisation(surface, own, source, make_rng, stream))
 
 
-def _share(
-    surface: Surface, own: Reservoir, others: Others, rng: Callable[[], Any], stream: Stream
+def _mis_normalisation(
+    surface: Surface,
+    own: Reservoir,
+    source: ReuseSource,
+    make_rng: Callable[[], Any],
+    stream: ReservoirStream,
 ) -> Any:
-    """What replaces 1 / M: the target where the kept sample is from, over the sum of M x target.
+    """Unbiased replacement of 1 / M: p_s / (sum of M_i p_i) for the selected sample.
 
-    Targets with visibility here, of every contributor that could have given the sample.
+    p_i is the sample's target with visibility at contributor i, and s is the contributor that the
+    sample came from.
     """
     import drjit as dr
     import mitsuba as mi
 
-    alive = stream.target > 0
-    mine = seen_target(surface, stream.place, alive)
-    state = (mi.UInt32(0), rng(), own.M * mine, dr.select(stream.source == 0, mine, 0))
+    is_selected = stream.target > 0
+    own_target = visible_target(surface, stream.sample, is_selected)
+    state = (
+        mi.UInt32(0),
+        make_rng(),
+        own.M * own_target,
+        dr.select(stream.source == 0, own_target, 0),
+    )
 
-    def ask(index: Any, numbers: Any, total: Any, source: Any) -> tuple[Any, ...]:
-        lane, active = others.meet(numbers)
-        numbers.next_float32()
-        active &= alive & surface.lit
-        count = others.take(lane, active).M
-        theirs = seen_target(others.surface(lane, active), stream.place, active)
-        chosen = dr.select(stream.source == index + 1, theirs, source)
-        return index + 1, numbers, total + count * theirs, chosen
+    def add_target(index: Any, rng: Any, total: Any, source_target: Any) -> tuple[Any, ...]:
+        lane, active = source.choose_lane(rng)
+        rng.next_float32()  # `combine_reservoirs` drew one here
+        active &= is_selected & surface.has_non_delta_lobe
+        count = source.read_reservoir(lane, active).M
+        target = visible_target(source.read_surface(lane, active), stream.sample, active)
+        source_target = dr.select(stream.source == index + 1, target, source_target)
+        return index + 1, rng, total + count * target, source_target
 
-    _, _, total, source = dr.while_loop(state, lambda i, *_: i < others.number, ask)
-    return dr.select(total > 0, source / total, 0)
+    _, _, total, source_target = dr.while_loop(state, lambda i, *_: i < source.count, add_target)
+    return dr.select(total > 0, source_target / total, 0)
 
 
-def seen_target(surface: Surface, place: Any, active: Any) -> Any:
-    """The target of a sample, or 0 where it lies in shadow."""
+def visible_target(surface: Surface, sample: Any, active: Any) -> Any:
+    """The target of a light sample with visibility: 0 where it is occluded."""
     import drjit as dr
 
-    value, point = surface.light(place, active)
-    target = brightness(value)
-    return dr.select(surface.sees(point, active & (target > 0)), target, 0)
+    value, point = surface.direct_light(sample, active)
+    target = finite_luminance(value)
+    return dr.select(surface.is_visible(point, active & (target > 0)), target, 0)

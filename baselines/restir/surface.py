@@ -1,11 +1,11 @@
-"""What the camera's rays have hit, and what a sample of the lights gives there.
+"""First surfaces along camera rays, and the direct light that a light sample gives there.
 
-A sample of the lights is not kept as a point on one, but as the two random numbers in [0, 1) from
-which Mitsuba makes it (Kelemen et al. 2002 call this primary sample space). To which lamp they
-lead, and where on it, is the same for every pixel as long as the light's own sampling does not
-depend on who is lit; where it does, as with spheres, the numbers stay and the point follows. Either
-way every pixel integrates over the same square with density 1, so that a sample needs no Jacobian
-when another pixel takes it over, and one that was found on a lamp which moves goes with the lamp.
+A light sample is not stored as a point on a light, but as the two random numbers in [0, 1) from
+which Mitsuba samples the emitters (primary sample space, Kelemen et al. 2002). All pixels map them
+to the same point on the same emitter if the emitter's sampling does not depend on the lit point;
+where it does, as for spheres, the numbers stay and the point differs. Either way every pixel
+integrates over the same unit square with density 1, so a reused sample needs no Jacobian, and a
+sample on a moving emitter moves with it.
 """
 
 from __future__ import annotations
@@ -13,69 +13,71 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+__all__ = ["Surface", "finite_luminance"]
+
 
 @dataclass(frozen=True)
 class Surface:
-    """First surfaces along rays, lane by lane."""
+    """First surfaces along rays, one per lane."""
 
     scene: Any  # mi.Scene
     ray: Any  # mi.RayDifferential3f
     hit: Any  # mi.SurfaceInteraction3f
     bsdf: Any  # mi.BSDFPtr
-    lit: Any  # mi.Bool: is there a surface which is not only mirror or glass?
+    has_non_delta_lobe: Any  # mi.Bool: there is a surface, and not of mirror or glass alone
 
     @classmethod
-    def of(cls, scene: Any, ray: Any, hit: Any) -> Surface:
-        """The surface of a preliminary intersection of `ray`."""
+    def from_intersection(cls, scene: Any, ray: Any, intersection: Any) -> Surface:
+        """The surface at a preliminary intersection of `ray`."""
         import mitsuba as mi
 
-        found = hit.compute_surface_interaction(ray)
-        bsdf = found.bsdf(ray)
-        smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        return cls(scene, ray, found, bsdf, found.is_valid() & smooth)
+        hit = intersection.compute_surface_interaction(ray)
+        bsdf = hit.bsdf(ray)
+        non_delta = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        return cls(scene, ray, hit, bsdf, hit.is_valid() & non_delta)
 
     @property
     def normal(self) -> Any:
-        """The shading normal on the side of the ray."""
+        """The shading normal, towards the ray's origin."""
         import drjit as dr
 
         return dr.select(dr.dot(self.hit.n, self.ray.d) > 0, -1, 1) * self.hit.sh_frame.n
 
     @property
-    def material(self) -> Any:
-        """A number for the BSDF."""
+    def bsdf_index(self) -> Any:
+        """Mitsuba's index of the BSDF, mi.UInt32."""
         import drjit as dr
         import mitsuba as mi
 
         return dr.reinterpret_array(mi.UInt32, self.bsdf)
 
-    def light(self, place: Any, active: Any) -> tuple[Any, Any]:
-        """What the lights' sample `place` (mi.Point2f) gives, unshadowed, and where it lies.
+    def direct_light(self, sample: Any, active: Any) -> tuple[Any, Any]:
+        """Unshadowed reflected radiance of a light sample (mi.Point2f), and its point in space.
 
-        Radiance times BSDF times cosine, divided by the density of the sample: L_e f G / p.
+        Emitted radiance times BSDF times cosine over the sample's density: L_e f G / p.
         """
         import drjit as dr
         import mitsuba as mi
 
-        active = active & self.lit
-        towards, weight = self.scene.sample_emitter_direction(self.hit, place, False, active)
-        active &= towards.pdf != 0
-        local = self.hit.to_local(towards.d)
+        active = active & self.has_non_delta_lobe
+        direction, weight = self.scene.sample_emitter_direction(self.hit, sample, False, active)
+        active &= direction.pdf != 0
+        local = self.hit.to_local(direction.d)
         value = self.bsdf.eval(mi.BSDFContext(), self.hit, local, active)
-        return dr.select(active, value * weight, 0), towards.p
+        return dr.select(active, value * weight, 0), direction.p
 
-    def target(self, place: Any, active: Any) -> Any:
-        """Luminance of what `light` gives: what reservoirs draw in proportion to."""
-        return brightness(self.light(place, active)[0])
+    def target(self, sample: Any, active: Any) -> Any:
+        """The reservoirs' target function: luminance of `direct_light`."""
+        return finite_luminance(self.direct_light(sample, active)[0])
 
-    def sees(self, point: Any, active: Any) -> Any:
-        """Is nothing between the surface and a point on a light?"""
-        active = active & self.lit
+    def is_visible(self, point: Any, active: Any) -> Any:
+        """Whether nothing lies between the surface and a point on a light."""
+        active = active & self.has_non_delta_lobe
         return active & ~self.scene.ray_test(self.hit.spawn_ray_to(point), active)
 
 
-def brightness(colour: Any) -> Any:
-    """Luminance, or 0 where it is not a number that can be reckoned with."""
+def finite_luminance(colour: Any) -> Any:
+    """Luminance, or 0 where it is negative or not finite."""
     import drjit as dr
     import mitsuba as mi
 

@@ -1,20 +1,22 @@
-"""How OIDN learns from the ReSTIR pool: as it is tuned on paths."""
+"""Train OIDN on the ReSTIR pool: fine-tune Intel's weights as `oidn/tuned` does on paths."""
 
 from __future__ import annotations
 
 import torch
 
-from baselines.oidn.method import INPUTS, Oidn
-from baselines.oidn.train import tuning
+from baselines.oidn.method import INPUT_CHANNELS, Oidn
+from baselines.oidn.train import fine_tuning_task
 from baselines.restir import DENOISED
 from rlbench.ops.unet import UNet
 from rlbench.training import TrainingTask
 
+__all__ = ["training_task"]
 
-def trainer(variant: str, device: torch.device, seed: int) -> TrainingTask:
-    """Intel's U-Net, tuned on samples of the ReSTIR pool as `oidn/tuned` is on paths.
 
-    Raises LibraryError where the extra `oidn` is not installed.
+def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
+    """Intel's U-Net, fine-tuned on samples of the ReSTIR pool as `oidn/tuned` is on paths.
+
+    Raises LibraryError if the extra `oidn` is not installed.
     """
-    network = UNet(INPUTS, seed=seed).to(device)
-    return tuning(Oidn(network, DENOISED.variants[variant].traits))
+    network = UNet(INPUT_CHANNELS, seed=seed).to(device)
+    return fine_tuning_task(Oidn(network, DENOISED.variants[variant].traits))

@@ -1,8 +1,10 @@
-"""SVGF: history and its variance guide an edge-avoiding wavelet filter (Schied 2017)."""
+"""SVGF (Schied 2017): temporal accumulation, then a wavelet filter guided by variance."""
 
 from __future__ import annotations
 
 from rlbench.family import Family, Traits, Variant
+
+__all__ = ["FAMILY", "TRAITS"]
 
 TRAITS = Traits(
     inputs=frozenset({"albedo", "normal", "depth", "motion"}), temporal=True, spp_range=(1.0, 8.0)
@@ -17,9 +19,9 @@ FAMILY = Family(
     ),
     licence="Apache-2.0",
     variants={
-        "": Variant("How far does one get without learning, with memory?", TRAITS, learned=False),
+        "": Variant("How far does a temporal filter get without learning?", TRAITS, learned=False),
         "falcor": Variant(
-            "What does a longer memory give, with the constants of Falcor?", TRAITS, learned=False
+            "What does a longer history give, with Falcor's constants?", TRAITS, learned=False
         ),
     },
     build="baselines.svgf.method:build",

@@ -1,4 +1,4 @@
-"""What was remembered of a surface, found again through motion, and the mean with this frame."""
+"""SVGF's temporal part: reproject the history with surface tests, and accumulate this frame."""
 
 from __future__ import annotations
 
@@ -8,132 +8,154 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rlbench.ops.color import REC709_LUMINANCE
 from rlbench.ops.padded_rows import PaddedRows
 
-NEARER = 0.1  # two depths of one surface differ by at most this share (RTXDI, Q2RTX)
-ALIGNED = 0.9  # and the cosine between its normals is at least this (ours, after ReSTIR's tests)
-ENOUGH = 0.01  # total weight below which bilinear taps do not count as found (Falcor)
-LONGEST = 32.0  # frames that a history is said to be long at most (Falcor)
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB
+__all__ = [
+    "History",
+    "TemporalMoments",
+    "accumulate",
+    "empty_history",
+    "luminance",
+    "reproject_history",
+]
 
-BILINEAR = [(y, x) for y in (0, 1) for x in (0, 1)]
-AROUND = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
+MAX_DEPTH_DIFFERENCE = 0.1  # relative, between two views of one surface (RTXDI, Q2RTX)
+MIN_NORMAL_COSINE = 0.9  # between its normals (ours, after ReSTIR's tests)
+MIN_WEIGHT = 0.01  # total weight below which the bilinear taps are rejected (Falcor)
+MAX_HISTORY_LENGTH = 32.0  # frames (Falcor)
+
+BILINEAR_TAPS = [(y, x) for y in (0, 1) for x in (0, 1)]
+BOX_TAPS = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
 
 
 class History(NamedTuple):
-    """What is remembered, in a row (see `Flat`); a length of 0 means nothing."""
+    """The state between frames, in padded rows (see `PaddedRows`); length 0 means no history."""
 
-    mean: Float[Tensor, "6 row"]  # irradiance filtered once, luminance, its square, length
+    accumulated: Float[Tensor, "6 row"]  # irradiance of the feedback tap, two moments, length
     depth: Float[Tensor, "1 row"]
     normal: Float[Tensor, "3 row"]
 
 
 class TemporalMoments(NamedTuple):
-    """Exponential means over the frames of a history, as images."""
+    """Exponential moving averages over the frames of a history, as images."""
 
-    light: Float[Tensor, "n 3 h w"]  # irradiance
+    irradiance: Float[Tensor, "n 3 h w"]
     moments: Float[Tensor, "n 2 h w"]  # luminance and its square
-    length: Float[Tensor, "n 1 h w"]  # frames, 0 where there is no surface
+    length: Float[Tensor, "n 1 h w"]  # history length in frames
 
     @property
     def variance(self) -> Float[Tensor, "n 1 h w"]:
-        """Of luminance, over time."""
+        """Temporal variance of luminance."""
         return (self.moments[:, 1:] - self.moments[:, :1].square()).clamp_min(0)
 
 
-def nothing(flat: PaddedRows, device: torch.device) -> History:
-    """The memory before the first frame."""
-    empty = flat.pack(torch.zeros(flat.n, 10, flat.h, flat.w, device=device))
-    return History(empty[:6], empty[6:7], empty[7:])
+def empty_history(rows: PaddedRows, device: torch.device) -> History:
+    """The state before the first frame."""
+    zeros = rows.pack(torch.zeros(rows.n, 10, rows.h, rows.w, device=device))
+    return History(zeros[:6], zeros[6:7], zeros[7:])
 
 
-def luminance(light: Float[Tensor, "n 3 *size"]) -> Float[Tensor, "n 1 *size"]:
-    """Relative luminance of linear sRGB."""
-    red, green, blue = LUMINANCE
-    return red * light[:, :1] + green * light[:, 1:2] + blue * light[:, 2:]
+def luminance(irradiance: Float[Tensor, "n 3 *size"]) -> Float[Tensor, "n 1 *size"]:
+    """Rec. 709 luminance.
+
+    Not `rlbench.ops.color.luminance`: rows have no height, and this order of sums is kept so that
+    images stay bit-identical.
+    """
+    red, green, blue = REC709_LUMINANCE
+    return red * irradiance[:, :1] + green * irradiance[:, 1:2] + blue * irradiance[:, 2:]
 
 
 def reproject_history(
-    flat: PaddedRows,
-    past: History,
+    rows: PaddedRows,
+    history: History,
     motion: Float[Tensor, "n 2 h w"] | None,
     depth: Float[Tensor, "n 1 h w"],
     normal: Float[Tensor, "n 3 h w"],
 ) -> Float[Tensor, "n 6 h w"]:
-    """`past.mean` as seen from this frame; zero, length included, where nothing is found.
+    """`history.accumulated` as seen from this frame; zero, length included, where disoccluded.
 
-    Of the four pixels around the earlier position those count that show the same surface; if none
-    does, those of nine do. `motion` None means that nothing moved, and nothing is searched.
+    Of the four bilinear taps around the previous position those on the same surface count; if none
+    does, those of a 3 x 3 box count. `motion` None means a static frame: every pixel keeps its own
+    history without a surface test.
     """
     if motion is None:
-        return flat.unpack(past.mean)
-    x, y = (_position(motion, axis) for axis in (0, 1))
+        return rows.unpack(history.accumulated)
+    x, y = (_previous_position(motion, axis) for axis in (0, 1))
     x0, y0 = x.floor(), y.floor()
     right, down = x - x0, y - y0
-    weights = [wy * wx for wy in (1 - down, down) for wx in (1 - right, right)]
+    bilinear = [(wy * wx).view(-1) for wy in (1 - down, down) for wx in (1 - right, right)]
     surface = (depth.reshape(-1), normal.transpose(0, 1).reshape(3, -1))
-    place = flat.pixel_index(x0, y0).view(-1)
-    found, total = _tapped(flat, past, place, BILINEAR, [w.view(-1) for w in weights], surface)
+    corner = rows.pixel_index(x0, y0).view(-1)
+    total, weight = _sum_matching_taps(rows, history, corner, BILINEAR_TAPS, bilinear, surface)
 
-    lost = ((total < ENOUGH) & (surface[1] != 0).any(0)).nonzero()[:, 0]
-    near = flat.pixel_index((x + 0.5).floor(), (y + 0.5).floor()).view(-1)[lost]
-    again = (surface[0][lost], surface[1][:, lost])
-    equal = [torch.ones_like(again[0])] * len(AROUND)
-    refound, retotal = _tapped(flat, past, near, AROUND, equal, again)
-    found[:, lost], total[lost] = refound, retotal
-    mean = torch.where(total >= ENOUGH, found / total, 0.0)
-    return mean.view(6, flat.n, flat.h, flat.w).transpose(0, 1)
+    # pixels without a bilinear tap: 3 x 3 box
+    missing = ((weight < MIN_WEIGHT) & (surface[1] != 0).any(0)).nonzero()[:, 0]
+    nearest = rows.pixel_index((x + 0.5).floor(), (y + 0.5).floor()).view(-1)[missing]
+    missing_surface = (surface[0][missing], surface[1][:, missing])
+    box = [torch.ones_like(missing_surface[0])] * len(BOX_TAPS)
+    total[:, missing], weight[missing] = _sum_matching_taps(
+        rows, history, nearest, BOX_TAPS, box, missing_surface
+    )
+    mean = torch.where(weight >= MIN_WEIGHT, total / weight, 0.0)
+    return mean.view(6, rows.n, rows.h, rows.w).transpose(0, 1)
 
 
 def accumulate(
-    light: Float[Tensor, "n 3 h w"],
-    known: Tensor,
-    past: Float[Tensor, "n 6 h w"],
-    keep: tuple[float, float],
+    irradiance: Float[Tensor, "n 3 h w"],
+    finite: Tensor,
+    history: Float[Tensor, "n 6 h w"],
+    alphas: tuple[float, float],
 ) -> TemporalMoments:
-    """This frame's irradiance averaged into the past, whose weight is at most 1 - `keep`.
+    """Blend this frame into the reprojected history: C = alpha C_now + (1 - alpha) C_history.
 
-    `keep` is the least weight of this frame in colour and in moments; while the history is
-    short all its frames weigh the same. Where `known` is false this frame says nothing.
+    alpha is max(alphas, 1 / length), so the frames of a short history weigh the same; `alphas` are
+    (alpha_color, alpha_moments). Where `finite` is false and there is history, alpha is 0.
     """
-    old_light, old_moments, old_length = past[:, :3], past[:, 3:5], past[:, 5:]
-    length = (old_length + 1).clamp_max(LONGEST)
-    told = known | (old_length == 0)
-    of_light, of_moments = (torch.where(told, (1 / length).clamp_min(k), 0.0) for k in keep)
-    bright = luminance(light)
-    moments = torch.cat((bright, bright.square()), 1)
+    old_irradiance, old_moments, old_length = history[:, :3], history[:, 3:5], history[:, 5:]
+    length = (old_length + 1).clamp_max(MAX_HISTORY_LENGTH)
+    is_used = finite | (old_length == 0)
+    alpha_color, alpha_moments = (
+        torch.where(is_used, (1 / length).clamp_min(alpha), 0.0) for alpha in alphas
+    )
+    first_moment = luminance(irradiance)
+    moments = torch.cat((first_moment, first_moment.square()), 1)
     return TemporalMoments(
-        torch.lerp(old_light, light, of_light),
-        torch.lerp(old_moments, moments, of_moments),
+        torch.lerp(old_irradiance, irradiance, alpha_color),
+        torch.lerp(old_moments, moments, alpha_moments),
         length,
     )
 
 
-def _position(motion: Tensor, axis: int) -> Float[Tensor, "n h w"]:
-    """Where each pixel was, in pixels right (axis 0) or down (axis 1); far outside if unknown."""
+def _previous_position(motion: Tensor, axis: int) -> Float[Tensor, "n h w"]:
+    """Each pixel's x (axis 0) or y (axis 1) in the previous frame; far outside if not finite."""
     pixels = torch.arange(motion.shape[3 - axis], device=motion.device, dtype=motion.dtype)
-    here = pixels if axis == 0 else pixels[:, None]
-    return (here + motion[:, axis]).nan_to_num(-1e6, 1e6, -1e6)
+    current = pixels if axis == 0 else pixels[:, None]
+    return (current + motion[:, axis]).nan_to_num(-1e6, 1e6, -1e6)
 
 
-def _tapped(
-    flat: PaddedRows,
-    past: History,
+def _sum_matching_taps(
+    rows: PaddedRows,
+    history: History,
     place: Int[Tensor, " m"],
     taps: list[tuple[int, int]],
     weights: list[Float[Tensor, " m"]],
     surface: tuple[Float[Tensor, " m"], Float[Tensor, "3 m"]],
 ) -> tuple[Float[Tensor, "6 m"], Float[Tensor, " m"]]:
-    """Weighted sum of the taps that show the same surface, and the sum of their weights."""
+    """Weighted sum of the taps on the same surface (depth, normal), and the sum of weights."""
     depth, normal = surface
-    found, total = place.new_zeros(6, len(place), dtype=depth.dtype), torch.zeros_like(depth)
+    total, total_weight = place.new_zeros(6, len(place), dtype=depth.dtype), torch.zeros_like(depth)
     for tap, weight in zip(taps, weights, strict=True):
-        there = place + flat.offset(*tap)
-        mean = past.mean.index_select(1, there)
-        apart = (past.depth[0].take(there) - depth).abs()
-        along = (past.normal.index_select(1, there) * normal).sum(0)
-        same = (mean[5] > 0) & (apart <= NEARER * depth) & (along >= ALIGNED)
-        counted = weight * same
-        found.addcmul_(mean, counted)
-        total += counted
-    return found, total
+        tap_place = place + rows.offset(*tap)
+        accumulated = history.accumulated.index_select(1, tap_place)
+        depth_difference = (history.depth[0].take(tap_place) - depth).abs()
+        cosine = (history.normal.index_select(1, tap_place) * normal).sum(0)
+        matches = (
+            (accumulated[5] > 0)
+            & (depth_difference <= MAX_DEPTH_DIFFERENCE * depth)
+            & (cosine >= MIN_NORMAL_COSINE)
+        )
+        matching_weight = weight * matches
+        total.addcmul_(accumulated, matching_weight)
+        total_weight += matching_weight
+    return total, total_weight

@@ -1,4 +1,4 @@
-"""Averages over neighbours that edges of depth, normal and luminance stop."""
+"""SVGF's edge-stopping filter: sums over neighbours, weighted by depth, normal and luminance."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from torch import Tensor
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.stencils import Tap
 
-SQUARINGS = 7  # cosines enter with the power 128 = 2^7
+__all__ = ["Edges", "Sums", "atrous_pass"]
+
+SQUARINGS = 7  # the exponent of the cosine between normals is 128 = 2^7
 
 
 @dataclass(frozen=True)
 class Edges:
-    """What stops a filter, in a row: all of it but luminance, which changes from pass to pass."""
+    """Features that stop the filter, in padded rows; luminance changes between passes."""
 
     normal: Float[Tensor, "3 row"]  # unit length; zero where there is no surface
     depth: Float[Tensor, "1 row"]  # finite everywhere
-    decay: Float[Tensor, "1 row"]  # of the weight, in powers of 2 by depth over pixels; <= 0
+    depth_decay: Float[Tensor, "1 row"]  # log2 weight per difference of depth over pixels; <= 0
 
 
 class Sums(NamedTuple):
-    """Over a pixel and its neighbours, in a row."""
+    """Sums over a pixel and its neighbours, in padded rows."""
 
     values: Float[Tensor, "c row"]  # of weight * value
     variance: Float[Tensor, "1 row"]  # of weight^2 * variance
@@ -34,56 +36,58 @@ class Sums(NamedTuple):
 
 
 def atrous_pass(
-    flat: PaddedRows,
+    rows: PaddedRows,
     taps: Sequence[Tap],
     edges: Edges,
-    light: tuple[Float[Tensor, "1 row"], Float[Tensor, "1 row"]],
+    luminance_guide: tuple[Float[Tensor, "1 row"], Float[Tensor, "1 row"]],
     values: Float[Tensor, "c row"],
     variance: Float[Tensor, "1 row"],
 ) -> Sums:
     """Sums over neighbours; the weight from q to p is kernel * w_z * w_n * w_l (Schied 2017, 4.4).
 
-    w_z = 2^(decay_p |z_p - z_q| / |p - q|), w_n = max(0, n_p n_q)^128 and w_l = 2^(keen_p
-    |l_p - l_q|), with `light` = (l, keen), keen <= 0. What two neighbours are to each other but for
-    decay and keen is the same both ways, and computed once. Powers of 2 since on a CPU torch takes
-    ten times as long for exp where the result is all but 0, which most weights are.
+    w_z = 2^(depth_decay_p |z_p - z_q| / |p - q|), w_n = max(0, n_p n_q)^128 and
+    w_l = 2^(decay_p |l_p - l_q|), where `luminance_guide` is (l, decay) with decay <= 0.
+    Differences are symmetric and computed once for both directions. The weights are powers of 2
+    because on a CPU torch's exp takes ten times as long where the result is nearly 0, as most
+    weights are.
     """
     sums = Sums(values.clone(), variance.clone(), torch.ones_like(variance))
-    for start, stop in flat.chunks(variance):
+    for start, stop in rows.chunks(variance):
         scratch = torch.empty(4, stop - start, device=values.device, dtype=values.dtype)
         for tap in taps:
-            away = flat.offset(tap.down, tap.right)
-            here, there = slice(start, stop), slice(start + away, stop + away)
-            _exchange(here, there, tap, edges, light, values, variance, sums, scratch)
+            shift = rows.offset(tap.down, tap.right)
+            p, q = slice(start, stop), slice(start + shift, stop + shift)
+            _add_pair(p, q, tap, edges, luminance_guide, values, variance, sums, scratch)
     return sums
 
 
-def _exchange(
-    here: slice,
-    there: slice,
+def _add_pair(
+    p: slice,
+    q: slice,
     tap: Tap,
     edges: Edges,
-    light: tuple[Tensor, Tensor],
+    luminance_guide: tuple[Tensor, Tensor],
     values: Tensor,
     variance: Tensor,
     sums: Sums,
     scratch: Float[Tensor, "4 piece"],
 ) -> None:
-    """Add to each of two slices what the other has for it."""
-    alike, depths, lights, weight = (scratch[i : i + 1] for i in range(4))
-    normal, depth, (bright, keen) = edges.normal, edges.depth, light
-    torch.mul(normal[:1, here], normal[:1, there], out=alike)
-    alike.addcmul_(normal[1:2, here], normal[1:2, there])
-    alike.addcmul_(normal[2:, here], normal[2:, there]).clamp_min_(0)
+    """Add q's contribution to the sums at p, and p's to those at q."""
+    w_n, depth_difference, luminance_difference, weight = (scratch[i : i + 1] for i in range(4))
+    normal, depth, (luminance, luminance_decay) = edges.normal, edges.depth, luminance_guide
+    torch.mul(normal[:1, p], normal[:1, q], out=w_n)
+    w_n.addcmul_(normal[1:2, p], normal[1:2, q])
+    w_n.addcmul_(normal[2:, p], normal[2:, q]).clamp_min_(0)
     for _ in range(SQUARINGS):
-        alike.mul_(alike)
-    torch.sub(depth[:, here], depth[:, there], out=depths).abs_()
-    torch.sub(bright[:, here], bright[:, there], out=lights).abs_()
-    near = (tap.down**2 + tap.right**2) ** -0.5
-    for to, source in ((here, there), (there, here)):
-        torch.mul(lights, keen[:, to], out=weight)
-        weight.addcmul_(depths, edges.decay[:, to], value=near).exp2_().mul_(alike)
-        sums.values[:, to].addcmul_(values[:, source], weight, value=tap.weight)
-        sums.weight[:, to].add_(weight, alpha=tap.weight)
+        w_n.mul_(w_n)
+    torch.sub(depth[:, p], depth[:, q], out=depth_difference).abs_()
+    torch.sub(luminance[:, p], luminance[:, q], out=luminance_difference).abs_()
+    inverse_distance = (tap.down**2 + tap.right**2) ** -0.5
+    for target, source in ((p, q), (q, p)):
+        torch.mul(luminance_difference, luminance_decay[:, target], out=weight)
+        weight.addcmul_(depth_difference, edges.depth_decay[:, target], value=inverse_distance)
+        weight.exp2_().mul_(w_n)
+        sums.values[:, target].addcmul_(values[:, source], weight, value=tap.weight)
+        sums.weight[:, target].add_(weight, alpha=tap.weight)
         weight.mul_(weight)
-        sums.variance[:, to].addcmul_(variance[:, source], weight, value=tap.weight**2)
+        sums.variance[:, target].addcmul_(variance[:, source], weight, value=tap.weight**2)

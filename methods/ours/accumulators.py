@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from baselines.oidn.method import inputs as oidn_inputs
+from baselines.oidn.method import encode_inputs as oidn_inputs
 from methods.ours.accumulation import (
     AccumulatedRadiance,
     accumulate,

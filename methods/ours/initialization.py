@@ -109,15 +109,18 @@ def _wire_blur(denoiser: UNet) -> None:
 
 def _load_intel(denoiser: UNet) -> str:
     """Intel's weights, and zeros for the state's input channels and the blend's output channel."""
-    from baselines.oidn_intel.networks import network, origin  # an extra; only training needs it
+    from baselines.oidn_intel.networks import (  # an extra; only training needs it
+        load_network,
+        weights_origin,
+    )
 
-    intel = network(denoiser.widths).state_dict()
+    intel = load_network(denoiser.widths).state_dict()
     for name, weight in denoiser.state_dict().items():
         weight.zero_()
         shared = weight[: len(intel[name])]  # the blend is the last output
         shared = shared if weight.dim() == 1 else shared[:, : intel[name].shape[1]]
         shared.copy_(intel[name])  # the state is the last input
-    return origin()
+    return weights_origin()
 
 
 @torch.no_grad()

@@ -95,7 +95,7 @@ def render_clips(
     seeds: Iterable[int] | None = None,
     executor: Executor = LOCAL,
 ) -> list[Path]:
-    """Render the clips of a preset that are missing; returns the folders of all that were requested.
+    """Render the missing clips of a preset; returns the folders of all requested clips.
 
     `seeds` are those of generated scenes (presets `train` and `unseen`). Open a folder with
     `rlbench.open_clip`. Raises RlbenchError for an unknown preset, scene or take.
@@ -137,12 +137,12 @@ def select_clips(
     from a "live" path tracer. Only the preset's pools of the given kinds are rendered; None renders
     all. Raises RlbenchError where a selection is empty or contradictory.
     """
-    wanted = list(scenes)
+    selected = list(scenes)
     if pool not in POOLS:
         raise OptionError(f"no pool '{pool}'; available: {', '.join(POOLS)}")
     if clips is None:
         folders = render_preset_clips(
-            wanted, preset, executor=executor, pool_kinds=pool_kinds, takes=takes
+            selected, preset, executor=executor, pool_kinds=pool_kinds, takes=takes
         )
         return tuple(open_source(folder, pool) for folder in folders)
     if takes is not None:
@@ -153,11 +153,11 @@ def select_clips(
     sources = [open_source(path, pool) for folder in clips for path in find_clips(Path(folder))]
     names = {source: {source.header.scene, source.header.name} for source in sources}
     available = sorted(set().union(*names.values()))
-    if unknown := [name for name in wanted if name not in available]:
+    if unknown := [name for name in selected if name not in available]:
         raise OptionError(
             f"the clips show no scene {', '.join(unknown)}; available: {', '.join(available)}"
         )
-    return tuple(source for source in sources if not wanted or names[source] & set(wanted))
+    return tuple(source for source in sources if not selected or names[source] & set(selected))
 
 
 def select_device(name: str = "auto") -> torch.device:

@@ -90,7 +90,7 @@ def profile(name: str) -> CostProfile:
         raise
     except ValueError as error:
         raise CostError(
-            f"cost profile '{name}' cannot be read: {error}. docs/cost.md has one to copy"
+            f"cost profile '{name}' cannot be read: {error}. docs/how-to/charge-your-renderer.md has one to copy"
         ) from error
 
 

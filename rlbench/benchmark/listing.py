@@ -1,4 +1,4 @@
-"""What is installed, as plain data: for people as a table, for scripts as JSON."""
+"""What is installed, as plain data: for people as tables, for scripts as JSON."""
 
 from __future__ import annotations
 
@@ -9,30 +9,41 @@ from rlbench import registry
 from rlbench.benchmark import cost
 from rlbench.family import Variant
 
-Listed = dict[str, list[dict[str, Any]]]
+__all__ = ["Listing", "list_installed"]
+
+Listing = dict[str, list[dict[str, Any]]]  # one list of rows a kind
 
 
-def list_installed(kind: str = "all") -> Listed:
-    """Everything of a kind, or of all kinds, by kind. Raises PluginError for an unknown kind."""
+def list_installed(kind: str = "all") -> Listing:
+    """What is installed of one kind, or of all: one list of rows a kind.
+
+    Kinds are methods, metrics, scenes, reports, pools, presets and profiles. A plugin that cannot
+    be imported has the key `broken` with its error.
+
+    >>> [row["name"] for row in list_installed("pools")["pools"]]
+    ['path', 'restir']
+
+    Raises PluginError for an unknown kind.
+    """
     kinds: dict[str, Callable[[], list[dict[str, Any]]]] = {
-        "methods": _methods,
-        "metrics": _metrics,
-        "scenes": lambda: _plain("scenes"),
-        "reports": lambda: _plain("reports"),
-        "pools": _pools,
-        "presets": _presets,
-        "profiles": _profiles,
+        "methods": _list_methods,
+        "metrics": lambda: _list_plugins("metrics", ("unit", "direction", "convention")),
+        "scenes": lambda: _list_plugins("scenes"),
+        "reports": lambda: _list_plugins("reports"),
+        "pools": lambda: _list_plugins("pools", ("title",)),
+        "presets": _list_presets,
+        "profiles": _list_profiles,
     }
     if kind != "all" and kind not in kinds:
-        raise registry.PluginError(f"'{kind}' cannot be listed; there are: all, {', '.join(kinds)}")
-    return {name: tell() for name, tell in kinds.items() if kind in ("all", name)}
+        raise registry.PluginError(f"no kind '{kind}' to list; available: all, {', '.join(kinds)}")
+    return {name: rows() for name, rows in kinds.items() if kind in ("all", name)}
 
 
-def _methods() -> list[dict[str, Any]]:
-    found = []
+def _list_methods() -> list[dict[str, Any]]:
+    rows = []
     for name, entry in registry.list_entries("methods").items():
-        if why := registry.import_error("methods", name):
-            found.append({"name": name, "from": entry.origin, "broken": why})
+        if error := registry.import_error("methods", name):
+            rows.append({"name": name, "from": entry.origin, "broken": error})
             continue
         family = registry.load_family(name)
         shared = {
@@ -42,55 +53,41 @@ def _methods() -> list[dict[str, Any]]:
             "from": entry.origin,
         }
         pairs = zip(family.method_names(), family.variants.values(), strict=True)
-        found += [{"name": full, **_variant(variant), **shared} for full, variant in pairs]
-    return found
+        rows += [{"name": method, **_describe(variant), **shared} for method, variant in pairs]
+    return rows
 
 
-def _variant(variant: Variant) -> dict[str, Any]:
+def _describe(variant: Variant) -> dict[str, Any]:
     traits = variant.traits
+    weights = "shipped" if variant.pretrained else "to be trained"
     return {
         "question": variant.question,
         "spp": list(traits.spp_range),
-        "needs": sorted(traits.inputs),
+        "inputs": sorted(traits.inputs),
         "pool": traits.pool,
-        "adapts": traits.adaptive,
+        "adaptive": traits.adaptive,
         "temporal": traits.temporal,
         "learned": variant.learned,
-        "shipped": variant.pretrained,
-        "weights": ("shipped" if variant.pretrained else "to be trained")
-        if variant.learned
-        else "",
+        "pretrained": variant.pretrained,
+        "weights": weights if variant.learned else "",
     }
 
 
-def _metrics() -> list[dict[str, Any]]:
-    return [
-        {**row, **_fields(row["name"], "metrics", ("unit", "direction", "convention"))}
-        for row in _plain("metrics")
-    ]
-
-
-def _pools() -> list[dict[str, Any]]:
-    return [{**row, **_fields(row["name"], "pools", ("title",))} for row in _plain("pools")]
-
-
-def _plain(group: str) -> list[dict[str, Any]]:
-    """Name, origin and, where it cannot be loaded, why."""
-    found = []
+def _list_plugins(group: str, attributes: tuple[str, ...] = ()) -> list[dict[str, Any]]:
+    """Name, origin and some attributes of each plugin; the error of one that is broken."""
+    rows = []
     for name, entry in registry.list_entries(group).items():
-        why = registry.import_error(group, name)
-        found.append({"name": name, "from": entry.origin} | ({"broken": why} if why else {}))
-    return found
+        row: dict[str, Any] = {"name": name, "from": entry.origin}
+        if error := registry.import_error(group, name):
+            row["broken"] = error
+        elif attributes:
+            plugin = registry.load_plugin(group, name)
+            row |= {attribute: getattr(plugin, attribute, "") for attribute in attributes}
+        rows.append(row)
+    return rows
 
 
-def _fields(name: str, group: str, wanted: tuple[str, ...]) -> dict[str, Any]:
-    if registry.import_error(group, name):
-        return {}
-    found = registry.load_plugin(group, name)
-    return {field: getattr(found, field, "") for field in wanted}
-
-
-def _presets() -> list[dict[str, Any]]:
+def _list_presets() -> list[dict[str, Any]]:
     from rlbench.render.presets import PRESETS
 
     return [
@@ -109,7 +106,7 @@ def _presets() -> list[dict[str, Any]]:
     ]
 
 
-def _profiles() -> list[dict[str, Any]]:
+def _list_profiles() -> list[dict[str, Any]]:
     measured = {"name": cost.MEASURED, "title": "this machine's path tracer"}
-    found = [(name, cost.profile(name)) for name in cost.profiles()]
-    return [measured, *({"name": n, "title": p.title, "source": p.source} for n, p in found)]
+    profiles = [(name, cost.profile(name)) for name in cost.profiles()]
+    return [measured, *({"name": n, "title": p.title, "source": p.source} for n, p in profiles)]

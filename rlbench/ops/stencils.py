@@ -20,7 +20,7 @@ class Tap(NamedTuple):
 def box_taps(reach: int) -> list[Tap]:
     """Taps of a box filter of (2 reach + 1)^2 pixels, each of weight 1 like the centre.
 
-    >>> len(box(1))  # of 8 neighbours
+    >>> len(box_taps(1))  # of 8 neighbours
     4
     """
     return [Tap(*offset, 1.0) for offset in _half_plane(reach)]

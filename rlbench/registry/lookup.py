@@ -66,7 +66,7 @@ def import_error(group: str, name: str) -> str | None:
 def load_family(name: str) -> Family:
     """The family of a method, given as `family` or `family/variant`; does not import torch.
 
-    >>> family("svgf").name
+    >>> load_family("svgf").name
     'svgf'
 
     Raises PluginError for an unknown name, and for a plugin that is not a family of this name.

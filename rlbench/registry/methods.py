@@ -32,7 +32,7 @@ def load_method(
 
     `weights` is None for the pretrained weights, the path of a file, or "random".
 
-    >>> method("mean").traits.pool
+    >>> load_method("mean").traits.pool
     'path'
 
     Raises PluginError if a package that the method requires is not installed, or if its traits are

@@ -60,11 +60,13 @@ def file_entries(file: Path) -> list[PluginEntry]:
         module = import_file(file)
         families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
         if None in families:
-            raise PluginError(f"{file.name} has neither FAMILY nor METHODS; see docs/plugins.md")
+            raise PluginError(
+                f"{file.name} has neither FAMILY nor METHODS; see docs/how-to/add-a-method.md"
+            )
         if others := [type(item).__name__ for item in families if not hasattr(item, "variants")]:
             raise PluginError(
                 f"{file.name} defines an object of type {others[0]} as a method; a Family is "
-                "expected, see docs/plugins.md"
+                "expected, see docs/how-to/add-a-method.md"
             )
     except Exception as error:  # the plugin is listed, and raises this error when it is loaded
         return [PluginEntry(file.stem, str(file), origin, partial(_raise, error))]

@@ -1,4 +1,4 @@
-"""A small picture in which all happens that a filter with memory must handle."""
+"""A small moving scene with all the cases that a temporal filter must handle."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ FRAMES = 3
 
 @dataclass(frozen=True)
 class Moving:
-    """One frame of it."""
+    """One frame of the scene."""
 
     gbuffer: GBuffer
-    radiance: Tensor  # [1 3 h w], one sample a pixel
+    radiance: Tensor  # [1 3 h w], one sample per pixel
 
     @property
     def noisy(self) -> np.ndarray:
@@ -28,7 +28,7 @@ class Moving:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Albedo, normal, depth without an axis of channels, and motion, likewise."""
+        """Albedo, normal, depth without a channel axis, and motion, in double precision."""
         return (
             _array(self.gbuffer.albedo),
             _array(self.gbuffer.normal),
@@ -38,27 +38,27 @@ class Moving:
 
 
 def frame(index: int) -> Moving:
-    """A tilted floor that drifts, a board before it that moves faster, a lamp, and sky.
+    """A tilted moving floor, a faster board in front of it, an emitter, and background.
 
-    Depth and motion are such that no test of the history is close to its limit, and motion is a
-    multiple of 1/8 pixel, so that single and double precision agree on which pixels are meant.
+    No depth or normal test of the history is close to its threshold, and motion is a multiple of
+    1/8 pixel, so that single and double precision select the same pixels.
     """
     source = np.random.default_rng(index)
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
     board = (abs(x - 8 - 2.375 * index) < 6) & (abs(y - 15 - 1.25 * index) < 7)
-    sky = y < 4
-    lamp = (abs(x - 26) < 2) & (abs(y - 24) < 2)
+    background = y < 4
+    emitter = (abs(x - 26) < 2) & (abs(y - 24) < 2)
     depth = np.where(board, 3 + 0.01 * x, 8 - 0.1 * y + 0.02 * x)
     normal = np.where(board[..., None], [0.0, 0.0, 1.0], [0.0, 0.6, 0.8])
     bump = np.stack([0.05 * np.sin(x / 2), 0.05 * np.cos(y / 3), 0 * x], -1)
     normal = (normal + bump) / np.linalg.norm(normal + bump, axis=-1, keepdims=True)
     albedo = 0.1 + 0.8 * np.stack([x / SIDE, y / SIDE, (x.astype(int) + y.astype(int)) % 2], -1)
     motion = np.where(board[..., None], [-2.375, -1.25], [0.5, -0.625])
-    depth[sky] = np.inf
-    normal[sky] = albedo[sky] = albedo[lamp] = 0
+    depth[background] = np.inf
+    normal[background] = albedo[background] = albedo[emitter] = 0
     light = np.where(x < 18, 1.0, 0.25)[..., None] * source.exponential(size=(SIDE, SIDE, 3))
     light[source.random((SIDE, SIDE)) < 0.01] *= 50
-    radiance = np.where((sky | lamp)[..., None], 2.0, light * albedo)
+    radiance = np.where((background | emitter)[..., None], 2.0, light * albedo)
     buffers = {"albedo": albedo, "normal": normal, "depth": depth[..., None], "motion": motion}
     return Moving(GBuffer({k: _tensor(v) for k, v in buffers.items()}), _tensor(radiance))
 

@@ -1,4 +1,4 @@
-"""OIDN: built like the original, equivariant to exposure, and it learns."""
+"""OIDN: network sizes of the original, equivariance to exposure, and training."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, to_radiance
-from baselines.oidn.train import _loss, trainer
+from baselines.oidn.train import _frame_loss, training_task
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
 from rlbench.method import Method
@@ -25,18 +25,18 @@ CPU = torch.device("cpu")
 
 
 def clip(h: int = 21, w: int = 35, frames: int = 1, gain: float = 1.0, n: int = 1) -> InMemoryClip:
-    """Noise around a smooth picture on a tilted plane, with background on the left."""
+    """Noise around a smooth image of a tilted plane, with background on the left."""
     generator = torch.Generator().manual_seed(7)
-    made = []
+    clip_frames = []
     for index in range(frames):
-        picture = (torch.linspace(0, 6 + index, w).sin() + 1.5).expand(n, 3, h, w) * gain
+        reference = (torch.linspace(0, 6 + index, w).sin() + 1.5).expand(n, 3, h, w) * gain
         noise = torch.empty(n, 8, 3, h, w).exponential_(generator=generator)
         normal = torch.tensor([0.6, 0.0, -0.8]).view(1, 3, 1, 1).repeat(n, 1, h, w)
         normal[..., : w // 4] = 0
         gbuffer = GBuffer({"albedo": torch.full((n, 3, h, w), 0.5), "normal": normal})
-        pool = StoredPool(picture[:, None] * noise, rounding_seeds=tuple(range(index, index + n)))
-        made.append(Frame(index, gbuffer, pool, Reference(picture, picture)))
-    return InMemoryClip("made", "made", "", made)
+        pool = StoredPool(reference[:, None] * noise, rounding_seeds=tuple(range(index, index + n)))
+        clip_frames.append(Frame(index, gbuffer, pool, Reference(reference, reference)))
+    return InMemoryClip("clip", "clip", "", clip_frames)
 
 
 def test_metadata_is_readable_without_torch():
@@ -44,7 +44,7 @@ def test_metadata_is_readable_without_torch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_it_is_a_method_with_the_traits_its_family_says():
+def test_the_method_has_the_traits_of_its_family():
     method = build("", CPU, "random")
     assert isinstance(method, Method)
     assert method.traits == FAMILY.variants[""].traits
@@ -56,7 +56,7 @@ def test_the_network_has_oidns_size(variant, parameters):
     assert sum(p.numel() for p in network.parameters()) == parameters
 
 
-def test_small_differs_in_its_widths_alone():
+def test_small_differs_in_its_widths_only():
     assert replace(VARIANTS["small"], widths=VARIANTS[""].widths) == VARIANTS[""]
 
 
@@ -66,15 +66,15 @@ def test_every_variant_of_the_family_can_be_built():
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (21, 35)])
 @pytest.mark.parametrize("spp", [1.0, 1.5, 8.0])
-def test_any_size_and_budget_gives_a_finite_image(size, spp):
-    (shown,) = run_clip(build("", CPU, "random"), clip(*size), spp)
-    assert shown.image.shape == (1, 3, *size)
-    assert torch.isfinite(shown.image).all()
-    assert (shown.image >= 0).all()
+def test_any_size_and_budget_give_a_finite_image(size, spp):
+    (result,) = run_clip(build("", CPU, "random"), clip(*size), spp)
+    assert result.image.shape == (1, 3, *size)
+    assert torch.isfinite(result.image).all()
+    assert (result.image >= 0).all()
 
 
 @pytest.mark.parametrize("gain", [2.0**-5, 3.0, 2.0**7])
-def test_the_image_scales_with_the_light(gain):
+def test_the_image_scales_with_the_radiance(gain):
     method = build("", CPU, "random")
     (plain,) = run_clip(method, clip(), 2.0)
     (scaled,) = run_clip(method, clip(gain=gain), 2.0)
@@ -83,12 +83,12 @@ def test_the_image_scales_with_the_light(gain):
     torch.testing.assert_close(scaled.image / gain, plain.image, rtol=2e-3, atol=1e-5)
 
 
-def test_one_frame_knows_nothing_of_another():
+def test_frames_are_independent():
     method = build("", CPU, "random")
     third = list(run_clip(method, clip(frames=3), 4.0))[2].image
-    alone = InMemoryClip("alone", "made", "", list(clip(frames=3))[2:])
-    (shown,) = run_clip(method, alone, 4.0)
-    assert torch.equal(shown.image, third)
+    single = InMemoryClip("single", "clip", "", list(clip(frames=3))[2:])
+    (result,) = run_clip(method, single, 4.0)
+    assert torch.equal(result.image, third)
 
 
 def test_clips_of_a_batch_are_independent():
@@ -104,7 +104,7 @@ def test_clips_of_a_batch_are_independent():
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
-def test_bad_radiance_gives_a_finite_image(bad):
+def test_invalid_radiance_gives_a_finite_image(bad):
     (frame,) = clip()
     samples = Samples(torch.full((1, 8, 3, 21, 35), bad), torch.full((1, 1, 21, 35), 8))
     image, _ = build("", CPU, "random").denoise(frame.gbuffer, samples, None)
@@ -112,12 +112,12 @@ def test_bad_radiance_gives_a_finite_image(bad):
 
 
 @pytest.mark.parametrize("value", [-1e4, 1e4])
-def test_an_output_out_of_range_gives_radiance_that_half_floats_hold(value):
+def test_output_out_of_range_gives_radiance_within_half_floats(value):
     image = to_radiance(torch.full((1, 3, 2, 2), value), torch.ones(1, 1, 1, 1))
     assert ((image >= 0) & (image <= 65504 * 1.001)).all()  # PU in float32
 
 
-def test_negative_radiance_counts_as_none():
+def test_negative_radiance_counts_as_zero():
     (frame,) = clip()
     counts = torch.full((1, 1, 21, 35), 8)
     radiance = frame.pool.read(frame.pool.empty(), counts)
@@ -126,31 +126,31 @@ def test_negative_radiance_counts_as_none():
     lower[..., :5] = -1
     method = build("", CPU, "random")
     expected, _ = method.denoise(frame.gbuffer, Samples(radiance, counts), None)
-    found, _ = method.denoise(frame.gbuffer, Samples(lower, counts), None)
-    assert torch.equal(found, expected)
+    image, _ = method.denoise(frame.gbuffer, Samples(lower, counts), None)
+    assert torch.equal(image, expected)
 
 
-class Spy(torch.nn.Module):
-    """A network that gives back the colour it sees, and remembers what that was."""
+class IdentityNetwork(torch.nn.Module):
+    """A network that returns its input colour and records its input."""
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        self.seen = x
+        self.input = x
         return x[:, :3]
 
 
-def test_a_network_that_changes_nothing_gives_the_mean_of_the_samples():
-    """Exposure, transfer and padding are all undone."""
+def test_an_identity_network_gives_the_mean_of_the_samples():
+    """Exposure, transfer and padding are undone."""
     (frame,) = clip()
-    (shown,) = run_clip(Oidn(Spy()), clip(), 8.0)
+    (result,) = run_clip(Oidn(IdentityNetwork()), clip(), 8.0)
     mean = frame.pool.read(frame.pool.empty(), torch.full((1, 1, 21, 35), 8)).mean(1)
-    torch.testing.assert_close(shown.image, mean, rtol=2e-4, atol=1e-6)  # PU in float32
+    torch.testing.assert_close(result.image, mean, rtol=2e-4, atol=1e-6)  # PU in float32
 
 
-def test_the_network_sees_exposed_colour_albedo_and_normals_from_zero_to_one():
-    spy = Spy()
-    (shown,) = run_clip(Oidn(spy), clip(32, 48), 8.0)
-    colour, albedo, normal = spy.seen.split(3, dim=1)
-    mean = shown.samples.mean
+def test_the_network_reads_exposed_colour_albedo_and_normals_in_zero_to_one():
+    network = IdentityNetwork()
+    (result,) = run_clip(Oidn(network), clip(32, 48), 8.0)
+    colour, albedo, normal = network.input.split(3, dim=1)
+    mean = result.samples.mean
     luminance = (mean * torch.tensor([0.212671, 0.71516, 0.072169]).view(3, 1, 1)).sum(1)
     tiles = luminance.unflatten(1, (-1, 16)).unflatten(3, (-1, 16)).mean((2, 4))
     exposure = 0.18 / tiles.log().mean().exp()
@@ -160,7 +160,7 @@ def test_the_network_sees_exposed_colour_albedo_and_normals_from_zero_to_one():
     torch.testing.assert_close(normal[0, :, 0, -1], torch.tensor([0.8, 0.5, 0.1]))
 
 
-def test_weights_of_a_file_are_used(tmp_path):
+def test_weights_are_loaded_from_a_file(tmp_path):
     path = tmp_path / "mine.safetensors"
     random = build("", CPU, "random")
     with torch.no_grad():
@@ -169,50 +169,54 @@ def test_weights_of_a_file_are_used(tmp_path):
     assert (build("", CPU, str(path)).network.dec_conv0.bias == 0.125).all()
 
 
-def test_random_weights_are_the_same_each_time():
+def test_random_weights_are_reproducible():
     first, second = (build("", CPU, "random").network.state_dict() for _ in range(2))
     assert all(torch.equal(first[k], second[k]) for k in first)
 
 
-def test_each_frame_gives_one_loss_that_reaches_every_parameter():
-    made = trainer("", CPU, seed=0)
-    losses = list(made.losses(clip(32, 32, frames=3), BUDGETS_FROM_1_SPP[0]))
+def test_each_frame_gives_one_loss_with_a_gradient_for_every_parameter():
+    task = training_task("", CPU, seed=0)
+    losses = list(task.losses(clip(32, 32, frames=3), BUDGETS_FROM_1_SPP[0]))
     assert len(losses) == 3
     losses[0].backward()
-    without = [k for k, p in made.networks.named_parameters() if p.grad is None or not p.grad.any()]
-    assert without == []
+    without_gradient = [
+        k for k, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()
+    ]
+    assert without_gradient == []
 
 
 def test_the_loss_of_a_perfect_output_is_zero():
-    """Exposure and target are the reference's: a clean pool and a network that changes nothing."""
+    """A noise-free pool, an identity network, and the exposure of the reference."""
     (frame,) = clip(32, 32)
     pool = StoredPool(frame.reference.mean[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    still = InMemoryClip("", "", "", [Frame(0, frame.gbuffer, pool, frame.reference)])
-    assert float(_loss(Oidn(Spy()), still, 4.0)) < 1e-5  # float32 moments
+    noise_free = InMemoryClip("", "", "", [Frame(0, frame.gbuffer, pool, frame.reference)])
+    assert float(_frame_loss(Oidn(IdentityNetwork()), noise_free, 4.0)) < 1e-5  # float32 moments
 
 
 def test_exposure_in_training_comes_from_the_reference():
     (frame,) = clip(32, 32)
-    reference, spy = frame.reference.mean, Spy()
+    reference, network = frame.reference.mean, IdentityNetwork()
     dark = StoredPool(0.1 * reference[:, None].expand(-1, 8, -1, -1, -1), (0,))
-    _loss(
-        Oidn(spy), InMemoryClip("", "", "", [Frame(0, frame.gbuffer, dark, frame.reference)]), 4.0
+    _frame_loss(
+        Oidn(network),
+        InMemoryClip("", "", "", [Frame(0, frame.gbuffer, dark, frame.reference)]),
+        4.0,
     )
     expected = pu_forward(0.1 * reference * autoexposure(reference))
-    torch.testing.assert_close(spy.seen[:, :3], expected)
+    torch.testing.assert_close(network.input[:, :3], expected)
 
 
-def test_seeds_of_training_differ():
-    first, second = (trainer("", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
+def test_the_training_seed_changes_the_weights():
+    first, second = (training_task("", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
     assert not torch.equal(first, second)
 
 
 def test_a_few_steps_of_training_lower_the_loss():
-    made, scene = trainer("small", CPU, seed=0), clip(32, 32)
-    optimizer = torch.optim.Adam(made.networks.parameters(), 1e-3)
+    task, scene = training_task("small", CPU, seed=0), clip(32, 32)
+    optimizer = torch.optim.Adam(task.networks.parameters(), 1e-3)
     history = []
     for _ in range(25):
-        for loss in made.losses(scene, 4.0):
+        for loss in task.losses(scene, 4.0):
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -220,18 +224,18 @@ def test_a_few_steps_of_training_lower_the_loss():
     assert history[-1] < 0.6 * history[0]
 
 
-def test_what_was_trained_is_what_runs():
-    made = trainer("", CPU, seed=0)
-    assert isinstance(made.method, Oidn)
-    assert made.method.network is made.networks
-    (shown,) = run_clip(made.method, clip(), 1.0)
-    assert shown.image.shape == (1, 3, 21, 35)
+def test_the_trained_network_is_the_network_that_runs():
+    task = training_task("", CPU, seed=0)
+    assert isinstance(task.method, Oidn)
+    assert task.method.network is task.networks
+    (result,) = run_clip(task.method, clip(), 1.0)
+    assert result.image.shape == (1, 3, 21, 35)
 
 
 def test_tuning_starts_from_intels_weights():
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import network
+    from baselines.oidn_intel.networks import load_network
 
-    theirs, found = network().state_dict(), trainer("tuned", CPU, 0).networks.state_dict()
-    assert all(torch.equal(found[name], theirs[name]) for name in theirs)
-    assert trainer("tuned", CPU, 0).max_lr < trainer("", CPU, 0).max_lr
+    theirs, ours = load_network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
+    assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
+    assert training_task("tuned", CPU, 0).max_lr < training_task("", CPU, 0).max_lr

@@ -35,7 +35,7 @@ def folds(tmp_path: Path) -> list[Fold]:
 
 
 def run_crossval(folds: list[Fold], out: Path, **callbacks: object) -> RunSummary:
-    config = TrainingConfig(frames=12, crop=16, length=3)
+    config = TrainingConfig(frames=12, crop=16, sequence_length=3)
     plan = RunPlan(("blur", "mean"), (), (1.0,), repeats=2)
     return crossval(folds, TrainingRuns(out, config), plan, out / "results", **callbacks)
 

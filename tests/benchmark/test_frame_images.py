@@ -10,7 +10,7 @@ import pytest
 import torch
 from matplotlib.image import imread
 
-from metrics.display import display
+from metrics.display import encode_display
 from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
@@ -38,7 +38,7 @@ def test_the_files_of_a_method_are_its_image(clip_folder, tmp_path):
         stored = read_exr(tmp_path / "noise-1spp-01" / f"{name}.exr", "RGB", h, w)
         assert np.array_equal(stored, image[0].numpy())
         drawn = 255 * imread(tmp_path / "noise-1spp-01" / f"{name}.png")[..., :3]
-        expected = 255 * display(image[0]).movedim(0, -1).numpy()
+        expected = 255 * encode_display(image[0]).movedim(0, -1).numpy()
         assert np.abs(drawn - expected).max() <= 0.501  # 8 bits
 
 

@@ -504,7 +504,7 @@ def test_the_rows_of_a_plan_are_those_of_its_cells_alone(clip_folder, tmp_path):
 
 def test_a_cell_is_looked_up_in_the_registry_once(clip_folder, monkeypatch):
     lookups, variant = [], registry.get_variant
-    monkeypatch.setattr(registry, "variant", lambda name: lookups.append(name) or variant(name))
+    monkeypatch.setattr(registry, "get_variant", lambda name: lookups.append(name) or variant(name))
     plan = run_plan(clip_folder, "mean", "eaw", target_spp=(1.0, 2.0))
     cells = resolve_cells(plan)
     assert lookups == ["mean", "eaw"]

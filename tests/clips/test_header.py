@@ -22,7 +22,7 @@ from rlbench.clips.header import BUFFER_CHANNELS, LIMITATIONS
 from rlbench.render.jobs.job import Job
 from rlbench.render.presets import Preset
 from tests.clips.clip_folders import FRAMES, HEADER
-from tests.render.worlds import room
+from tests.render.small_scenes import room
 
 VERSION_1 = Path(__file__).parent / "data" / "version_1"
 DIGESTS = {  # as commit a26c6ed computed them

@@ -42,13 +42,13 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
     """In the first frame no radiance is accumulated, and the weights of the state are zero."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.networks import network
+    from baselines.oidn_intel.networks import load_network
 
     method = training_task(variant, CPU, seed=0).method
     method.networks.eval()
     clip = procedural_clip(seed=3, size=Size(1, 48, 64), frames=1)
     (result,) = run_clip(replace(method, sampler=None), clip, 2.0)
-    intel = Oidn(network(VARIANTS[variant].denoiser))
+    intel = Oidn(load_network(VARIANTS[variant].denoiser))
     expected, _ = intel.denoise(result.frame.gbuffer, result.samples, None)
     # sums in another order, and the exposure is of the same image
     torch.testing.assert_close(result.image, expected, rtol=1e-4, atol=1e-5)

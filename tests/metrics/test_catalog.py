@@ -1,4 +1,4 @@
-"""The catalogue: each metric scores each image of a batch and points the way it says."""
+"""The metric catalogue: one score per image of a batch, in the declared direction."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import torch
 
 from metrics.catalog import BIAS, MS_SSIM, MSE_DEBIASED, NONFINITE, PSNR, RELMSE, TPSNR
 
-ALL = (PSNR, TPSNR, MS_SSIM, RELMSE, MSE_DEBIASED, BIAS, NONFINITE)
-DIRECTED = [metric for metric in ALL if metric.direction]
+METRICS = (PSNR, TPSNR, MS_SSIM, RELMSE, MSE_DEBIASED, BIAS, NONFINITE)
+DIRECTED = [metric for metric in METRICS if metric.direction]
 SIZE = (2, 3, 165, 170)
 
 
-def reference(metric=PSNR):
-    """Both halves; of a temporal metric two frames of each."""
+def reference_halves(metric=PSNR):
+    """Both halves of a reference; two frames of each for a temporal metric."""
     g = torch.Generator().manual_seed(3)
     size = (SIZE[0], 2, *SIZE[1:]) if metric.temporal else SIZE
     return torch.rand(size, generator=g), torch.rand(size, generator=g)
 
 
-@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
-def test_a_batch_is_scored_image_by_image(metric):
-    a, b = reference(metric)
+@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
+def test_images_of_a_batch_are_scored_independently(metric):
+    a, b = reference_halves(metric)
     image = torch.stack([a[0] + 0.2, b[1]])
-    alone = torch.cat([metric.score(image[i : i + 1], a[i : i + 1], b[i : i + 1]) for i in (0, 1)])
-    torch.testing.assert_close(metric.score(image, a, b), alone, atol=1e-6, rtol=1e-5)
+    single = torch.cat([metric.score(image[i : i + 1], a[i : i + 1], b[i : i + 1]) for i in (0, 1)])
+    torch.testing.assert_close(metric.score(image, a, b), single, atol=1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("metric", DIRECTED, ids=lambda m: m.name)
-def test_a_spoilt_image_is_worse_in_the_direction_declared(metric):
-    a, b = reference(metric)
+def test_a_degraded_image_scores_worse_in_the_declared_direction(metric):
+    a, b = reference_halves(metric)
     good, bad = (a + b) / 2, (a + b) / 2
     bad[..., :80, :] += 0.3 * torch.rand(
         bad[..., :80, :].shape, generator=torch.Generator().manual_seed(4)
@@ -42,15 +42,15 @@ def test_a_spoilt_image_is_worse_in_the_direction_declared(metric):
     assert (sign * metric.score(good, a, b) > sign * metric.score(bad, a, b)).all()
 
 
-@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
+@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
 @pytest.mark.parametrize("value", [0.0, 3e38, float("nan")])
-def test_scores_are_finite_whatever_the_image_holds(metric, value):
-    a, b = reference(metric)
+def test_scores_are_finite_for_any_image(metric, value):
+    a, b = reference_halves(metric)
     assert torch.isfinite(metric.score(torch.full(a.shape, value), a, b)).all()
 
 
-@pytest.mark.parametrize("metric", ALL, ids=lambda m: m.name)
-def test_each_says_its_convention(metric):
+@pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)
+def test_every_metric_states_its_convention(metric):
     assert len(metric.convention) > 10
 
 
@@ -64,27 +64,27 @@ def test_each_says_its_convention(metric):
         ((11, 99), "ms_ssim_1"),
     ],
 )
-def test_ms_ssim_of_fewer_scales_has_another_name(size, name):
+def test_ms_ssim_with_fewer_scales_has_another_name(size, name):
     assert MS_SSIM.at(*size).name == name
 
 
-def test_ms_ssim_that_fits_scores_a_small_image():
+def test_ms_ssim_with_fewer_scales_scores_a_small_image():
     image = torch.rand(1, 3, 64, 96)
     score = MS_SSIM.at(64, 96).score(image, image, image)
     torch.testing.assert_close(score, torch.ones(1), atol=1e-5, rtol=0)  # float32 rounding
 
 
-def test_ms_ssim_below_its_window_is_not_defined():
+def test_ms_ssim_is_nan_below_its_window_size():
     image = torch.rand(2, 3, 10, 96)
     metric = MS_SSIM.at(10, 96)
     assert metric.score(image, image, image).isnan().tolist() == [True, True]
     assert "below 11 pixels" in metric.convention
 
 
-def test_metrics_of_any_size_stand_for_themselves():
+def test_a_metric_defined_at_any_size_needs_no_substitute():
     assert PSNR.at(3, 3) is PSNR
 
 
 def test_listing_metrics_does_not_import_torch():
-    look = "import sys, metrics.catalog; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
+    code = "import sys, metrics.catalog; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""Image errors: equal to other libraries' and to slow twins, and never blind to broken pixels."""
+"""Image metrics: equal to other libraries and to loops, and sensitive to non-finite pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from metrics.display import display
+from metrics.display import encode_display
 from metrics.image import (
     CAP_DB,
     SCALE_WEIGHTS,
@@ -23,38 +23,38 @@ from metrics.image import (
     tpsnr,
 )
 
-BROKEN = (math.nan, math.inf, -math.inf)
+NONFINITE = (math.nan, math.inf, -math.inf)
 
 
-def pair(h, w, noise=0.3, seed=0, n=2):
-    """Image and reference [n 3 h w]: blocks of light, some above white, and noise on the image."""
+def image_pair(h, w, noise=0.3, seed=0, n=2):
+    """Image and reference [n 3 h w]: blocks, some above white, and noise on the image."""
     g = torch.Generator().manual_seed(seed)
     blocks = torch.rand(n, 3, h // 7 + 1, w // 7 + 1, generator=g) ** 3 * 2
     reference = blocks.repeat_interleave(7, 2).repeat_interleave(7, 3)[..., :h, :w]
     return reference * (1 + noise * torch.randn(n, 3, h, w, generator=g)), reference
 
 
-def shown(image):
-    return display(image).permute(0, 2, 3, 1).double().numpy()
+def srgb_array(image):
+    return encode_display(image).permute(0, 2, 3, 1).double().numpy()
 
 
-def slow_ms_ssim(x, y, scales):
+def skimage_ms_ssim(x, y, scales):
     """MS-SSIM of one channel by scikit-image, scale by scale; x, y [h w] in [0, 1]."""
     total = sum(SCALE_WEIGHTS) / sum(SCALE_WEIGHTS[:scales])
     score = 1.0
     for scale in range(scales):
-        k1 = 0.01 if scale == scales - 1 else 1e6  # a huge K1 leaves contrast alone
+        k1 = 0.01 if scale == scales - 1 else 1e6  # a huge K1 leaves contrast only
         term = structural_similarity(
             x, y, data_range=1.0, gaussian_weights=True, sigma=1.5,
             use_sample_covariance=False, K1=k1, K2=0.03,
         )  # fmt: skip
         score *= max(term, 0.0) ** (SCALE_WEIGHTS[scale] * total)
-        x, y = halved(x), halved(y)
+        x, y = halve(x), halve(y)
     return score
 
 
-def halved(x):
-    """Mean of 2 x 2 pixels; an odd side first gets a row of zeros at both ends."""
+def halve(x):
+    """Mean over 2 x 2 pixels; an odd side is first padded with a row of zeros at both ends."""
     x = np.pad(x, [(side % 2, side % 2) for side in x.shape])
     rows, columns = (side // 2 * 2 for side in x.shape)
     x = x[:rows, :columns]
@@ -62,45 +62,47 @@ def halved(x):
 
 
 @pytest.mark.parametrize("size", [(32, 48), (31, 57), (1, 1)])
-def test_psnr_is_that_of_scikit_image(size):
-    image, reference = pair(*size)
+def test_psnr_equals_scikit_image(size):
+    image, reference = image_pair(*size)
     expected = [
         peak_signal_noise_ratio(y, x, data_range=1.0)
-        for x, y in zip(shown(image), shown(reference), strict=True)
+        for x, y in zip(srgb_array(image), srgb_array(reference), strict=True)
     ]
     # float32 display values against float64, about 1e-6 of the error
     assert psnr(image, reference).tolist() == pytest.approx(expected, abs=1e-4)
 
 
-def test_tpsnr_is_psnr_of_changes_by_scikit_image():
+def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
     images, truths = (
         torch.rand(2, 2, 3, 20, 24, generator=torch.Generator().manual_seed(i)) * 1.5
         for i in (0, 1)
     )
-    for n, found in enumerate(tpsnr(images, truths)):
-        changes = [np.diff(display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)]
-        wanted = peak_signal_noise_ratio(*changes, data_range=1)
-        assert float(found) == pytest.approx(wanted, abs=1e-4)  # float32
+    for n, score in enumerate(tpsnr(images, truths)):
+        changes = [
+            np.diff(encode_display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)
+        ]
+        expected = peak_signal_noise_ratio(*changes, data_range=1)
+        assert float(score) == pytest.approx(expected, abs=1e-4)  # float32
 
 
-def test_what_stays_wrong_does_not_flicker():
+def test_an_error_constant_over_time_does_not_lower_tpsnr():
     truth = 0.2 + 0.3 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    wrong = 0.5 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
-    frames = torch.cat((wrong, wrong), 1)
+    constant = 0.5 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
+    frames = torch.cat((constant, constant), 1)
     assert tpsnr(frames, truth.expand_as(frames)).item() == CAP_DB
     assert psnr(frames[:, 0], truth[:, 0]).item() < 20
 
 
 @pytest.mark.parametrize("frame", [0, 1])
-def test_a_broken_pixel_flickers_as_much_as_can_be(frame):
+def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
     frames = torch.full((1, 2, 3, 4, 5), 0.5)
     frames[0, frame, 1, 2, 3] = torch.nan
-    found = tpsnr(frames, torch.full_like(frames, 0.5)).item()
-    assert found == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
+    score = tpsnr(frames, torch.full_like(frames, 0.5)).item()
+    assert score == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
 
 
 def test_psnr_of_equal_images_is_the_cap():
-    image, _ = pair(16, 16)
+    image, _ = image_pair(16, 16)
     assert psnr(image, image).tolist() == [CAP_DB, CAP_DB]
 
 
@@ -109,24 +111,24 @@ def test_psnr_of_black_against_white_is_zero():
     assert psnr(black, black + 1).tolist() == pytest.approx([0.0], abs=1e-5)  # float32 white
 
 
-def test_psnr_does_not_see_what_a_display_clips():
+def test_psnr_ignores_radiance_above_display_white():
     reference = torch.full((1, 3, 8, 8), 1.0)
     assert psnr(reference * 1e30, reference).tolist() == [CAP_DB]
 
 
-@pytest.mark.parametrize("value", BROKEN)
-def test_a_broken_pixel_has_display_error_one(value):
+@pytest.mark.parametrize("value", NONFINITE)
+def test_a_nonfinite_pixel_has_display_error_one(value):
     reference = torch.full((1, 3, 10, 10), 0.3)
     image = reference.clone()
-    image[0, 1, 4, 4] = value  # one channel spoils the pixel: MSE 1/100
+    image[0, 1, 4, 4] = value  # one channel invalidates the pixel: MSE 1/100
     assert psnr(image, reference).tolist() == pytest.approx([20.0], abs=1e-4)
 
 
 @pytest.mark.parametrize("size", [(176, 176), (163, 181)])
-def test_ms_ssim_is_that_of_scikit_image_over_five_scales(size):
-    image, reference = pair(*size, n=1)
-    x, y = shown(image)[0], shown(reference)[0]
-    expected = np.mean([slow_ms_ssim(x[..., c], y[..., c], 5) for c in range(3)])
+def test_ms_ssim_equals_scikit_image_over_five_scales(size):
+    image, reference = image_pair(*size, n=1)
+    x, y = srgb_array(image)[0], srgb_array(reference)[0]
+    expected = np.mean([skimage_ms_ssim(x[..., c], y[..., c], 5) for c in range(3)])
     # variances are differences of float32 squares: 1e-7 over C2 = 9e-4
     assert float(ms_ssim(image, reference)) == pytest.approx(expected, abs=5e-4)
 
@@ -134,10 +136,10 @@ def test_ms_ssim_is_that_of_scikit_image_over_five_scales(size):
 @pytest.mark.parametrize(
     ("size", "scales"), [((96, 128), 4), ((57, 70), 3), ((21, 40), 2), ((11, 11), 1)]
 )
-def test_ms_ssim_of_a_small_image_is_that_of_scikit_image(size, scales):
-    image, reference = pair(*size, n=1)
-    x, y = shown(image)[0], shown(reference)[0]
-    expected = np.mean([slow_ms_ssim(x[..., c], y[..., c], scales) for c in range(3)])
+def test_ms_ssim_of_a_small_image_equals_scikit_image(size, scales):
+    image, reference = image_pair(*size, n=1)
+    x, y = srgb_array(image)[0], srgb_array(reference)[0]
+    expected = np.mean([skimage_ms_ssim(x[..., c], y[..., c], scales) for c in range(3)])
     assert float(ms_ssim(image, reference, scales)) == pytest.approx(expected, abs=5e-4)
 
 
@@ -145,33 +147,33 @@ def test_ms_ssim_of_a_small_image_is_that_of_scikit_image(size, scales):
     ("side", "scales"),
     [(10, 0), (11, 1), (20, 1), (21, 2), (40, 2), (80, 3), (81, 4), (160, 4), (161, 5), (2160, 5)],
 )
-def test_the_coarsest_scale_holds_a_whole_window(side, scales):
+def test_max_scales_keeps_a_whole_window_at_the_coarsest_scale(side, scales):
     assert max_scales(side, 5000) == scales
 
 
-def test_ms_ssim_of_a_small_image_at_five_scales_says_what_would_do():
-    image, reference = pair(160, 200)
+def test_ms_ssim_with_too_many_scales_names_the_alternative():
+    image, reference = image_pair(160, 200)
     with pytest.raises(ValueError, match=r"sides above 160 pixels, found 160 x 200, which allow 4"):
         ms_ssim(image, reference)
 
 
 @pytest.mark.parametrize("scales", [5, 4])
-def test_ms_ssim_of_an_inverted_image_is_a_number(scales):
-    image, reference = pair(170, 170, n=1)
+def test_ms_ssim_of_an_inverted_image_is_finite(scales):
+    image, reference = image_pair(170, 170, n=1)
     assert 0 <= float(ms_ssim(1 - reference, reference, scales)) < 0.5
 
 
-@pytest.mark.parametrize("value", BROKEN)
-def test_a_broken_pixel_lowers_ms_ssim(value):
-    image, reference = pair(176, 176, noise=0.05, n=1)
-    spoilt = image.clone()
-    spoilt[0, :, 80, 80] = value
-    assert 0 < float(ms_ssim(spoilt, reference)) < float(ms_ssim(image, reference))
+@pytest.mark.parametrize("value", NONFINITE)
+def test_a_nonfinite_pixel_lowers_ms_ssim(value):
+    image, reference = image_pair(176, 176, noise=0.05, n=1)
+    damaged = image.clone()
+    damaged[0, :, 80, 80] = value
+    assert 0 < float(ms_ssim(damaged, reference)) < float(ms_ssim(image, reference))
 
 
 @pytest.mark.parametrize("size", [(5, 9), (1, 1)])
-def test_relmse_is_that_of_a_loop(size):
-    image, reference = pair(*size)
+def test_relmse_equals_a_loop(size):
+    image, reference = image_pair(*size)
     expected = []
     for x, r in zip(image.double(), reference.double(), strict=True):
         terms = [
@@ -186,74 +188,74 @@ def test_relmse_of_black_against_black_is_zero():
     assert relmse(black, black).tolist() == [0.0]
 
 
-@pytest.mark.parametrize("value", [*BROKEN, 1e38, -1e38])
+@pytest.mark.parametrize("value", [*NONFINITE, 1e38, -1e38])
 @pytest.mark.parametrize("metric", ["relmse", "mse_debiased"])
-def test_linear_errors_stay_finite_and_see_what_is_broken(metric, value):
-    image, reference = pair(16, 16, n=1)
-    spoilt = image.clone()
-    spoilt[0, 0, 3, 3] = value
+def test_linear_errors_of_extreme_pixels_are_finite_and_large(metric, value):
+    image, reference = image_pair(16, 16, n=1)
+    damaged = image.clone()
+    damaged[0, 0, 3, 3] = value
     score = {"relmse": relmse, "mse_debiased": lambda x, r: mse_debiased(x, r, r)}[metric]
-    assert math.isfinite(float(score(spoilt, reference)))
-    assert float(score(spoilt, reference)) > 1e5 * float(score(image, reference))
+    assert math.isfinite(float(score(damaged, reference)))
+    assert float(score(damaged, reference)) > 1e5 * float(score(image, reference))
 
 
-@pytest.mark.parametrize("value", BROKEN)
-def test_a_broken_pixel_is_worse_than_any_finite_one(value):
-    image, reference = pair(16, 16, n=1)
-    spoilt, huge = image.clone(), image.clone()
-    spoilt[0, :, 3, 3], huge[0, :, 3, 3] = value, 3e38
-    assert float(relmse(spoilt, reference)) >= float(relmse(huge, reference))
+@pytest.mark.parametrize("value", NONFINITE)
+def test_a_nonfinite_pixel_is_at_least_as_bad_as_any_finite_one(value):
+    image, reference = image_pair(16, 16, n=1)
+    damaged, huge = image.clone(), image.clone()
+    damaged[0, :, 3, 3], huge[0, :, 3, 3] = value, 3e38
+    assert float(relmse(damaged, reference)) >= float(relmse(huge, reference))
 
 
-def halves(seed, noise=0.5):
+def noisy_halves(seed, noise=0.5):
     g = torch.Generator().manual_seed(seed)
     truth = torch.full((400, 3, 8, 8), 0.5)  # 400 independent trials in one batch
     a, b = (truth + noise * torch.randn(truth.shape, generator=g) for _ in range(2))
     return truth + 0.1, a, b  # squared error 0.01
 
 
-def test_the_debiased_error_has_the_true_error_as_its_mean():
-    scores = mse_debiased(*halves(1)).double()
+def test_the_mean_of_the_debiased_error_is_the_true_error():
+    scores = mse_debiased(*noisy_halves(1)).double()
     standard_error = float(scores.std()) / math.sqrt(len(scores))
     assert abs(float(scores.mean()) - 0.01) < 4 * standard_error
 
 
-def test_the_plain_error_has_the_noise_of_the_reference_in_it():
-    image, a, b = halves(1)
+def test_the_plain_error_includes_the_noise_of_the_reference():
+    image, a, b = noisy_halves(1)
     scores = (image - (a + b) / 2).square().flatten(1).mean(1).double()
     standard_error = float(scores.std()) / math.sqrt(len(scores))
     assert float(scores.mean()) - 0.01 > 40 * standard_error  # by noise^2 / 2 = 0.125
 
 
-def test_the_debiased_error_of_equal_halves_is_the_plain_one():
-    image, reference = pair(9, 7)
+def test_the_debiased_error_of_equal_halves_is_the_plain_error():
+    image, reference = image_pair(9, 7)
     plain = (image - reference).square().flatten(1).mean(1)
     torch.testing.assert_close(mse_debiased(image, reference, reference), plain)
 
 
 @pytest.mark.parametrize("gain", [0.75, 1.0, 1.5])
-def test_bias_is_the_percentage_of_light_that_is_too_much(gain):
-    _, reference = pair(9, 7)
+def test_bias_is_the_excess_radiance_in_percent(gain):
+    _, reference = image_pair(9, 7)
     expected = torch.full((2,), 100 * (gain - 1))
     torch.testing.assert_close(bias(reference * gain, reference), expected, atol=1e-4, rtol=0)
 
 
-def test_bias_of_noise_alone_is_within_its_standard_error():
-    image, reference = pair(70, 70, noise=0.3)
+def test_bias_of_zero_mean_noise_is_within_its_standard_error():
+    image, reference = image_pair(70, 70, noise=0.3)
     error = 30 * reference.square().sum((1, 2, 3)).sqrt() / reference.sum((1, 2, 3))
     assert (bias(image, reference).abs() < 4 * error).all()
 
 
 @pytest.mark.parametrize("metric", [relmse, bias, lambda x, r: mse_debiased(x, r, r)])
-def test_light_beyond_half_floats_is_no_error_where_the_reference_has_it_too(metric):
-    _, reference = pair(16, 16, n=1)
+def test_radiance_beyond_half_floats_in_image_and_reference_is_no_error(metric):
+    _, reference = image_pair(16, 16, n=1)
     reference[0, :, 3, 3] = 1e6
     assert float(metric(reference, reference)) == 0
 
 
-@pytest.mark.parametrize("value", BROKEN)
-def test_a_broken_pixel_is_a_bias(value):
-    image, reference = pair(16, 16, n=1)
+@pytest.mark.parametrize("value", NONFINITE)
+def test_a_nonfinite_pixel_counts_as_bias(value):
+    image, reference = image_pair(16, 16, n=1)
     image[0, 0, 3, 3] = value
     assert float(bias(image, reference)) < -1000
 

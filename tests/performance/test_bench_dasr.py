@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy import ndimage
 
-from baselines.dasr.losses import edges
+from baselines.dasr.losses import laplacian_of_gaussian
 
 WINDOW = {"mode": "constant", "radius": 5}
 
@@ -21,7 +21,10 @@ def by_scipy(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([torch.from_numpy(plane) for plane in planes])[None]
 
 
-FILTERS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {"rlbench": edges, "scipy": by_scipy}
+FILTERS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
+    "rlbench": laplacian_of_gaussian,
+    "scipy": by_scipy,
+}
 
 
 @pytest.mark.parametrize("name", FILTERS)

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from baselines.eaw.method import Config, Eaw, smooth
-from baselines.svgf.method import BASE, LOG2E, build, gradient, wavelet
+from baselines.eaw.method import Config, Eaw, atrous_pass
+from baselines.svgf.method import BASE, LOG2E, atrous_filter, build, depth_gradient
 from baselines.svgf.wavelet import Edges
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Samples, Size
@@ -19,7 +19,7 @@ from rlbench.ops.padded_rows import PaddedRows
 from tests.performance import plain_filters
 
 SIDE = 720
-WIDTHS = (Config.light, Config.normal, Config.depth)
+WIDTHS = (Config.phi_color, Config.phi_normal, Config.phi_depth)
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +32,12 @@ def frame() -> Frame:
 @pytest.mark.benchmark(group="SVGF, five passes, 720x720")
 def test_passes_of_svgf(benchmark: Any, frame: Frame, name: str) -> None:
     light, normal, depth = _guides(frame)
-    variance, slope = light[:, :1].square(), gradient(depth, depth > 0)
+    variance, slope = light[:, :1].square(), depth_gradient(depth, depth > 0)
     rows = PaddedRows(1, SIDE, SIDE, margin=32)
     light_row, variance_row = rows.pack(light), rows.pack(variance)
     edges = Edges(rows.pack(normal), rows.pack(depth), rows.pack(-LOG2E / slope))
     filters: dict[str, Callable[[], Tensor]] = {
-        "ours": lambda: rows.unpack(wavelet(rows, edges, light_row, variance_row, BASE)[0]),
+        "ours": lambda: rows.unpack(atrous_filter(rows, edges, light_row, variance_row, BASE)[0]),
         "plain": lambda: plain_filters.svgf_passes(light, variance, normal, depth, slope),
     }
     _assert_nearly_equal(_timed(benchmark, filters[name]), filters["plain"]())
@@ -52,7 +52,7 @@ def test_pass_of_eaw(benchmark: Any, frame: Frame, name: str) -> None:
     guides = (light.log1p() * scales[0], normal * scales[1], depth.log() * scales[2])
     guide = torch.cat([rows.pack(image, 1e4) for image in guides])
     filters: dict[str, Callable[[], Tensor]] = {
-        "ours": lambda: rows.unpack(smooth(rows, 1, guide, row)),
+        "ours": lambda: rows.unpack(atrous_pass(rows, 1, guide, row)),
         "plain": lambda: plain_filters.eaw_pass(light, normal, depth, 1, WIDTHS),
     }
     _assert_nearly_equal(_timed(benchmark, filters[name]), filters["plain"]())

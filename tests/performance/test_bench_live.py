@@ -1,4 +1,4 @@
-"""Cost of path tracing: prints the table of docs/tracing.md, one row per scene."""
+"""Cost of path tracing: prints the table of docs/concepts/tracing.md, one row per scene."""
 
 from __future__ import annotations
 

@@ -22,11 +22,14 @@ SIZE = Size(1, 720, 720)
 def test_oidn(benchmark, name):
     """Exposure, transfer function, network and their inverses; network and image are the same."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
-    from baselines.oidn_intel.library import Filter, Settings
+    from baselines.oidn_intel.library import Filter, FilterSettings
 
     oidn = method.build("", torch.device("cpu"), None)
     (result,) = run_clip(oidn, procedural_clip(3, SIZE, frames=1), 1.0)
-    gbuffer, settings = result.frame.gbuffer, Settings("balanced", weights=tza.export(WEIGHTS))
+    gbuffer, settings = (
+        result.frame.gbuffer,
+        FilterSettings("balanced", weights=tza.export(WEIGHTS)),
+    )
     intel = Filter(settings, SIZE.h, SIZE.w, torch.get_num_threads())
     inputs = (result.samples.mean[0], gbuffer.albedo[0], gbuffer.normal[0])
     runs: dict[str, Callable[[], torch.Tensor]] = {

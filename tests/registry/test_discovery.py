@@ -73,8 +73,8 @@ def test_an_installed_package_is_found_by_its_entry_point(tmp_path):
         import sys
         sys.path.insert(0, {str(target)!r})
         from rlbench import registry
-        origin = registry.entries("methods")["stranger"].origin
-        print(origin, registry.method("stranger").traits.pool)
+        origin = registry.list_entries("methods")["stranger"].origin
+        print(origin, registry.load_method("stranger").traits.pool)
     """
     assert run_python(code) == "a-strangers-package path\n"
 

@@ -45,9 +45,9 @@ def test_families_are_read_without_torch():
     code = """
         import sys
         from rlbench import registry
-        for name in registry.names("methods"):
-            registry.family(name)
-        for name in registry.names("metrics"):
+        for name in registry.list_plugins("methods"):
+            registry.load_family(name)
+        for name in registry.list_plugins("metrics"):
             registry.load("metrics", name)
         print("torch" in sys.modules)
     """

@@ -1,4 +1,4 @@
-"""Training scenes are sound data: repeatable, varied, closed off from the test scenes."""
+"""Training scenes are valid data: repeatable, varied, and independent of the test scenes."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rlbench.render.scene import Scene
-from rlbench.scenes.generator.materials import TILE, texture
-from rlbench.scenes.generator.places import SOLIDS
-from rlbench.scenes.generator.scene import FAMILIES, LIGHTS, scene
+from rlbench.scenes.generator.lights import LIGHT_KINDS
+from rlbench.scenes.generator.scene import FAMILIES, scene
+from rlbench.scenes.generator.solids import SOLIDS
+from rlbench.scenes.generator.textures import TEXTURE_SIZE, random_texture
 
 SEEDS = range(16)  # four of each family
 TIMES = (0.0, 1.0, 7.0, 30.0)
 
 
 @pytest.fixture(scope="module", params=SEEDS)
-def drawn(request) -> Scene:
+def training_scene(request) -> Scene:
     return scene(request.param)
 
 
 @pytest.fixture(scope="module")
-def many() -> list[Scene]:
+def many_scenes() -> list[Scene]:
     return [scene(seed) for seed in range(64)]
 
 
@@ -75,17 +76,17 @@ def test_the_same_seed_gives_the_same_scene():
         assert repr(a.material) == repr(b.material)
 
 
-def test_different_seeds_give_different_scenes(many):
-    assert len({s.exposure for s in many}) == len(many)
-    assert len({s.camera(0.0) for s in many}) == len(many)
-    assert len({s.meshes[0].vertices.tobytes() for s in many}) == len(many)
+def test_different_seeds_give_different_scenes(many_scenes):
+    assert len({s.exposure for s in many_scenes}) == len(many_scenes)
+    assert len({s.camera(0.0) for s in many_scenes}) == len(many_scenes)
+    assert len({s.meshes[0].vertices.tobytes() for s in many_scenes}) == len(many_scenes)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_family_occurs_under_several_lights(many, family):
-    lights = {s.title.split(", ")[1] for s in many if s.title.startswith(family)}
+def test_every_family_occurs_under_several_lights(many_scenes, family):
+    lights = {s.title.split(", ")[1] for s in many_scenes if s.title.startswith(family)}
     assert len(lights) >= 3
-    assert lights <= set(LIGHTS)
+    assert lights <= set(LIGHT_KINDS)
 
 
 @pytest.mark.parametrize(
@@ -95,27 +96,29 @@ def test_every_family_occurs_under_several_lights(many, family):
         *("bitmap", "area", "constant", "sunsky", "directional"),
     ],
 )
-def test_every_plugin_occurs_in_32_seeds(many, kind):
-    found = {
+def test_every_plugin_occurs_in_32_seeds(many_scenes, kind):
+    kinds = {
         name
-        for s in many[:32]
+        for s in many_scenes[:32]
         for part in (*s.sky, *(m.material for m in s.meshes), *(m.emission for m in s.meshes))
         for name in _plugins(part)
     }
-    assert kind in found
+    assert kind in kinds
 
 
-def test_about_one_scene_in_eight_is_static(many):
-    assert 6 <= sum(s.static for s in many) <= 12  # 8 dealt, and some whose still camera sees none
+def test_about_one_scene_in_eight_is_static(many_scenes):
+    assert (
+        6 <= sum(s.static for s in many_scenes) <= 12
+    )  # 8 dealt, and some whose still camera sees none
 
 
-def test_meshes_are_few_and_named_apart(drawn):
-    names = [m.name for m in drawn.meshes]
+def test_meshes_are_few_and_named_apart(training_scene):
+    names = [m.name for m in training_scene.meshes]
     assert len(names) == len(set(names)) <= 12
 
 
-def test_faces_are_valid(drawn):
-    for mesh in drawn.meshes:
+def test_faces_are_valid(training_scene):
+    for mesh in training_scene.meshes:
         assert mesh.vertices.dtype == np.float32
         assert mesh.faces.dtype == np.uint32
         assert mesh.uv is not None
@@ -127,38 +130,43 @@ def test_faces_are_valid(drawn):
         assert np.linalg.norm(np.cross(b - a, c - a), axis=-1).min() > 0, mesh.name
 
 
-def test_what_moves_is_a_mesh_of_the_scene(drawn):
-    meshes = {m.name: m for m in drawn.meshes}
-    for name, vertices in drawn.moving(0.0).items():
+def test_moving_parts_are_meshes_of_the_scene(training_scene):
+    meshes = {m.name: m for m in training_scene.meshes}
+    for name, vertices in training_scene.vertex_animation(0.0).items():
         assert_array_equal(vertices, meshes[name].vertices)
-    for name, vertices in drawn.moving(4.5).items():
+    for name, vertices in training_scene.vertex_animation(4.5).items():
         assert vertices.dtype == np.float32
         assert vertices.shape == meshes[name].vertices.shape
         assert not np.array_equal(vertices, meshes[name].vertices)
 
 
-def test_static_scenes_stand_still_and_others_move(drawn):
-    moves = bool(drawn.moving(1.0)) or drawn.camera(0.0) != drawn.camera(3.0)
-    assert drawn.static == (not moves)
+def test_static_scenes_stand_still_and_others_move(training_scene):
+    moves = bool(training_scene.vertex_animation(1.0)) or training_scene.camera(
+        0.0
+    ) != training_scene.camera(3.0)
+    assert training_scene.static == (not moves)
 
 
-def test_the_camera_is_in_the_bounding_box_of_no_object(drawn):
-    objects = [(m, _pieces(m)) for m in drawn.meshes if m.name != "wall"]
+def test_the_camera_is_in_the_bounding_box_of_no_object(training_scene):
+    objects = [(m, _pieces(m)) for m in training_scene.meshes if m.name != "wall"]
     for time in TIMES:
-        eye, poses = np.array(drawn.camera(time).origin), drawn.moving(time)
+        eye, poses = (
+            np.array(training_scene.camera(time).origin),
+            training_scene.vertex_animation(time),
+        )
         for mesh, piece in objects:
             low, high = _boxes(poses.get(mesh.name, mesh.vertices), piece)
             assert not ((low < eye) & (eye < high)).all(-1).any(), mesh.name
 
 
-def test_the_camera_is_in_no_wall(drawn):
-    walls = [m for m in drawn.meshes if m.name == "wall"]
-    eyes = [np.array(drawn.camera(time).origin) for time in TIMES]
+def test_the_camera_is_in_no_wall(training_scene):
+    walls = [m for m in training_scene.meshes if m.name == "wall"]
+    eyes = [np.array(training_scene.camera(time).origin) for time in TIMES]
     assert all(_winding(wall, eye) < 0.01 for wall in walls for eye in eyes)  # whole but rounding
 
 
-def test_the_camera_moves_a_few_pixels_a_frame(drawn):
-    a, b = drawn.camera(0.0), drawn.camera(1.0)
+def test_the_camera_moves_a_few_pixels_a_frame(training_scene):
+    a, b = training_scene.camera(0.0), training_scene.camera(1.0)
     ahead = np.subtract(a.target, a.origin)
     focal = 96 / np.tan(np.radians(a.fov / 2))
     away = np.linalg.norm(ahead)
@@ -167,8 +175,8 @@ def test_the_camera_moves_a_few_pixels_a_frame(drawn):
     assert max(shift, turned) * focal < 7  # 6, and a little for rounding a chord to an arc
 
 
-def test_each_bulb_has_its_own_texel(many):
-    lamps = [m for s in many for m in s.meshes if m.name == "bulbs"]
+def test_each_bulb_has_its_own_texel(many_scenes):
+    lamps = [m for s in many_scenes for m in s.meshes if m.name == "bulbs"]
     assert lamps
     for lamp in lamps:
         rows, cols, _ = lamp.emission["radiance"]["data"].shape
@@ -187,8 +195,8 @@ def test_solids_stand_on_the_floor_and_face_outward(maker):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_textures_are_reflectances(seed):
-    tile = texture(np.random.default_rng(seed))["data"]
-    assert tile.shape == (TILE, TILE, 3)
+    tile = random_texture(np.random.default_rng(seed))["data"]
+    assert tile.shape == (TEXTURE_SIZE, TEXTURE_SIZE, 3)
     assert tile.dtype == np.float32
     assert 0 < tile.min() <= tile.max() < 1
 
@@ -196,8 +204,11 @@ def test_textures_are_reflectances(seed):
 def test_neither_a_renderer_nor_a_test_scene_is_imported():
     code = (
         "import sys, rlbench.scenes.generator.scene;"
-        " print([m for m in sys.modules if m.split('.')[-1] in"
-        " ('mitsuba', 'drjit', 'torch', 'city', 'temple', 'hall', 'ripples', 'textures')])"
+        " print([m for m in sys.modules if m in ('mitsuba', 'drjit', 'torch')"
+        " or m.startswith(tuple('rlbench.scenes.' + part for part in"
+        " ('city', 'temple', 'hall', 'ripples', 'parts.textures', 'parts.materials')))])"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert process.stdout.strip() == "[]"

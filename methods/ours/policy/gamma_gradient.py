@@ -23,7 +23,7 @@ def gamma_gradient_per_sample(
     one, which that paper does not treat: slots keep their ratios, and with them what they say about
     the noise. Pixels whose samples are all black show the drawn mean in every filled slot.
     """
-    drawn = gamma.gamma(samples, relaxed_counts, frame).radiance  # n 1 3 h w
+    drawn = gamma.redraw_as_gamma(samples, relaxed_counts, frame).radiance  # n 1 3 h w
     mean = samples.mean.unsqueeze(1)
     black = mean <= 0
     scaled = samples.radiance / mean.where(~black, 1.0) * drawn

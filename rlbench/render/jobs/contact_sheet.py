@@ -1,6 +1,6 @@
 """Contact sheet: one frame of each test scene, side by side in one PNG.
 
-    python -m rlbench.render.jobs.contact_sheet docs/scenes.png --spp 1000 --size 512
+    python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp 1000 --size 512
 
 Traced frames are cached, so an interrupted sheet resumes with the next scene.
 """

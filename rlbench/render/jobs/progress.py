@@ -15,7 +15,7 @@ PARALLEL_SPEED_WINDOW_S = 3600  # the same if progress arrives in whole frames
 
 
 @contextmanager
-def shown_or_given(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
+def new_or_given_bar(bar: Progress | None, executor: Executor) -> Iterator[Progress]:
     """The given progress bar, or a new one on standard error."""
     if bar:
         yield bar
@@ -24,8 +24,8 @@ def shown_or_given(bar: Progress | None, executor: Executor) -> Iterator[Progres
     window = SPEED_WINDOW_S if executor.exclusive else PARALLEL_SPEED_WINDOW_S
     with Progress(
         *columns, TimeRemainingColumn(), console=Console(stderr=True), speed_estimate_period=window
-    ) as shown:
-        yield shown
+    ) as active_bar:
+        yield active_bar
 
 
 def format_duration(seconds: float) -> str:

@@ -76,11 +76,11 @@ def render_missing(
     on earlier frames.
     """
     if unfinished := [job for job in jobs if not job.is_finished]:
-        with progress.shown_or_given(bar, executor) as shown:
-            _render_all(unfinished, shown, executor)
+        with progress.new_or_given_bar(bar, executor) as active_bar:
+            _render_all(unfinished, active_bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):
-        with progress.shown_or_given(bar, LOCAL) as shown:
-            extra_pools.add_pools(missing, shown)
+        with progress.new_or_given_bar(bar, LOCAL) as active_bar:
+            extra_pools.add_pools(missing, active_bar)
     return [job.folder for job in jobs]
 
 

@@ -1,1 +1,1 @@
-"""A city street and its square, with a car."""
+"""City: sunlit trees, windows, metal and cars; tests foliage, thin geometry and motion."""

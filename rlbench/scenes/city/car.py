@@ -1,4 +1,4 @@
-"""Car: a small old car with a curved body, windows and four wheels, coloured by a palette."""
+"""Car: a small old car with a curved body, windows and four wheels, in palette colours."""
 
 from __future__ import annotations
 
@@ -7,19 +7,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    disc,
-    lathe,
-    merge,
-    paint,
-    rotation_matrix,
-    transform,
-)
+from rlbench.scenes.parts.primitives import boxes, disc, lathe
+from rlbench.scenes.parts.shape import Float64Array, Shape, merge, paint, rotation_matrix, transform
 
 CAR_COLOURS = (
-    (0.42, 0.02, 0.02),  # coats
+    (0.42, 0.02, 0.02),  # 0 to 3: body
     (0.02, 0.09, 0.14),
     (0.55, 0.52, 0.43),
     (0.24, 0.30, 0.27),
@@ -29,10 +21,10 @@ CAR_COLOURS = (
     (0.30, 0.012, 0.01),  # 7 tail lamps
     (0.75, 0.72, 0.62),  # 8 head lamps
 )
-AXLES, WHEEL = (-1.28, 1.27), 0.31  # metres
+AXLES, WHEEL_RADIUS = (-1.28, 1.27), 0.31  # metres
 GLASS, TYRE, BRIGHT, TAIL, HEAD = 4, 5, 6, 7, 8
 
-# along the car, from the tail to the nose, metres: x, sill, belt, top, half width
+# cross-sections from tail to nose, metres: x, sill, belt line, roof, half width
 STATIONS = np.array(
     [
         (-1.98, 0.42, 0.66, 0.70, 0.66),
@@ -57,8 +49,11 @@ STATIONS = np.array(
 
 @lru_cache(maxsize=8)
 def build_car(body_colour: int = 0) -> Shape:
-    """The car about the origin, on the ground, facing +x; `coat` is a slot of BODY, 0..3."""
-    of = len(CAR_COLOURS)
+    """The car about the origin, on the ground, facing +x.
+
+    `body_colour` is one of the first four CAR_COLOURS, 0 to 3.
+    """
+    size = len(CAR_COLOURS)
     parts = [*_build_hull(body_colour), *_build_wheels()]
     fittings = [
         (BRIGHT, (1.92, -0.72, 0.36), (2.06, 0.72, 0.45)),
@@ -68,26 +63,28 @@ def build_car(body_colour: int = 0) -> Shape:
         (TAIL, (-1.975, 0.46, 0.58), (-1.90, 0.70, 0.72)),
         (BRIGHT, (-1.99, -0.2, 0.54), (-1.9, 0.2, 0.64)),
     ]
-    parts += [paint(boxes(low, high), slot, of) for slot, low, high in fittings]
-    ahead = rotation_matrix((0, 1, 0), np.pi / 2)
+    parts += [paint(boxes(low, high), colour, size) for colour, low, high in fittings]
+    forward = rotation_matrix((0, 1, 0), np.pi / 2)
     for y in (-0.54, 0.54):
         lamp = merge(disc(0.09, 0.03, 20), lathe([(0.12, 0), (0.12, 0.02), (0.09, 0.03)], 20))
-        parts.append(paint(transform(lamp, (1.97, y, 0.56), ahead), HEAD, of))
+        parts.append(paint(transform(lamp, (1.97, y, 0.56), forward), HEAD, size))
     for y in (-0.93, 0.82):
-        parts.append(paint(boxes((0.42, y, 0.93), (0.54, y + 0.11, 1.05)), body_colour, of))
+        parts.append(paint(boxes((0.42, y, 0.93), (0.54, y + 0.11, 1.05)), body_colour, size))
     return merge(*parts)
 
 
 def _build_hull(body_colour: int) -> list[Shape]:
-    """The body as a sheet over stations and a section, cut apart by colour."""
-    fine = _resample_stations(STATIONS, 73)
-    x, sill, belt, top, half = fine.T
-    arch = [np.sqrt(np.clip((WHEEL + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES]
-    sill = np.maximum(sill, np.max(arch, 0) + WHEEL)
+    """The body as a sheet over cross-sections, split by colour."""
+    stations = _resample_stations(STATIONS, 73)
+    x, sill, belt, top, half = stations.T
+    arch = [
+        np.sqrt(np.clip((WHEEL_RADIUS + 0.07) ** 2 - (x - axle) ** 2, 0, None)) for axle in AXLES
+    ]
+    sill = np.maximum(sill, np.max(arch, 0) + WHEEL_RADIUS)
     cabin = np.clip((top - belt - 0.12) / 0.45, 0, 1)  # 0 at bonnet and boot, 1 at the roof
     inset = half - 0.02 - 0.20 * cabin
     ones = np.ones_like(x)
-    section = [  # y, z and what lies between it and the next: 0 coat, 1 window where there is one
+    section = [  # (y, z) of half a cross-section, from the sill to the middle of the roof
         (half - 0.05, sill),
         (half - 0.01, sill + 0.08 * (belt - sill)),
         (half + 0.012, 0.5 * (sill + belt)),
@@ -106,20 +103,30 @@ def _build_hull(body_colour: int) -> list[Shape]:
     bands = sheet.shape[1] - 1
     middle = 0.5 * (x[:-1] + x[1:])
     slope = np.abs(np.diff(top) / np.diff(x))
-    side = np.zeros((len(middle), bands), bool)
+    is_glass = np.zeros((len(middle), bands), bool)
     panes = (cabin[:-1] > 0.25) & (cabin[1:] > 0.25) & (np.abs(middle + 0.30) > 0.045)
-    side[np.ix_(panes & (middle < 0.62) & (middle > -1.2), [5, bands - 6])] = True
+    is_glass[np.ix_(panes & (middle < 0.62) & (middle > -1.2), [5, bands - 6])] = True
     screens = (slope > 0.42) & (top[:-1] > 0.98) & (top[1:] > 0.98)
-    side[np.ix_(screens, list(range(8, bands - 8)))] = True
-    slots = np.where(side, GLASS, body_colour)
+    is_glass[np.ix_(screens, list(range(8, bands - 8)))] = True
+    colours = np.where(is_glass, GLASS, body_colour)
     ends = [_build_end_cap(sheet[0], body_colour), _build_end_cap(sheet[-1][::-1], body_colour)]
-    under = boxes((-1.85, -0.7, 0.24), (1.85, 0.7, 0.62))  # hides the ground through the arches
-    return [*_split_by_colour(sheet, slots), *ends, paint(under, TYRE, len(CAR_COLOURS))]
+    under = boxes(
+        (-1.85, -0.7, 0.24), (1.85, 0.7, 0.62)
+    )  # hides the ground behind the wheel arches
+    return [*_split_by_colour(sheet, colours), *ends, paint(under, TYRE, len(CAR_COLOURS))]
 
 
 def _build_wheels() -> list[Shape]:
     tyre = lathe(
-        [(0.19, 0.0), (0.27, -0.012), (0.30, 0.01), (WHEEL, 0.04), (WHEEL, 0.14), (0.29, 0.19)], 32
+        [
+            (0.19, 0.0),
+            (0.27, -0.012),
+            (0.30, 0.01),
+            (WHEEL_RADIUS, 0.04),
+            (WHEEL_RADIUS, 0.14),
+            (0.29, 0.19),
+        ],
+        32,
     )
     back = disc(0.29, 0.19, 32)
     hub = merge(
@@ -133,7 +140,7 @@ def _build_wheels() -> list[Shape]:
     for axle in AXLES:
         for mirror in (0.0, np.pi):
             turn = rotation_matrix((0, 0, 1), mirror) @ rotation_matrix((1, 0, 0), -np.pi / 2)
-            at = (axle, 0.80 if mirror else -0.80, WHEEL)
+            at = (axle, 0.80 if mirror else -0.80, WHEEL_RADIUS)
             parts += [
                 paint(transform(merge(tyre, back), at, turn), TYRE, len(CAR_COLOURS)),
                 paint(transform(rim, at, turn), BRIGHT, len(CAR_COLOURS)),
@@ -141,8 +148,8 @@ def _build_wheels() -> list[Shape]:
     return parts
 
 
-def _resample_stations(stations: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """`count` stations, evenly along the car, with their corners rounded off."""
+def _resample_stations(stations: Float64Array, count: int) -> Float64Array:
+    """`count` cross-sections at equal distances along the car, smoothed."""
     x = np.linspace(stations[0, 0], stations[-1, 0], count)
     columns = [np.interp(x, stations[:, 0], column) for column in stations.T[1:]]
     kernel = np.array([1, 4, 6, 4, 1]) / 16
@@ -150,23 +157,23 @@ def _resample_stations(stations: NDArray[np.float64], count: int) -> NDArray[np.
     return np.stack([x, *rounded], -1)
 
 
-def _split_by_colour(sheet: NDArray[np.float64], slots: NDArray[np.int64]) -> list[Shape]:
-    """The cells of a sheet [rows columns 3] in shapes of one colour each."""
+def _split_by_colour(sheet: Float64Array, colours: NDArray[np.int64]) -> list[Shape]:
+    """The cells of a sheet [rows columns 3] as one shape for each colour."""
     rows, columns = sheet.shape[:2]
     first = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
     shapes = []
-    for slot in np.unique(slots):
-        a = first[slots == slot]
+    for colour in np.unique(colours):
+        a = first[colours == colour]
         b, c, d = a + columns, a + columns + 1, a + 1
         faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
         used, faces = np.unique(faces, return_inverse=True)
         vertices = sheet.reshape(-1, 3)[used].astype(np.float32)
         shape = Shape(vertices, faces.reshape(-1, 3).astype(np.uint32), vertices[:, :2])
-        shapes.append(paint(shape, int(slot), len(CAR_COLOURS)))
+        shapes.append(paint(shape, int(colour), len(CAR_COLOURS)))
     return shapes
 
 
-def _build_end_cap(outline: NDArray[np.float64], body_colour: int) -> Shape:
+def _build_end_cap(outline: Float64Array, body_colour: int) -> Shape:
     """A flat end of the hull."""
     middle = outline.mean(0, keepdims=True)
     vertices = np.concatenate([outline, middle]).astype(np.float32)

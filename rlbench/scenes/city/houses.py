@@ -1,13 +1,14 @@
-"""Houses: fronts with shops, windows, shutters, awnings and roofs, part by part."""
+"""Houses: fronts with shops, windows, shutters, awnings, roofs and chimneys."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells
-from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, paint, quads
+from rlbench.scenes.parts.primitives import boxes, quads
+from rlbench.scenes.parts.shape import Float32Array, Shape, merge, paint
 
-FLOOR, BAY = 3.1, 2.4  # metres: height of a storey, width of a window bay
+STOREY_HEIGHT, BAY_WIDTH = 3.1, 2.4  # metres: height of a storey, width of a window bay
 HOUSE_COLOURS = (
     (0.06, 0.16, 0.12),  # 0 shutters
     (0.05, 0.10, 0.22),
@@ -26,12 +27,17 @@ HOUSE_COLOURS = (
 
 
 def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[str, Shape]:
-    """A house front from x = 0 that faces -y: shop, storeys of windows, cornice and slate roof."""
-    width, shop, depth = bays * BAY, 3.9, 0.32
-    top = shop + storeys * FLOOR
-    middles = BAY * (np.arange(bays) + 0.5)
-    x, z = (grid.ravel() for grid in np.meshgrid(middles, shop + FLOOR * np.arange(storeys)))
-    half = 0.55  # of a window, metres
+    """A house front from x = 0 that faces -y, as shapes by material.
+
+    It has shops on the ground floor, storeys of windows above, a cornice and a slate roof.
+    """
+    width, shop, depth = bays * BAY_WIDTH, 3.9, 0.32
+    top = shop + storeys * STOREY_HEIGHT
+    middles = BAY_WIDTH * (np.arange(bays) + 0.5)
+    x, z = (
+        grid.ravel() for grid in np.meshgrid(middles, shop + STOREY_HEIGHT * np.arange(storeys))
+    )
+    half = 0.55  # half a window's width, metres
     level, wall_z = np.zeros_like(x), np.zeros(bays + 1)
 
     edges = np.concatenate([[0.0], middles + half]), np.concatenate([middles - half, [width]])
@@ -48,7 +54,7 @@ def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[st
     )
     above = boxes(
         np.stack([x - half, level, head], -1),
-        np.stack([x + half, level + depth, z + FLOOR], -1),
+        np.stack([x + half, level + depth, z + STOREY_HEIGHT], -1),
         tile_size=2.0,
     )
     body = boxes((0, depth + 0.1, 0), (width, 9, top), tile_size=2.0)
@@ -65,10 +71,10 @@ def build_house(random: np.random.Generator, bays: int, storeys: int) -> dict[st
         [(width, 0.35, shop), (width, depth, top + 0.25), (width, depth, top)],
     )
     posts = boxes(
-        np.stack([BAY * np.arange(bays + 1) - 0.18, wall_z - 0.05, wall_z], -1).clip(
+        np.stack([BAY_WIDTH * np.arange(bays + 1) - 0.18, wall_z - 0.05, wall_z], -1).clip(
             (0, -9, 0), None
         ),
-        np.stack([BAY * np.arange(bays + 1) + 0.18, wall_z + 0.3, wall_z + shop], -1).clip(
+        np.stack([BAY_WIDTH * np.arange(bays + 1) + 0.18, wall_z + 0.3, wall_z + shop], -1).clip(
             None, (width, 9, 99)
         ),
     )
@@ -89,20 +95,20 @@ def _build_panes(
     doors: Float32Array,
     depth: float,
 ) -> Shape:
-    """Windows and shop fronts, each with a cell of the atlas `windows` behind its glass."""
+    """Window panes and shop fronts, each of which shows a cell of `window_atlas`."""
     half = 0.55
     low = np.stack([x - half, np.full_like(x, depth - 0.04), sill], -1)
-    tall = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
-    upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), tall, 0)
-    front = np.stack([doors - BAY / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
-    lower = quads(front, (BAY, 0, 0), (0, 0, 3.6), tile_size=0)
+    up = np.stack([np.zeros_like(x), random.normal(0, 0.004, len(x)), head - sill], -1)
+    upper = quads(low, np.array([2 * half, 0, 0]) + random.normal(0, 0.004, (len(x), 3)), up, 0)
+    front = np.stack([doors - BAY_WIDTH / 2, np.full_like(doors, depth - 0.04), 0 * doors], -1)
+    lower = quads(front, (BAY_WIDTH, 0, 0), (0, 0, 3.6), tile_size=0)
     cells = np.concatenate(
         [
             random.integers(0, ATLAS_CELLS * (ATLAS_CELLS - 2), len(x)),
             random.integers(ATLAS_CELLS, size=len(doors)),
         ]
     )
-    cells[len(x) :] += ATLAS_CELLS * (ATLAS_CELLS - 1)  # shops have the last row
+    cells[len(x) :] += ATLAS_CELLS * (ATLAS_CELLS - 1)  # the last row shows shops
     return show_atlas_cells(merge(upper, lower), cells)
 
 
@@ -114,9 +120,9 @@ def _build_facade_details(
     width: float,
     top: float,
 ) -> list[Shape]:
-    """Shutters, an awning above each shop window, the roof and its chimneys."""
-    shut = random.integers(3)
-    of = len(HOUSE_COLOURS)
+    """Shutters, a striped awning, the roof and three chimneys."""
+    shutter_colour = random.integers(3)
+    size = len(HOUSE_COLOURS)
     left = np.stack([x - 1.05, np.full_like(x, -0.07), sill], -1)
     leaf = np.stack([np.full_like(x, 0.48), np.full_like(x, 0.06), head - sill], -1)
     shutters = boxes(
@@ -128,11 +134,11 @@ def _build_facade_details(
     awning = quads(corner, (0.3, 0, 0), (0, 1.3, 0.75))
     colour = np.where(np.arange(len(stripes)) % 2, 6, random.choice([5, 7])).repeat(4)
     roof = quads((0, -0.3, top + 0.25), (width, 0, 0), (0, 1.9, 2.8))
-    pots = random.uniform(0.8, width - 1.2, 3)
-    low = np.stack([pots, np.full(3, 1.6), np.full(3, top)], -1)
+    chimneys = random.uniform(0.8, width - 1.2, 3)
+    low = np.stack([chimneys, np.full(3, 1.6), np.full(3, top)], -1)
     return [
-        paint(shutters, shut, of),
-        paint(awning, colour, of),
-        paint(roof, 3, of),
-        paint(boxes(low, low + (0.8, 0.6, 3.6)), 2, of),
+        paint(shutters, shutter_colour, size),
+        paint(awning, colour, size),
+        paint(roof, 3, size),
+        paint(boxes(low, low + (0.8, 0.6, 3.6)), 2, size),
     ]

@@ -1,21 +1,27 @@
-"""Office: a round tower of glass panes, none quite true, between floors and mullions of metal."""
+"""Office: a round tower of slightly tilted glass panes between metal floors and mullions."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import Shape, lathe, merge, quads, transform
+from rlbench.scenes.parts.primitives import lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, transform
 
-RADIUS, STOREY, STOREYS = 7.5, 3.4, 7  # metres, metres, count
-PANES_PER_STOREY = 44  # around
+RADIUS, STOREY_HEIGHT, STOREY_COUNT = 7.5, 3.4, 7  # metres, metres, count
+PANES_PER_STOREY = 44  # around the tower
 LOBBY_HEIGHT = 4.4  # metres: height of the ground floor
 
 
 def build_panes(random: np.random.Generator, x: float, y: float) -> Shape:
-    """Glass quads about the tower's axis, each tilted by a fraction of a degree; uv stretched."""
+    """Glass quads around the axis (x, y), each tilted by a random fraction of a degree.
+
+    The texture stretches over each pane.
+    """
     angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
-    low = np.concatenate([[0.15], LOBBY_HEIGHT + STOREY * np.arange(STOREYS)])
-    high = np.concatenate([[LOBBY_HEIGHT], LOBBY_HEIGHT + STOREY * (np.arange(STOREYS) + 1)])
+    low = np.concatenate([[0.15], LOBBY_HEIGHT + STOREY_HEIGHT * np.arange(STOREY_COUNT)])
+    high = np.concatenate(
+        [[LOBBY_HEIGHT], LOBBY_HEIGHT + STOREY_HEIGHT * (np.arange(STOREY_COUNT) + 1)]
+    )
     a, bottom = (grid.ravel() for grid in np.meshgrid(angle, low))
     _, top = (grid.ravel() for grid in np.meshgrid(angle, high))
     start = np.stack([x + RADIUS * np.cos(a), y + RADIUS * np.sin(a), bottom], -1)
@@ -31,15 +37,15 @@ def build_panes(random: np.random.Generator, x: float, y: float) -> Shape:
 
 
 def build_frame(x: float, y: float) -> Shape:
-    """Mullions between the panes, a band at each floor, and a crown."""
+    """Mullions between the panes, a band at each floor, and a crown, around the axis (x, y)."""
     angle = np.arange(PANES_PER_STOREY) * (2 * np.pi / PANES_PER_STOREY)
-    top = LOBBY_HEIGHT + STOREY * STOREYS
+    top = LOBBY_HEIGHT + STOREY_HEIGHT * STOREY_COUNT
     width, depth = 0.05, 0.16
     out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], -1)
     foot = np.array([x, y, 0.0]) + (RADIUS - 0.03) * out
     rise = np.array([0, 0, top])
-    spokes = [
+    mullions = [
         quads(foot + depth * out - width * side, 2 * width * side, rise),
         quads(foot - width * side, depth * out, rise),
         quads(foot + depth * out + width * side, -depth * out, rise),
@@ -54,11 +60,11 @@ def build_frame(x: float, y: float) -> Shape:
             ],
             PANES_PER_STOREY,
         )
-        for z in LOBBY_HEIGHT + STOREY * np.arange(STOREYS + 1)
+        for z in LOBBY_HEIGHT + STOREY_HEIGHT * np.arange(STOREY_COUNT + 1)
     ]
     eaves = RADIUS + 0.9
     crown = lathe(
         [(RADIUS + 0.1, top), (eaves, top + 0.35), (eaves, top + 0.6), (0.5, top + 0.8)],
         PANES_PER_STOREY,
     )
-    return merge(*spokes, *(transform(part, (x, y, 0)) for part in (*bands, crown)))
+    return merge(*mullions, *(transform(part, (x, y, 0)) for part in (*bands, crown)))

@@ -1,4 +1,7 @@
-"""City: a square of house fronts, swaying trees and a car that circles a fountain, in the sun."""
+"""City: house fronts around a square in the sun, with swaying trees and a car on a ring road.
+
+It tests foliage and other thin geometry, sunlight, glossy panes and metal, and motion.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,12 @@ from rlbench.scenes.city import trees
 from rlbench.scenes.city.car import build_car
 from rlbench.scenes.city.square import ROAD_RADIUS, building_meshes, car_paint_bsdf, paving_meshes
 from rlbench.scenes.city.trees import LEAF_COLOURS, Tree
-from rlbench.scenes.parts.shapes import (
-    Float32Array,
-    Shape,
-    merge,
-    paint,
-    quads,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import quads
+from rlbench.scenes.parts.shape import Float32Array, Shape, merge, paint, transform, yaw_matrix
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
 from rlbench.scenes.parts.textures import palette_texture
+
+__all__ = ["scene"]
 
 TREES = (
     Tree(-5.0, -6.9, 6.8, 2.3, 3200),
@@ -37,7 +35,7 @@ FLAG_COLOURS = ((0.62, 0.10, 0.07), (0.78, 0.52, 0.10), (0.08, 0.26, 0.46), (0.7
 
 
 def scene() -> Scene:
-    """The square on a clear afternoon."""
+    """The square on a clear afternoon, with its takes."""
     random = np.random.default_rng(7)
     return Scene(
         name="city",
@@ -58,7 +56,7 @@ def scene() -> Scene:
         takes=(
             static_camera_take(_camera, 40.0),
             cut_take(_camera, _balcony_camera, "sky0", 1.0, 0.3),
-        ),  # a cloud
+        ),  # a cloud covers the sun
     )
 
 
@@ -69,65 +67,65 @@ def _camera(time: float) -> Camera:
 
 
 def _balcony_camera(time: float) -> Camera:
-    """From above, at a corner of the square, moving along it."""
+    """A high camera at a corner of the square that moves along it."""
     return Camera((10.8 - 0.08 * time, -12.5, 7.0), (-3.0, 2.5 + 0.05 * time, 2.5), fov=66)
 
 
 def _moving_meshes(time: float) -> tuple[Mesh, ...]:
-    """The leaves and flags in the wind, and the car."""
+    """Leaves and flags in the wind, and the car, at a time."""
     return (_foliage_mesh(time), _car_mesh(time))
 
 
 def _foliage_mesh(time: float) -> Mesh:
-    rest, softness = _foliage_at_rest()
+    rest, response = _foliage_at_rest()
     wind = 2 * np.pi * time / 46 + 0.35 * rest.vertices[:, 0] + 0.2 * rest.vertices[:, 1]
     flutter = 2 * np.pi * time / 11 + 12.9 * rest.vertices[:, 0] + 7.3 * rest.vertices[:, 2]
-    push = softness * (0.16 * np.sin(wind) + 0.03 * np.sin(flutter))
+    push = response * (0.16 * np.sin(wind) + 0.03 * np.sin(flutter))
     shift = push[:, None] * np.array([0.8, 0.5, -0.25])
     vertices = (rest.vertices + shift).astype(np.float32)
-    thin = {
+    leaf_bsdf = {
         "type": "principledthin",
         "base_color": palette_texture(LEAF_COLOURS + FLAG_COLOURS),
         "roughness": 0.6,
         "diff_trans": 0.8,
     }
-    return Mesh("foliage", vertices, rest.faces, thin, uv=rest.uv)
+    return Mesh("foliage", vertices, rest.faces, leaf_bsdf, uv=rest.uv)
 
 
 @cache
 def _foliage_at_rest() -> tuple[Shape, Float32Array]:
-    """Leaves and flags without wind, and for each vertex how far the wind may push it, 0..1."""
-    of = len(LEAF_COLOURS + FLAG_COLOURS)
-    green = trees.build_leaves(TREES, of)
+    """Leaves and flags without wind, and the wind response of each vertex."""
+    size = len(LEAF_COLOURS + FLAG_COLOURS)
+    foliage = trees.build_leaves(TREES, size)
     flags = [
         _build_bunting(a, b)
         for a, b in (((-14, 2, 9), (13, 14, 10)), ((-13, 13, 10.5), (14, 1, 9)))
     ]
-    rest = merge(green, *flags)
-    soft = np.concatenate(
+    rest = merge(foliage, *flags)
+    response = np.concatenate(
         [
-            trees.wind_response(green),
+            trees.wind_response(foliage),
             *(np.tile([0.2, 0.2, 2.0, 2.0], len(flag.vertices) // 4) for flag in flags),
         ]
     )
-    return rest, soft.astype(np.float32)
+    return rest, response.astype(np.float32)
 
 
 def _build_bunting(start: tuple[float, float, float], end: tuple[float, float, float]) -> Shape:
-    """A sagging line of flags, each a quad that hangs from its first two corners."""
-    share = np.linspace(0, 1, 40)[:, None]
-    line = np.array(start) * (1 - share) + np.array(end) * share
-    line[:, 2] -= 4 * 1.8 * share[:, 0] * (1 - share[:, 0])
+    """A sagging line of flags; each is a quad that hangs from its first two corners."""
+    along = np.linspace(0, 1, 40)[:, None]
+    line = np.array(start) * (1 - along) + np.array(end) * along
+    line[:, 2] -= 4 * 1.8 * along[:, 0] * (1 - along[:, 0])
     across = np.diff(line, axis=0) * 0.75
     flags = quads(line[:-1], across, (0.0, 0.0, -0.55))
-    slots = len(LEAF_COLOURS) + np.arange(len(across)) % len(FLAG_COLOURS)
-    return paint(flags, slots.repeat(4), len(LEAF_COLOURS + FLAG_COLOURS))
+    colours = len(LEAF_COLOURS) + np.arange(len(across)) % len(FLAG_COLOURS)
+    return paint(flags, colours.repeat(4), len(LEAF_COLOURS + FLAG_COLOURS))
 
 
 def _car_mesh(time: float) -> Mesh:
-    """The car at a time, on its circle about the fountain."""
+    """The car on its circle around the fountain, at a time."""
     angle = 2 * np.pi * time / 190 - 2.3
-    at = (ROAD_RADIUS * np.cos(angle), ROAD_RADIUS * np.sin(angle), 0.02)
-    return transform(build_car(), at, yaw_matrix(angle + np.pi / 2)).to_mesh(
+    position = (ROAD_RADIUS * np.cos(angle), ROAD_RADIUS * np.sin(angle), 0.02)
+    return transform(build_car(), position, yaw_matrix(angle + np.pi / 2)).to_mesh(
         "car", car_paint_bsdf(), smooth=True
     )

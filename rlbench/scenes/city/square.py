@@ -1,4 +1,4 @@
-"""Square: the paving, the house rows, the tower, the fountain and what stands in the street."""
+"""Square: paving, rows of houses, the office tower, the fountain and the street furniture."""
 
 from __future__ import annotations
 
@@ -7,38 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.city import office, street, trees
+from rlbench.scenes.city import office, street
 from rlbench.scenes.city.car import CAR_COLOURS, build_car
-from rlbench.scenes.city.houses import BAY, HOUSE_COLOURS, build_house
+from rlbench.scenes.city.fountain import build_fountain, build_kerbs
+from rlbench.scenes.city.houses import BAY_WIDTH, HOUSE_COLOURS, build_house
+from rlbench.scenes.city.trees import Tree, build_trunks
 from rlbench.scenes.city.windows import ATLAS_CELLS, show_atlas_cells, window_atlas
 from rlbench.scenes.parts.glassware import unmerge_vertices
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    disc,
-    icosphere,
-    lathe,
-    merge,
-    paint,
-    quads,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
+from rlbench.scenes.parts.primitives import disc, icosphere, lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
 from rlbench.scenes.parts.textures import (
     bitmap_texture,
-    diffuse_bsdf,
-    glossy_bsdf,
-    metal_bsdf,
     mix_colours,
     noise_pixels,
     palette_texture,
-    rgb,
     tile_pixels,
 )
 
 SQUARE_HALF_WIDTH = 15.0  # metres from the fountain to the facades
 ROAD_RADIUS = 6.6  # metres from the fountain to the middle of the road
-OFFICE_POSITION = (16.6, 18.4)  # metres: the axis of the office
+OFFICE_POSITION = (16.6, 18.4)  # metres
 METAL_COLOURS = ((1.0, 0.78, 0.36), (0.56, 0.57, 0.58), (0.10, 0.11, 0.11))  # gold, aluminium, iron
 LAMP_POSTS = ((-8.9, -1.4), (5.6, -8.6), (8.9, 7.4), (-6.8, 8.2))
 CAFE_TABLES = ((9.2, 0.2), (11.9, 2.1), (9.6, 3.9))
@@ -48,19 +37,19 @@ PARKED_CARS = (
     (-1.0, 12.2, 0.0, 3),
     (4.6, 12.3, 3.14, 2),
 )
-# x, y, yaw, coat
+# x, y, yaw, body colour
 LOW_HOUSES = (
     (4, 1, "ochre"),
     (5, 2, "stone"),
     (4, 1, "brick"),
     (6, 2, "ochre"),
-)  # bays, floors, wall
+)  # bays, storeys, wall material
 BENCHES = ((-9.9, -3.6, 1.9), (-4.6, 9.2, 2.6), (4.2, 9.3, -2.7), (11.6, -3.4, -1.7))
 PLANTERS = ((7.4, 5.9), (12.6, 5.2), (8.6, -2.6))
 
 
 def paving_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
-    """Cobbles with paler bands, and the road about the fountain between its kerbs."""
+    """Cobbles with bands of pale slabs, and the ring road around the fountain."""
     cobbles = tile_pixels(
         random,
         [(0.33, 0.30, 0.27), (0.27, 0.26, 0.25), (0.38, 0.34, 0.29), (0.30, 0.27, 0.23)],
@@ -85,8 +74,8 @@ def paving_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
     )
 
 
-def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) -> tuple[Mesh, ...]:
-    """Rows of houses with the tower, and all static parts that share their materials."""
+def building_meshes(random: np.random.Generator, trees: Sequence[Tree]) -> tuple[Mesh, ...]:
+    """Rows of houses, the office tower, and all static parts with the same materials."""
     rows = [
         (
             (-SQUARE_HALF_WIDTH - 2.4, SQUARE_HALF_WIDTH),
@@ -98,24 +87,24 @@ def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) ->
     ]
     parts: dict[str, list[Shape]] = {}
     for corner, turn, houses in rows:
-        at = np.zeros(3)
-        for bays, floors, wall in houses:
-            for name, shape in build_house(random, bays, floors).items():
-                shifted = transform(transform(shape, at), (*corner, 0), yaw_matrix(turn))
-                parts.setdefault(wall if name == "wall" else name, []).append(shifted)
-            at = at + (bays * BAY, 0, 0)
-    of = len(HOUSE_COLOURS)
+        offset = np.zeros(3)
+        for bays, storeys, wall in houses:
+            for name, shape in build_house(random, bays, storeys).items():
+                moved = transform(transform(shape, offset), (*corner, 0), yaw_matrix(turn))
+                parts.setdefault(wall if name == "wall" else name, []).append(moved)
+            offset = offset + (bays * BAY_WIDTH, 0, 0)
+    size = len(HOUSE_COLOURS)
     tower = office.build_panes(random, *OFFICE_POSITION)
-    desks = ATLAS_CELLS * (ATLAS_CELLS - 2) + random.integers(
+    offices = ATLAS_CELLS * (ATLAS_CELLS - 2) + random.integers(
         ATLAS_CELLS, size=len(tower.vertices) // 4
     )
-    parts["glass"].append(show_atlas_cells(tower, desks))
-    parts["trim"] += [_build_fountain(), _build_kerbs()]
+    parts["glass"].append(show_atlas_cells(tower, offices))
+    parts["trim"] += [build_fountain(), build_kerbs(ROAD_RADIUS)]
     parts["paint"] += [
-        paint(trees.build_trunks(trees), 4, of),
-        street.build_benches(BENCHES, 12, 8, of),
-        street.build_cafe_tables(CAFE_TABLES, (5, 6), 12, 8, of),
-        street.build_planters(random, PLANTERS, 12, (9, 10, 11, 11, 11), of),
+        paint(build_trunks(trees), 4, size),
+        street.build_benches(BENCHES, 12, 8, size),
+        street.build_cafe_tables(CAFE_TABLES, (5, 6), 12, 8, size),
+        street.build_planters(random, PLANTERS, 12, (9, 10, 11, 11, 11), size),
     ]
     grain = noise_pixels(random, 256, 0.6)
     plaster = mix_colours((0.56, 0.36, 0.18), (0.66, 0.48, 0.28), grain)
@@ -136,7 +125,7 @@ def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) ->
         0.5,
         joint_width=0.04,
     )
-    pane = {
+    glass_bsdf = {
         "type": "roughplastic",
         "alpha": 0.1,
         "diffuse_reflectance": bitmap_texture(window_atlas(random)),
@@ -149,7 +138,7 @@ def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) ->
         "trim": diffuse_bsdf(
             bitmap_texture(mix_colours((0.56, 0.52, 0.45), (0.68, 0.64, 0.56), grain))
         ),
-        "glass": pane,
+        "glass": glass_bsdf,
         "paint": diffuse_bsdf(palette_texture(HOUSE_COLOURS)),
     }
     return (
@@ -159,62 +148,39 @@ def building_meshes(random: np.random.Generator, trees: Sequence[trees.Tree]) ->
 
 
 def _reflective_meshes() -> tuple[Mesh, ...]:
-    """What shines: metal, parked cars and the water of the fountain."""
-    of = len(METAL_COLOURS)
+    """Glossy parts: metal, parked cars and the water of the fountain."""
+    size = len(METAL_COLOURS)
     metals = merge(
-        paint(transform(icosphere(4), (0, 0, 3.25), scale=0.62), 0, of),
-        paint(unmerge_vertices(office.build_frame(*OFFICE_POSITION)), 1, of),
-        paint(street.build_lamp_posts(LAMP_POSTS), 2, of),
-        paint(street.build_bollards(_bollard_positions()), 2, of),
+        paint(transform(icosphere(4), (0, 0, 3.25), scale=0.62), 0, size),
+        paint(unmerge_vertices(office.build_frame(*OFFICE_POSITION)), 1, size),
+        paint(street.build_lamp_posts(LAMP_POSTS), 2, size),
+        paint(street.build_bollards(_bollard_positions()), 2, size),
     )
     parked = merge(
         *(
-            transform(build_car(coat), (x, y, 0), yaw_matrix(turn))
-            for x, y, turn, coat in PARKED_CARS
+            transform(build_car(body_colour), (x, y, 0), yaw_matrix(turn))
+            for x, y, turn, body_colour in PARKED_CARS
         )
     )
     water = merge(disc(2.85, 0.62, 48), disc(1.3, 1.88, 40))
-    wet = {
+    water_bsdf = {
         "type": "roughplastic",
         "diffuse_reflectance": rgb(0.03, 0.08, 0.08),
         "int_ior": 1.33,
         "alpha": 0.05,
     }
     return (
-        water.to_mesh("pool", wet),
+        water.to_mesh("pool", water_bsdf),
         metals.to_mesh("metal", metal_bsdf(palette_texture(METAL_COLOURS), 0.18), smooth=True),
         parked.to_mesh("parked", car_paint_bsdf(), smooth=True),
     )
 
 
 def car_paint_bsdf() -> dict[str, object]:
-    """The lacquer of cars."""
+    """Car paint: a clear coat over palette colours."""
     return glossy_bsdf(palette_texture(CAR_COLOURS), 0.09)
 
 
 def _bollard_positions() -> tuple[tuple[float, float], ...]:
     angle = np.linspace(-2.5, -0.5, 9)
     return tuple((float(8.6 * np.cos(a)), float(8.6 * np.sin(a))) for a in angle)
-
-
-def _build_kerbs() -> Shape:
-    """Low stone edges on both sides of the road."""
-    inner, outer = ROAD_RADIUS - 1.6, ROAD_RADIUS + 1.6
-    return merge(
-        lathe([(outer, 0.0), (outer, 0.1), (outer + 0.14, 0.1), (outer + 0.14, 0.0)][::-1], 96),
-        lathe([(inner, 0.0), (inner, 0.1), (inner - 0.14, 0.1), (inner - 0.14, 0.0)], 96),
-    )
-
-
-def _build_fountain() -> Shape:
-    rim = lathe(
-        [(3.1, 0), (3.15, 0.08), (3.05, 0.14), (3.05, 0.5), (3.3, 0.58), (3.3, 0.75), (2.8, 0.75)]
-        + [(2.8, 0.2)],
-        64,
-    )
-    stem = lathe(
-        [(0.8, 0.1), (0.7, 0.3), (0.35, 0.6), (0.28, 1.2), (0.45, 1.45), (1.3, 1.75), (1.4, 1.95)]
-        + [(1.3, 1.95), (0.3, 1.8), (0.22, 2.2), (0.3, 2.55), (0.2, 2.7)],
-        40,
-    )
-    return merge(rim, stem, boxes((-0.2, -0.2, 2.55), (0.2, 0.2, 2.7)))

@@ -1,21 +1,20 @@
-"""Street: lamp posts, benches, bollards, café tables under parasols, planters, a kiosk's sign."""
+"""Street furniture: lamp posts, benches, bollards, café tables under parasols, and planters.
+
+The furniture is coloured by a palette: `wood`, `iron` and `cloth` are colour numbers in it.
+"""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import (
+from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
+from rlbench.scenes.parts.shape import (
+    Float64Array,
     Shape,
-    boxes,
-    disc,
-    icosphere,
-    lathe,
     merge,
     paint,
-    quads,
     rotation_matrix,
     transform,
     yaw_matrix,
@@ -24,8 +23,8 @@ from rlbench.scenes.parts.shapes import (
 Positions = tuple[tuple[float, float], ...]
 
 
-def build_lamp_posts(spots: Positions) -> Shape:
-    """Cast-iron lamp posts with two arms, each with a glass globe's cage."""
+def build_lamp_posts(positions: Positions) -> Shape:
+    """Cast-iron lamp posts with two arms, each with a lantern."""
     arm = [
         transform(_build_lamp_arm(0.5, 0.032), (0, 0, 3.55), yaw_matrix(turn))
         for turn in (0.0, np.pi)
@@ -35,11 +34,11 @@ def build_lamp_posts(spots: Positions) -> Shape:
     base = [(0.24, 0), (0.24, 0.08), (0.15, 0.14), (0.15, 0.6), (0.10, 0.68), (0.065, 0.8)]
     shaft = [(0.05, 3.3), (0.09, 3.34), (0.09, 3.42), (0.05, 3.46), (0.04, 4.1), (0.005, 4.3)]
     post = merge(lathe(base + shaft, 14), *arm, *hung)
-    return merge(*(transform(post, (x, y, 0), yaw_matrix(0.4 * x)) for x, y in spots))
+    return merge(*(transform(post, (x, y, 0), yaw_matrix(0.4 * x)) for x, y in positions))
 
 
-def _build_lamp_arm(radius: float, thick: float) -> Shape:
-    """A pipe that rises from the origin and bends over to x = 2 radius, in the plane y = 0."""
+def _build_lamp_arm(radius: float, tube_radius: float) -> Shape:
+    """A pipe in the plane y = 0 that arches from the origin to x = 2 radius."""
     angle = np.linspace(np.pi, 0.0, 13)
     middle = np.stack([radius + radius * np.cos(angle), 0 * angle, 0.6 * np.sin(angle)], -1)
     turn = np.linspace(0, 2 * np.pi, 7)
@@ -47,18 +46,18 @@ def _build_lamp_arm(radius: float, thick: float) -> Shape:
     ring = np.cos(turn)[:, None, None] * out[None] + np.sin(turn)[:, None, None] * np.array(
         [0, 1, 0]
     )
-    at = middle[None] + thick * ring  # 7 13 3
+    points = middle[None] + tube_radius * ring  # 7 13 3
     return quads(
-        at[:-1, :-1].reshape(-1, 3),
-        (at[:-1, 1:] - at[:-1, :-1]).reshape(-1, 3),
-        (at[1:, :-1] - at[:-1, :-1]).reshape(-1, 3),
+        points[:-1, :-1].reshape(-1, 3),
+        (points[:-1, 1:] - points[:-1, :-1]).reshape(-1, 3),
+        (points[1:, :-1] - points[:-1, :-1]).reshape(-1, 3),
     )
 
 
 def build_benches(
-    places: tuple[tuple[float, float, float], ...], slot: int, iron: int, of: int
+    placements: tuple[tuple[float, float, float], ...], wood: int, iron: int, palette_size: int
 ) -> Shape:
-    """Slatted benches at (x, y, yaw), which face their own -y."""
+    """Slatted benches at (x, y, yaw); an unturned bench faces -y."""
     slats = boxes(
         [(-0.9, y, 0.43) for y in (-0.22, -0.07, 0.08)]
         + [(-0.9, 0.24 + 0.03 * k, 0.52 + 0.15 * k) for k in range(3)],
@@ -69,51 +68,55 @@ def build_benches(
         [(x, y, 0) for x in (-0.75, 0.7) for y in (-0.2, 0.2)],
         [(x + 0.05, y + 0.05, 0.43 if y < 0 else 0.9) for x in (-0.75, 0.7) for y in (-0.2, 0.2)],
     )
-    bench = merge(paint(slats, slot, of), paint(legs, iron, of))
-    return merge(*(transform(bench, (x, y, 0), yaw_matrix(turn)) for x, y, turn in places))
+    bench = merge(paint(slats, wood, palette_size), paint(legs, iron, palette_size))
+    return merge(*(transform(bench, (x, y, 0), yaw_matrix(turn)) for x, y, turn in placements))
 
 
-def build_bollards(spots: Positions) -> Shape:
+def build_bollards(positions: Positions) -> Shape:
     """Low iron posts with a round head."""
     foot, head = [(0.08, 0), (0.08, 0.1), (0.05, 0.15)], [(0.06, 0.68), (0.05, 0.76), (0.01, 0.8)]
     bollard = lathe([*foot, (0.04, 0.64), *head], 12)
-    return merge(*(transform(bollard, (x, y, 0)) for x, y in spots))
+    return merge(*(transform(bollard, (x, y, 0)) for x, y in positions))
 
 
 def build_cafe_tables(
-    spots: Positions, cloth: tuple[int, int], wood: int, iron: int, of: int
+    positions: Positions, cloth: tuple[int, int], wood: int, iron: int, palette_size: int
 ) -> Shape:
-    """Round tables with three chairs under a striped parasol; slots of a palette of `of`."""
+    """Round tables with three chairs under a striped parasol."""
     top = merge(
         transform(disc(0.42, 0, 24), (0, 0, 0.74)),
         lathe([(0.42, 0.70), (0.42, 0.74)], 24),
     )
     pole = lathe([(0.26, 0.0), (0.25, 0.06), (0.03, 0.08), (0.024, 2.5)], 10)
-    parts = [paint(top, wood, of), paint(pole, iron, of), _build_parasol(cloth, of)]
-    chair = _build_chair(wood, iron, of)
+    parts = [
+        paint(top, wood, palette_size),
+        paint(pole, iron, palette_size),
+        _build_parasol(cloth, palette_size),
+    ]
+    chair = _build_chair(wood, iron, palette_size)
     for turn in (0.3, 2.5, 4.4):
         parts.append(
             transform(chair, (-0.75 * np.sin(turn), 0.75 * np.cos(turn), 0), yaw_matrix(turn))
         )
     table = merge(*parts)
-    return merge(*(transform(table, (x, y, 0), yaw_matrix(x + y)) for x, y in spots))
+    return merge(*(transform(table, (x, y, 0), yaw_matrix(x + y)) for x, y in positions))
 
 
-def _build_chair(wood: int, iron: int, of: int) -> Shape:
+def _build_chair(wood: int, iron: int, palette_size: int) -> Shape:
     seat = boxes([(-0.2, -0.2, 0.43), (-0.2, 0.17, 0.6)], [(0.2, 0.2, 0.46), (0.2, 0.2, 0.86)])
     feet = np.array([(x, y, 0) for x in (-0.2, 0.17) for y in (-0.2, 0.17)])
-    tall = np.where(feet[:, 1] > 0, 0.86, 0.44)
-    legs = boxes(feet, feet + np.stack([0 * tall + 0.03, 0 * tall + 0.03, tall], -1))
-    return merge(paint(seat, wood, of), paint(legs, iron, of))
+    heights = np.where(feet[:, 1] > 0, 0.86, 0.44)
+    legs = boxes(feet, feet + np.stack([0 * heights + 0.03, 0 * heights + 0.03, heights], -1))
+    return merge(paint(seat, wood, palette_size), paint(legs, iron, palette_size))
 
 
-def _build_parasol(cloth: tuple[int, int], of: int) -> Shape:
-    """Eight gores of two colours and a hanging rim."""
+def _build_parasol(cloth: tuple[int, int], palette_size: int) -> Shape:
+    """A parasol of eight gores in alternating colours, with a hanging rim."""
     sides = 16
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     out = np.stack([np.cos(angle), np.sin(angle)], -1)
 
-    def ring(radius: float, height: float) -> NDArray[np.float64]:
+    def ring(radius: float, height: float) -> Float64Array:
         return np.concatenate([radius * out, np.full((sides + 1, 1), height)], -1)
 
     parts = []
@@ -122,22 +125,26 @@ def _build_parasol(cloth: tuple[int, int], of: int) -> Shape:
         lower, upper = ring(*inner), ring(*outer)
         gore = quads(lower[:-1], lower[1:] - lower[:-1], upper[:-1] - lower[:-1])
         gore.vertices.reshape(-1, 4, 3)[:, 2] = upper[1:]
-        slots = np.array(cloth)[np.arange(sides) // 2 % 2].repeat(4)
-        parts.append(paint(gore, slots, of))
+        colours = np.array(cloth)[np.arange(sides) // 2 % 2].repeat(4)
+        parts.append(paint(gore, colours, palette_size))
     return merge(*parts)
 
 
 def build_planters(
-    random: np.random.Generator, spots: Positions, box: int, blooms: tuple[int, ...], of: int
+    random: np.random.Generator,
+    positions: Positions,
+    wood: int,
+    blooms: tuple[int, ...],
+    palette_size: int,
 ) -> Shape:
-    """Wooden boxes full of small flowers."""
+    """Wooden boxes full of small flowers; `blooms` are their colours."""
     parts = []
-    for x, y in spots:
+    for x, y in positions:
         crate = boxes((x - 0.6, y - 0.25, 0), (x + 0.6, y + 0.25, 0.5))
-        parts.append(paint(crate, box, of))
+        parts.append(paint(crate, wood, palette_size))
         for _ in range(90):
             at = random.uniform((x - 0.58, y - 0.23, 0.48), (x + 0.58, y + 0.23, 0.75))
             turn = rotation_matrix(random.normal(size=3), random.uniform(0, 3))
             flower = transform(icosphere(0), at, turn, random.uniform(0.03, 0.07))
-            parts.append(paint(flower, random.choice(blooms), of))
+            parts.append(paint(flower, random.choice(blooms), palette_size))
     return merge(*parts)

@@ -1,4 +1,4 @@
-"""Trees: trunks that fork into boughs and twigs, and folded leaves in the wind."""
+"""Trees: trunks that fork into boughs and twigs, with folded leaves: thin, dense geometry."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, paint
+from rlbench.scenes.parts.shape import Float32Array, Float64Array, Shape, merge, paint
 
 LEAF_COLOURS = (
     (0.05, 0.14, 0.025),
@@ -21,52 +20,52 @@ LEAF_COLOURS = (
 
 
 class Tree(NamedTuple):
-    """Where a tree stands and how it is built, in metres."""
+    """Position and size of a tree, in metres."""
 
     x: float
     y: float
     height: float = 6.5
-    crown_radius: float = 2.3  # radius of the crown
+    crown_radius: float = 2.3
     leaf_count: int = 2600
 
 
 class _Branch(NamedTuple):
     """A tapered piece of wood between two points."""
 
-    start: NDArray[np.float64]
-    end: NDArray[np.float64]
-    start_radius: float  # metres: radius at the start
+    start: Float64Array
+    end: Float64Array
+    start_radius: float  # metres
     end_radius: float
 
 
 def build_trunks(trees: Sequence[Tree], seed: int = 5) -> Shape:
-    """The trunks and boughs of `trees`, open tubes; texture runs along them."""
+    """Trunks, boughs and twigs of `trees` as open tubes."""
     return merge(
         *(
-            _build_tube(twig, 9 if twig.start_radius > 0.09 else 5)
+            _build_tube(branch, 9 if branch.start_radius > 0.09 else 5)
             for number, tree in enumerate(trees)
-            for twig in _grow_branches(tree, np.random.default_rng((seed, number)))
+            for branch in _grow_branches(tree, np.random.default_rng((seed, number)))
         )
     )
 
 
 def build_leaves(trees: Sequence[Tree], palette_size: int, seed: int = 5) -> Shape:
-    """The leaves of `trees`, each two triangles folded along its rib, in slots 0 .. 5 of `of`."""
+    """Leaves of `trees`: two triangles each, folded along the rib, in palette colours 0 to 5."""
     return merge(
         *(
             _grow_leaves(
                 tree,
-                _grow_branches(tree, np.random.default_rng((seed, n))),
+                _grow_branches(tree, np.random.default_rng((seed, number))),
                 palette_size,
-                (seed, n, 1),
+                (seed, number, 1),
             )
-            for n, tree in enumerate(trees)
+            for number, tree in enumerate(trees)
         )
     )
 
 
 def _grow_branches(tree: Tree, random: np.random.Generator) -> list[_Branch]:
-    """Trunk, boughs and twigs of a tree; the twigs, which carry the leaves, come last."""
+    """Trunk, boughs and twigs of a tree; the last 42 are the twigs, which carry the leaves."""
     fork = 0.36 * tree.height
     foot = np.array([tree.x, tree.y, 0.0])
     lean = random.normal(0, 0.05, 3) * (tree.height, tree.height, 0)
@@ -81,16 +80,18 @@ def _grow_branches(tree: Tree, random: np.random.Generator) -> list[_Branch]:
     for number in range(7):
         turn = 2.4 * number + random.uniform(-0.3, 0.3)
         rise = random.uniform(0.35, 0.75) if number else 1.3
-        ahead = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
+        direction = np.array(
+            [np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)]
+        )
         reach = (0.62 if number else 0.8) * np.array(
             [tree.crown_radius, tree.crown_radius, tree.height - fork]
         )
-        end = crotch + ahead * reach * random.uniform(0.85, 1.1)
+        end = crotch + direction * reach * random.uniform(0.85, 1.1)
         boughs.append(_Branch(crotch, end, 0.55 * girth, 0.22 * girth))
         for _ in range(6):
             share = random.uniform(0.45, 1.0)
             start = crotch + share * (end - crotch)
-            out = ahead + random.normal(0, 0.75, 3) + (0, 0, 0.25)
+            out = direction + random.normal(0, 0.75, 3) + (0, 0, 0.25)
             length = random.uniform(0.25, 0.45) * tree.crown_radius
             tip = start + out / np.linalg.norm(out) * length
             tip[2] = max(tip[2], 0.8 * fork)
@@ -99,35 +100,35 @@ def _grow_branches(tree: Tree, random: np.random.Generator) -> list[_Branch]:
 
 
 def _grow_leaves(
-    tree: Tree, twigs: list[_Branch], palette_size: int, seed: tuple[int, ...]
+    tree: Tree, branches: list[_Branch], palette_size: int, seed: tuple[int, ...]
 ) -> Shape:
     random = np.random.default_rng(seed)
     count = tree.leaf_count
-    chosen = random.integers(len(twigs) - 42, len(twigs), count)  # the last 42 are twigs
-    start = np.array([twig.start for twig in twigs])[chosen]
-    end = np.array([twig.end for twig in twigs])[chosen]
+    chosen = random.integers(len(branches) - 42, len(branches), count)  # a twig
+    start = np.array([branch.start for branch in branches])[chosen]
+    end = np.array([branch.end for branch in branches])[chosen]
     along = random.uniform(0.15, 1.1, (count, 1))
-    away = random.normal(size=(count, 3))
-    away *= (
+    offset = random.normal(size=(count, 3))
+    offset *= (
         0.17
         * tree.crown_radius
         * random.uniform(0.1, 1, (count, 1))
-        / np.linalg.norm(away, axis=1, keepdims=True)
+        / np.linalg.norm(offset, axis=1, keepdims=True)
     )
-    base = start + along * (end - start) + away
+    base = start + along * (end - start) + offset
     middle = np.array([tree.x, tree.y, 0.62 * tree.height])
     out = base - middle
     out /= np.linalg.norm(out, axis=1, keepdims=True)
-    rib = out + random.normal(0, 0.55, (count, 3)) - (0, 0, 0.45)  # leaves hang outward
+    rib = out + random.normal(0, 0.55, (count, 3)) - (0, 0, 0.45)  # outward and down
     rib /= np.linalg.norm(rib, axis=1, keepdims=True)
     side = np.cross(rib, out + random.normal(0, 0.4, (count, 3)) + (0, 0, 0.8))
     side /= np.linalg.norm(side, axis=1, keepdims=True).clip(1e-3)
     fold = np.cross(side, rib)
-    long = random.uniform(0.19, 0.34, (count, 1)) * (tree.height / 6.5) ** 0.5
-    waist, lift = base + 0.45 * long * rib, 0.08 * long * fold
-    wide = 0.36 * long * side
+    length = random.uniform(0.19, 0.34, (count, 1)) * (tree.height / 6.5) ** 0.5
+    waist, lift = base + 0.45 * length * rib, 0.08 * length * fold
+    half_width = 0.36 * length * side
     corners = np.stack(
-        [base, waist + wide + lift, base + long * rib, waist - wide + lift],
+        [base, waist + half_width + lift, base + length * rib, waist - half_width + lift],
         1,
     )
     faces = np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
@@ -136,24 +137,24 @@ def _grow_leaves(
         faces.reshape(-1, 3).astype(np.uint32),
         np.zeros((4 * count, 2), np.float32),
     )
-    # lit, outer leaves are the lighter ones
+    # outer leaves are lighter, as they get more light
     lightness = 2.2 * (along[:, 0] - 0.4) + random.normal(0.6, 0.9, count)
-    slot = np.clip(np.round(lightness + 1), 0, 3).astype(int)
-    odd = random.uniform(size=count)
-    slot = np.where(odd < 0.12, 4, np.where(odd > 0.94, 5, slot))
-    return paint(shape, slot.repeat(4), palette_size)
+    colour = np.clip(np.round(lightness + 1), 0, 3).astype(int)
+    lot = random.uniform(size=count)
+    colour = np.where(lot < 0.12, 4, np.where(lot > 0.94, 5, colour))
+    return paint(shape, colour.repeat(4), palette_size)
 
 
 def wind_response(shape: Shape, base_height: float = 2.0, ramp_height: float = 4.0) -> Float32Array:
-    """How far the wind may push each vertex of leaves, 0.2..1: more with height."""
+    """Share of the wind's push that each vertex follows, in [0.2, 1]; it rises with height."""
     return np.asarray(
         np.clip((shape.vertices[:, 2] - base_height) / ramp_height, 0.2, 1), np.float32
     )
 
 
-def _build_tube(twig: _Branch, sides: int) -> Shape:
-    """An open, tapered tube; faces outward."""
-    axis = twig.end - twig.start
+def _build_tube(branch: _Branch, sides: int) -> Shape:
+    """An open, tapered tube that faces outward."""
+    axis = branch.end - branch.start
     length = float(np.linalg.norm(axis))
     across = np.cross(axis, (0.3, 1.0, 0.2))
     across /= np.linalg.norm(across)
@@ -161,7 +162,7 @@ def _build_tube(twig: _Branch, sides: int) -> Shape:
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
     vertices = np.concatenate(
-        [twig.start + twig.start_radius * ring, twig.end + twig.end_radius * ring]
+        [branch.start + branch.start_radius * ring, branch.end + branch.end_radius * ring]
     )
     first = np.arange(sides)
     up = first + sides + 1

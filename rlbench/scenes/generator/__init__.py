@@ -1,1 +1,1 @@
-"""Scenes that are generated from a seed."""
+"""Generator of random training scenes, one for each seed."""

@@ -1,1 +1,1 @@
-"""A hall with machines and lamps."""
+"""Hall: tubes and about a thousand small lamps; tests many lights and metal."""

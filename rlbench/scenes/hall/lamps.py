@@ -1,4 +1,4 @@
-"""Lamps: where the small lights of the hall sit, and which of four colours each one has."""
+"""Lamps: position and colour of about a thousand small lights, and the tubes above them."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rlbench.scenes.parts.shapes import Float32Array, Shape, merge, quads, yaw_matrix
+from rlbench.scenes.parts.primitives import quads
+from rlbench.scenes.parts.shape import Float32Array, Float64Array, Shape, merge, yaw_matrix
 
-WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # half width; metres
-RING_AT, RING_HIGH = 15.0, 2.95  # metres: where the great rings stand, along the hall and above it
-CYAN, AMBER, ROSE, WHITE = range(4)  # the colours, as indices of RADIANCE
+HALF_WIDTH, LENGTH, HEIGHT = 7.0, 34.0, 7.0  # metres
+RING_Y, RING_Z = 15.0, 2.95  # metres: centre of the great rings
+CYAN, AMBER, ROSE, WHITE = range(4)  # indices of RADIANCE
 RADIANCE = ((0.10, 0.62, 0.85), (0.85, 0.36, 0.05), (0.85, 0.07, 0.30), (0.55, 0.60, 0.66))
-CONSOLES = ((-4.3, 6.2, 0.5), (4.0, 5.2, -0.6), (-3.9, 11.6, 0.35))  # x, y, turn
+CONSOLES = ((-4.3, 6.2, 0.5), (4.0, 5.2, -0.6), (-3.9, 11.6, 0.35))  # x, y, yaw
 
 
 class Lamps(NamedTuple):
-    """Flat rectangles that shine to the side of across x up."""
+    """Rectangular lamps that emit along across x up."""
 
-    corner: NDArray[np.float64]  # n 3
-    across: NDArray[np.float64]  # n 3
-    up: NDArray[np.float64]  # n 3
-    colour: NDArray[np.int64]  # n, into RADIANCE
+    corner: Float64Array  # n 3
+    across: Float64Array  # n 3
+    up: Float64Array  # n 3
+    colour: NDArray[np.int64]  # n, indices of RADIANCE
 
 
 def fixed_lamps(random: np.random.Generator) -> Lamps:
-    """All lamps that are part of the building."""
+    """All lamps that belong to the building."""
     return concatenate_lamps(
         [
             _strip_lamps(random),
@@ -40,18 +41,18 @@ def fixed_lamps(random: np.random.Generator) -> Lamps:
 
 
 def concatenate_lamps(groups: Sequence[Lamps]) -> Lamps:
-    """One table of lamps out of many."""
+    """One table with the lamps of all groups, in their order."""
     return Lamps(*(np.concatenate(column) for column in zip(*groups, strict=True)))
 
 
 def transform_lamps(lamps: Lamps, translation: ArrayLike, rotation: Float32Array) -> Lamps:
-    """The lamps turned, then shifted."""
+    """The lamps rotated, then translated."""
     corner, across, up = (v @ rotation.T.astype(float) for v in lamps[:3])
     return Lamps(corner + np.asarray(translation, float), across, up, lamps.colour)
 
 
 def lamp_circle(count: int, radius: float, size: tuple[float, float], colour: int) -> Lamps:
-    """Lamps round the origin in the plane of x and z that shine towards -y."""
+    """Lamps in a circle about the origin, in the plane of x and z, that emit towards -y."""
     angle = np.arange(count) * (2 * np.pi / count)
     outward = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1)
     along = np.stack([-np.sin(angle), 0 * angle, np.cos(angle)], -1)
@@ -61,7 +62,7 @@ def lamp_circle(count: int, radius: float, size: tuple[float, float], colour: in
 
 
 def build_tubes() -> Shape:
-    """Tubes on the slopes and panels in the ceiling, bay by bay: most of the light is theirs."""
+    """Tubes on the slopes and panels in the ceiling of each bay; they give most of the light."""
     bays = np.arange(-1.0, LENGTH, 4.0)
     places = [(side, y) for y in bays for side in (-1.0, 1.0)]
     slopes = quads(
@@ -75,13 +76,13 @@ def build_tubes() -> Shape:
 
 
 def _strip_lamps(random: np.random.Generator) -> Lamps:
-    """Two broken lines of small lamps along each long wall, cyan below and rose or amber above."""
+    """Two dashed lines of small lamps along each long wall, cyan below and rose or amber above."""
     y = np.arange(-3.5, LENGTH - 0.5, 0.3)
     groups = []
     for side in (-1.0, 1.0):
         for height, colour in ((0.74, CYAN), (3.34, ROSE if side < 0 else AMBER)):
             keep = y[random.random(len(y)) < 0.85]
-            depth = WIDTH - (1.32 if height < 1 else 0.91)
+            depth = HALF_WIDTH - (1.32 if height < 1 else 0.91)
             x = np.full_like(keep, side * depth)
             corner = np.stack([x, keep + (0.22 if side > 0 else 0), np.full_like(keep, height)], -1)
             length = random.uniform(0.12, 0.27, (len(keep), 1))
@@ -92,19 +93,21 @@ def _strip_lamps(random: np.random.Generator) -> Lamps:
 
 
 def _sign_lamps(random: np.random.Generator) -> Lamps:
-    """Panels of tiny lamps on the walls, in random colours and sizes."""
+    """Panels of small lamps on the walls, in random colours and sizes."""
     groups = []
     for number, y in enumerate((7.0, 11.0, 19.0)):
         side = 1.0 if number % 2 else -1.0
         lamps = _lamp_matrix(random, (6, 12), 0.2)
         groups.append(
-            transform_lamps(lamps, (side * (WIDTH - 0.3), y, 1.5), yaw_matrix(-side * np.pi / 2))
+            transform_lamps(
+                lamps, (side * (HALF_WIDTH - 0.3), y, 1.5), yaw_matrix(-side * np.pi / 2)
+            )
         )
     return concatenate_lamps(groups)
 
 
 def _console_lamps(random: np.random.Generator) -> Lamps:
-    """The buttons and screens of the desks."""
+    """Buttons and screens of the consoles."""
     return concatenate_lamps(
         [
             transform_lamps(_lamp_matrix(random, (5, 10), 0.13), (x, y, 1.02), yaw_matrix(turn))
@@ -114,7 +117,7 @@ def _console_lamps(random: np.random.Generator) -> Lamps:
 
 
 def _lamp_matrix(random: np.random.Generator, count: tuple[int, int], pitch: float) -> Lamps:
-    """Rows and columns of lamps that stand on z = 0 about x = 0 and shine towards -y."""
+    """Rows and columns of lamps above z = 0, centred on x = 0, that emit towards -y."""
     rows, columns = np.indices(count).reshape(2, -1)
     size = pitch * random.choice([0.2, 0.4, 0.7, 0.85], (rows.size, 1))
     x = pitch * (columns - count[1] / 2)
@@ -124,13 +127,13 @@ def _lamp_matrix(random: np.random.Generator, count: tuple[int, int], pitch: flo
 
 
 def _gate_lamps() -> Lamps:
-    """A ring of lamps about the round gate at the far end."""
+    """A ring of lamps around the gate at the far end."""
     ring = lamp_circle(48, 2.2, (0.24, 0.22), WHITE)
-    return transform_lamps(ring, (0, LENGTH - 1.35, RING_HIGH), np.eye(3, dtype=np.float32))
+    return transform_lamps(ring, (0, LENGTH - 1.35, RING_Z), np.eye(3, dtype=np.float32))
 
 
 def _floor_lamps() -> Lamps:
-    """Two dashed lines let into the floor that lead to the gate."""
+    """Two dashed lines of lamps in the floor that lead to the gate."""
     y = np.arange(-1.0, LENGTH - 3, 1.1)
     x = np.repeat([-1.75, 1.65], len(y))
     corner = np.stack([x, np.tile(y, 2), np.full_like(x, 0.012)], -1)

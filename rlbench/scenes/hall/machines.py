@@ -1,15 +1,14 @@
-"""What moves in the hall: drones, a crane below the ceiling, and two great rings that turn."""
+"""Machines that move in the hall: drones, a crane below the ceiling, and two turning rings."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rlbench.scenes.hall.lamps import (
     AMBER,
     CYAN,
-    RING_AT,
-    RING_HIGH,
+    RING_Y,
+    RING_Z,
     ROSE,
     WHITE,
     Lamps,
@@ -17,26 +16,24 @@ from rlbench.scenes.hall.lamps import (
     lamp_circle,
     transform_lamps,
 )
-from rlbench.scenes.parts.shapes import (
+from rlbench.scenes.parts.primitives import boxes, cylinder, icosphere, lathe
+from rlbench.scenes.parts.shape import (
     Float32Array,
+    Float64Array,
     Shape,
-    boxes,
-    cylinder,
-    icosphere,
-    lathe,
     merge,
     transform,
     yaw_matrix,
 )
-from rlbench.scenes.parts.shapes import rotation_matrix as about
+from rlbench.scenes.parts.shape import rotation_matrix as about
 from rlbench.scenes.parts.sheets import torus
 
 DRONES = ((-2.2, 9.0, 2.6), (2.4, 11.0, 3.6), (0.2, 21.0, 2.2), (-3.2, 14.0, 4.4))
-RING_CENTRE = np.array([0, RING_AT, RING_HIGH])  # metres: the middle of the rings
+RING_CENTRE = np.array([0, RING_Y, RING_Z])  # metres: centre of the rings
 
 
 def build_machines(time: float) -> Shape:
-    """All of them, as they are at a time."""
+    """Drones, rings and crane, at a time."""
     hull = merge(
         transform(icosphere(3), (0, 0, 0), scale=0.3),
         lathe([(0.34, -0.05), (0.62, -0.02), (0.62, 0.04), (0.34, 0.08)], 40),
@@ -52,20 +49,20 @@ def build_machines(time: float) -> Shape:
 
 
 def machine_lamps(time: float) -> Lamps:
-    """The lamps that they carry."""
+    """The lamps that the machines carry, at a time."""
     drones = [_drone_lamps(index, time) for index in range(len(DRONES))]
     outer = lamp_circle(36, 2.12, (0.2, 0.12), AMBER)
     inner = lamp_circle(24, 1.46, (0.2, 0.1), CYAN)
-    lift = np.array([0, -0.29, 0])
+    offset = np.array([0, -0.29, 0])
     wheels = [
-        transform_lamps(one, RING_CENTRE + lift, _wheel_rotation(k, time))
+        transform_lamps(one, RING_CENTRE + offset, _wheel_rotation(k, time))
         for k, one in enumerate((outer, inner))
     ]
     return concatenate_lamps([*drones, *wheels])
 
 
 def _build_wheel(radius: float, teeth: int) -> Shape:
-    """A ring in the plane of x and z with teeth inside and a tube along its rim."""
+    """A ring in the plane of x and z, with teeth inside and a tube along its rim."""
     face = about((1, 0, 0), -np.pi / 2)
     band = lathe([(radius, -0.26), (radius + 0.2, -0.28), (radius + 0.2, 0.28), (radius, 0.26)], 64)
     inside = lathe([(radius, -0.26), (radius, 0.26)], 64)
@@ -83,7 +80,7 @@ def _wheel_rotation(number: int, time: float) -> Float32Array:
 
 
 def _build_crane(time: float) -> Shape:
-    """A bridge that runs below the ceiling, with a trolley, its rope and a grab."""
+    """A bridge crane below the ceiling, with trolley, rope and grab, at a time."""
     y = 11.5 + 2.0 * np.sin(2 * np.pi * time / 160)
     x = 2.6 + 1.2 * np.sin(2 * np.pi * time / 90 + 1)
     drop = 4.1 + 0.4 * np.sin(2 * np.pi * time / 75)
@@ -98,8 +95,8 @@ def _build_crane(time: float) -> Shape:
     return merge(bridge, trolley, rope, transform(grab, (x, y, drop), yaw_matrix(time / 40)))
 
 
-def _drone_pose(index: int, time: float) -> tuple[NDArray[np.float64], Float32Array]:
-    """Where a drone is and how it is turned."""
+def _drone_pose(index: int, time: float) -> tuple[Float64Array, Float32Array]:
+    """Position and rotation of a drone at a time."""
     phase, period = 1.7 * index, 90 + 17 * index
     angle = 2 * np.pi * time / period + phase
     drift = np.array([1.3 * np.sin(angle), 0.9 * np.cos(angle), 0.35 * np.sin(2 * angle)])
@@ -107,10 +104,10 @@ def _drone_pose(index: int, time: float) -> tuple[NDArray[np.float64], Float32Ar
 
 
 def _drone_lamps(index: int, time: float) -> Lamps:
-    """Four lamps below a drone, facing down."""
+    """Four lamps below a drone that emit downwards."""
     at, turn = _drone_pose(index, time)
     corner = np.array([(x, y, -0.06) for x in (-0.45, 0.33) for y in (-0.06, 0.06)])
     one = np.ones((4, 1))
     colour = (WHITE, CYAN, AMBER, ROSE)[index]
-    still = Lamps(corner, one * (0, 0.1, 0), one * (0.12, 0, 0), np.full(4, colour))
-    return transform_lamps(still, at, turn)
+    at_rest = Lamps(corner, one * (0, 0.1, 0), one * (0.12, 0, 0), np.full(4, colour))
+    return transform_lamps(at_rest, at, turn)

@@ -1,4 +1,7 @@
-"""Hall: a dark sci-fi hall of metal and machines, lit by tubes and a thousand small lamps."""
+"""Hall: a dark hall of metal and machines, lit by tubes and about a thousand small lamps.
+
+It tests many lights of different colours, moving lights, rough metal and dark surfaces.
+"""
 
 from __future__ import annotations
 
@@ -9,28 +12,27 @@ import numpy as np
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.hall import structure
 from rlbench.scenes.hall.lamps import RADIANCE, Lamps, build_tubes, concatenate_lamps, fixed_lamps
-from rlbench.scenes.hall.machines import build_machines
-from rlbench.scenes.hall.machines import machine_lamps as carried
-from rlbench.scenes.parts.shapes import Shape, boxes, merge, paint, quads, transform, yaw_matrix
+from rlbench.scenes.hall.machines import build_machines, machine_lamps
+from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, polished_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, quads
+from rlbench.scenes.parts.shape import Shape, merge, paint, transform, yaw_matrix
 from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
 from rlbench.scenes.parts.textures import (
+    Colour,
     bitmap_texture,
-    diffuse_bsdf,
-    glossy_bsdf,
-    metal_bsdf,
     mix_colours,
     noise_pixels,
     palette_texture,
-    polished_bsdf,
-    rgb,
     tile_pixels,
 )
+
+__all__ = ["scene"]
 
 TUBE_RADIANCE = (0.95, 1.15, 1.36)  # radiance
 
 
 def scene() -> Scene:
-    """The hall: tubes below the ceiling, and a thousand lamps in four meshes, one a colour."""
+    """The hall, with its takes: tubes, and the small lamps as one mesh for each of four colours."""
     random = np.random.default_rng(23)
     return Scene(
         name="hall",
@@ -60,7 +62,7 @@ def _camera(time: float) -> Camera:
 
 
 def _gallery_camera(time: float) -> Camera:
-    """From above and the other end, moving along the hall."""
+    """A high camera at the far end that looks back and moves along the hall."""
     y = 27.0 - 0.1 * time
     return Camera((4.4, y, 4.6), (-1.5, y - 10, 1.8), fov=66)
 
@@ -131,7 +133,7 @@ def _crate_mesh(random: np.random.Generator) -> Mesh:
 
 
 def _build_crate(random: np.random.Generator) -> tuple[Shape, Shape]:
-    """A unit crate in one of three colours with dark edges."""
+    """A crate one metre wide, in one of three colours, with dark edges."""
     body = paint(boxes((-0.47, -0.47, 0.03), (0.47, 0.47, 0.97)), random.integers(3), 4)
     low, high = [], []
     for axis in range(3):
@@ -146,8 +148,8 @@ def _build_crate(random: np.random.Generator) -> tuple[Shape, Shape]:
 
 
 def _moving_meshes(time: float) -> tuple[Mesh, ...]:
-    """The machines, and all lamps, for the machines carry some."""
-    lamps = concatenate_lamps([fixed_lamps(np.random.default_rng(5)), carried(time)])
+    """The machines, and all lamps, at a time; the machines carry some of the lamps."""
+    lamps = concatenate_lamps([fixed_lamps(np.random.default_rng(5)), machine_lamps(time)])
     return (
         build_machines(time).to_mesh(
             "machines", metal_bsdf(rgb(0.70, 0.71, 0.75), 0.2), smooth=True
@@ -157,15 +159,15 @@ def _moving_meshes(time: float) -> tuple[Mesh, ...]:
 
 
 def _lamp_mesh(lamps: Lamps, colour: int) -> Mesh:
-    """All lamps of one colour; one radiance a mesh, as a texture makes every path dearer."""
-    mine = lamps.colour == colour
-    shape = quads(lamps.corner[mine], lamps.across[mine], lamps.up[mine], tile_size=0)
+    """All lamps of one colour, with constant radiance: a texture costs time in every path."""
+    is_colour = lamps.colour == colour
+    shape = quads(
+        lamps.corner[is_colour], lamps.across[is_colour], lamps.up[is_colour], tile_size=0
+    )
     return _emissive_mesh(f"lamps{colour}", shape, RADIANCE[colour], 0.5)
 
 
-def _emissive_mesh(
-    name: str, shape: Shape, colour: tuple[float, float, float], weight: float
-) -> Mesh:
-    shine = {"type": "area", "radiance": rgb(*colour), "sampling_weight": weight}
+def _emissive_mesh(name: str, shape: Shape, radiance: Colour, sampling_weight: float) -> Mesh:
+    emission = {"type": "area", "radiance": rgb(*radiance), "sampling_weight": sampling_weight}
     black = {"type": "diffuse", "reflectance": rgb(0.05, 0.05, 0.05)}
-    return replace(shape.to_mesh(name, black), emission=shine)
+    return replace(shape.to_mesh(name, black), emission=emission)

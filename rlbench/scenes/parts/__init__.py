@@ -1,1 +1,1 @@
-"""Shapes, sheets, textures, glassware and takes that several scenes use."""
+"""Parts that scenes share: shapes, textures, materials, glassware and takes."""

@@ -1,4 +1,7 @@
-"""Glassware: solid and hollow glass bodies, closed, their faces turned outward."""
+"""Glassware: solid and hollow bodies whose surfaces are closed and face outward.
+
+A path that enters glass through a hole would treat air as glass from there on.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    disc,
-    icosphere,
-    lathe,
-    merge,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import disc, icosphere, lathe
+from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
 
-AXIS_RADIUS = 0.002  # metres: radius at which a turned profile is closed by a lid
+AXIS_RADIUS = 0.002  # metres: radius at which a disc closes a profile at the axis
 
 
 def closed_lathe(profile: Sequence[tuple[float, float]], sides: int = 64) -> Shape:
     """A closed body from a profile of (radius, height) that starts and ends on the axis.
 
-    It goes from the lower end outward and up; where it comes back down, the body is hollow.
+    The profile starts at the lower end and runs outward and up. If it returns down, the body is
+    hollow.
     """
     first, last = profile[0], profile[-1]
     ring = lathe([(max(r, AXIS_RADIUS), z) for r, z in profile], sides)
@@ -32,18 +28,18 @@ def closed_lathe(profile: Sequence[tuple[float, float]], sides: int = 64) -> Sha
 
 
 def unmerge_vertices(shape: Shape) -> Shape:
-    """The same faces without shared corners, so that smooth shading leaves them flat."""
+    """The same faces without alongd vertices, so that smooth shading keeps them flat."""
     order = shape.faces.reshape(-1)
     faces = np.arange(len(order), dtype=np.uint32).reshape(-1, 3)
     return Shape(shape.vertices[order], faces, shape.uv[order])
 
 
 def build_vase(height: float = 0.75, thickness: float = 0.022) -> Shape:
-    """A bellied vase with a thick foot, open above, hollow."""
-    share = np.linspace(0, 1, 40)
-    belly = 0.11 + 0.13 * np.sin(np.pi * np.clip(share * 1.25, 0, 1)) ** 1.3
-    belly = belly + 0.09 * np.clip(share - 0.72, 0, 1) ** 1.5 * 4
-    outside = list(zip(belly, share * height, strict=True))
+    """A hollow, bellied vase with a thick foot, open at the top."""
+    along = np.linspace(0, 1, 40)
+    belly = 0.11 + 0.13 * np.sin(np.pi * np.clip(along * 1.25, 0, 1)) ** 1.3
+    belly = belly + 0.09 * np.clip(along - 0.72, 0, 1) ** 1.5 * 4
+    outside = list(zip(belly, along * height, strict=True))
     inside = [(r - thickness, z) for r, z in outside if z > 0.09][::-1]
     lip = [(belly[-1] - thickness / 2, height + thickness / 3)]
     foot = [(0.0, 0.0), (0.06, 0.0)]
@@ -51,16 +47,16 @@ def build_vase(height: float = 0.75, thickness: float = 0.022) -> Shape:
 
 
 def build_crystal(height: float = 0.9, radius: float = 0.2) -> Shape:
-    """A six-sided crystal with pointed ends, flat faces."""
+    """A six-sided crystal with pointed ends and flat faces."""
     outline = [(0.5 * radius, 0.0), (radius, 0.14 * height), (0.9 * radius, 0.7 * height)]
     body = closed_lathe([(0.0, 0.0), *outline, (0.0, height)], 6)
     return unmerge_vertices(body)
 
 
 def build_glass_on_plinths(plinths: Sequence[tuple[float, float, float, float]]) -> Shape:
-    """Glass on three plinths given as (x, y, radius, height of the top), in metres."""
-    one, two, three = plinths
-    clear = 0.002  # metres above the stone
+    """A ball, crystals and a vase on three plinths: (x, y, radius, height of the top), metres."""
+    ball, cluster, pedestal = plinths
+    gap = 0.002  # metres above the stone
     crystals = merge(
         transform(build_crystal(), (0.0, 0.05, 0.0), yaw_matrix(0.4)),
         transform(
@@ -71,7 +67,7 @@ def build_glass_on_plinths(plinths: Sequence[tuple[float, float, float, float]])
         ),
     )
     return merge(
-        transform(icosphere(5), (one[0], one[1], one[3] + 0.38 + clear), scale=0.38),
-        transform(crystals, (two[0], two[1], two[3] + 0.05), scale=1.35),
-        transform(build_vase(1.05, 0.03), (three[0], three[1], three[3] + clear)),
+        transform(icosphere(5), (ball[0], ball[1], ball[3] + 0.38 + gap), scale=0.38),
+        transform(crystals, (cluster[0], cluster[1], cluster[3] + 0.05), scale=1.35),
+        transform(build_vase(1.05, 0.03), (pedestal[0], pedestal[1], pedestal[3] + gap)),
     )

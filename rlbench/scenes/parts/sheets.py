@@ -1,50 +1,43 @@
-"""Bent sheets to build with: rings, arches, blades of leaves, pierced screens, blocks of a wall."""
+"""Curved sheets: tori, arches, mouldings, leaf blades, pierced screens and block walls."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rlbench.scenes.parts.shapes import Shape, merge, quads
-
-Float64Array = NDArray[np.float64]
+from rlbench.scenes.parts.primitives import quads
+from rlbench.scenes.parts.shape import Float64Array, Shape, grid_faces, merge, to_shape
 
 
 def sheet(points: ArrayLike, tile_size: float = 1.0) -> Shape:
-    """A grid of points [rows columns 3] as a sheet that faces along (to the right) x (upwards).
+    """A grid of points [rows columns 3] as a sheet that faces along (row) x (column) direction.
 
-    A repeat of the texture is `tile` metres, measured along the first column and the first row.
+    The texture repeats every `tile_size` metres, measured along the first column and first row.
     """
     at = np.asarray(points, float)
     rows, columns, _ = at.shape
     up = np.linalg.norm(np.diff(at[:, 0], axis=0, prepend=at[:1, 0]), axis=-1).cumsum()
     along = np.linalg.norm(np.diff(at[0], axis=0, prepend=at[0, :1]), axis=-1).cumsum()
     uv = np.stack(np.broadcast_arrays(along[None], up[:, None]), -1) / tile_size
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
-    a, b, c, d = first, first + 1, first + columns + 1, first + columns
-    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-    return Shape(
-        at.reshape(-1, 3).astype(np.float32),
-        faces.astype(np.uint32),
-        uv.reshape(-1, 2).astype(np.float32),
-    )
+    return to_shape(at, grid_faces(rows, columns), uv)
 
 
 def torus(radius: float, tube_radius: float, sides: int = 64, tube_sides: int = 10) -> Shape:
-    """A level torus about the origin; `thick` is the radius of its tube."""
+    """A level torus about the origin."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     turn = np.linspace(0, 2 * np.pi, tube_sides + 1)[:, None]
-    wide = radius + tube_radius * np.cos(turn)
+    distance = radius + tube_radius * np.cos(turn)
     height = np.broadcast_to(tube_radius * np.sin(turn), (tube_sides + 1, sides + 1))
-    return sheet(np.stack([wide * np.cos(angle), wide * np.sin(angle), height], -1))
+    return sheet(np.stack([distance * np.cos(angle), distance * np.sin(angle), height], -1))
 
 
 def arch_wall(
     radius: float, half_width: float, spring_height: float, top: float, thickness: float
 ) -> Shape:
-    """A wall from `spring` to `top` with a round arch cut out, `half` metres to either side.
+    """A wall from `spring_height` to `top` with a semicircular arch; lengths in metres.
 
-    It stands in the plane of x and z, `thick` metres deep about y = 0; its ends stay open.
+    The wall spans x in [-half_width, half_width] and is `thickness` deep about y = 0.
+    Its ends stay open.
     """
     a = _semicircle(radius, spring_height)
     low = np.concatenate([[(-half_width, spring_height)], a, [(half_width, spring_height)]])
@@ -56,18 +49,18 @@ def arch_wall(
 
 
 def moulding(radius: float, width: float, spring_height: float, thickness: float) -> Shape:
-    """The raised band about an arch of that radius, through a wall whose faces it overhangs."""
+    """The raised band around an arch of that radius; `thickness` exceeds that of the wall."""
     inner, outer = _semicircle(radius, spring_height), _semicircle(radius + width, spring_height)
-    deep = [-thickness / 2, -thickness / 2, thickness / 2, thickness / 2, -thickness / 2]
-    return sheet(_at_depths([inner, outer, outer, inner, inner], deep), 3.0)
+    depths = [-thickness / 2, -thickness / 2, thickness / 2, thickness / 2, -thickness / 2]
+    return sheet(_at_depths([inner, outer, outer, inner, inner], depths), 3.0)
 
 
 def leaf_blade(
     length: float, width: float, rise: float, curl: float, steps: int = 7, cup: float = 0.2
 ) -> Shape:
-    """A leaf from the origin that leaves towards +x at the angle `rise` and bends down by `curl`.
+    """A leaf that starts at the origin towards +x, inclined by `rise`, and bends down by `curl`.
 
-    Angles are in radians; the edges stand `cup` of the half width above its spine.
+    Angles are radians. The edges lie `cup` times the half width above the spine.
     """
     s = np.linspace(0, 1, steps)
     slope = rise - curl * s**1.5
@@ -76,8 +69,8 @@ def leaf_blade(
     half = width / 2 * (0.08 + 0.92 * np.sin(np.pi * (0.18 + 0.8 * s)) ** 0.8)
     side = np.array([-1.0, 0.0, 1.0])
     lift = cup * half[:, None] * np.abs(side)
-    away = np.stack([-np.sin(slope), np.cos(slope)], -1)
-    x, z = (spine[:, None, k] + away[:, None, k] * lift for k in (0, 1))
+    normal = np.stack([-np.sin(slope), np.cos(slope)], -1)
+    x, z = (spine[:, None, k] + normal[:, None, k] * lift for k in (0, 1))
     return sheet(np.stack([x, half[:, None] * side, z], -1))
 
 
@@ -86,23 +79,22 @@ def pierced_screen(
 ) -> Shape:
     """A screen of rows x columns square cells, each with a round hole, from the origin to +x, +z.
 
-    `size` is the width of a cell, `hole` the radius of its hole; it is `thick` deep about y = 0,
-    and has no back: it is for windows, seen from before them.
+    It is `thickness` metres deep about y = 0 and has no back face: it is seen from the front only.
     """
     angle = np.linspace(0, 2 * np.pi, 17)
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     square = circle / np.abs(circle).max(1, keepdims=True)
     inside, outside = hole_radius * circle, cell_size / 2 * square
-    one = sheet(
+    cell = sheet(
         _at_depths([outside, inside, inside], [-thickness / 2, -thickness / 2, thickness / 2])
     )
     rows, columns = np.indices(cells).reshape(2, -1)
     at = np.stack([(columns + 0.5) * cell_size, 0 * rows, (rows + 0.5) * cell_size], -1)
-    count = len(one.vertices)
+    count = len(cell.vertices)
     return Shape(
-        (one.vertices + at[:, None].astype(np.float32)).reshape(-1, 3),
-        (one.faces + (np.arange(len(at)) * count)[:, None, None]).reshape(-1, 3).astype(np.uint32),
-        np.tile(one.uv, (len(at), 1)),
+        (cell.vertices + at[:, None].astype(np.float32)).reshape(-1, 3),
+        (cell.faces + (np.arange(len(at)) * count)[:, None, None]).reshape(-1, 3).astype(np.uint32),
+        np.tile(cell.uv, (len(at), 1)),
     )
 
 
@@ -113,33 +105,33 @@ def block_wall(
     size: tuple[float, float] = (1.25, 0.6),
     gap: float = 0.018,
 ) -> Shape:
-    """Blocks in running bond over a rectangle of the plane of x and z, their faces near y = 0.
+    """Front faces of blocks in running bond, over a rectangle of (x, z) near y = 0.
 
-    Only their faces, cut at the rectangle's edges; each stands forward by its own 0 to 25 mm and
-    has its own piece of the texture, a repeat of which is 3 metres.
+    Blocks are clipped at the edges of the rectangle. Each protrudes by 0 to 25 mm at random and
+    shows a random part of the texture, which repeats every 3 metres.
     """
-    cut = [
+    clipped = [
         (max(x, low[0]), max(z, low[1]), min(x + size[0], high[0]), min(z + size[1], high[1]))
         for row, z in enumerate(np.arange(0, high[1], size[1]))
         for x in np.arange(-40 + size[0] / 2 * (row % 2), high[0], size[0])
     ]
-    x0, z0, x1, z1 = np.array([c for c in cut if c[2] - c[0] > 0.08 and c[3] - c[1] > 0.08]).T
+    x0, z0, x1, z1 = np.array([c for c in clipped if c[2] - c[0] > 0.08 and c[3] - c[1] > 0.08]).T
     face = -random.uniform(0.0, 0.025, len(x0))
-    wide, tall, none = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
+    width, height, zero = x1 - x0 - gap, z1 - z0 - gap, 0 * x0
     near = np.stack([x0 + gap / 2, face, z0 + gap / 2], -1)
-    across, up = np.stack([wide, none, none], -1), np.stack([none, none, tall], -1)
+    across, up = np.stack([width, zero, zero], -1), np.stack([zero, zero, height], -1)
     wall = quads(near, across, up, tile_size=3.0)
     shift = random.uniform(0, 1, (len(x0), 1, 2)).astype(np.float32)
     return wall._replace(uv=(wall.uv.reshape(-1, 4, 2) + shift).reshape(-1, 2))
 
 
 def _semicircle(radius: float, spring_height: float, steps: int = 21) -> Float64Array:
-    """Half a circle from left to right [steps 2]."""
+    """Half a circle from left to right [steps 2] in (x, z)."""
     angle = np.linspace(np.pi, 0, steps)
     return np.stack([radius * np.cos(angle), spring_height + radius * np.sin(angle)], -1)
 
 
 def _at_depths(outlines: list[Float64Array], depths: ArrayLike) -> Float64Array:
-    """Outlines in x and z, each at its own y [outlines n 3]."""
+    """Outlines in (x, z), each at its own depth y, as points [outlines n 3]."""
     rows = zip(outlines, np.asarray(depths, float), strict=True)
     return np.stack([np.stack([o[:, 0], np.full(len(o), y), o[:, 1]], -1) for o, y in rows])

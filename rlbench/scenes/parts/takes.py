@@ -1,4 +1,4 @@
-"""Takes of the test scenes beside the main one: a camera that stands, a cut, or nothing moves."""
+"""Further takes of a test scene: a static camera, a cut with a light change, a frozen scene."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from collections.abc import Callable
 
 from rlbench.render.scene import Camera, Take
 
-CUT_FRAME, LIGHT_CHANGE_FRAME = 10, 15  # frames: another shot begins; a light changes
+CUT_FRAME, LIGHT_CHANGE_FRAME = 10, 15  # frames: start of the second shot; light change
 CameraFunction = Callable[[float], Camera]
 
 
 def static_camera_take(camera: CameraFunction, time: float) -> Take:
-    """What moves, seen by the camera of one time."""
+    """The animated scene, seen by the camera as it stands at one time."""
     return Take("static", lambda _: camera(time))
 
 
 def frozen_take(camera: CameraFunction, time: float) -> Take:
-    """Everything as at frame 0, seen by the camera of one time."""
+    """The scene at frame 0, seen by the camera as it stands at one time."""
     return Take("still", lambda _: camera(time), vertex_animation=lambda _: {}, static=True)
 
 
 def cut_take(
     first: CameraFunction, second: CameraFunction, light: str, before: float, after: float
 ) -> Take:
-    """Two shots, in the second of which a light changes from a share of its strength to another."""
+    """Two shots; in the second, the factor on a light changes from `before` to `after`."""
     return Take(
         "cut",
         lambda time: first(time) if time < CUT_FRAME else second(time),

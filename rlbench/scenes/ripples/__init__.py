@@ -1,1 +1,1 @@
-"""A bath with lilies and stones."""
+"""Ripples: moving water, glass and a mirror; tests caustics and specular paths."""

@@ -1,37 +1,22 @@
-"""Bath: a mosaic pool in a tiled room, with a bench, pots, a round mirror and lamps."""
+"""Bath: a mosaic pool in a tiled room, with plinths, a bench, potted plants, mirror and lamps."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rlbench.render.scene import Mesh
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    disc,
-    icosphere,
-    lathe,
-    merge,
-    paint,
-    quads,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
-from rlbench.scenes.parts.textures import (
-    bitmap_texture,
-    diffuse_bsdf,
-    glossy_bsdf,
-    metal_bsdf,
-    palette_texture,
-    rgb,
-    tile_pixels,
-)
-from rlbench.scenes.ripples.stones import mosaic_pixels, travertine_pixels
+from rlbench.scenes.parts.materials import diffuse_bsdf, glossy_bsdf, metal_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, disc, icosphere, lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, paint, rotation_matrix, transform, yaw_matrix
+from rlbench.scenes.parts.textures import bitmap_texture, palette_texture, tile_pixels
+from rlbench.scenes.ripples.textures import mosaic_pixels, travertine_pixels
 
-HALF, DEPTH = 3.0, 0.8  # metres: half the pool's side, and its depth; water stands at z = 0
+POOL_HALF_WIDTH, POOL_DEPTH = (
+    3.0,
+    0.8,
+)  # metres; the water level is z = 0
 COPING_WIDTH = 0.45  # metres: width of the coping
-WALL_Y = 4.9  # metres from the middle of the pool to the wall behind it
+WALL_Y = 4.9  # metres from the centre of the pool to the wall behind it
 CLUTTER_COLOURS = (
     (0.46, 0.42, 0.36),  # 0 pebbles
     (0.30, 0.27, 0.25),
@@ -44,11 +29,11 @@ CLUTTER_COLOURS = (
     (0.22, 0.33, 0.10),
 )
 PLINTHS = ((1.15, 0.75, 0.46, 0.22), (-1.75, 1.65, 0.62, 0.46), (2.05, 2.1, 0.5, 0.7))
-# x, y, radius, height above the water, of round stones that carry glass
+# x, y, radius, height above the water of round stones that carry glass
 
 
 def room_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
-    """The pool's floor and sides, the deck with plinths and bench, and the wall."""
+    """Floor and sides of the pool, the deck with plinths and bench, and the wall."""
     sides = tile_pixels(
         random,
         [(0.10, 0.36, 0.40), (0.14, 0.42, 0.44), (0.08, 0.30, 0.36), (0.20, 0.48, 0.48)],
@@ -65,7 +50,7 @@ def room_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
         size=512,
         joint_width=0.05,
     )
-    a, b, d = HALF, HALF + COPING_WIDTH, -DEPTH
+    a, b, d = POOL_HALF_WIDTH, POOL_HALF_WIDTH + COPING_WIDTH, -POOL_DEPTH
     liner = boxes(
         [(-b, -b, d), (a, -b, d), (-a, -b, d), (-a, a, d)],
         [(-a, b, -0.06), (b, b, -0.06), (a, -a, -0.06), (a, b, -0.06)],
@@ -82,7 +67,7 @@ def room_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
 
 
 def _build_deck() -> Shape:
-    a, b, far = HALF, HALF + COPING_WIDTH, 14.0
+    a, b, far = POOL_HALF_WIDTH, POOL_HALF_WIDTH + COPING_WIDTH, 14.0
     coping = boxes(
         [(-b, -b, -0.06), (a, -b, -0.06), (-a, -b, -0.06), (-a, a, -0.06)],
         [(-a, b, 0.16), (b, b, 0.16), (a, -a, 0.16), (a, b, 0.16)],
@@ -105,7 +90,9 @@ def _build_deck() -> Shape:
     )
     stones = [
         transform(
-            merge(lathe([(r, -DEPTH), (r, top - 0.03), (r - 0.03, top)], 48), disc(r - 0.03, top)),
+            merge(
+                lathe([(r, -POOL_DEPTH), (r, top - 0.03), (r - 0.03, top)], 48), disc(r - 0.03, top)
+            ),
             (x, y, 0),
         )
         for x, y, r, top in PLINTHS
@@ -114,24 +101,28 @@ def _build_deck() -> Shape:
 
 
 def clutter_mesh(random: np.random.Generator) -> Mesh:
-    """Pebbles that have gathered about the plinths, and plants in pots beside the pool."""
+    """Pebbles around the plinths, and potted plants beside the pool."""
     parts = []
-    nests = np.array([(x, y, r) for x, y, r, _ in PLINTHS] + [(-2.5, -2.3, 0.2), (2.4, -1.2, 0.1)])
+    clusters = np.array(
+        [(x, y, r) for x, y, r, _ in PLINTHS] + [(-2.5, -2.3, 0.2), (2.4, -1.2, 0.1)]
+    )
     for number in range(170):
-        x, y, radius = nests[number % len(nests)]
-        angle, away = random.uniform(0, 2 * np.pi), radius + 0.08 + random.gamma(1.6, 0.17)
-        at = np.clip((x + away * np.cos(angle), y + away * np.sin(angle)), -2.88, 2.88)
+        x, y, radius = clusters[number % len(clusters)]
+        angle, distance = random.uniform(0, 2 * np.pi), radius + 0.08 + random.gamma(1.6, 0.17)
+        at = np.clip((x + distance * np.cos(angle), y + distance * np.sin(angle)), -2.88, 2.88)
         stretch = random.uniform(0.04, 0.11) * np.array([1, random.uniform(0.6, 1), 0.55])
-        stone = icosphere(2)._replace(vertices=(icosphere(2).vertices * stretch).astype(np.float32))
-        turned = transform(stone, (*at, -DEPTH + 0.7 * stretch[2]), yaw_matrix(angle))
-        parts.append(paint(turned, random.integers(5), len(CLUTTER_COLOURS)))
+        pebble = icosphere(2)._replace(
+            vertices=(icosphere(2).vertices * stretch).astype(np.float32)
+        )
+        lying = transform(pebble, (*at, -POOL_DEPTH + 0.7 * stretch[2]), yaw_matrix(angle))
+        parts.append(paint(lying, random.integers(5), len(CLUTTER_COLOURS)))
     for x, y, size in ((-3.3, 4.05, 1.15), (3.35, 4.0, 1.0), (-4.1, 3.5, 0.7)):
         parts.append(transform(_build_agave(random), (x, y, 0.1), scale=size))
     return merge(*parts).to_mesh("clutter", diffuse_bsdf(palette_texture(CLUTTER_COLOURS)))
 
 
 def _build_agave(random: np.random.Generator) -> Shape:
-    """A pot of long leaves that arch to all sides."""
+    """A potted agave with long leaves that arch outward."""
     outline = [(0.20, 0), (0.30, 0.42), (0.34, 0.42), (0.34, 0.5), (0.29, 0.5), (0.27, 0.4)]
     pot = paint(lathe(outline, 28), 5, len(CLUTTER_COLOURS))
     soil = paint(disc(0.285, 0.44, 28), 1, len(CLUTTER_COLOURS))
@@ -142,11 +133,11 @@ def _build_agave(random: np.random.Generator) -> Shape:
         along = np.linspace(0, 1, 6)
         out = 0.05 + length * along * np.cos(rise) * (0.6 + 0.5 * along)
         up = 0.45 + length * (along * np.sin(rise) - 0.35 * along**2 * np.cos(rise))
-        wide = 0.055 * np.sin(np.pi * (0.12 + 0.86 * along))
+        half_width = 0.055 * np.sin(np.pi * (0.12 + 0.86 * along))
         ahead = np.array([np.cos(turn), np.sin(turn)])
         side = np.array([-ahead[1], ahead[0]])
         spine = np.concatenate([out[:, None] * ahead, up[:, None]], -1)
-        edge = np.concatenate([wide[:, None] * side, np.zeros((6, 1))], -1)
+        edge = np.concatenate([half_width[:, None] * side, np.zeros((6, 1))], -1)
         left, right = spine - edge, spine + edge
         blade = quads(left[:-1], (right - left)[:-1], np.diff(left, axis=0))
         blade.vertices.reshape(-1, 4, 3)[:, 2] = right[1:]
@@ -155,20 +146,20 @@ def _build_agave(random: np.random.Generator) -> Shape:
 
 
 def mirror_and_lamp_meshes() -> tuple[Mesh, ...]:
-    """A round mirror in a brass ring, and light above, broad enough that paths find it."""
-    upright = rotation_matrix((1, 0, 0), np.pi / 2)  # a disc that faced up now faces the pool
-    glass = transform(disc(1.15, 0, 64), (0.0, WALL_Y - 0.06, 1.95), upright)
+    """A round mirror in a brass ring, and lamps above, large enough for paths to hit them."""
+    upright = rotation_matrix((1, 0, 0), np.pi / 2)  # turns a disc that faces up to face the pool
+    mirror = transform(disc(1.15, 0, 64), (0.0, WALL_Y - 0.06, 1.95), upright)
     ring = lathe([(1.14, 0), (1.14, 0.1), (1.24, 0.1), (1.28, 0.05), (1.28, 0)], 72)
-    around = transform(ring, (0.0, WALL_Y - 0.01, 1.95), upright)
+    frame = transform(ring, (0.0, WALL_Y - 0.01, 1.95), upright)
     strips = quads(
-        [(-3, -1.55, 3.3), (-3, 0.65, 3.3), (-6, WALL_Y - 0.6, 4.5)],  # the last washes the wall
+        [(-3, -1.55, 3.3), (-3, 0.65, 3.3), (-6, WALL_Y - 0.6, 4.5)],  # the last lights the wall
         [(0, 1.8, 0), (0, 1.8, 0), (0, 0.1, 0)],
         [(6, 0, 0), (6, 0, 0), (12, 0, 0)],
     )
     silver = {"type": "conductor", "specular_reflectance": rgb(0.88, 0.88, 0.86)}
     return (
-        glass.to_mesh("mirror", {"type": "twosided", "bsdf": silver}),
-        around.to_mesh("brass", metal_bsdf(rgb(0.85, 0.58, 0.26), 0.18)),
+        mirror.to_mesh("mirror", {"type": "twosided", "bsdf": silver}),
+        frame.to_mesh("brass", metal_bsdf(rgb(0.85, 0.58, 0.26), 0.18)),
         Mesh(
             "lamp",
             strips.vertices,

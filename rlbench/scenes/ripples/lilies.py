@@ -1,4 +1,4 @@
-"""Lilies: pads and flowers that lie on moving water, and balls that bob in it."""
+"""Lilies: pads and flowers that float on moving water, and balls that bob in it."""
 
 from __future__ import annotations
 
@@ -6,22 +6,21 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rlbench.scenes.parts.shapes import (
+from rlbench.scenes.parts.primitives import icosphere, quads
+from rlbench.scenes.parts.shape import (
+    Float64Array,
     Shape,
-    icosphere,
     merge,
     paint,
-    quads,
     rotation_matrix,
     transform,
     yaw_matrix,
 )
 
-HeightField = Callable[[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.float64]]
+HeightField = Callable[[Float64Array, Float64Array, float], Float64Array]
 FLOATING_COLOURS = (
-    (0.09, 0.22, 0.05),  # 0 pads, from the middle to the rim
+    (0.09, 0.22, 0.05),  # 0 pads, from centre to rim
     (0.13, 0.28, 0.07),
     (0.10, 0.20, 0.05),
     (0.30, 0.10, 0.08),
@@ -34,11 +33,11 @@ FLOATING_COLOURS = (
 )
 FLOWERS = ((-1.55, -0.95, 0.2), (-0.62, -2.05, 0.16), (2.2, -1.95, 0.18))  # x, y, radius
 BALLS = ((0.35, -1.2, 0.24, 7), (1.0, -1.75, 0.15, 9))  # x, y, radius, colour
-PAD_LIFT = 0.008  # metres of a pad above the water, more than the sheet's facets depart from it
+PAD_LIFT = 0.008  # metres above the water, more than the error of its facets
 
 
 def build_floating(height: HeightField, time: float) -> Shape:
-    """All that floats, on water of `height` (x, y, time), in colours of `COLOURS`."""
+    """Pads, flowers and balls on water of `height` (x, y, time), in FLOATING_COLOURS."""
     pads = _build_pads()
     x, y = pads.vertices[:, 0].astype(float), pads.vertices[:, 1].astype(float)
     level = height(x, y, time) + PAD_LIFT + pads.vertices[:, 2]
@@ -59,31 +58,31 @@ def build_floating(height: HeightField, time: float) -> Shape:
 
 @cache
 def _build_pads() -> Shape:
-    """Round leaves with a notch, in drifts about the flowers; z is the height over the water."""
+    """Round leaves with a notch, in groups around the flowers; z is the height above the water."""
     random = np.random.default_rng(12)
-    placed_at: list[tuple[float, float, float]] = []
-    while len(placed_at) < 15:
-        middle = FLOWERS[len(placed_at) % 3 if len(placed_at) < 13 else 0]
+    discs: list[tuple[float, float, float]] = []
+    while len(discs) < 15:
+        middle = FLOWERS[len(discs) % 3 if len(discs) < 13 else 0]
         x, y = random.normal(middle[:2], 0.48)
         radius = random.uniform(0.13, 0.3)
-        apart = all(np.hypot(x - a, y - b) > 0.93 * (radius + r) for a, b, r in placed_at)
-        clear = all(np.hypot(x - a, y - b) > radius + r for a, b, r, _ in BALLS)
-        if apart and clear and max(abs(x), abs(y)) + radius < 2.95:
-            placed_at.append((x, y, radius))
-    return merge(*(_build_pad(x, y, r, random.uniform(0, 6)) for x, y, r in placed_at))
+        clear_of_pads = all(np.hypot(x - a, y - b) > 0.93 * (radius + r) for a, b, r in discs)
+        clear_of_balls = all(np.hypot(x - a, y - b) > radius + r for a, b, r, _ in BALLS)
+        if clear_of_pads and clear_of_balls and max(abs(x), abs(y)) + radius < 2.95:
+            discs.append((x, y, radius))
+    return merge(*(_build_pad(x, y, r, random.uniform(0, 6)) for x, y, r in discs))
 
 
 def _build_pad(
     x: float, y: float, radius: float, turn: float, rings: int = 4, sides: int = 26
 ) -> Shape:
     angle = turn + np.linspace(0.16, 2 * np.pi - 0.16, sides + 1)
-    away = radius * np.linspace(0.02, 1, rings + 1)
+    distance = radius * np.linspace(0.02, 1, rings + 1)
     wavy = 1 + 0.03 * np.sin(7 * angle)
-    rim = 0.05 * radius * (away / radius) ** 6  # turned up at the edge
+    rim = 0.05 * radius * (distance / radius) ** 6  # turned up at the edge
     at = np.stack(
         [
-            x + away[:, None] * np.cos(angle) * wavy,
-            y + away[:, None] * np.sin(angle) * wavy,
+            x + distance[:, None] * np.cos(angle) * wavy,
+            y + distance[:, None] * np.sin(angle) * wavy,
             np.broadcast_to(rim[:, None], (rings + 1, sides + 1)),
         ],
         -1,
@@ -101,7 +100,7 @@ def _build_pad(
 
 @cache
 def _build_flower() -> Shape:
-    """Three whorls of pointed petals about a yellow heart, of radius one."""
+    """Three whorls of pointed petals around a yellow heart, of radius one."""
     petals = []
     for whorl, (count, rise, length) in enumerate(((9, 0.35, 1.0), (8, 0.75, 0.85), (6, 1.1, 0.7))):
         for number in range(count):
@@ -120,13 +119,13 @@ def _build_flower() -> Shape:
 
 
 def _build_ball(number: int, height: HeightField, time: float) -> Shape:
-    """A ball with a pale belt that bobs with the water."""
-    x, y, radius, slot = BALLS[number]
+    """A ball with a pale belt that bobs with the water, at a time."""
+    x, y, radius, colour = BALLS[number]
     level = float(height(np.array(x), np.array(y), time))
     sphere = icosphere(4)
-    slots = np.where(np.abs(sphere.vertices[:, 2]) < 0.2, 8, slot)
+    colours = np.where(np.abs(sphere.vertices[:, 2]) < 0.2, 8, colour)
     tilt = rotation_matrix(
         (np.cos(number), np.sin(number), 0), 0.5 + 0.2 * np.sin(2 * np.pi * time / 40 + number)
     )
     at = (x, y, 1.6 * level + 0.35 * radius)
-    return transform(paint(sphere, slots, len(FLOATING_COLOURS)), at, tilt, radius)
+    return transform(paint(sphere, colours, len(FLOATING_COLOURS)), at, tilt, radius)

@@ -1,32 +1,38 @@
-"""Ripples: a tiled bath whose moving water throws caustics, with glass, lilies and a mirror."""
+"""Ripples: a tiled bath with moving water, glassware, lilies and a mirror.
+
+It tests caustics, reflection, refraction, and motion behind and in water.
+"""
 
 from __future__ import annotations
 
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rlbench.render.scene import Camera, Mesh, Scene
 from rlbench.scenes.parts.glassware import build_glass_on_plinths
-from rlbench.scenes.parts.shapes import Shape, grid, icosphere, transform
+from rlbench.scenes.parts.materials import glossy_bsdf, rgb
+from rlbench.scenes.parts.primitives import grid, icosphere
+from rlbench.scenes.parts.shape import Float64Array, Shape, transform
 from rlbench.scenes.parts.takes import cut_take, static_camera_take
-from rlbench.scenes.parts.textures import glossy_bsdf, palette_texture, rgb
+from rlbench.scenes.parts.textures import palette_texture
 from rlbench.scenes.ripples.bath import (
-    HALF,
     PLINTHS,
+    POOL_HALF_WIDTH,
     clutter_mesh,
     mirror_and_lamp_meshes,
     room_meshes,
 )
 from rlbench.scenes.ripples.lilies import FLOATING_COLOURS, build_floating
 
+__all__ = ["scene"]
+
 DROPS = ((-1.1, 0.4, 0.0), (1.3, -0.9, 21.0), (0.5, 1.7, 43.0))  # x, y, first frame
 GLASS_BSDF = {"type": "dielectric", "int_ior": 1.5}
 
 
 def scene() -> Scene:
-    """The bath in the evening: two warm panels of light above, blue dusk all around."""
+    """The bath in the evening: warm light panels above and blue dusk all around."""
     random = np.random.default_rng(31)
     return Scene(
         name="ripples",
@@ -54,7 +60,7 @@ def _camera(time: float) -> Camera:
 
 
 def _low_camera(time: float) -> Camera:
-    """From near the water, at a corner of the pool, moving around it."""
+    """A camera close to the water, at a corner of the pool, that moves around it."""
     angle = 0.62 + 0.012 * time
     return Camera((4.6 * np.sin(angle), -4.6 * np.cos(angle), 1.2), (0.3, 1.2, 0.1), fov=58)
 
@@ -63,10 +69,8 @@ def _glassware_mesh() -> Mesh:
     return build_glass_on_plinths(PLINTHS).to_mesh("glassware", GLASS_BSDF, smooth=True)
 
 
-def _water_height(
-    x: NDArray[np.float64], y: NDArray[np.float64], time: float
-) -> NDArray[np.float64]:
-    """Height of the water: rings that spread from drops, on a slow swell, in metres."""
+def _water_height(x: Float64Array, y: Float64Array, time: float) -> Float64Array:
+    """Height of the water in metres: rings that spread from drops, on a slow swell."""
     level = 0.012 * np.sin(2.1 * x + 1.3 * y + 0.11 * time) + 0.009 * np.sin(
         2.9 * y - 1.7 * x - 0.13 * time
     )
@@ -78,18 +82,18 @@ def _water_height(
 
 
 def _moving_meshes(time: float) -> tuple[Mesh, ...]:
-    """The water, what floats on it, and the glass ball above it."""
+    """The water, the objects that float on it, and the glass ball above it, at a time."""
     sheet = _water_grid()
     x, y = sheet.vertices[:, 0].astype(float), sheet.vertices[:, 1].astype(float)
     water = sheet._replace(
         vertices=np.stack([x, y, _water_height(x, y, time)], -1).astype(np.float32)
     )
-    hover = (
+    position = (
         -0.35 + 0.5 * np.sin(2 * np.pi * time / 120),
         0.55,
         0.85 + 0.15 * np.sin(2 * np.pi * time / 70),
     )
-    orb = transform(icosphere(5), hover, scale=0.5)
+    orb = transform(icosphere(5), position, scale=0.5)
     return (
         water.to_mesh("water", {"type": "dielectric", "int_ior": 1.33}, smooth=True),
         build_floating(_water_height, time).to_mesh(
@@ -101,4 +105,4 @@ def _moving_meshes(time: float) -> tuple[Mesh, ...]:
 
 @cache
 def _water_grid() -> Shape:
-    return grid(2 * HALF + 0.1, 2 * HALF + 0.1, (110, 110))
+    return grid(2 * POOL_HALF_WIDTH + 0.1, 2 * POOL_HALF_WIDTH + 0.1, (110, 110))

@@ -1,1 +1,1 @@
-"""A temple: stone, paint and furnishings."""
+"""Temple: arcades lit through pierced screens; tests indirect light, gloss and moving cloth."""

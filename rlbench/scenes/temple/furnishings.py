@@ -1,27 +1,23 @@
-"""What stands, hangs and moves in the temple: pots, plants, cloth, a lamp and turning rings."""
+"""Furnishings of the temple: pots, plants, banners, a swinging lamp and turning rings."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    cylinder,
-    icosphere,
-    lathe,
-    merge,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import boxes, cylinder, icosphere, lathe
+from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
 from rlbench.scenes.parts.sheets import leaf_blade, sheet, torus
 from rlbench.scenes.temple.stone import HEIGHT
 
-LAMP_PIVOT = np.array([-1.9, 6.5, HEIGHT])  # where the lamp hangs from
-RING_CENTRE = np.array([0.0, 12.5, 2.4])  # the middle of the rings
+LAMP_PIVOT = np.array([-1.9, 6.5, HEIGHT])  # the lamp hangs from it
+RING_CENTRE = np.array([0.0, 12.5, 2.4])  # centre of the turning rings
 POTS = ((2.25, 6.0), (-2.2, 8.4), (2.2, 17.2), (-2.2, 19.0), (-2.3, 3.4))
-BANNERS = ((-1.9, 9.0), (1.9, 9.0), (-1.9, 17.0), (1.9, 17.0))  # from beams, facing the door
+BANNERS = (
+    (-1.9, 9.0),
+    (1.9, 9.0),
+    (-1.9, 17.0),
+    (1.9, 17.0),
+)  # they hang from beams and face the door
 
 
 def build_pots() -> Shape:
@@ -45,7 +41,7 @@ def build_plants(random: np.random.Generator) -> Shape:
 
 
 def build_pedestal_and_altar() -> Shape:
-    """The round foot below the rings, and the altar."""
+    """The round pedestal below the rings, and the altar."""
     low = [(0.95, 0.0), (0.95, 0.16), (0.75, 0.18), (0.75, 0.34), (0.5, 0.37), (0.4, 0.44)]
     foot = lathe([*low, (0.3, 0.7), (0.28, 0.95), (0.36, 1.1), (0.4, 1.15), (0.01, 1.17)], 64)
     altar = boxes([(-0.9, 29.0, 0.6), (-1.0, 28.9, 1.4)], [(0.9, 29.9, 1.4), (1.0, 30.0, 1.6)])
@@ -53,7 +49,7 @@ def build_pedestal_and_altar() -> Shape:
 
 
 def build_banners(time: float) -> Shape:
-    """Banners that hang from the beams and sway, more so at their lower ends."""
+    """Banners at a time; they hang from beams and sway most at their lower ends."""
     across, down = np.meshgrid(np.linspace(-0.5, 0.5, 11), np.linspace(1, 0, 21))
     parts = []
     for number, (x, y) in enumerate(BANNERS):
@@ -70,7 +66,7 @@ def build_banners(time: float) -> Shape:
 
 
 def build_lamp_and_rings(time: float) -> Shape:
-    """The swinging lamp, and three rings that turn within one another."""
+    """The swinging lamp, and three nested rings that turn, at a time."""
     swing = rotation_matrix((0.25, 1, 0), 0.2 * np.sin(2 * np.pi * time / 70 + 0.4))
     lamp = [cylinder(0.02, -4.6, 0.0, 8), transform(icosphere(2), (0, 0, -4.75), scale=0.14)]
     lamp += [transform(torus(0.42, 0.035, 40), (0, 0, -5.35))]
@@ -89,7 +85,7 @@ def build_lamp_and_rings(time: float) -> Shape:
 
 
 def build_glass_ball(time: float) -> Shape:
-    """A ball of glass within the rings, which drifts about."""
+    """The glass ball that drifts within the rings, at a time."""
     angle = 2 * np.pi * time / 60
     return transform(
         icosphere(4), RING_CENTRE + (0.1 * np.cos(angle), 0, 0.1 * np.sin(angle)), scale=0.5

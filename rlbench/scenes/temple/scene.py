@@ -1,4 +1,7 @@
-"""Temple: arcades lit by the sun through pierced screens and by panes of glowing alabaster."""
+"""Temple: arcades lit by the sun through pierced screens and by glowing alabaster panes.
+
+It tests indirect light, glossy floors, small patches of sun, and moving cloth, brass and glass.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +10,34 @@ from dataclasses import replace
 import numpy as np
 
 from rlbench.render.scene import Camera, Mesh, Scene
-from rlbench.scenes.parts.shapes import Float32Array, Shape, boxes, merge, quads
+from rlbench.scenes.parts.materials import diffuse_bsdf, metal_bsdf, polished_bsdf, rgb
+from rlbench.scenes.parts.primitives import boxes, quads
+from rlbench.scenes.parts.shape import Float32Array, Point3, Shape, merge
 from rlbench.scenes.parts.takes import cut_take, frozen_take, static_camera_take
 from rlbench.scenes.parts.textures import (
+    Colour,
     bitmap_texture,
-    diffuse_bsdf,
-    metal_bsdf,
     mix_colours,
     noise_pixels,
-    polished_bsdf,
-    rgb,
     tile_pixels,
 )
-from rlbench.scenes.temple import furnishings, stone
-from rlbench.scenes.temple.paint import banner_texture, marble_pixels, pavement_pixels, wood_pixels
-from rlbench.scenes.temple.stone import HEIGHT, LENGTH, THICK, WIDTH
+from rlbench.scenes.temple import arcades, furnishings, stone
+from rlbench.scenes.temple.stone import HALF_WIDTH, HEIGHT, LENGTH, WALL_THICKNESS
+from rlbench.scenes.temple.textures import (
+    banner_texture,
+    marble_pixels,
+    pavement_pixels,
+    wood_pixels,
+)
 
-Point = tuple[float, float, float]
+__all__ = ["scene"]
 
-ALABASTER_RADIANCE = (3.4, 2.8, 2.0)  # radiance of alabaster in the sun
-DOOR_RADIANCE = (2.4, 3.0, 3.8)  # radiance of the sky through the door
+ALABASTER_RADIANCE = (3.4, 2.8, 2.0)  # alabaster in the sun
+DOOR_RADIANCE = (2.4, 3.0, 3.8)  # sky seen through the door
 
 
 def scene() -> Scene:
-    """The nave and aisles, banners, a swinging lamp, and brass rings about a ball of glass."""
+    """Nave and aisles with banners, a swinging lamp, and brass rings around a glass ball."""
     random = np.random.default_rng(11)
     return Scene(
         name="temple",
@@ -56,7 +63,7 @@ def scene() -> Scene:
         max_depth=4,
         takes=(
             static_camera_take(_below_lamp_camera, 0.0),
-            cut_take(_camera, _altar_camera, "sky1", 1.0, 0.05),  # the sun goes
+            cut_take(_camera, _altar_camera, "sky1", 1.0, 0.05),  # the sun fades
             frozen_take(_camera, 55.0),
         ),
     )
@@ -70,12 +77,12 @@ def _camera(time: float) -> Camera:
 
 
 def _below_lamp_camera(time: float) -> Camera:
-    """Near the swinging lamp, which moves little in the picture from elsewhere."""
+    """A camera near the swinging lamp, whose motion is small in other views."""
     return Camera((1.2, 8.4, 2.0), (-0.2, 14.0, 3.4), fov=68)
 
 
 def _altar_camera(time: float) -> Camera:
-    """Back towards the door, moving across the hall."""
+    """A camera that looks back to the door and moves across the nave."""
     x = 2.0 - 0.06 * time
     return Camera((x, 23.5, 2.6), (x - 2.2, 8.0, 3.0), fov=68)
 
@@ -92,7 +99,7 @@ def _building_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
         stone.build_walls(random).to_mesh(
             "walls", diffuse_bsdf(bitmap_texture(warm)), smooth=False
         ),
-        stone.build_arcades().to_mesh("columns", diffuse_bsdf(bitmap_texture(pale)), smooth=True),
+        arcades.build_arcades().to_mesh("columns", diffuse_bsdf(bitmap_texture(pale)), smooth=True),
         _build_ceiling().to_mesh("ceiling", diffuse_bsdf(bitmap_texture(wood_pixels(random)))),
         _build_floor().to_mesh("floor", polished_bsdf(bitmap_texture(pavement_pixels(random)))),
         stone.build_apse_dome().to_mesh(
@@ -102,25 +109,29 @@ def _building_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
 
 
 def _daylight_meshes() -> tuple[Mesh, ...]:
-    """Alabaster that shines behind the screens, and the open door behind the viewer."""
+    """Alabaster panes behind the screens, and the open door behind the viewer, as light sources."""
     door = quads((3, -3.98, 0.5), (-6, 0, 0), (0, 0, 6))
     return _emissive_mesh(
         "panes", stone.build_window_panes(), ALABASTER_RADIANCE, 1.0
     ), _emissive_mesh("door", door, DOOR_RADIANCE, 0.35)
 
 
-def _emissive_mesh(name: str, shape: Shape, colour: Point, weight: float) -> Mesh:
-    shine = {"type": "area", "radiance": rgb(*colour), "sampling_weight": weight}
+def _emissive_mesh(name: str, shape: Shape, radiance: Colour, sampling_weight: float) -> Mesh:
+    emission = {"type": "area", "radiance": rgb(*radiance), "sampling_weight": sampling_weight}
     return replace(
-        shape.to_mesh(name, {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}), emission=shine
+        shape.to_mesh(name, {"type": "diffuse", "reflectance": rgb(0.1, 0.1, 0.1)}),
+        emission=emission,
     )
 
 
 def _build_ceiling() -> Shape:
-    """A slab, beams across and joists along, so that it is coffered."""
-    slab = boxes((-WIDTH - THICK, -4.7, HEIGHT), (WIDTH + THICK, LENGTH + 4.2, HEIGHT + 0.5))
-    beams: list[tuple[Point, Point]] = [
-        ((-WIDTH, y - 0.25, HEIGHT - 0.5), (WIDTH, y + 0.25, HEIGHT))
+    """A coffered ceiling: a slab, beams across and joists along the nave."""
+    slab = boxes(
+        (-HALF_WIDTH - WALL_THICKNESS, -4.7, HEIGHT),
+        (HALF_WIDTH + WALL_THICKNESS, LENGTH + 4.2, HEIGHT + 0.5),
+    )
+    beams: list[tuple[Point3, Point3]] = [
+        ((-HALF_WIDTH, y - 0.25, HEIGHT - 0.5), (HALF_WIDTH, y + 0.25, HEIGHT))
         for y in np.arange(-1.0, LENGTH, 2.0)
     ]
     beams += [((x - 0.1, -4, HEIGHT - 0.3), (x + 0.1, LENGTH, HEIGHT)) for x in np.arange(-5, 6)]
@@ -129,10 +140,10 @@ def _build_ceiling() -> Shape:
 
 
 def _build_floor() -> Shape:
-    """The pavement, whose texture is as wide as the hall and repeats with each bay."""
-    wide = WIDTH + THICK
-    flat = boxes((-wide, -4.7, -0.4), (wide, LENGTH + 4.2, 0))
-    uv = (flat.vertices[:, :2] + (wide, 1.0)) / (2 * wide, 4.0)
+    """The pavement; its texture spans the width of the temple and repeats with each bay."""
+    half_width = HALF_WIDTH + WALL_THICKNESS
+    flat = boxes((-half_width, -4.7, -0.4), (half_width, LENGTH + 4.2, 0))
+    uv = (flat.vertices[:, :2] + (half_width, 1.0)) / (2 * half_width, 4.0)
     return flat._replace(uv=uv.astype(np.float32))
 
 
@@ -151,7 +162,7 @@ def _furniture_meshes(random: np.random.Generator) -> tuple[Mesh, ...]:
 
 
 def _moving_meshes(time: float = 0.0) -> tuple[Mesh, ...]:
-    """Banners, the lamp with the rings, and the crystal, as they are at a time."""
+    """Banners, the lamp with the rings, and the glass ball, at a time."""
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     return (
         furnishings.build_banners(time).to_mesh(

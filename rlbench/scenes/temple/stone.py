@@ -1,49 +1,43 @@
-"""The temple's stone: blocked walls with pierced screens, arcades, carved friezes, the apse."""
+"""Stonework of the temple: block walls with pierced screens, window panes and the apse."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from rlbench.scenes.parts.shapes import (
-    Shape,
-    boxes,
-    fluted_column,
-    lathe,
-    merge,
-    quads,
-    rotation_matrix,
-    transform,
-    yaw_matrix,
-)
+from rlbench.scenes.parts.primitives import boxes, lathe, quads
+from rlbench.scenes.parts.shape import Shape, merge, rotation_matrix, transform, yaw_matrix
 from rlbench.scenes.parts.sheets import (
     arch_wall,
     block_wall,
-    leaf_blade,
     moulding,
     pierced_screen,
     sheet,
 )
 
-WIDTH, LENGTH, HEIGHT, THICK = 6.0, 30.0, 9.0, 0.5  # half width; metres; THICK: of walls
-NAVE_HALF_WIDTH = 3.3  # metres from the middle to a row of columns
-SPRING_HEIGHT = 5.3  # metres: where columns end and arches begin
-COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # where the columns stand, along the hall
-SCREEN_CELL = 0.55  # metres: of the pierced screens
-SLITS, HALF_SLIT = (
+HALF_WIDTH, LENGTH, HEIGHT, WALL_THICKNESS = (
+    6.0,
+    30.0,
+    9.0,
+    0.5,
+)  # metres
+NAVE_HALF_WIDTH = 3.3  # metres from the axis to a row of columns
+SPRING_HEIGHT = 5.3  # metres: top of columns, foot of arches
+COLUMN_Y = np.arange(3.0, 28.0, 4.0)  # metres: columns along the nave
+SCREEN_CELL = 0.55  # metres: width of a cell of the pierced screens
+WINDOW_Y, WINDOW_HALF_WIDTH = (
     (COLUMN_Y[:-1] + COLUMN_Y[1:]) / 2,
     1.5 * SCREEN_CELL,
-)  # in the middle of each bay; metres
-SILL_HEIGHT = {-1.0: 3.4, 1.0: 1.75}  # metres: where the slits of each side begin
-HEAD_HEIGHT = 7.8  # metres: where slits end, whole cells above both sills
+)  # metres: windows, one in the middle of each bay
+SILL_HEIGHT = {-1.0: 3.4, 1.0: 1.75}  # metres: sills of the windows of each side
+HEAD_HEIGHT = 7.8  # metres: head of the windows, a whole number of cells above both sills
 TRANSOM_HEIGHT = (
     SILL_HEIGHT[1.0] + 8 * SCREEN_CELL
-)  # metres: above it, the slits of the sunny side are glazed
-APSE_RADIUS = 2.9  # metres: radius; its middle is at the end of the hall
-Point = tuple[float, float, float]
+)  # metres: above it, windows of the sunny side are glazed
+APSE_RADIUS = 2.9  # metres; its centre is at the end of the nave
 
 
 def build_walls(random: np.random.Generator) -> Shape:
-    """The outer walls with their slits, the screens in them, and the two ends."""
+    """Outer walls with screens in their windows, the end walls, the apse and its steps."""
     return merge(
         *(_build_long_wall(random, side) for side in (-1.0, 1.0)),
         *_build_end_walls(),
@@ -53,10 +47,10 @@ def build_walls(random: np.random.Generator) -> Shape:
 
 
 def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
-    """One long wall: a plain core, blocks in front of it, screens in its slits."""
-    x0, x1 = sorted((side * (WIDTH + 0.03), side * (WIDTH + THICK)))
-    starts = np.concatenate([[-4.0], SLITS + HALF_SLIT])
-    ends = np.concatenate([SLITS - HALF_SLIT, [LENGTH]])
+    """One long wall: a plain core, blocks in front of it, and screens in its windows."""
+    x0, x1 = sorted((side * (HALF_WIDTH + 0.03), side * (HALF_WIDTH + WALL_THICKNESS)))
+    starts = np.concatenate([[-4.0], WINDOW_Y + WINDOW_HALF_WIDTH])
+    ends = np.concatenate([WINDOW_Y - WINDOW_HALF_WIDTH, [LENGTH]])
     low = SILL_HEIGHT[side]
     parts = [((-4.0, 0.0), (LENGTH, low)), ((-4.0, HEAD_HEIGHT), (LENGTH, HEIGHT))]
     parts += [((a, low), (b, HEAD_HEIGHT)) for a, b in zip(starts, ends, strict=True)]
@@ -68,13 +62,14 @@ def _build_long_wall(random: np.random.Generator, side: float) -> Shape:
     )
     turn = yaw_matrix(-side * np.pi / 2)
     screens = [
-        transform(screen, (side * (WIDTH + 0.16), y + side * HALF_SLIT, low), turn) for y in SLITS
+        transform(screen, (side * (HALF_WIDTH + 0.16), y + side * WINDOW_HALF_WIDTH, low), turn)
+        for y in WINDOW_Y
     ]
-    return merge(core, transform(flat, (side * WIDTH, 0, 0), turn), *screens)
+    return merge(core, transform(flat, (side * HALF_WIDTH, 0, 0), turn), *screens)
 
 
 def _build_lattice(rows: int) -> Shape:
-    """A lattice of plain bars as large as a pierced screen: no sun shines through it."""
+    """A lattice of plain bars, as large as a pierced screen, for the side without sun."""
     x, z = SCREEN_CELL * np.arange(4), SCREEN_CELL * np.arange(rows + 1)
     return boxes(
         [(a - 0.04, -0.05, 0) for a in x] + [(0, -0.04, b - 0.04) for b in z],
@@ -86,22 +81,22 @@ def _build_lattice(rows: int) -> Shape:
 def _to_wall_plane(
     low: tuple[float, float], high: tuple[float, float], side: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A rectangle of y and z as the plane of the blocks has it: the right wall runs backwards."""
+    """A rectangle in (y, z) in the coordinates of the block wall, mirrored for the right wall."""
     return (low, high) if side < 0 else ((-high[0], low[1]), (-low[0], high[1]))
 
 
 def _build_end_walls() -> tuple[Shape, ...]:
-    """The wall behind the viewer, and the one with the great arch before the apse."""
-    wide, top = WIDTH + THICK, HEIGHT + 0.5
+    """The wall behind the viewer, and the wall with the great arch in front of the apse."""
+    half_width, top = HALF_WIDTH + WALL_THICKNESS, HEIGHT + 0.5
     plain = boxes(
-        [(-wide, -4.7, 0), (-wide, LENGTH, 0), (APSE_RADIUS - 0.15, LENGTH, 0)]
-        + [(-wide, LENGTH, SPRING_HEIGHT), (NAVE_HALF_WIDTH, LENGTH, SPRING_HEIGHT)],
+        [(-half_width, -4.7, 0), (-half_width, LENGTH, 0), (APSE_RADIUS - 0.15, LENGTH, 0)]
+        + [(-half_width, LENGTH, SPRING_HEIGHT), (NAVE_HALF_WIDTH, LENGTH, SPRING_HEIGHT)],
         [
-            (wide, -4, top),
+            (half_width, -4, top),
             (0.15 - APSE_RADIUS, LENGTH + 0.6, SPRING_HEIGHT),
-            (wide, LENGTH + 0.6, SPRING_HEIGHT),
+            (half_width, LENGTH + 0.6, SPRING_HEIGHT),
         ]
-        + [(-NAVE_HALF_WIDTH, LENGTH + 0.6, top), (wide, LENGTH + 0.6, top)],
+        + [(-NAVE_HALF_WIDTH, LENGTH + 0.6, top), (half_width, LENGTH + 0.6, top)],
         tile_size=3.0,
     )
     great = arch_wall(APSE_RADIUS - 0.15, NAVE_HALF_WIDTH, SPRING_HEIGHT - 0.9, top, 0.6)
@@ -118,7 +113,7 @@ def _build_altar_steps() -> list[Shape]:
 
 
 def _build_apse() -> Shape:
-    """A round wall with pilasters and screens before its windows."""
+    """A round wall with pilasters, and screens in front of its windows."""
     angle = np.linspace(0, np.pi, 37)
     circle = APSE_RADIUS * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     round_wall = sheet([circle, circle + (0, 0, SPRING_HEIGHT - 0.9)], 3.0)
@@ -149,12 +144,12 @@ def _build_apse() -> Shape:
 
 
 def build_window_panes() -> Shape:
-    """The panes behind the screens, which look inside."""
-    y = SLITS.repeat(2)
-    side = np.tile([-1.0, 1.0], len(SLITS))
+    """The panes behind the screens; they face inside."""
+    y = WINDOW_Y.repeat(2)
+    side = np.tile([-1.0, 1.0], len(WINDOW_Y))
     low = np.where(side < 0, SILL_HEIGHT[-1.0], TRANSOM_HEIGHT)
-    corner = np.stack([side * (WIDTH + 0.4), y + side * HALF_SLIT, low], -1)
-    across = np.stack([0 * y, -2 * side * HALF_SLIT, 0 * y], -1)
+    corner = np.stack([side * (HALF_WIDTH + 0.4), y + side * WINDOW_HALF_WIDTH, low], -1)
+    across = np.stack([0 * y, -2 * side * WINDOW_HALF_WIDTH, 0 * y], -1)
     up = np.stack([0 * y, 0 * y, HEAD_HEIGHT - low], -1)
     a = np.radians([60, 90, 120])
     out, along = (
@@ -167,58 +162,12 @@ def build_window_panes() -> Shape:
     )
 
 
-def build_arcades() -> Shape:
-    """Two rows of columns with leaves on their capitals, round arches and a carved frieze."""
-    one = merge(
-        fluted_column(SPRING_HEIGHT, 0.5, 72, 18), _build_capital_leaves(SPRING_HEIGHT, 0.5)
-    )
-    span = merge(
-        arch_wall(1.28, 2.0, SPRING_HEIGHT, HEIGHT, 0.7), moulding(1.28, 0.26, SPRING_HEIGHT, 0.84)
-    )
-    first = arch_wall(1.28, 1.5, SPRING_HEIGHT, HEIGHT, 0.7)  # over the half bay at either end
-    parts = []
-    for x in (-NAVE_HALF_WIDTH, NAVE_HALF_WIDTH):
-        parts += [transform(one, (x, y, 0)) for y in COLUMN_Y]
-        parts += [transform(span, (x, y, 0), yaw_matrix(np.pi / 2)) for y in SLITS]
-        parts += [transform(first, (x, y, 0), yaw_matrix(np.pi / 2)) for y in (1.5, 28.5)]
-        parts.append(boxes((x - 0.35, -4, SPRING_HEIGHT), (x + 0.35, 0, HEIGHT), tile_size=3.0))
-        parts.append(_build_frieze(x, -np.sign(x)))
-    return merge(*parts)
-
-
-def _build_capital_leaves(height: float, radius: float) -> Shape:
-    """Two rows of eight leaves that bend out from the bell of a capital."""
-    foot = height - 1.15 * radius
-    leaf = leaf_blade(0.85 * radius, 0.42 * radius, 1.5, 2.1)
-    parts = []
-    for row, grow in enumerate((0.85, 1.15)):
-        for number in range(8):
-            angle = (number + row / 2) * np.pi / 4
-            at = 0.86 * radius * np.array([np.cos(angle), np.sin(angle), 0]) + (0, 0, foot)
-            parts.append(transform(leaf, at, yaw_matrix(angle), grow))
-    return merge(*parts)
-
-
-def _build_frieze(x: float, inward: float) -> Shape:
-    """A meander between two mouldings, and teeth below the ceiling, on the wall of the nave."""
-    key = [(0, 0, 0.9, 0.1), (0, 0.1, 0.1, 0.6), (0.1, 0.5, 0.8, 0.6), (0.7, 0.2, 0.8, 0.5)]
-    key += [(0.3, 0.2, 0.7, 0.3), (0.3, 0.3, 0.4, 0.42)]
-    starts = np.arange(-4.0, LENGTH - 0.5, 0.9)
-    face = x + 0.35 * inward
-    cut = [(face, s + a, 7.45 + b, s + c, 7.45 + d, 0.06) for s in starts for a, b, c, d in key]
-    cut += [(face, -4, z, LENGTH, z + 0.12, 0.11) for z in (7.25, 8.12)]
-    cut += [(face, y, 8.4, y + 0.14, 8.62, 0.2) for y in np.arange(-4, LENGTH, 0.34)]
-    wall, y0, z0, y1, z1, out = np.array(cut).T
-    x0, x1 = np.sort([wall - 0.02 * inward, wall + out * inward], axis=0)
-    return boxes(np.stack([x0, y0, z0], -1), np.stack([x1, y1, z1], -1), tile_size=3.0)
-
-
 def build_apse_dome() -> Shape:
-    """The half dome of the apse, fluted like a shell, and the sun's disc before it."""
+    """The half dome of the apse, fluted like a shell, with a sun disc in front of it."""
     turn, rise = np.linspace(0, np.pi, 89), np.linspace(0, 0.49 * np.pi, 20)[:, None]
-    wide = APSE_RADIUS * (1 - 0.07 * np.abs(np.sin(11 * turn)) * np.cos(rise))
-    points = [wide * np.cos(turn) * np.cos(rise), wide * np.sin(turn) * np.cos(rise)]
-    dome = sheet(np.stack([*points, wide * np.sin(rise)], -1)[::-1], 1.0)
+    radius = APSE_RADIUS * (1 - 0.07 * np.abs(np.sin(11 * turn)) * np.cos(rise))
+    points = [radius * np.cos(turn) * np.cos(rise), radius * np.sin(turn) * np.cos(rise)]
+    dome = sheet(np.stack([*points, radius * np.sin(rise)], -1)[::-1], 1.0)
     disc = lathe([(1.0, 0), (1.0, 0.1), (0.86, 0.14), (0.5, 0.06), (0.3, 0.2), (0.01, 0.28)], 48)
     return merge(
         transform(dome, (0, LENGTH + 0.6, SPRING_HEIGHT - 0.9)),

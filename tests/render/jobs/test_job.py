@@ -18,7 +18,7 @@ def clip(llvm, tmp_path):
 
 def test_frames_of_a_changed_scene_count_as_missing(clip):
     assert job(clip).missing_frames == []
-    assert job(clip, replace(room(), depth=3)).missing_frames == [0, 1, 2]
+    assert job(clip, replace(room(), max_depth=3)).missing_frames == [0, 1, 2]
 
 
 def test_content_keys_of_existing_clips_have_not_changed():

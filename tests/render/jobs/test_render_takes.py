@@ -22,8 +22,8 @@ PRESET = Preset("test", "tests", (16, 24), 4, 2, ("room",), pool_spp=2, takes="a
 
 @pytest.fixture
 def installed(monkeypatch):
-    monkeypatch.setattr(registry, "names", lambda group: ["room"])
-    monkeypatch.setattr(registry, "load", lambda group, name: room_with_takes)
+    monkeypatch.setattr(registry, "list_plugins", lambda group: ["room"])
+    monkeypatch.setattr(registry, "load_plugin", lambda group, name: room_with_takes)
 
 
 @pytest.fixture(scope="module")

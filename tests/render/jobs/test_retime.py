@@ -18,8 +18,8 @@ PRESET = Preset("test", "tests", (16, 24), 4, 2, pool_spp=2)
 @pytest.fixture
 def folder(llvm, tmp_path, monkeypatch):
     """A clip of the installed scene `room`."""
-    monkeypatch.setattr(registry, "names", lambda group: ["room"])
-    monkeypatch.setattr(registry, "load", lambda group, name: room)
+    monkeypatch.setattr(registry, "list_plugins", lambda group: ["room"])
+    monkeypatch.setattr(registry, "load_plugin", lambda group, name: room)
     render_clip(Job("room", room(), PRESET, tmp_path / "room"))
     return tmp_path / "room"
 

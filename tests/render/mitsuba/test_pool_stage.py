@@ -135,8 +135,8 @@ def test_disoccluded_pixels_have_no_history(llvm):
     for time in (0.0, 1.0):
         tracer.set_time(time)
         pool()
-    count = pool.past.kept.M.numpy().reshape(H, W)
-    columns = np.arange(W) + 0.5 + pool.stage.motion()[0].numpy().reshape(H, W)
+    count = pool.history.reservoir.M.numpy().reshape(H, W)
+    columns = np.arange(W) + 0.5 + pool.context.motion()[0].numpy().reshape(H, W)
     new = columns >= W
     assert new.any()
     assert set(np.unique(count[new])) <= {0, BIASED.candidates}
@@ -148,7 +148,7 @@ def test_the_history_counts_at_most_twenty_times_the_current_frame(llvm):
     pool = chains(tracer, 1, replace(BIASED, candidates=2, passes=0))
     for _ in range(25):
         pool()
-    assert pool.past.kept.M.numpy().max() == 2 * (20 + 1)
+    assert pool.history.reservoir.M.numpy().max() == 2 * (20 + 1)
 
 
 def test_a_stream_does_not_depend_on_the_other_streams(llvm):

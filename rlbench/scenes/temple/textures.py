@@ -1,4 +1,4 @@
-"""The temple's painted, woven and inlaid surfaces, as bitmaps."""
+"""Textures of the temple: marble, timber, inlaid pavement and woven banners."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ GREEN, DARK = (0.07, 0.14, 0.10), (0.05, 0.04, 0.04)
 
 
 def marble_pixels(random: np.random.Generator, size: int = 256) -> Pixels:
-    """Dark stone with pale veins [size size 3], a texture that repeats."""
+    """Repeating dark marble with pale veins [size size 3]."""
     vein = np.abs(noise_pixels(random, size, 0.8) - 0.5) * 2
     body = mix_colours((0.16, 0.04, 0.03), (0.30, 0.09, 0.07), noise_pixels(random, size, 0.2))
     return np.asarray(body + 0.25 * np.exp(-((vein / 0.035) ** 2)), np.float32)
 
 
 def wood_pixels(random: np.random.Generator, size: int = 256) -> Pixels:
-    """Dark timber with cloudy grain [size size 3], a texture that repeats."""
+    """Repeating dark timber with cloudy grain [size size 3]."""
     grain = noise_pixels(random, size, 0.6)
     fine = np.repeat(noise_pixels(random, size, -0.6)[::1, :1], size, axis=1)
     return mix_colours((0.15, 0.075, 0.035), (0.36, 0.20, 0.10), 0.6 * grain + 0.4 * fine)
 
 
 def pavement_pixels(random: np.random.Generator) -> Pixels:
-    """One bay of floor, 13 metres wide and 4 long [256 832 3]: slabs, bands and a great round."""
+    """One bay of floor [256 832 3], 13 metres wide and 4 long: slabs, bands and a roundel."""
     y, x = np.indices((256, 832)) + 0.5
     x, y = np.abs(x / 64 - 6.5), np.abs(y / 64 - 2)
     flat = np.empty((256, 832, 3))
@@ -49,7 +49,7 @@ def pavement_pixels(random: np.random.Generator) -> Pixels:
 
 
 def banner_texture() -> dict[str, Any]:
-    """A red banner with gold bands and a sun, as a texture that is stretched over it."""
+    """A red banner with gold bands and a sun; one repeat covers the banner."""
     y, x = (np.indices((256, 128)) + 0.5) / 128
     x, y = np.abs(x - 0.5) * 1.05, 2.5 * (1 - y / 2)
     cloth = np.empty((256, 128, 3))

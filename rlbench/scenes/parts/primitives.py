@@ -1,76 +1,21 @@
-"""Shapes to build scenes from: boxes, quads, columns, balls, grids and leaves, as arrays."""
+"""Primitive shapes: quads, boxes, lathes, cylinders, columns, icospheres, grids, leaf clouds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rlbench.render.scene import Mesh, MitsubaDict
-
-Float32Array = NDArray[np.float32]
-
-
-class Shape(NamedTuple):
-    """Triangles without a material; faces turn counter-clockwise seen from outside."""
-
-    vertices: Float32Array  # v 3, metres, z up
-    faces: NDArray[np.uint32]  # f 3
-    uv: Float32Array  # v 2, in repeats of the texture
-
-    def to_mesh(self, name: str, material: MitsubaDict, smooth: bool = False) -> Mesh:
-        """The shape as a mesh of one material."""
-        return Mesh(name, self.vertices, self.faces, material, uv=self.uv, smooth=smooth)
-
-
-def merge(*shapes: Shape) -> Shape:
-    """One shape out of many."""
-    starts = np.cumsum([0] + [len(shape.vertices) for shape in shapes[:-1]])
-    faces = [shape.faces + np.uint32(start) for shape, start in zip(shapes, starts, strict=True)]
-    return Shape(
-        np.concatenate([shape.vertices for shape in shapes]),
-        np.concatenate(faces),
-        np.concatenate([shape.uv for shape in shapes]),
-    )
-
-
-def rotation_matrix(axis: ArrayLike, angle: float) -> Float32Array:
-    """The 3x3 matrix that turns by `angle` radians about `axis` (Rodrigues' formula)."""
-    x, y, z = np.asarray(axis, np.float64) / np.linalg.norm(np.asarray(axis, np.float64))
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return np.asarray(turn, np.float32)
-
-
-def yaw_matrix(angle: float) -> Float32Array:
-    """The matrix that turns by `angle` radians about the vertical axis."""
-    return rotation_matrix((0, 0, 1), angle)
-
-
-def transform(
-    shape: Shape, translation: ArrayLike, rotation: Float32Array | None = None, scale: float = 1.0
-) -> Shape:
-    """The shape scaled, then turned, then shifted."""
-    vertices = shape.vertices * np.float32(scale)
-    if rotation is not None:
-        vertices = vertices @ rotation.T
-    return shape._replace(vertices=vertices + np.asarray(translation, np.float32))
-
-
-def paint(shape: Shape, colour_index: ArrayLike, palette_size: int) -> Shape:
-    """The shape in colour number `slot` of a palette of `of` colours; or one slot a vertex."""
-    column = (np.broadcast_to(np.asarray(colour_index), len(shape.vertices)) + 0.5) / palette_size
-    return shape._replace(uv=np.stack([column, np.full_like(column, 0.5)], -1).astype(np.float32))
+from rlbench.scenes.parts.shape import Float64Array, Shape, grid_faces, merge, to_shape
 
 
 def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile_size: float = 1.0) -> Shape:
-    """Parallelograms from arrays [n 3] (or single vectors); they face along across x up.
+    """Parallelograms from arrays [n 3] or single vectors; they face along across x up.
 
-    A repeat of the texture is `tile` metres wide and starts at each corner; with tile = 0 the
-    texture is stretched over each parallelogram instead.
+    The texture repeats every `tile_size` metres from each corner. With tile_size = 0 it stretches
+    over each parallelogram instead.
     """
     c, a, u = np.broadcast_arrays(
         *(np.atleast_2d(np.asarray(v, float)) for v in (corner, across, up))
@@ -80,13 +25,13 @@ def quads(corner: ArrayLike, across: ArrayLike, up: ArrayLike, tile_size: float 
     repeats = extent / tile_size if tile_size else np.ones_like(extent)
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     faces = np.arange(len(c))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
-    return _to_shape(vertices, faces, unit * repeats[:, None, :])
+    return to_shape(vertices, faces, unit * repeats[:, None, :])
 
 
 def boxes(low: ArrayLike, high: ArrayLike, tile_size: float = 1.0) -> Shape:
     """Axis-aligned boxes between two corners, arrays [n 3] or single vectors.
 
-    The texture follows the world, one repeat each `tile` metres, so that neighbours line up.
+    The texture follows world space and repeats every `tile_size` metres, so that neighbours align.
     """
     low, high = np.broadcast_arrays(*(np.atleast_2d(np.asarray(v, float)) for v in (low, high)))
     sides = []
@@ -97,17 +42,17 @@ def boxes(low: ArrayLike, high: ArrayLike, tile_size: float = 1.0) -> Shape:
         corners[:, 2:4, b] = high[:, None, b]
         far = corners.copy()
         far[..., axis] = high[:, None, axis]
-        flat = (b, a) if axis == 1 else (a, b)  # the texture stands upright on every wall
+        flat = (b, a) if axis == 1 else (a, b)  # the texture is upright on every wall
         for side in (corners[:, ::-1], far):
             faces = np.arange(len(low))[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
-            sides.append(_to_shape(side, faces, side[..., flat] / tile_size))
+            sides.append(to_shape(side, faces, side[..., flat] / tile_size))
     return merge(*sides)
 
 
 def lathe(profile: Sequence[tuple[float, float]], sides: int = 32, flutes: int = 0) -> Shape:
-    """A profile of (radius, height), from below to above, turned about the vertical axis.
+    """A profile of (radius, height), from bottom to top, revolved about the vertical axis.
 
-    The ends stay open. With flutes, that many shallow grooves run along it, as on a column.
+    The ends stay open. `flutes` is the number of shallow grooves along it, as on a column.
     """
     radius, height = np.array(profile, float).T
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
@@ -119,21 +64,21 @@ def lathe(profile: Sequence[tuple[float, float]], sides: int = 32, flutes: int =
     )
     around = angle * radius.max()  # metres
     uv = np.stack(np.broadcast_arrays(around[None], height[:, None]), -1)
-    return _to_shape(vertices, grid_faces(len(radius), sides + 1), uv)
+    return to_shape(vertices, grid_faces(len(radius), sides + 1), uv)
 
 
 def disc(radius: float, height: float, sides: int = 32) -> Shape:
-    """A round lid that faces up."""
+    """A disc that faces up."""
     angle = np.arange(sides) * (2 * np.pi / sides)
     rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(sides, height)], -1)
     vertices = np.concatenate([rim, [[0, 0, height]]])
     first = np.arange(sides)
     faces = np.stack([first, (first + 1) % sides, np.full(sides, sides)], -1)
-    return _to_shape(vertices, faces, vertices[:, :2])
+    return to_shape(vertices, faces, vertices[:, :2])
 
 
 def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
-    """An upright cylinder with both lids."""
+    """An upright cylinder with both ends closed."""
     lid = disc(radius, high, sides)
     bottom = disc(radius, low, sides)
     return merge(
@@ -144,7 +89,7 @@ def cylinder(radius: float, low: float, high: float, sides: int = 24) -> Shape:
 
 
 def fluted_column(height: float, radius: float, sides: int = 72, flutes: int = 18) -> Shape:
-    """A fluted column with base and capital, standing on the origin."""
+    """A fluted column with base and capital that stands on the origin."""
     foot, head = 0.9 * radius, height - 1.1 * radius
     shaft = [(radius * (1 - 0.16 * s**1.6), foot + (head - foot) * s) for s in np.linspace(0, 1, 7)]
     torus = [
@@ -165,7 +110,7 @@ def fluted_column(height: float, radius: float, sides: int = 72, flutes: int = 1
 
 @cache
 def icosphere(subdivisions: int = 3) -> Shape:
-    """A ball of radius one without seam or poles: an icosahedron, split `levels` times."""
+    """A sphere of radius one without seam or poles: an icosahedron, subdivided."""
     g = (1 + 5**0.5) / 2
     corners: list[tuple[float, float, float]] = [
         (-1, g, 0),
@@ -192,22 +137,22 @@ def icosphere(subdivisions: int = 3) -> Shape:
         split = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         faces = np.concatenate([np.stack(corner, -1) for corner in split])
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    return _to_shape(vertices, faces, np.zeros((len(vertices), 2)))
+    return to_shape(vertices, faces, np.zeros((len(vertices), 2)))
 
 
 def grid(width: float, length: float, cells: tuple[int, int], tile_size: float = 1.0) -> Shape:
-    """A level sheet about the origin, cut into cells, facing up."""
+    """A level sheet about the origin, divided into cells, that faces up."""
     x = np.linspace(-width / 2, width / 2, cells[0] + 1)
     y = np.linspace(-length / 2, length / 2, cells[1] + 1)
     at = np.stack(np.meshgrid(x, y), -1)  # y x 2
     vertices = np.concatenate([at, np.zeros((*at.shape[:2], 1))], -1)
-    return _to_shape(vertices, grid_faces(cells[1] + 1, cells[0] + 1), at / tile_size)
+    return to_shape(vertices, grid_faces(cells[1] + 1, cells[0] + 1), at / tile_size)
 
 
 def leaf_cloud(
     random: np.random.Generator, centres: ArrayLike, radius: float, size: float
 ) -> Shape:
-    """Small quads turned at random, each within `radius` of its centre, denser towards the rim."""
+    """Small quads in random orientations, each within `radius` of its centre, denser at the rim."""
     centres = np.asarray(centres, float)
     out = _random_directions(random, len(centres))
     across = _random_directions(random, len(centres))
@@ -218,21 +163,6 @@ def leaf_cloud(
     return quads(middle - scale * (across + up) / 2, across * scale, up * scale * 0.8, tile_size=0)
 
 
-def _random_directions(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+def _random_directions(random: np.random.Generator, count: int) -> Float64Array:
     vectors = random.normal(size=(count, 3))
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
-def grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Triangles [f 3] of a grid of vertices that is stored row by row."""
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
-    a, b, c, d = first, first + 1, first + columns + 1, first + columns
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
-
-
-def _to_shape(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike) -> Shape:
-    return Shape(
-        np.asarray(vertices, np.float32).reshape(-1, 3),
-        np.asarray(faces, np.uint32).reshape(-1, 3),
-        np.asarray(uv, np.float32).reshape(-1, 2),
-    )

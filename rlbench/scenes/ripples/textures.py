@@ -1,4 +1,4 @@
-"""Stones: a floor of small mosaic stones and slabs of veined travertine, as pixels."""
+"""Textures of the bath: a mosaic floor, and slabs of veined travertine."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rlbench.scenes.parts.textures import Pixels, mix_colours, noise_pixels, til
 
 
 def mosaic_pixels(random: np.random.Generator, cells: int = 120, size: int = 960) -> Pixels:
-    """Rings of waves in small stones [size size 3], pale enough to show what light falls on it."""
+    """A mosaic of wavy rings [size size 3], pale enough to show the caustics on it."""
     colours = np.array(
         [(0.50, 0.64, 0.60), (0.37, 0.58, 0.58), (0.21, 0.46, 0.51), (0.06, 0.23, 0.34)]
     )
@@ -26,7 +26,7 @@ def mosaic_pixels(random: np.random.Generator, cells: int = 120, size: int = 960
 
 
 def travertine_pixels(random: np.random.Generator) -> Pixels:
-    """Slabs of warm stone [512 512 3] with veins along the rows."""
+    """Slabs of warm travertine [512 512 3] with veins along the rows."""
     slabs = tile_pixels(
         random, [(0.54, 0.46, 0.36), (0.60, 0.52, 0.42)], (0.22, 0.18, 0.14), (3, 2), 0.5, 512, 0.02
     )

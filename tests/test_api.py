@@ -1,0 +1,131 @@
+"""The public API: documented, lazily imported, and usable as the documentation shows."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rlbench
+from rlbench.clips import write_header
+from tests.conftest import write_noise
+
+ROOT = Path(__file__).parents[1]
+GUIDE = (ROOT / "docs" / "how-to" / "add-a-method.md").read_text()
+SNIPPETS = "\n".join(re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL))
+GUARANTEED = [
+    (str(node.module), alias.name)
+    for node in ast.walk(ast.parse(SNIPPETS))
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+]
+REFERENCE = (ROOT / "docs" / "reference" / "api.md").read_text()
+LAZY = ["rlbench", "rlbench.ops", "rlbench.clips", "rlbench.training", "rlbench.checks.conformance"]
+PUBLIC = [(module, name) for module in LAZY for name in importlib.import_module(module).__all__]
+
+
+@pytest.mark.parametrize(("module", "name"), GUARANTEED)
+def test_names_of_the_guide_can_be_imported_and_are_in_all(module, name):
+    found = importlib.import_module(module)
+    assert name in found.__all__
+    assert getattr(found, name) is not None
+
+
+@pytest.mark.parametrize(("module", "name"), PUBLIC)
+def test_public_names_have_a_docstring(module, name):
+    thing = getattr(importlib.import_module(module), name)
+    if inspect.isfunction(thing) or inspect.isclass(thing):
+        text = inspect.getdoc(thing) or ""
+        assert text
+        assert not text.startswith(f"{name}(")  # what a dataclass writes where there is none
+
+
+@pytest.mark.parametrize("name", rlbench.__all__)
+def test_names_on_rlbench_are_in_the_reference(name):
+    path = f"benchmark.api.{name}" if name == "run" else name  # else it would be the page run.py
+    assert re.search(rf"^::: rlbench\.{path}$", REFERENCE, re.MULTILINE)
+
+
+@pytest.mark.parametrize("module", LAZY)
+def test_importing_a_package_loads_no_torch(module):
+    code = f"import sys, {module}; sys.exit('torch' in sys.modules or 'pandas' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+@pytest.mark.parametrize("first", ["import rlbench.run", "from rlbench.run import unroll", "pass"])
+def test_run_is_the_function_whatever_was_imported_before(first):
+    code = f"{first}\nimport rlbench, types\nassert isinstance(rlbench.run, types.FunctionType)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        rlbench.nothing_of_this_name  # noqa: B018
+
+
+@pytest.fixture
+def clips(tmp_path: Path) -> Path:
+    return write_noise(tmp_path / "clips" / "noise", h=24, w=32).parent
+
+
+def test_run_returns_the_rows_of_the_call_and_measures_nothing_twice(clips, tmp_path):
+    finished: list[object] = []
+    options = {"clips": [clips], "spp": [1], "out": tmp_path / "results"}
+    first = rlbench.run(["mean"], **options, on_cell=finished.append)
+    psnr = first[(first["metric"] == "psnr") & (first["frame"] >= 0)]
+    assert sorted(psnr["frame"]) == [0, 1, 2]
+    assert (psnr["value"] > 0).all()
+    rlbench.run(["mean", "eaw"], **options)
+    files = {file: file.stat().st_mtime_ns for file in (tmp_path / "results").iterdir()}
+    again = rlbench.run(["mean"], **options, on_cell=finished.append)
+    assert again["value"].equals(first["value"])
+    assert {file: file.stat().st_mtime_ns for file in (tmp_path / "results").iterdir()} == files
+    assert len(finished) == 2  # the known cell is announced too
+
+
+def test_a_report_is_written_from_a_dataframe(clips, tmp_path):
+    rows = rlbench.run(["mean"], clips=[clips], spp=[1], out=tmp_path / "results")
+    files = rlbench.report("summary", rows, out=tmp_path / "report")
+    assert (tmp_path / "report" / "summary.md") in files
+    assert "mean" in (tmp_path / "report" / "summary.md").read_text()
+
+
+def test_what_is_installed_is_listed():
+    listing = rlbench.list_installed("methods")
+    assert "ours" in {row["name"] for row in listing["methods"]}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scenes": ["nowhere"]}, "no scene nowhere; available: noise"),
+        ({"takes": "all"}, "--takes applies to preset scenes only"),
+        ({"pool": "frozen"}, "no pool 'frozen'; available: stored, live"),
+        ({"device": "abacus"}, "device abacus cannot be used"),
+    ],
+)
+def test_wrong_arguments_raise_an_error_that_says_what_is_available(
+    clips, tmp_path, options, message
+):
+    with pytest.raises(rlbench.RlbenchError, match=re.escape(message).replace(r"\ ", ".*?")):
+        rlbench.run(["mean"], **{"clips": [clips], "out": tmp_path, **options})
+
+
+def test_a_frame_of_a_clip_is_tensors(clips):
+    clip = rlbench.open_clip(clips / "noise")
+    frame = clip.frame(0)
+    assert frame.gbuffer.albedo.shape == (1, 3, 24, 32)
+    assert frame.reference.mean.shape == (1, 3, 24, 32)
+    result = next(rlbench.run_clip(rlbench.load_method("mean"), clip, spp=2.0))
+    assert int(result.samples.counts.sum()) == 2 * 24 * 32
+    assert result.image.shape == (1, 3, 24, 32)
+
+
+def test_a_name_of_a_lazy_package_is_the_object_of_its_module():
+    assert write_header is importlib.import_module("rlbench.clips.header").write_header

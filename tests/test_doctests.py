@@ -1,0 +1,39 @@
+"""Examples in docstrings do what they show."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("rlbench", "baselines", "methods", "metrics", "reports")
+WORKER = "rlbench/render/cycles/worker"  # runs in Blender
+
+
+def _module(file: Path) -> str:
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = [
+    _module(file)
+    for package in PACKAGES
+    for file in sorted((ROOT / package).rglob("*.py"))
+    if ">>> " in file.read_text() and not file.is_relative_to(ROOT / WORKER)
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_a_module_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(
+        importlib.import_module(name), optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    )
+    assert result.attempted
+    assert result.failed == 0
+
+
+def test_public_modules_have_examples():
+    assert {"rlbench", "rlbench.ops.reprojection", "rlbench.clips", "rlbench.run"} <= set(MODULES)
