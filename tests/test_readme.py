@@ -23,7 +23,6 @@ README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [README, *DOCS]
 GUIDES = [README, *(page for page in DOCS if page.parent.name in ("start", "how-to", "concepts"))]
-GENERATED = ("docs/reference/api.md",)  # by `make site`
 SEPARATORS = ("&&", "||", "|", ";")
 PACKAGES = "rlbench|baselines|methods|metrics|reports|tests|docs"
 
@@ -111,10 +110,7 @@ def test_every_file_that_a_page_names_exists(page):
 @page_id
 def test_every_relative_link_of_a_page_leads_to_a_file(page):
     links = re.findall(r"\]\((?!https?:|mailto:|#)([^)#\s]+)(?:#[^)\s]*)?\)", page.read_text())
-    targets = {link: (page.parent / link).resolve() for link in links}
-    generated = {ROOT / name for name in GENERATED}
-    missing = [link for link, file in targets.items() if not file.exists() | (file in generated)]
-    assert missing == []
+    assert [link for link in links if not (page.parent / link).exists()] == []
 
 
 @pytest.mark.parametrize("page", GUIDES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -34,7 +34,7 @@ __all__ = [
 
 SPEED_PERIOD = 600.0  # seconds of progress from which the remaining time is estimated
 COLUMNS = {  # of `rlbench list`, in their order
-    "methods": ("name", "question", "needs", "spp", "adapts", "weights"),
+    "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
     "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }

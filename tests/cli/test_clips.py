@@ -31,7 +31,10 @@ def ensured(monkeypatch):
     [
         (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
         (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, generated"),
-        (("--scenes", "city-crane"), "'city' has no take 'crane'"),
+        (
+            ("--scenes", "city-crane"),
+            "error: scene 'city' has no take 'crane'; available takes: static, cut",
+        ),
         (("--seeds", "48:0"), "Invalid value for '--seeds': '48:0' is no list of seeds"),
         (("--takes", "some"), "'some' is not one of 'main', 'all'"),
         (("--radiance-cap", "0"), "'0' is no number above 0"),
@@ -61,7 +64,7 @@ def test_options_of_render_change_the_preset(ensured):
     rlbench("render", "--radiance-cap", 64, "--buffers", "object,normal_psr", "--takes", "all")
     ((preset, _, _),) = ensured
     assert preset.radiance_cap == 64
-    assert {"object", "normal_psr"} <= set(preset.buffers)
+    assert {"object", "normal_psr"} <= set(preset.extra_buffers)
     assert preset.takes == "all"
 
 

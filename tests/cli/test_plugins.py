@@ -37,7 +37,7 @@ def test_a_narrow_terminal_shows_every_word_of_a_list(monkeypatch):
 
 def test_list_shows_the_properties_of_methods():
     (row, *_) = list_json("methods")["methods"]
-    assert {"name", "paper", "licence", "needs", "spp", "adapts", "question"} <= set(row)
+    assert {"name", "paper", "licence", "inputs", "spp", "adaptive", "question"} <= set(row)
 
 
 def test_a_plugin_file_is_listed_with_its_variants(tmp_path):
