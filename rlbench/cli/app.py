@@ -8,13 +8,16 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import options
-from rlbench.cli.benchmark import regress, report, run
-from rlbench.cli.clips import lint, render, render_scene
+from rlbench.cli.benchmark import run
+from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
+from rlbench.cli.crossval import crossval
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
-from rlbench.cli.training import crossval, lr_find, replay, train
+from rlbench.cli.reports import regress, report
+from rlbench.cli.training import lr_find, replay, train
+from rlbench.cli.user_scene import render_scene
 
 __all__ = ["app"]
 

@@ -1,18 +1,15 @@
-"""The commands render, render-scene and lint: make clips, and check their conventions."""
+"""The commands render and lint: make the clips of presets, and check conventions of clips."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments, options, user_scene
-from rlbench.cli.arguments import Definition, PixelSize
+from rlbench.cli import arguments, options
 
-__all__ = ["lint", "render", "render_scene"]
-
-RENDERING = "Rendering"  # title of a group of options
+__all__ = ["lint", "render"]
 
 
 def render(
@@ -26,7 +23,7 @@ def render(
             parser=arguments.parse_positive,
             metavar="RADIANCE",
             help="scale brighter samples down to this multiple of display white",
-            rich_help_panel=RENDERING,
+            rich_help_panel=options.RENDERING,
         ),
     ] = None,
     buffers: Annotated[
@@ -35,7 +32,7 @@ def render(
             "--buffers",
             metavar="NAMES",
             help="more G-buffer buffers a,b: object, albedo_first, normal_psr, ...",
-            rich_help_panel=RENDERING,
+            rich_help_panel=options.RENDERING,
         ),
     ] = None,
     remeasure_sample_time: Annotated[
@@ -43,7 +40,7 @@ def render(
         typer.Option(
             "--remeasure-sample-time",
             help="also measure the time of a sample again; the machine must be idle",
-            rich_help_panel=RENDERING,
+            rich_help_panel=options.RENDERING,
         ),
     ] = False,
     engine: options.Engine = "local",
@@ -84,105 +81,6 @@ def _remeasure(folder: Path) -> str:
     before_ms = read_header(folder).sample_ms
     after_ms = remeasure_sample_ms(folder).sample_ms
     return f"  a sample per pixel takes {after_ms:.1f} ms, before {before_ms:.1f} ms"
-
-
-def render_scene(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            exists=True,
-            dir_okay=False,
-            help="a scene: .xml (Mitsuba), .py, .blend, .usd, .glb, .gltf, .fbx, .obj",
-        ),
-    ],
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PATH",
-            help="own, orbit, dolly, still, or a JSON file of matrices",
-            rich_help_panel=RENDERING,
-        ),
-    ] = None,
-    frames: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="default: as in the preset, or the matrices", rich_help_panel=RENDERING
-        ),
-    ] = None,
-    size: Annotated[
-        PixelSize | None,
-        typer.Option(
-            parser=arguments.parse_size,
-            metavar="WIDTHxHEIGHT",
-            help="in pixels; default: the film's shape, as many pixels as the preset",
-            rich_help_panel=RENDERING,
-        ),
-    ] = None,
-    exposure: Annotated[
-        float | None,
-        typer.Option(
-            parser=arguments.parse_positive,
-            metavar="FACTOR",
-            help="maps radiance to display white at 1; default: estimated",
-            rich_help_panel=RENDERING,
-        ),
-    ] = None,
-    define: Annotated[
-        list[Definition] | None,
-        typer.Option(
-            "--define",
-            "-D",
-            parser=arguments.parse_definition,
-            metavar="NAME=VALUE",
-            help="parameter of the scene or tracer; can be repeated",
-            rich_help_panel=RENDERING,
-        ),
-    ] = None,
-    tracer: Annotated[
-        Literal["mitsuba", "cycles"] | None,
-        typer.Option(help="default: the one that reads the file", rich_help_panel=RENDERING),
-    ] = None,
-    preset: options.Preset = "mini",
-    engine: options.Engine = "local",
-    ray_address: options.RayAddress = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="the clip's folder; default: one in the cache",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-) -> None:
-    """Render a clip of your own scene file.
-
-    A killed rendering resumes, and a changed scene is rendered again. docs/how-to/add-a-scene.md
-    describes cameras, moving shapes, and what each tracer supports.
-
-    Examples:
-
-    \b
-      rlbench render-scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
-      rlbench render-scene mine.py --camera path.json --out clips/mine
-      rlbench render-scene atrium.blend --frames 20 -D max_bounces=6
-    """
-    from rlbench.parallel.ray_executor import open_executor
-    from rlbench.render.presets import get_preset
-    from rlbench.render.user.clip import UserSceneOptions
-
-    scene = UserSceneOptions(
-        file=file,
-        camera=camera or "",
-        frames=frames,
-        size=size,
-        exposure=exposure,
-        parameters=tuple(define or ()),
-        out=out,
-    )
-    with open_executor(engine, ray_address) as executor:
-        typer.echo(user_scene.render_clip(scene, get_preset(preset), tracer, executor))
 
 
 def lint(

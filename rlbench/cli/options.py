@@ -10,12 +10,12 @@ import typer
 from rlbench.cli import arguments
 from rlbench.cli.arguments import Budgets, Seeds, WeightsChoice
 
-METHODS, CLIPS, TRAINING = "Methods", "Clips", "Training"  # titles of groups of options
+METHODS, CLIPS = "Methods", "Clips"  # titles of groups of options
 MEASUREMENT, EXECUTION, OUTPUT = "Measurement", "Execution", "Output"
+RENDERING = "Rendering"
 
 DEFAULT_SPP = Budgets((0.5, 1.0, 2.0, 4.0))
 DEFAULT_IMAGE_SPP = Budgets((1.0,))
-DEFAULT_TRAIN_SPP = Budgets(())  # those of the method
 
 # methods
 Methods = Annotated[
@@ -128,77 +128,6 @@ LimitFrames = Annotated[
         min=1,
         help="measure only the first frames of each clip, for a trial run",
         rich_help_panel=MEASUREMENT,
-    ),
-]
-
-# training
-Frames = Annotated[
-    int, typer.Option(min=1, help="crops to train on, per method", rich_help_panel=TRAINING)
-]
-Batch = Annotated[
-    int, typer.Option(min=1, help="crops that advance together", rich_help_panel=TRAINING)
-]
-Crop = Annotated[
-    int, typer.Option(min=16, help="side of a crop in pixels", rich_help_panel=TRAINING)
-]
-TrainSpp = Annotated[
-    Budgets,
-    typer.Option(
-        parser=arguments.parse_train_spp,
-        metavar="SPP",
-        show_default=False,
-        help="training budgets such as 4 or 0.5,1,2; default: those of the method",
-        rich_help_panel=TRAINING,
-    ),
-]
-TrainBf16 = Annotated[
-    bool,
-    typer.Option("--bf16", help="run the forward pass in bfloat16", rich_help_panel=TRAINING),
-]
-MaxGradNorm = Annotated[
-    float,
-    typer.Option(
-        parser=arguments.parse_positive,
-        metavar="NORM",
-        help="longer gradients are scaled down to this L2 norm",
-        rich_help_panel=TRAINING,
-    ),
-]
-TrainSeed = Annotated[
-    int, typer.Option(help="of weights, sequences and budgets", rich_help_panel=TRAINING)
-]
-Minutes = Annotated[
-    float | None,
-    typer.Option(
-        parser=arguments.parse_positive,
-        metavar="MINUTES",
-        help="stop each training after this time; the same command resumes it",
-        rich_help_panel=TRAINING,
-    ),
-]
-AllowConfigChange = Annotated[
-    bool,
-    typer.Option(
-        "--allow-config-change",
-        help="resume a checkpoint that has another config; the model card records the change",
-        rich_help_panel=TRAINING,
-    ),
-]
-TrainPreset = Annotated[
-    str | None,
-    typer.Option(
-        "--preset",
-        metavar="PRESET",
-        help="clips to train on; default: train, or mini with --holdout",
-        rich_help_panel=CLIPS,
-    ),
-]
-Holdout = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SCENE",
-        help="train on the test scenes of the preset except this one",
-        rich_help_panel=CLIPS,
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""The commands train, lr-find, replay and crossval."""
+"""The commands train, lr-find and replay."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments, options
+from rlbench.cli import arguments, options, training_options
 from rlbench.cli.arguments import Budgets, Seeds
 from rlbench.cli.plugins import load_plugins
 
@@ -19,46 +19,34 @@ if TYPE_CHECKING:
     from rlbench.training.dataset import TrainingSplit
     from rlbench.training.runs import TrainingRuns
 
-__all__ = ["crossval", "lr_find", "replay", "train"]
-
-DEFAULT_FRAMES, DEFAULT_CROP = 12_000, 128  # those of TrainingConfig
-
-RunsFolder = Annotated[
-    Path,
-    typer.Option(
-        file_okay=False,
-        metavar="FOLDER",
-        help="folder of weights, checkpoints and logs",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
+__all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
 
 
 def train(
     methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
     plugin: options.Plugins = None,
-    frames: options.Frames = DEFAULT_FRAMES,
-    batch: options.Batch = 1,
-    crop: options.Crop = DEFAULT_CROP,
-    train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
-    bf16: options.TrainBf16 = False,
-    max_grad_norm: options.MaxGradNorm = 1.0,
-    seed: options.TrainSeed = 0,
-    minutes: options.Minutes = None,
+    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
+    batch: training_options.Batch = 1,
+    crop: training_options.Crop = training_options.DEFAULT_CROP,
+    train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
+    bf16: training_options.Bf16 = False,
+    max_grad_norm: training_options.MaxGradNorm = 1.0,
+    seed: training_options.Seed = 0,
+    minutes: training_options.Minutes = None,
     restart: Annotated[
         bool,
         typer.Option(
             "--restart/--resume",
             help="start again and keep the old run as NAME.old-N, or resume it",
-            rich_help_panel=options.TRAINING,
+            rich_help_panel=training_options.TRAINING,
         ),
     ] = False,
-    allow_config_change: options.AllowConfigChange = False,
-    preset: options.TrainPreset = None,
+    allow_config_change: training_options.AllowConfigChange = False,
+    preset: training_options.Preset = None,
     seeds: options.SceneSeeds = None,
-    holdout: options.Holdout = None,
+    holdout: training_options.Holdout = None,
     device: options.Device = "auto",
-    out: RunsFolder = Path("runs"),
+    out: training_options.RunsFolder = Path("runs"),
 ) -> None:
     """Train methods, or resume their training.
 
@@ -78,8 +66,8 @@ def train(
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.runs import archive_run
 
-    config = _config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
-    runs = _runs(out, config, device, minutes, allow_config_change)
+    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    runs = training_runs(out, config, device, minutes, allow_config_change)
     names = _trainable(methods)
     runs.check(names)
     split = _split(names, preset, seeds, holdout)
@@ -96,18 +84,18 @@ def train(
 def lr_find(
     methods: options.Methods,
     plugin: options.Plugins = None,
-    frames: options.Frames = DEFAULT_FRAMES,
-    batch: options.Batch = 1,
-    crop: options.Crop = DEFAULT_CROP,
-    train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
-    bf16: options.TrainBf16 = False,
-    max_grad_norm: options.MaxGradNorm = 1.0,
-    seed: options.TrainSeed = 0,
-    preset: options.TrainPreset = None,
+    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
+    batch: training_options.Batch = 1,
+    crop: training_options.Crop = training_options.DEFAULT_CROP,
+    train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
+    bf16: training_options.Bf16 = False,
+    max_grad_norm: training_options.MaxGradNorm = 1.0,
+    seed: training_options.Seed = 0,
+    preset: training_options.Preset = None,
     seeds: options.SceneSeeds = None,
-    holdout: options.Holdout = None,
+    holdout: training_options.Holdout = None,
     device: options.Device = "auto",
-    out: RunsFolder = Path("runs"),
+    out: training_options.RunsFolder = Path("runs"),
 ) -> None:
     """Propose a learning rate by a range test.
 
@@ -121,8 +109,8 @@ def lr_find(
       rlbench lr-find -m mine --plugin mine.py --frames 1200
     """
     load_plugins(plugin)
-    config = _config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
-    runs = _runs(out, config, device)
+    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    runs = training_runs(out, config, device)
     names = _trainable(methods)
     runs.check(names)
     split = _split(names, preset, seeds, holdout)
@@ -163,69 +151,7 @@ def replay(
     typer.echo(f"failed again: {failure}" if failure else "all values are finite on this machine")
 
 
-def crossval(
-    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
-    plugin: options.Plugins = None,
-    preset: options.Preset = "mini",
-    scenes: options.Scenes = None,
-    spp: options.Spp = options.DEFAULT_SPP,
-    cost: options.Cost = "measured",
-    limit_frames: options.LimitFrames = None,
-    frames: options.Frames = DEFAULT_FRAMES,
-    batch: options.Batch = 1,
-    crop: options.Crop = DEFAULT_CROP,
-    train_spp: options.TrainSpp = options.DEFAULT_TRAIN_SPP,
-    bf16: options.TrainBf16 = False,
-    max_grad_norm: options.MaxGradNorm = 1.0,
-    seed: options.TrainSeed = 0,
-    minutes: options.Minutes = None,
-    allow_config_change: options.AllowConfigChange = False,
-    device: options.Device = "auto",
-    out: Annotated[
-        Path,
-        typer.Option(
-            file_okay=False,
-            metavar="FOLDER",
-            help="folder of one training run per scene, and of results/",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = Path("crossval"),
-) -> None:
-    """Train on all scenes but one, and score on that one.
-
-    Repeats this for each scene, or for --scenes only: the protocol of Scardigli et al. 2023. Rows
-    are named METHOD@crossval; methods without anything to train keep their names. A killed
-    cross-validation resumes.
-
-    Examples:
-
-    \b
-      rlbench crossval --methods ours,ntas
-      rlbench crossval -m ours,svgf --preset standard --frames 6000 --bf16
-      rlbench report all --results crossval/results --out crossval/report
-    """
-    load_plugins(plugin)
-    from rlbench.benchmark import crossval as protocol
-    from rlbench.benchmark.api import select_device
-    from rlbench.benchmark.run_plan import RunPlan
-    from rlbench.cli import console
-
-    names = arguments.expand_methods(methods)
-    config = _config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
-    runs = _runs(out, config, device, minutes, allow_config_change)
-    runs.check([name for name in map(protocol.variant_to_train, names) if name])
-    folds = protocol.folds(preset, arguments.split_names(scenes), names)
-    clips = tuple(clip for fold in folds for clip in fold.clips)
-    plan = RunPlan(
-        names, clips, spp, (seed,), select_device(device), cost, limit_frames=limit_frames
-    )
-    results = out / "results"
-    summary = protocol.crossval(folds, runs, plan, results, typer.echo, console.measuring)
-    console.print_summary(summary, results)
-    console.print_scores(plan, results, protocol.row_names(plan))
-
-
-def _config(
+def training_config(
     frames: int,
     batch: int,
     crop: int,
@@ -234,6 +160,7 @@ def _config(
     bf16: bool,
     train_spp: Budgets,
 ) -> TrainingConfig:
+    """The config of these options."""
     from rlbench.training.config import TrainingConfig
 
     return TrainingConfig(
@@ -241,13 +168,14 @@ def _config(
     )
 
 
-def _runs(
+def training_runs(
     out: Path,
     config: TrainingConfig,
     device: str,
     minutes: float | None = None,
     allow_config_change: bool = False,
 ) -> TrainingRuns:
+    """Runs with these options, a progress bar, and this command in their model cards."""
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
     from rlbench.training.runs import TrainingRuns

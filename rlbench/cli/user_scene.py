@@ -1,12 +1,14 @@
-"""Which tracer renders a user's scene file, and the call of that tracer."""
+"""The command render-scene: a clip of a user's scene file, by the tracer that reads it."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rlbench.cli import arguments, options
+from rlbench.cli.arguments import Definition, PixelSize
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -14,7 +16,110 @@ if TYPE_CHECKING:
     from rlbench.render.presets import Preset
     from rlbench.render.user.clip import UserSceneOptions
 
-__all__ = ["render_clip", "select_tracer"]
+__all__ = ["render_clip", "render_scene", "select_tracer"]
+
+
+def render_scene(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            exists=True,
+            dir_okay=False,
+            help="a scene: .xml (Mitsuba), .py, .blend, .usd, .glb, .gltf, .fbx, .obj",
+        ),
+    ],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH",
+            help="own, orbit, dolly, still, or a JSON file of matrices",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="default: as in the preset, or the matrices",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    size: Annotated[
+        PixelSize | None,
+        typer.Option(
+            parser=arguments.parse_size,
+            metavar="WIDTHxHEIGHT",
+            help="in pixels; default: the film's shape, as many pixels as the preset",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option(
+            parser=arguments.parse_positive,
+            metavar="FACTOR",
+            help="maps radiance to display white at 1; default: estimated",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    define: Annotated[
+        list[Definition] | None,
+        typer.Option(
+            "--define",
+            "-D",
+            parser=arguments.parse_definition,
+            metavar="NAME=VALUE",
+            help="parameter of the scene or tracer; can be repeated",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    tracer: Annotated[
+        Literal["mitsuba", "cycles"] | None,
+        typer.Option(
+            help="default: the one that reads the file", rich_help_panel=options.RENDERING
+        ),
+    ] = None,
+    preset: options.Preset = "mini",
+    engine: options.Engine = "local",
+    ray_address: options.RayAddress = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="the clip's folder; default: one in the cache",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+) -> None:
+    """Render a clip of your own scene file.
+
+    A killed rendering resumes, and a changed scene is rendered again. docs/how-to/add-a-scene.md
+    describes cameras, moving shapes, and what each tracer supports.
+
+    Examples:
+
+    \b
+      rlbench render-scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
+      rlbench render-scene mine.py --camera path.json --out clips/mine
+      rlbench render-scene atrium.blend --frames 20 -D max_bounces=6
+    """
+    from rlbench.parallel.ray_executor import open_executor
+    from rlbench.render.presets import get_preset
+    from rlbench.render.user.clip import UserSceneOptions
+
+    scene = UserSceneOptions(
+        file=file,
+        camera=camera or "",
+        frames=frames,
+        size=size,
+        exposure=exposure,
+        parameters=tuple(define or ()),
+        out=out,
+    )
+    with open_executor(engine, ray_address) as executor:
+        typer.echo(render_clip(scene, get_preset(preset), tracer, executor))
 
 
 def render_clip(
@@ -51,7 +156,7 @@ def select_tracer(file: Path, tracer: str | None) -> str:
     readers = [name for name, suffixes in formats.items() if file.suffix.lower() in suffixes]
     supported = "; ".join(f"{name} reads {', '.join(formats[name])}" for name in formats)
     if not readers:
-        raise OptionError(f"scene file {file}: no tracer reads this format. {supported}")
+        raise OptionError(f"scene file {file}: no tracer reads it. {supported}")
     if tracer not in (None, *readers):
         raise OptionError(f"--tracer {tracer} does not read {file.name}. {supported}")
     return readers[0]
