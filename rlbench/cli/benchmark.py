@@ -41,7 +41,7 @@ def run(
             help="seeds of the sample order and of rounding, such as 0,1,2; default: 0",
             rich_help_panel=options.MEASUREMENT,
         ),
-    ] = Seeds((0,)),
+    ] = options.DEFAULT_SEEDS,
     cost: options.Cost = "measured",
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
@@ -76,11 +76,11 @@ def run(
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()
     warn_without_networks(names, bf16, chosen)
     pools = {registry.get_variant(name).traits.pool for name in names}
-    wanted = arguments.split_names(scenes)
+    scene_names = arguments.split_names(scenes)
     with open_executor(engine, ray_address) as executor:
         plan = RunPlan(
             methods=names,
-            clips=select_clips(clips, wanted, preset, takes, pool, pools, executor),
+            clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),
             target_spp=spp,
             seeds=seed,
             device=select_device(device),

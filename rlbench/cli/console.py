@@ -105,7 +105,7 @@ def print_scores(plan: RunPlan, out: Path, row_names: Iterable[str] = ()) -> boo
     """
     rows = _planned_rows(plan, results.read(out), row_names)
     clips = len(plan.clips)
-    table = Table(title=f"mean over {clips} clips")
+    table = Table(title="one clip" if clips == 1 else f"mean over {clips} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "frame ms"):
         table.add_column(column, justify="left" if column == "method" else "right")
     for (method, spp), group in rows.groupby(["method", "target_spp"]):

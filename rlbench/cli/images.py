@@ -78,10 +78,10 @@ def images(
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()
     warn_without_networks(names, bf16, chosen)
     pools = {registry.get_variant(name).traits.pool for name in names}
-    wanted = arguments.split_names(scenes)
+    scene_names = arguments.split_names(scenes)
     plan = RunPlan(
         methods=names,
-        clips=select_clips(clips, wanted, preset, takes, pool_kinds=pools),
+        clips=select_clips(clips, scene_names, preset, takes, pool_kinds=pools),
         target_spp=spp,
         seeds=(seed,),
         device=select_device(device),

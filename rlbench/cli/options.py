@@ -16,6 +16,7 @@ RENDERING = "Rendering"
 
 DEFAULT_SPP = Budgets((0.5, 1.0, 2.0, 4.0))
 DEFAULT_IMAGE_SPP = Budgets((1.0,))
+DEFAULT_SEEDS = Seeds((0,))
 
 # methods
 Methods = Annotated[
