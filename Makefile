@@ -6,7 +6,7 @@ RESULTS := results
 REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn/tuned,mean
 
-# the paper's Table 1, its ablations, and what they are held against; at the paper's budgets
+# the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
 TABLE1 := ours,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,ntas,dasr,restir+oidn,svgf,oidn,restir,mean,oidn/tuned,oidn-intel
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
@@ -35,7 +35,7 @@ demo: .venv/run.stamp
 	@echo
 	@echo "Pareto plot and tables: $(REPORT)/"
 
-# what the README shows: every row of every method, those of extras too
+# the README's figures and tables: every row of every method, extras included
 docs: .venv/dev.stamp
 	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
@@ -47,57 +47,57 @@ docs: .venv/dev.stamp
 
 # the paper's table, figures and ablations anew, on larger clips: 45 minutes of rendering, 15 to 45 of scoring
 table1: .venv/dev.stamp
-	$(BIN)/rlbench render --preset standard --takes main --retime
+	$(BIN)/rlbench render --preset standard --takes main --remeasure-sample-time
 	$(BIN)/rlbench run -m '$(TABLE1)' --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/standard
 	set -e; for report in table1 paper-pareto ablation; do $(BIN)/rlbench report $$report --results $(RESULTS)/standard --out docs/made; done
 	cp docs/made/*.md docs/made/*.png docs/results && rm -r docs/made
 
-# who leads on 48 generated scenes that no training saw: 11 minutes of rendering, 12 of scoring
+# comparison on 48 generated scenes that no training used: 11 minutes of rendering, 12 of scoring
 unseen: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RIVALS)' --preset unseen --spp 1,2,4 --out $(RESULTS)/unseen
 	$(call page,clips,$(RESULTS)/unseen,unseen)
 
-# ours and its nearest rivals where none has learned budgets below 1 spp, as ours/A1 cannot: an hour of one core, 9 minutes of scoring
+# ours and its nearest rivals, all trained from 1 spp on, because ours/A1 cannot be trained below: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
-	$(BIN)/rlbench train -m ours,ours/reinforce,ours/A2 --frames 6000 --half --budget $(FROM1)
+	$(BIN)/rlbench train -m ours,ours/reinforce,ours/A2 --frames 6000 --bf16 --train-spp $(FROM1)
 	$(BIN)/rlbench run -m ours/A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
 	set -e; for row in $(TRAINED_FROM1); do \
 	  $(BIN)/rlbench run -m $${row%:*} --weights from1=runs/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
 	done
 	$(call page,clips,$(RESULTS)/equal,equal)
 
-# who leads where cameras stand, shots are cut, lights are switched and nothing moves: hours of rendering
+# comparison with static cameras, cuts, switched lights and static scenes: hours of rendering
 takes: .venv/dev.stamp
-	$(BIN)/rlbench render --preset standard --retime
+	$(BIN)/rlbench render --preset standard --remeasure-sample-time
 	$(BIN)/rlbench run -m '$(RIVALS),ours/lag,imcd,ntas,svgf' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
 	$(call page,clips,$(RESULTS)/takes,takes)
 	$(BIN)/rlbench images -m ours/lag,ours,oidn-intel --preset standard --scenes hall-cut --spp 4 --frame 15 --out docs/made
 	mv docs/made/hall-cut-4spp-15.png docs/results/switched.png && rm -r docs/made
 
-# the papers' protocol, small: 1000 crops of the other three scenes; half an hour
+# the papers' protocol with short trainings, 1000 crops of the other three scenes: half an hour
 crossval: .venv/dev.stamp
-	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --half --out $(RESULTS)/crossval
+	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --bf16 --out $(RESULTS)/crossval
 	$(call page,clips,$(RESULTS)/crossval/results,crossval)
 
-# the variants whose weights are not shipped, and ours trained as briefly: two and a half hours of one core, 20 minutes of scoring
+# the variants without shipped weights, and ours trained for as many crops: two and a half hours of one core, 20 minutes of scoring
 appendix: .venv/dev.stamp
 	set -e; for row in ours:ours/ours $(foreach name,$(APPENDIX),ours/$(name):ours-$(name)/$(name)); do \
-	  $(BIN)/rlbench train -m $${row%:*} --frames 2000 --half --out runs/appendix; \
+	  $(BIN)/rlbench train -m $${row%:*} --frames 2000 --bf16 --out runs/appendix; \
 	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
 
-# what another seed of training gives, on unseen scenes: five short trainings of three rows; goes on where it was killed
+# the effect of the training seed, on unseen scenes: five short trainings of three rows; resumes if it was killed
 seeds: .venv/dev.stamp
 	set -e; for seed in $(SEEDS); do \
-	  $(BIN)/rlbench train -m ours,ours/A1,ours/A2 --frames 1000 --half --seed $$seed --out runs/seed$$seed; \
+	  $(BIN)/rlbench train -m ours,ours/A1,ours/A2 --frames 1000 --bf16 --seed $$seed --out runs/seed$$seed; \
 	  for row in $(TRAINED); do \
 	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/seeds; \
 	  done; \
 	done
 	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs/results
 
-# one frame of each scene; goes on where it was killed: make contact SPP=64 is quick
+# one frame of each scene; resumes if it was killed; make contact SPP=64 is quick
 contact: .venv/run.stamp
 	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
 

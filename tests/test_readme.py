@@ -1,57 +1,154 @@
-"""What the README shows works as it is shown."""
+"""README and docs agree with the code: the method runs, commands parse, links and figures hold."""
 
 from __future__ import annotations
 
 import re
+import shlex
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
 
 from rlbench import registry
 from rlbench.checks.conformance import MethodUnderTest, Verdict, run_checks
+from rlbench.cli.app import app
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip
 
-README = Path(__file__).parent.parent / "README.md"
+ROOT = Path(__file__).parent.parent
+README = ROOT / "README.md"
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+PAGES = [README, *DOCS]
+GUIDES = [README, *(page for page in DOCS if page.parent.name in ("start", "how-to", "concepts"))]
+SEPARATORS = ("&&", "||", "|", ";")
+PACKAGES = "rlbench|baselines|methods|metrics|reports|tests|docs"
+
+page_id = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
-def test_the_method_of_the_readme_runs_and_samples_the_bright(tmp_path):
-    (snippet,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
-    (tmp_path / "bright.py").write_text(snippet)
+@cache
+def click_commands() -> dict[str, Any]:
+    """The commands of `rlbench`, by name."""
+    group: Any = typer.main.get_command(app)
+    return {name: command for name, command in group.commands.items() if not command.hidden}
+
+
+def check_command(line: str) -> None:
+    """Assert that every `rlbench` command in a shell line exists and has the options it is given.
+
+    Nothing is run.
+    """
+    words = shlex.split(line.replace("…", ""), comments=True)
+    for index, word in enumerate(words):
+        if word == "rlbench" and index + 1 < len(words):
+            end = next(
+                (i for i in range(index, len(words)) if words[i] in ("&&", "||", "|", ";")), None
+            )
+            _check_arguments(words[index + 1 : end], line)
+
+
+def _check_arguments(words: list[str], line: str) -> None:
+    name, *rest = (word.rstrip(";") for word in words)
+    if name in ("--help", "--version", "COMMAND"):
+        return
+    assert name in click_commands(), f"no command {name}: {line}"
+    parameters = click_commands()[name].params
+    known = {option for each in parameters for option in (*each.opts, *each.secondary_opts)}
+    known |= {"--help"}
+    unknown = [word for word in rest if re.match(r"--?[a-zA-Z]", word)]
+    unknown = [word for word in unknown if word.partition("=")[0] not in known]
+    assert not unknown, f"rlbench {name} has no option {unknown}: {line}"
+
+
+def shell_commands(page: Path) -> list[str]:
+    """Lines of the page's shell blocks, and code in its text, that begin with `rlbench`."""
+    text = page.read_text()
+    blocks = re.findall(r"```(?:bash|sh)\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    inline = [re.sub(r"\s+", " ", code) for code in re.findall(r"`([^`]+)`", prose)]
+    inline = [code for code in inline if code.startswith("rlbench ")]
+    return [line for line in lines if re.search(r"\brlbench [a-z-]", line)] + inline
+
+
+@pytest.fixture
+def bright(tmp_path):
+    """The method of the README, as a plugin file."""
+    snippets = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    (method,) = (snippet for snippet in snippets if "FAMILY = " in snippet)
+    (tmp_path / "bright.py").write_text(method)
     registry.use_plugin(tmp_path / "bright.py")
+    return "bright"
+
+
+def test_the_method_of_the_readme_runs_and_samples_bright_pixels(bright):
     clip = procedural_clip(seed=1, size=Size(1, 32, 40), frames=3)
-    *_, last = run_clip(registry.load_method("bright"), clip, 2.0)
+    *_, last = run_clip(registry.load_method(bright), clip, 2.0)
     counts = last.samples.counts
     assert int(counts.sum()) == 2 * 32 * 40
-    light = list(clip)[1].reference.mean.mean(1, keepdim=True)
-    bright = light > light.median()
-    assert counts[bright].float().mean() > counts[~bright].float().mean()
+    luminance = list(clip)[1].reference.mean.mean(1, keepdim=True)
+    is_bright = luminance > luminance.median()
+    assert counts[is_bright].float().mean() > counts[~is_bright].float().mean()
 
 
-def test_the_method_of_the_readme_is_sound(tmp_path):
-    (snippet,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
-    (tmp_path / "bright.py").write_text(snippet)
-    registry.use_plugin(tmp_path / "bright.py")
-    found = {check.name: result.verdict for check, result in run_checks(MethodUnderTest("bright"))}
-    assert {name for name in found if found[name] is not Verdict.PASSED} == {"uniform", "temporal"}
-    assert Verdict.FAILED not in found.values()
+def test_the_method_of_the_readme_keeps_the_contract(bright):
+    verdicts = {check.name: result.verdict for check, result in run_checks(MethodUnderTest(bright))}
+    skipped = {name for name, verdict in verdicts.items() if verdict is not Verdict.PASSED}
+    assert skipped == {"uniform", "temporal"}
+    assert Verdict.FAILED not in verdicts.values()
 
 
-def test_every_file_that_the_readme_names_is_there():
-    named = re.findall(
-        r"`((?:rlbench|baselines|methods|metrics|reports)/[\w/.-]*)`", README.read_text()
-    )
-    assert named
-    assert [name for name in named if not (README.parent / name).exists()] == []
+@page_id
+def test_every_file_that_a_page_names_exists(page):
+    named = re.findall(rf"`((?:{PACKAGES})/[\w/.+-]*)`", page.read_text())
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@page_id
+def test_every_relative_link_of_a_page_leads_to_a_file(page):
+    links = re.findall(r"\]\((?!https?:|mailto:|#)([^)#\s]+)(?:#[^)\s]*)?\)", page.read_text())
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_of_a_page_parses(page):
+    for line in shell_commands(page):
+        check_command(line)
+
+
+def test_commands_are_found_in_the_readme_and_the_guides():
+    assert len(shell_commands(README)) > 8
+    assert sum(len(shell_commands(page)) for page in GUIDES) > 80
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "rlbench paint",
+        "rlbench run --half",
+        "cd x && rlbench render --scene a.xml",
+        "rlbench list --json; rlbench train --fresh",
+        "for m in a b; do rlbench run -m $m --quietly; done",
+    ],
+)
+def test_a_command_that_does_not_exist_is_noticed(line):
+    with pytest.raises(AssertionError):
+        check_command(line)
 
 
 def test_the_scores_of_the_readme_are_those_of_the_summary():
-    shown = _scores(README.read_text())
-    assert shown
-    assert shown == _scores((README.parent / "docs" / "summary.md").read_text())
+    scores = _scores(README.read_text())
+    published = _scores((ROOT / "docs" / "results" / "summary.md").read_text())
+    assert len(scores) > 5
+    assert {name: published.get(name) for name in scores} == scores
 
 
-def _scores(page: str) -> list[list[str]]:
+def _scores(page: str) -> dict[str, list[str]]:
     """The first table of methods by budgets, without intervals and emphasis."""
     lines = page[page.index("| method | 0.5 spp |") :].split("\n\n")[0].splitlines()[2:]
-    cells = [[cell.split("[")[0].strip(" *") for cell in line.split("|")[1:-1]] for line in lines]
-    return [[cell.removesuffix(" tie") for cell in line] for line in cells]
+    lines = [line for line in lines if line.startswith("|")]
+    rows = [[cell.split("[")[0].strip(" *") for cell in line.split("|")[1:-1]] for line in lines]
+    return {name: [cell.removesuffix(" tie") for cell in cells] for name, *cells in rows}

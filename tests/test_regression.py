@@ -12,7 +12,7 @@ from rlbench.benchmark.baseline import load_baseline
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure, read_cells
-from rlbench.cli import benchmark
+from rlbench.cli import reports
 from rlbench.render.jobs.render_clips import ensure
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import paths
@@ -35,7 +35,7 @@ def compare(results, scenes, methods, spp, subset) -> regression.RegressionRepor
     measure(plan, results)
     rows, baseline = read_cells(plan, results), load_baseline(BASELINE)
     if subset:
-        rows, baseline = benchmark.part(rows, baseline, methods)
+        rows, baseline = reports.select_baseline(rows, baseline, methods)
     return regression.compare(rows, baseline, subset=subset)
 
 

@@ -58,8 +58,8 @@ def test_the_example_trains_and_its_weights_beat_the_mean(plugin, worlds, tmp_pa
 
 
 def test_one_command_runs_a_learning_rate_range_test(plugin, worlds, tmp_path):
-    options = ("--plugin", plugin, "--frames", 30, "--crop", 32, "--device", "cpu", "--range-test")
-    output = rlbench("train", "-m", "blur", *options, "--out", tmp_path / "runs")
+    options = ("--plugin", plugin, "--frames", 30, "--crop", 32, "--device", "cpu")
+    output = rlbench("lr-find", "-m", "blur", *options, "--out", tmp_path / "runs")
     assert "proposed" in output
     files = {file.name for file in (tmp_path / "runs" / "blur-range").iterdir()}
     assert files == {"range.csv", "range.png"}
@@ -67,10 +67,10 @@ def test_one_command_runs_a_learning_rate_range_test(plugin, worlds, tmp_path):
 
 def test_an_option_restarts_a_run_and_archives_the_old_one(plugin, worlds, tmp_path):
     options = ("--plugin", plugin, "--frames", 3, "--crop", 32, "--device", "cpu")
-    command = ("train", "-m", "blur", *options, "--out", tmp_path / "runs", "--budget", "1,2")
+    command = ("train", "-m", "blur", *options, "--out", tmp_path / "runs", "--train-spp", "1,2")
     rlbench(*command)
     first = read_card(tmp_path / "runs" / "blur-1+2spp" / "blur.safetensors")
-    assert "blur-1+2spp.old-1" in rlbench(*command, "--fresh")
+    assert "blur-1+2spp.old-1" in rlbench(*command, "--restart")
     archived = tmp_path / "runs" / "blur-1+2spp.old-1" / "blur.safetensors"
     assert read_card(archived) == first
     assert read_card(tmp_path / "runs" / "blur-1+2spp" / "blur.safetensors").sha256 == first.sha256

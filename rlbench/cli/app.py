@@ -1,38 +1,28 @@
-"""The command line: every command, and how its errors are told."""
+"""The command line: all commands, in the order of the pipeline."""
 
 from __future__ import annotations
 
-import json
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from rlbench.cli.benchmark import regress, report, run
+from rlbench.cli import options
+from rlbench.cli.benchmark import run
 from rlbench.cli.clips import lint, render
+from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
+from rlbench.cli.crossval import crossval
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
-from rlbench.cli.methods import Plugins, check, load_plugins
-from rlbench.cli.training import crossval, train
-from rlbench.errors import RlbenchError
+from rlbench.cli.plugins import check, list_, load_plugins
+from rlbench.cli.reports import regress, report
+from rlbench.cli.training import lr_find, replay, train
+from rlbench.cli.user_scene import render_scene
 
-
-class _Told(TyperGroup):
-    """Commands whose expected errors are one clear message and exit code 2, without a traceback."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command; errors of our own types are told, all others are defects and rise."""
-        try:
-            return super().invoke(ctx)
-        except Exception as error:
-            if not isinstance(error, RlbenchError):
-                raise
-            typer.secho(f"error: {error}", fg="red", err=True)
-            raise SystemExit(2) from error
-
+__all__ = ["app"]
 
 app = typer.Typer(
-    cls=_Told,
+    cls=CommandGroup,
     no_args_is_help=True,
     add_completion=False,
     context_settings={"max_content_width": 100},  # examples are there to be copied
@@ -43,8 +33,8 @@ app = typer.Typer(
 )
 
 
-def _version(asked_for: bool) -> None:
-    if asked_for:
+def _print_version(is_requested: bool) -> None:
+    if is_requested:
         from importlib.metadata import version
 
         typer.echo(version("rlbench"))
@@ -52,73 +42,50 @@ def _version(asked_for: bool) -> None:
 
 
 @app.callback()
-def _any(
+def _main(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="print it, and no more"),
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
     ] = False,
 ) -> None:
-    """Nothing that belongs to all commands is left to do once options are read."""
+    pass
 
 
-app.command()(run)
-
-
-app.command()(images)
-
-
-@app.command("list")
-def list_(
-    kind: Annotated[
-        str, typer.Argument(help="methods, metrics, scenes, reports, pools, presets, profiles")
-    ] = "all",
-    as_json: Annotated[bool, typer.Option("--json", help="for scripts")] = False,
-    plugin: Plugins = None,
-) -> None:
-    """List what is installed: methods, metrics, scenes, reports, pools, presets and profiles.
+def doctor(plugin: options.Plugins = None) -> None:
+    """Report what this machine has, lacks, and how to get it.
 
     Examples:
 
-      rlbench list
-
-      rlbench list methods --json
-    """
-    load_plugins(plugin, listed=True)
-    from rlbench.benchmark import listing
-    from rlbench.cli import console
-
-    found = listing.list_installed(kind)
-    typer.echo(json.dumps(found, indent=1)) if as_json else console.listed(found)
-
-
-app.command()(render)
-app.command("import")(import_)
-app.command()(lint)
-
-
-app.command()(train)
-app.command()(crossval)
-app.command()(check)
-
-
-app.command()(report)
-
-
-app.command()(regress)
-
-
-@app.command()
-def doctor(plugin: Plugins = None) -> None:
-    """Say what this machine has, what it lacks, and what would help.
-
-    Examples:
-
+    \b
       rlbench doctor
     """
-    load_plugins(plugin)
+    load_plugins(plugin, allow_broken=True)
     from rich.console import Console
 
     from rlbench.checks.console import print_results
     from rlbench.cli.doctor import inspect_machine
 
     print_results(inspect_machine(), Console())
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "doctor": doctor,
+    "list": list_,
+    "render": render,
+    "render-scene": render_scene,
+    "import": import_,
+    "lint": lint,
+    "check": check,
+    "train": train,
+    "lr-find": lr_find,
+    "replay": replay,
+    "crossval": crossval,
+    "run": run,
+    "report": report,
+    "images": images,
+    "regress": regress,
+}
+for name, command in COMMANDS.items():
+    app.command(name, cls=CommandWithGroupedHelp)(command)

@@ -1,147 +1,191 @@
-"""What was asked for on the command line, checked and turned into what the bench takes."""
+"""Parsers of option values: text becomes a value, or a usage error that says what to write."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NewType, TypeVar
 
 import typer
 
-from rlbench.errors import OptionError
-from rlbench.render.jobs.preset_clips import render_preset_clips
+__all__ = [
+    "Budgets",
+    "Definition",
+    "PixelSize",
+    "Seeds",
+    "WeightsChoice",
+    "expand_methods",
+    "parse_budgets",
+    "parse_definition",
+    "parse_positive",
+    "parse_seeds",
+    "parse_size",
+    "parse_train_spp",
+    "parse_weights",
+    "split_names",
+]
 
-if TYPE_CHECKING:
-    import torch
+T = TypeVar("T")
 
-    from rlbench.benchmark.clip_sources import StoredSource
-    from rlbench.parallel.executor import Executor
-
-
-def split(values: list[str]) -> list[str]:
-    """Names given as `a,b`, as several options, or both."""
-    return [part.strip() for value in values for part in value.split(",") if part.strip()]
-
-
-def numbers(option: str, text: str, kind: type[Any]) -> tuple[Any, ...]:
-    """Finite numbers >= 0 given as `1,2`, each once. Raises AskedError."""
-    try:
-        found = tuple(dict.fromkeys(kind(part) for part in split([text])))
-    except ValueError:
-        found = ()
-    if not found or not all(math.isfinite(number) and number >= 0 for number in found):
-        such = "0,1,2" if kind is int else "0.5,1,2"
-        raise OptionError(f"{option} takes numbers such as {such} and was given '{text}'")
-    return found
+Budgets = NewType("Budgets", tuple[float, ...])  # samples per pixel
+Seeds = NewType("Seeds", tuple[int, ...])
+PixelSize = NewType("PixelSize", tuple[int, int])  # height, width
+Definition = NewType("Definition", tuple[str, str])  # name, value
 
 
-def device(name: str) -> torch.device:
-    """A device that works here; `auto` is CUDA where there is one. Raises AskedError."""
-    import torch
+@dataclass(frozen=True)
+class WeightsChoice:
+    """The value of --weights: a file or "random", and the label of the rows."""
 
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        found = torch.device(name)
-        torch.empty(0, device=found)
-    except (RuntimeError, AssertionError) as error:
-        raise OptionError(f"--device {name} cannot be used here: {error}") from error
-    return found
+    file: str | None = None  # None for the shipped weights
+    label: str = ""
 
 
-def clips(
-    own: list[Path] | None,
-    scenes: list[str] | None,
-    preset: str,
-    pool: str = "stored",
-    engine: Executor | None = None,
-    kinds: Collection[str] | None = None,
-    takes: str | None = None,
-) -> tuple[StoredSource, ...]:
-    """The clips of one's own folders, or those of a preset, rendered if need be.
+def text_parser(parse: Callable[[str], T]) -> Callable[[Any], T]:
+    """A parser that returns values which are no text, such as defaults, unchanged."""
 
-    `kinds` of sample pools are those that are wanted of a preset's, and `takes` of its scenes are
-    `main` or `all`; None is all of the former, and the latter as in the preset.
+    @wraps(parse)
+    def convert(value: Any) -> T:
+        return parse(value) if isinstance(value, str) else value
+
+    return convert
+
+
+def split_names(values: Iterable[str] | None) -> list[str]:
+    """Names given as `a,b`, by repeating the option, or both.
+
+    >>> split_names(["ours,ntas", "svgf"])
+    ['ours', 'ntas', 'svgf']
     """
-    from rlbench.benchmark.clip_sources import POOLS, open_source
-    from rlbench.clips.stored import find_clips
-
-    if pool not in POOLS:
-        raise OptionError(f"--pool {pool}: samples are one of: {', '.join(POOLS)}")
-    if own is None:
-        made = render_preset_clips(
-            split(scenes or []), preset, executor=engine, pool_kinds=kinds, takes=takes
-        )
-        return tuple(open_source(folder, pool) for folder in made)
-    if takes is not None:
-        raise OptionError(
-            "--takes is of a preset's scenes; of --clips, --scenes names single clips"
-        )
-    found = [open_source(folder, pool) for place in own for folder in find_clips(place)]
-    wanted = split(scenes or [])
-    named = {clip: {clip.header.scene, clip.header.name} for clip in found}
-    kept = tuple(clip for clip, names in named.items() if not wanted or names & set(wanted))
-    if unknown := [name for name in wanted if not any(name in names for names in named.values())]:
-        have = ", ".join(sorted({clip.header.scene for clip in found})) or "none"
-        raise OptionError(f"--scenes {','.join(unknown)}: the clips given show: {have}")
-    return kept
+    return [name.strip() for value in values or () for name in value.split(",") if name.strip()]
 
 
-def methods(values: list[str], trained: bool = True) -> tuple[str, ...]:
-    """Names that were asked for, as `registry.expand`; `all` goes on without broken families."""
+def expand_methods(patterns: Iterable[str], pretrained_only: bool = True) -> tuple[str, ...]:
+    """The methods that the names and patterns select, as in `registry.expand`.
+
+    Families that `all` skips because they cannot be imported are reported on the error stream.
+    """
     from rlbench import registry
 
-    return tuple(registry.expand(split(values), trained, lambda words: typer.echo(words, err=True)))
+    def report(message: str) -> None:
+        typer.echo(message, err=True)
+
+    return tuple(registry.expand(split_names(patterns), pretrained_only, report))
 
 
-def positive(option: str, number: float) -> float:
-    """A number above zero. Raises AskedError."""
-    if not number > 0:
-        raise OptionError(f"{option} {number:g}: it has to be above 0")
+@text_parser
+def parse_budgets(text: str) -> Budgets:
+    """Different finite numbers of samples per pixel, at least 0.
+
+    >>> parse_budgets("0.5,1,1.0")
+    (0.5, 1.0)
+    """
+    try:
+        budgets = Budgets(tuple(dict.fromkeys(float(part) for part in split_names([text]))))
+    except ValueError:
+        budgets = Budgets(())
+    if not budgets or not all(math.isfinite(spp) and spp >= 0 for spp in budgets):
+        raise typer.BadParameter(
+            f"'{text}' is no list of budgets. Give samples per pixel, for example 0.5,1,2"
+        )
+    return budgets
+
+
+@text_parser
+def parse_train_spp(text: str) -> Budgets:
+    """Budgets to train at; empty for `default`, the method's own.
+
+    >>> parse_train_spp("default")
+    ()
+    """
+    return Budgets(()) if text == "default" else parse_budgets(text)
+
+
+@text_parser
+def parse_seeds(text: str) -> Seeds:
+    """Different seeds from a list, from ranges without their end, or from both.
+
+    >>> parse_seeds("0:3,7")
+    (0, 1, 2, 7)
+    """
+    seeds: dict[int, None] = {}
+    for part in split_names([text]) or [""]:
+        first, colon, end = part.partition(":")
+        numbers = range(0)
+        if re.fullmatch(r"\d+(:\d+)?", part, re.ASCII):
+            numbers = range(int(first), int(end) if colon else int(first) + 1)
+        if not numbers:
+            raise typer.BadParameter(
+                f"'{text}' is no list of seeds. Give a list such as 3,7, or a range such as 0:48, "
+                "which excludes its end"
+            )
+        seeds |= dict.fromkeys(numbers)
+    return Seeds(tuple(seeds))
+
+
+@text_parser
+def parse_size(text: str) -> PixelSize:
+    """Height and width in pixels of WIDTHxHEIGHT.
+
+    >>> parse_size("320x192")
+    (192, 320)
+    """
+    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text, re.ASCII)
+    if not match:
+        raise typer.BadParameter(f"'{text}' is no size. Give WIDTHxHEIGHT, for example 320x192")
+    return PixelSize((int(match[2]), int(match[1])))
+
+
+@text_parser
+def parse_positive(text: str) -> float:
+    """A finite number above 0."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise typer.BadParameter(f"'{text}' is no number above 0")
     return number
 
 
-def minutes(number: float | None) -> float:
-    """What `--minutes` allows: without it, for ever. Raises AskedError."""
-    return math.inf if number is None else positive("--minutes", number)
+@text_parser
+def parse_definition(text: str) -> Definition:
+    """Name and value of NAME=VALUE.
+
+    >>> parse_definition("max_depth=9")
+    ('max_depth', '9')
+    """
+    name, equals, value = text.partition("=")
+    if not name or not equals:
+        raise typer.BadParameter(f"'{text}' is no NAME=VALUE, for example max_depth=9")
+    return Definition((name, value))
 
 
-def weights(text: str | None) -> tuple[str, str | None]:
-    """What `--weights NAME=FILE` calls them, or nothing, and the file. Raises AskedError."""
+@text_parser
+def parse_weights(text: str) -> WeightsChoice:
+    """The file and the label of NAME=FILE, FILE or `random`."""
     from rlbench.benchmark.row_name import RESERVED_LABELS
 
-    if text is None or text == "random":
-        return "", text
-    called, equals, file = text.partition("=")
+    if text == "random":
+        return WeightsChoice(text)
+    label, equals, file = text.partition("=")
     if not equals or Path(text).exists():
-        called, file = "", text
-    elif not re.fullmatch(r"[\w+-]+", called, re.ASCII):
-        raise OptionError(f"--weights {text}: the name before = is of letters, digits, _, + and -")
-    elif (kind := called.partition("-")[0]) in RESERVED_LABELS:
-        raise OptionError(
-            f"--weights {text}: METHOD@{kind} is what rows of another kind are called"
+        label, file = "", text
+    elif not re.fullmatch(r"[\w+-]+", label, re.ASCII):
+        raise typer.BadParameter(
+            f"'{label}' cannot name rows METHOD@NAME. Use letters, digits, _, + and -"
+        )
+    elif (word := label.partition("-")[0]) in RESERVED_LABELS:
+        raise typer.BadParameter(
+            f"'{label}' cannot name rows, because METHOD@{word} names rows of another kind. Use "
+            "another name before ="
         )
     if not Path(file).is_file():
-        raise OptionError(f"--weights {text}: there is no file {file}; 'rlbench train' makes one")
-    return called, file
-
-
-def seeds(text: str | None) -> tuple[int, ...] | None:
-    """Seeds given as `0:48`, without 48, as `3,7`, or both; None if none. Raises AskedError."""
-    if text is None:
-        return None
-    found: dict[int, None] = {}
-    for part in split([text]) or [""]:
-        first, colon, after = part.partition(":")
-        numbers = range(0)
-        if first.isdecimal() and (after.isdecimal() if colon else True):
-            numbers = range(int(first), int(after) if colon else int(first) + 1)
-        if not numbers:
-            raise OptionError(
-                f"--seeds takes a range such as 0:48, of which 48 is no part, or a list such as "
-                f"3,7, and was given '{text}'"
-            )
-        found |= dict.fromkeys(numbers)
-    return tuple(found)
+        raise typer.BadParameter(
+            f"file '{file}' does not exist. Give a weights file; 'rlbench train' writes one"
+        )
+    return WeightsChoice(file, label)

@@ -1,4 +1,4 @@
-"""The commands that make clips of scenes, and that prove them."""
+"""The commands render and lint: make the clips of presets, and check conventions of clips."""
 
 from __future__ import annotations
 
@@ -7,146 +7,107 @@ from typing import Annotated
 
 import typer
 
-from rlbench import errors
-from rlbench.cli import arguments, user_scene
-from rlbench.render.jobs import preset_clips
+from rlbench.cli import arguments, options
 
-Scenes = Annotated[
-    list[str] | None, typer.Option("--scenes", help="scenes or clips a,b; default every one")
-]
-Seeds = Annotated[
-    str | None, typer.Option(help="generated scenes: 0:48 or 3,7; default the preset's")
-]
-Preset = Annotated[str, typer.Option(help="how large the clips are; see rlbench list presets")]
-Takes = Annotated[
-    str | None, typer.Option(help="main or all, of each scene; default the preset's choice")
-]
-Clips = Annotated[
-    list[Path] | None, typer.Option(help="a clip folder, or one of such; instead of a preset")
-]
-Engine = Annotated[str, typer.Option(help="who does the work: local, or ray, many at a time")]
-RayAddress = Annotated[
-    str | None,
-    typer.Option(help="a running Ray cluster: auto or host:port; else one of this machine"),
-]
+__all__ = ["lint", "render"]
 
 
 def render(
-    scenes: Scenes = None,
-    preset: Preset = "mini",
-    takes: Takes = None,
-    seeds: Seeds = None,
-    cap: Annotated[
-        float | None, typer.Option(help="dim every sample to so many times display white")
+    scenes: options.Scenes = None,
+    preset: options.Preset = "mini",
+    takes: options.Takes = None,
+    seeds: options.SceneSeeds = None,
+    radiance_cap: Annotated[
+        float | None,
+        typer.Option(
+            parser=arguments.parse_positive,
+            metavar="RADIANCE",
+            help="scale brighter samples down to this multiple of display white",
+            rich_help_panel=options.RENDERING,
+        ),
     ] = None,
-    views: Annotated[
+    buffers: Annotated[
         list[str] | None,
-        typer.Option("--views", help="more buffers a,b: object, albedo_first, ..."),
+        typer.Option(
+            "--buffers",
+            metavar="NAMES",
+            help="more G-buffer buffers a,b: object, albedo_first, normal_psr, ...",
+            rich_help_panel=options.RENDERING,
+        ),
     ] = None,
-    scene: Annotated[
-        Path | None, typer.Option(help="your own: .xml (Mitsuba), .py, .blend, .usd, .glb, .fbx")
-    ] = None,
-    tracer: Annotated[
-        str | None, typer.Option(help="mitsuba or cycles; default the one that reads the file")
-    ] = None,
-    camera: Annotated[
-        str | None, typer.Option(help="own, orbit, dolly, still, or a JSON file")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(min=1)] = None,
-    size: Annotated[str | None, typer.Option(help="WxH, pixels")] = None,
-    exposure: Annotated[float | None, typer.Option(help="radiance times this is shown")] = None,
-    define: Annotated[list[str] | None, typer.Option("--define", "-D", help="name=value")] = None,
-    out: Annotated[Path | None, typer.Option(help="the clip's folder")] = None,
-    retime: Annotated[
+    remeasure_sample_time: Annotated[
         bool,
-        typer.Option("--retime", help="and measure anew what a sample takes, on an idle machine"),
+        typer.Option(
+            "--remeasure-sample-time",
+            help="also measure the time of a sample again; the machine must be idle",
+            rich_help_panel=options.RENDERING,
+        ),
     ] = False,
-    engine: Engine = "local",
-    ray_address: RayAddress = None,
+    engine: options.Engine = "local",
+    ray_address: options.RayAddress = None,
 ) -> None:
-    """Render the clips of a preset that are not in the cache yet; a killed rendering goes on.
+    """Render the missing clips of a preset.
 
-    With --scene it is one clip of a scene of yours, and only then are the options from --camera to
-    --out of use: see docs/scenes.md. What they do not say is as in the preset.
+    Clips lie in the cache. A killed rendering resumes.
 
     Examples:
 
+    \b
       rlbench render
-
       rlbench render --preset train --seeds 0:48
-
       rlbench render --scenes city,hall-cut --preset standard
-
-      rlbench render --cap 64
-
-      rlbench render --views object,normal_psr
-
-      rlbench render --scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
-
-      rlbench render --scene mine.py --camera path.json --out clips/mine
-
-      rlbench render --scene atrium.blend --frames 20 -D max_bounces=6
-
+      rlbench render --radiance-cap 64
+      rlbench render --buffers object,normal_psr
       rlbench render --preset standard --engine ray --ray-address auto
-
-      rlbench render --preset standard --retime
+      rlbench render --preset standard --remeasure-sample-time
     """
     from rlbench.parallel.ray_executor import open_executor
+    from rlbench.render.jobs.preset_clips import render_preset_clips
 
-    own = (camera, frames, size, exposure, define, out, tracer)
-    with open_executor(engine, ray_address) as workers:
-        if scene or any(own):
-            for option, value in (
-                ("retime", retime),
-                ("cap", cap),
-                ("views", views),
-                ("takes", takes),
-            ):
-                if value:
-                    raise errors.OptionError(f"--{option} is of a preset's clips, not of --scene")
-            given = scenes or (seeds and [seeds]) or None
-            folders = [user_scene.own_scene(scene, given, preset, *own, workers)]
-        else:
-            chosen = arguments.seeds(seeds)
-            folders = preset_clips.render_preset_clips(
-                arguments.split(scenes or []),
-                preset,
-                cap,
-                chosen,
-                arguments.split(views or []),
-                workers,
-                takes=takes,
-            )
+    names, buffer_names = arguments.split_names(scenes), arguments.split_names(buffers)
+    with open_executor(engine, ray_address) as executor:
+        folders = render_preset_clips(
+            names, preset, radiance_cap, seeds, buffer_names, executor, takes=takes
+        )
     for folder in folders:
-        typer.echo(f"{folder}{_retimed(folder) if retime else ''}")
+        typer.echo(f"{folder}{_remeasure(folder) if remeasure_sample_time else ''}")
 
 
-def _retimed(folder: Path) -> str:
-    """What a sample took before and takes now, in words."""
+def _remeasure(folder: Path) -> str:
+    """Measure the time per sample of a clip again; returns both times as text."""
     from rlbench.clips.stored import read_header
     from rlbench.render.jobs.retime import remeasure_sample_ms
 
-    before = read_header(folder).sample_ms
-    return f"  a sample takes {remeasure_sample_ms(folder).sample_ms:.1f} ms, was {before:.1f} ms"
+    before_ms = read_header(folder).sample_ms
+    after_ms = remeasure_sample_ms(folder).sample_ms
+    return f"  a sample per pixel takes {after_ms:.1f} ms, before {before_ms:.1f} ms"
 
 
 def lint(
-    clips: Annotated[list[Path], typer.Argument(help="a clip folder, or one of such")],
-    picture: Annotated[Path | None, typer.Option(help="a PNG to write; one for each clip")] = None,
-    frames: Annotated[int, typer.Option(min=0, help="first frames to look at; 0 is all")] = 8,
+    clips: Annotated[
+        list[Path],
+        typer.Argument(metavar="CLIPS", exists=True, help="a clip, or a folder of clips"),
+    ],
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False, metavar="FILE", help="PNG to draw; with several clips, one for each"
+        ),
+    ] = None,
+    frames: Annotated[int, typer.Option(min=0, help="first frames to read; 0: all")] = 8,
 ) -> None:
-    """Prove a clip's conventions: motion, depth, normals, albedo, samples, reference.
+    """Check a clip's motion, depth, normals, samples, reference.
 
-    Exit code 1 if a check fails.
+    The exit code is 1 if a check failed.
 
     Examples:
 
+    \b
       rlbench lint my_renders/atrium
-
-      rlbench lint my_renders/ --picture lint.png --frames 0
+      rlbench lint my_renders/ --figure lint.png --frames 0
     """
-    from rlbench.checks.lint.run import lint_clips as examine
+    from rlbench.checks.lint.run import lint_clips
     from rlbench.clips.stored import find_clips
 
-    folders = [folder for place in clips for folder in find_clips(place)]
-    raise typer.Exit(0 if examine(folders, picture, frames) else 1)
+    folders = [folder for path in clips for folder in find_clips(path)]
+    raise typer.Exit(0 if lint_clips(folders, figure, frames) else 1)

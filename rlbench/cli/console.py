@@ -1,4 +1,4 @@
-"""What the command line shows: progress, tables, findings."""
+"""Output of the commands on the terminal: progress bars, tables, summaries."""
 
 from __future__ import annotations
 
@@ -17,128 +17,161 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import ProgressCallbacks
 
 if TYPE_CHECKING:
-    from rlbench.benchmark.runner import RunSummary
+    import pandas as pd
 
-PERIOD = 600.0  # seconds of progress that a guess of the rest looks back on
+    from rlbench.benchmark.runner import RunSummary
+    from rlbench.training import Progress as TrainingProgress
+
+__all__ = [
+    "importing",
+    "measuring",
+    "print_installed",
+    "print_scores",
+    "print_summary",
+    "training",
+    "training_status",
+]
+
+SPEED_PERIOD = 600.0  # seconds of progress from which the remaining time is estimated
 COLUMNS = {  # of `rlbench list`, in their order
-    "methods": ("name", "question", "needs", "spp", "adapts", "weights"),
+    "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
     "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }
 
 
 @contextmanager
-def progress(request: RunPlan) -> Iterator[ProgressCallbacks]:
-    """A bar over the cells of a request, on the error stream."""
-    with _bar() as bar:
-        task = bar.add_task("measuring", total=len(resolve_cells(request)))
+def measuring(plan: RunPlan) -> Iterator[ProgressCallbacks]:
+    """A progress bar over the cells of a plan, on the error stream."""
+    with _progress_bar() as bar:
+        task = bar.add_task("measuring", total=len(resolve_cells(plan)))
 
-        def tell(cell: ResolvedCell) -> None:
-            told = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
-            bar.update(task, advance=1, description=told)
+        def on_cell(cell: ResolvedCell) -> None:
+            status = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
+            bar.update(task, advance=1, description=status)
 
-        def timed(cell: ResolvedCell) -> None:
+        def on_timing(cell: ResolvedCell) -> None:
             bar.update(task, description=f"timed {cell.method.name}, {cell.target_spp:g} spp")
 
-        yield ProgressCallbacks(tell, timed)
+        yield ProgressCallbacks(on_cell, on_timing)
 
 
 @contextmanager
-def training(name: str, frames: int) -> Iterator[Callable[[Any, float], None]]:
-    """A bar over the frames that a training sees, on the error stream, and the time left."""
-    with _bar() as bar:
-        task = bar.add_task(name, total=frames)
+def training(title: str, frames: int) -> Iterator[Callable[[TrainingProgress, float], None]]:
+    """A progress bar over the frames of a training, on the error stream."""
+    with _progress_bar() as bar:
+        task = bar.add_task(title, total=frames)
 
-        def tell(stands: Any, loss: float) -> None:
-            status = f"{name}, {training_status(stands, loss)}"
-            bar.update(task, completed=stands.frames_seen, description=status)
+        def on_progress(progress: TrainingProgress, loss: float) -> None:
+            status = f"{title}, {training_status(progress, loss)}"
+            bar.update(task, completed=progress.frames_seen, description=status)
 
-        yield tell
-
-
-def training_status(stands: Any, loss: float) -> str:
-    """How a training goes: its loss, the last validation, frames a second."""
-    told = [f"loss {loss:.4f}"]
-    told += [f"validation {psnr:.2f} dB" for _, psnr in stands.validation_history[-1:]]
-    return ", ".join([*told, f"{stands.frames_per_second:.1f} frames/s"])
+        yield on_progress
 
 
-def done(what: RunSummary, out: Path) -> None:
-    """What became of the cells of a run."""
+def training_status(progress: TrainingProgress, loss: float) -> str:
+    """Loss, last validation and speed of a training."""
+    parts = [f"loss {loss:.4f}"]
+    parts += [f"validation {psnr:.2f} dB" for _, psnr in progress.validation_history[-1:]]
+    return ", ".join([*parts, f"{progress.frames_per_second:.1f} frames/s"])
+
+
+@contextmanager
+def importing(frames: int) -> Iterator[Callable[[], None]]:
+    """A progress bar over imported frames, on the error stream."""
+    with _progress_bar() as bar:
+        task = bar.add_task("importing", total=frames)
+        yield lambda: bar.advance(task)
+
+
+def print_summary(summary: RunSummary, out: Path) -> None:
+    """Print what happened to the cells of a run."""
     console = Console()
-    if not what.measured + what.skipped:
-        console.print(f"nothing to do: all {what.cached} cells are in {out} already")
+    if not summary.measured + summary.skipped:
+        console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
         return
-    told = (
-        f"{what.measured} cells measured, {what.cached} known before, {what.skipped} not possible"
+    text = (
+        f"{summary.measured} cells measured, {summary.cached} already in the results, "
+        f"{summary.skipped} skipped"
     )
-    told += f", {what.replaced} older ones replaced" if what.replaced else ""
-    console.print(f"{told}; results are in {out}")
+    text += f", {summary.replaced} older ones replaced" if summary.replaced else ""
+    console.print(f"{text}; results are in {out}")
 
 
-def table(request: RunPlan, out: Path, methods: Iterable[str] = ()) -> bool:
-    """Mean PSNR and frame time of what was asked for, and why cells have no numbers; are there any?
+def print_scores(plan: RunPlan, out: Path, row_names: Iterable[str] = ()) -> bool:
+    """Print mean PSNR and times of a plan, and why numbers are missing; are there any numbers?
 
-    `methods` are names in the results that the request does not lead to.
+    `row_names` are the methods' names in the results, where they are not those of the plan.
     """
-    rows = results.read(out)
-    names = [clip.header.name for clip in request.clips]
-    called = methods or [resolve_method(request, name).row_name for name in request.methods]
-    rows = rows[rows["method"].isin(called) & rows["clip"].isin(names)]
-    rows = rows[rows["target_spp"].isin(request.target_spp) & rows["seed"].isin(request.seeds)]
-    rows = rows[rows["device"] == latency.device_name(request.device)]
-    shown = Table(title=f"mean over {len(names)} clips")
-    for column in ("method", "spp", "PSNR dB", "inference ms", "total ms"):
-        shown.add_column(column, justify="left" if column == "method" else "right")
+    rows = _planned_rows(plan, results.read(out), row_names)
+    clips = len(plan.clips)
+    table = Table(title="one clip" if clips == 1 else f"mean over {clips} clips")
+    for column in ("method", "spp", "PSNR dB", "inference ms", "frame ms"):
+        table.add_column(column, justify="left" if column == "method" else "right")
     for (method, spp), group in rows.groupby(["method", "target_spp"]):
         means = group.groupby("metric")["value"].mean()
-        figures = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
-        some = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
-        of = f" ({some} of them)" if 0 < some < len(names) else ""
-        shown.add_row(f"{method}{of}", f"{spp:g}", *(_figure(value) for value in figures))
+        numbers = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
+        scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
+        part = f" ({scored} of them)" if 0 < scored < clips else ""
+        table.add_row(f"{method}{part}", f"{spp:g}", *(_format_number(value) for value in numbers))
     console = Console()
-    console.print(shown)
-    whole = rows[(rows["frame"] == results.WHOLE_CLIP) & rows["value"].isna()]
-    for (method, metric, note), group in whole.groupby(["method", "metric", "note"]):
-        if metric in ("psnr", "sample_ms"):
-            where = ", ".join(sorted(set(group["clip"])))
-            console.print(f"{method}: no {metric} on {where}: {note}", markup=False)
-    scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
-    for (method, note), _ in scored.groupby(["method", "note"]):
-        console.print(f"{method}: {note}", style="yellow", markup=False)
+    console.print(table)
+    _print_notes(rows, console)
     return bool(rows["value"].notna().any())
 
 
-def listed(found: dict[str, list[dict[str, Any]]]) -> None:
-    """What is installed, one table a kind; broken plugins below it with their error."""
+def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
+    """Print one table for each kind, and below it the plugins that cannot be imported."""
     console = Console()
-    for kind, rows in found.items():
-        fine = [row for row in rows if "broken" not in row]
-        columns = COLUMNS.get(kind) or tuple(fine[0] if fine else ("name",))
-        shown = Table(title=kind, title_justify="left")
+    for kind, rows in installed.items():
+        working = [row for row in rows if "broken" not in row]
+        columns = COLUMNS.get(kind) or tuple(working[0] if working else ("name",))
+        table = Table(title=kind, title_justify="left")
         for column in columns:
-            copied = column == "name"  # names are there to be copied
-            shown.add_column(column, no_wrap=copied, overflow="ellipsis" if copied else "fold")
-        for row in fine:
-            shown.add_row(*(_told(row[column]) for column in columns))
-        console.print(shown)
+            is_name = column == "name"  # names are there to be copied, so they stay on one line
+            table.add_column(column, no_wrap=is_name, overflow="ellipsis" if is_name else "fold")
+        for row in working:
+            table.add_row(*(_format_value(row[column]) for column in columns))
+        console.print(table)
         for row in rows:
             if "broken" in row:
-                told = f"{row['name']} (from {row['from']}) is broken: {row['broken']}"
-                console.print(told, style="red", markup=False)
+                text = f"{row['name']} (from {row['from']}) cannot be imported: {row['broken']}"
+                console.print(text, style="red", markup=False)
 
 
-def _bar() -> Progress:
+def _planned_rows(plan: RunPlan, rows: pd.DataFrame, row_names: Iterable[str]) -> pd.DataFrame:
+    names = list(row_names) or [resolve_method(plan, name).row_name for name in plan.methods]
+    clips = [clip.header.name for clip in plan.clips]
+    rows = rows[rows["method"].isin(names) & rows["clip"].isin(clips)]
+    rows = rows[rows["target_spp"].isin(plan.target_spp) & rows["seed"].isin(plan.seeds)]
+    return rows[rows["device"] == latency.device_name(plan.device)]
+
+
+def _print_notes(rows: pd.DataFrame, console: Console) -> None:
+    """Print why clips have no score or no sample time, and remarks on scores."""
+    missing = rows[(rows["frame"] == results.WHOLE_CLIP) & rows["value"].isna()]
+    for (method, metric, note), group in missing.groupby(["method", "metric", "note"]):
+        if metric in ("psnr", "sample_ms"):
+            clips = ", ".join(sorted(set(group["clip"])))
+            console.print(f"{method}: no {metric} on {clips}: {note}", markup=False)
+    scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
+    for (method, note), _ in scored.groupby(["method", "note"]):
+        console.print(f"{method}: {note}", style="yellow", markup=False)
+
+
+def _progress_bar() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     console = Console(stderr=True)
-    return Progress(*columns, TimeRemainingColumn(), console=console, speed_estimate_period=PERIOD)
+    return Progress(
+        *columns, TimeRemainingColumn(), console=console, speed_estimate_period=SPEED_PERIOD
+    )
 
 
-def _figure(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return "-" if value is None or value != value else f"{value:.2f}"
 
 
-def _told(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list) and len(value) == 2 and all(isinstance(v, float) for v in value):

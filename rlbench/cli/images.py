@@ -1,4 +1,4 @@
-"""The command that shows images."""
+"""The command images: outputs of methods on one frame."""
 
 from __future__ import annotations
 
@@ -7,60 +7,91 @@ from typing import Annotated
 
 import typer
 
-from rlbench.cli import arguments
-from rlbench.cli.clips import Clips, Preset, Scenes, Takes
-from rlbench.cli.methods import Device, Methods, Plugins, load_plugins
+from rlbench.cli import arguments, options
+from rlbench.cli.arguments import Budgets, WeightsChoice
+from rlbench.cli.benchmark import warn_without_networks
+from rlbench.cli.plugins import load_plugins
+
+__all__ = ["images"]
 
 
 def images(
-    methods: Methods,
-    scenes: Scenes = None,
-    spp: Annotated[str, typer.Option(help="budgets, samples per pixel")] = "1",
-    frame: Annotated[int, typer.Option(help="which; -1 is the last")] = -1,
-    preset: Preset = "mini",
-    takes: Takes = None,
-    clips: Clips = None,
-    seed: Annotated[int, typer.Option(min=0, help="of the order of sale and of rounding")] = 0,
-    device: Device = "auto",
-    weights: Annotated[
-        str | None, typer.Option(help="NAME=FILE, a file, or random; default the shipped")
-    ] = None,
-    half: Annotated[bool, typer.Option("--half", help="networks in bfloat16")] = False,
-    plugin: Plugins = None,
-    out: Annotated[Path, typer.Option(help="folder to write to")] = Path("images"),
+    methods: options.Methods,
+    weights: options.Weights = None,
+    bf16: options.Bf16 = False,
+    plugin: options.Plugins = None,
+    scenes: options.Scenes = None,
+    preset: options.Preset = "mini",
+    takes: options.Takes = None,
+    clips: options.Clips = None,
+    frame: Annotated[
+        int,
+        typer.Option(help="index of the frame; -1: the last", rich_help_panel=options.CLIPS),
+    ] = -1,
+    spp: Annotated[
+        Budgets,
+        typer.Option(
+            parser=arguments.parse_budgets,
+            metavar="SPP",
+            show_default=False,
+            help="budgets in samples per pixel; default: 1",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = options.DEFAULT_IMAGE_SPP,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="seed of the sample order and of rounding",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = 0,
+    device: options.Device = "auto",
+    out: Annotated[
+        Path,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="folder to write to",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = Path("images"),
 ) -> None:
-    """Write what methods show of one frame: PNG (clipped sRGB), EXR (linear), and a sheet of all.
+    """Write images of one frame: PNG, EXR, and a sheet.
 
-    The sheet has images, errors and samples of each pixel. Pixels that are not finite are magenta.
+    PNG files are clipped sRGB, EXR files are linear. The sheet shows images, errors and samples per
+    pixel of all methods. Pixels that are not finite are magenta.
 
     Examples:
 
+    \b
       rlbench images -m ours,ntas,mean --scenes city
-
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
     load_plugins(plugin)
     from rlbench import registry
+    from rlbench.benchmark.api import select_clips, select_device
     from rlbench.benchmark.frame_images import write_images
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
-    names = arguments.methods(methods)
-    called, weights = arguments.weights(weights)
-    kinds = {registry.get_variant(name).traits.pool for name in names}
-    request = RunPlan(
+    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()
+    warn_without_networks(names, bf16, chosen)
+    pools = {registry.get_variant(name).traits.pool for name in names}
+    scene_names = arguments.split_names(scenes)
+    plan = RunPlan(
         methods=names,
-        clips=arguments.clips(clips, scenes, preset, kinds=kinds, takes=takes),
-        target_spp=arguments.numbers("--spp", spp, float),
+        clips=select_clips(clips, scene_names, preset, takes, pool_kinds=pools),
+        target_spp=spp,
         seeds=(seed,),
-        device=arguments.device(device),
-        weights=weights,
-        weights_label=called,
-        bf16=half,
+        device=select_device(device),
+        weights=chosen.file,
+        weights_label=chosen.label,
+        bf16=bf16,
     )
-    with console.progress(request) as bar:
-        sheets = list(write_images(request, frame, out, bar.on_cell))
+    with console.measuring(plan) as bar:
+        sheets = list(write_images(plan, frame, out, bar.on_cell))
     for sheet in sheets:
         typer.echo(sheet.file)
-        for method, why in sheet.missing.items():
-            typer.echo(f"{sheet.file.name} is without {method}: {why}", err=True)
+        for method, reason in sheet.missing.items():
+            typer.echo(f"{sheet.file.name} lacks {method}: {reason}", err=True)

@@ -1,199 +1,216 @@
-"""The commands that train methods: by one plan, or leaving out one scene after another."""
+"""The commands train, lr-find and replay."""
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rlbench.cli import arguments
-from rlbench.cli.clips import Scenes, Seeds
-from rlbench.cli.methods import Device, Methods, Plugins, load_plugins
-from rlbench.training.config import TrainingConfig
+from rlbench.cli import arguments, options, training_options
+from rlbench.cli.arguments import Budgets, Seeds
+from rlbench.cli.plugins import load_plugins
 
-Frames = Annotated[int, typer.Option(min=1, help="crops to see, for each method")]
-Minutes = Annotated[
-    float | None, typer.Option(help="stop after so many, for each method; default never")
-]
-Batch = Annotated[int, typer.Option(min=1, help="crops advanced together")]
-Crop = Annotated[int, typer.Option(min=16, help="side of a crop, pixels")]
-Half = Annotated[bool, typer.Option("--half", help="bfloat16 forward pass")]
-Norm = Annotated[float, typer.Option(help="gradients are clipped to this length")]
-Budget = Annotated[
-    str, typer.Option(help="samples per pixel, 4 or 0.5,1,2, one drawn a sequence; any: its own")
-]
-Altered = Annotated[
-    bool, typer.Option("--altered", help="go on from a checkpoint of another plan; the card tells")
-]
+if TYPE_CHECKING:
+    from rlbench.training.config import TrainingConfig
+    from rlbench.training.dataset import TrainingSplit
+    from rlbench.training.runs import TrainingRuns
+
+__all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
 
 
 def train(
-    methods: Methods = ["all"],  # noqa: B006
-    out: Annotated[Path, typer.Option(help="weights, checkpoints and logs")] = Path("runs"),
-    minutes: Minutes = None,
-    frames: Frames = 12_000,
-    batch: Batch = 1,
-    crop: Crop = 128,
-    budget: Budget = "any",
-    half: Half = False,
-    norm: Norm = 1.0,
-    seed: int = 0,
-    device: Device = "auto",
-    preset: Annotated[str | None, typer.Option(help="default train; mini with --holdout")] = None,
-    seeds: Seeds = None,
-    holdout: Annotated[
-        str | None, typer.Option(help="train on the scored scenes but this one")
-    ] = None,
-    fresh: Annotated[
-        bool, typer.Option("--fresh/--resume", help="start anew, and move the old training aside")
+    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    plugin: options.Plugins = None,
+    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
+    batch: training_options.Batch = 1,
+    crop: training_options.Crop = training_options.DEFAULT_CROP,
+    train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
+    bf16: training_options.Bf16 = False,
+    max_grad_norm: training_options.MaxGradNorm = 1.0,
+    seed: training_options.Seed = 0,
+    minutes: training_options.Minutes = None,
+    restart: Annotated[
+        bool,
+        typer.Option(
+            "--restart/--resume",
+            help="start again and keep the old run as NAME.old-N, or resume it",
+            rich_help_panel=training_options.TRAINING,
+        ),
     ] = False,
-    altered: Altered = False,
-    range_test: Annotated[
-        bool, typer.Option("--range-test", help="no training: try learning rates, --frames long")
-    ] = False,
-    replay: Annotated[
-        Path | None, typer.Option(help="the file of a halted sequence: take its steps again")
-    ] = None,
-    plugin: Plugins = None,
+    allow_config_change: training_options.AllowConfigChange = False,
+    preset: training_options.Preset = None,
+    seeds: options.SceneSeeds = None,
+    holdout: training_options.Holdout = None,
+    device: options.Device = "auto",
+    out: training_options.RunsFolder = Path("runs"),
 ) -> None:
-    """Train methods on generated scenes, none of which is scored on; goes on where it stopped.
+    """Train methods, or resume their training.
 
-    With --holdout it is the papers' protocol instead: all scored scenes but one, the one to score.
-    See docs/training.md.
+    The clips are generated scenes, none of which belongs to a test set. With --holdout, they are
+    all test scenes of a preset except one, as in the papers. docs/how-to/train-a-method.md
+    describes the training.
 
     Examples:
 
+    \b
       rlbench train --methods ours,ntas
-
       rlbench train -m ours --minutes 30 --device cuda
-
-      rlbench train -m ours --seeds 0:48 --budget 0.5,1
-
+      rlbench train -m ours --seeds 0:48 --train-spp 0.5,1
       rlbench train -m ntas --holdout hall --preset standard
-
-      rlbench train -m mine --plugin mine.py --range-test --frames 1200
-
-      rlbench train --replay runs/ours/failed-sequence-71.safetensors
     """
     load_plugins(plugin)
-    from rlbench import registry
-    from rlbench.cli import console
-    from rlbench.training import dataset, logger, runs
+    from rlbench.training.logger import tensorboard_hint
+    from rlbench.training.runs import archive_run
 
-    if replay is not None:
-        from rlbench.training import replay_sequence
-
-        found = replay_sequence(replay, str(arguments.device(device)))
-        typer.echo(f"again: {found}" if found else "all is finite this time, on this machine")
-        return
-    names = arguments.methods(methods, trained=False)
-    learning = runs.select_trainable(names)
-    for name in set(names) - set(learning):
-        typer.echo(f"{name} has nothing to train")
-    plan = planned(frames, batch, crop, budget, half, norm, seed)
-    command = shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = runs.TrainingRuns(
-        out,
-        plan,
-        str(arguments.device(device)),
-        arguments.minutes(minutes),
-        command,
-        altered,
-        console.training,
-    )
-    lessons.check(learning)
-    kinds = {registry.get_variant(name).traits.pool for name in learning}
-    chosen = dataset.EMPTY_SPLIT
-    if learning:
-        chosen = dataset.select_split(preset, arguments.seeds(seeds), holdout, kinds)
-        typer.echo(logger.tensorboard_hint(), err=True) if logger.tensorboard_hint() else None
-    for name in learning:
-        if range_test:
-            tried = lessons.find_learning_rate(name, chosen)
-            typer.echo(f"{name}: peak {tried.suggested_lr:.1e} proposed; see {tried.figure}")
-            continue
-        folder = lessons.folder(name, holdout)
-        if fresh and (old := runs.archive_run(folder)):
-            typer.echo(f"{name}: the training that was there is in {old} now")
-        lessons.train(name, chosen, holdout)
+    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    runs = training_runs(out, config, device, minutes, allow_config_change)
+    names = _trainable(methods)
+    runs.check(names)
+    split = _split(names, preset, seeds, holdout)
+    if names and (hint := tensorboard_hint()):
+        typer.echo(hint, err=True)
+    for name in names:
+        folder = runs.folder(name, holdout)
+        if restart and (archived := archive_run(folder)):
+            typer.echo(f"{name}: the old run is now in {archived}")
+        runs.train(name, split, holdout)
         typer.echo(f"{name}: {folder}")
 
 
-def crossval(
-    methods: Methods = ["all"],  # noqa: B006
-    preset: Annotated[str, typer.Option(help="of scenes that are scored")] = "mini",
-    scenes: Scenes = None,
-    spp: Annotated[str, typer.Option(help="budgets to score at")] = "0.5,1,2,4",
-    frames: Frames = 12_000,
-    minutes: Minutes = None,
-    batch: Batch = 1,
-    crop: Crop = 128,
-    budget: Budget = "any",
-    half: Half = False,
-    norm: Norm = 1.0,
-    seed: int = 0,
-    device: Device = "auto",
-    out: Annotated[Path, typer.Option(help="a training each scene, and results/")] = Path(
-        "crossval"
-    ),
-    cost: Annotated[
-        str, typer.Option(help="time of a sample: measured, paper-2080ti, or a TOML file")
-    ] = "measured",
-    limit_frames: Annotated[
-        int | None, typer.Option(min=1, help="score the first frames only, for trying out")
-    ] = None,
-    altered: Altered = False,
-    plugin: Plugins = None,
+def lr_find(
+    methods: options.Methods,
+    plugin: options.Plugins = None,
+    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
+    batch: training_options.Batch = 1,
+    crop: training_options.Crop = training_options.DEFAULT_CROP,
+    train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
+    bf16: training_options.Bf16 = False,
+    max_grad_norm: training_options.MaxGradNorm = 1.0,
+    seed: training_options.Seed = 0,
+    preset: training_options.Preset = None,
+    seeds: options.SceneSeeds = None,
+    holdout: training_options.Holdout = None,
+    device: options.Device = "auto",
+    out: training_options.RunsFolder = Path("runs"),
 ) -> None:
-    """Train on all scenes but one, score on that one, for each scene in turn; goes on if killed.
+    """Propose a learning rate by a range test.
 
-    The protocol of Scardigli et al. 2023. In the results such rows are called NAME@crossval;
-    methods that learn nothing are scored beside them. --scenes leaves out these alone.
+    Trains from the first weights while the learning rate grows, and writes range.csv and range.png
+    to NAME-range. Smith 2017.
 
     Examples:
 
-      rlbench crossval --methods ours,ntas
-
-      rlbench crossval -m ours,svgf --preset standard --frames 6000 --half
-
-      rlbench report all --results crossval/results --out crossval/report
+    \b
+      rlbench lr-find -m ours --frames 1200
+      rlbench lr-find -m mine --plugin mine.py --frames 1200
     """
     load_plugins(plugin)
-    from rlbench.benchmark import crossval as leaving
-    from rlbench.benchmark.run_plan import RunPlan
-    from rlbench.cli import console
-    from rlbench.training import runs
+    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    runs = training_runs(out, config, device)
+    names = _trainable(methods)
+    runs.check(names)
+    split = _split(names, preset, seeds, holdout)
+    for name in names:
+        result = runs.find_learning_rate(name, split)
+        typer.echo(
+            f"{name}: proposed peak learning rate {result.suggested_lr:.1e}; see {result.figure}"
+        )
 
-    names = arguments.methods(methods)
-    plan = planned(frames, batch, crop, budget, half, norm, seed)
-    where, command = arguments.device(device), shlex.join(["rlbench", *sys.argv[1:]])
-    lessons = runs.TrainingRuns(
+
+def replay(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            exists=True,
+            dir_okay=False,
+            help="failed-sequence-N.safetensors of a run",
+        ),
+    ],
+    device: options.Device = "auto",
+    plugin: options.Plugins = None,
+) -> None:
+    """Repeat the training steps that stopped a run.
+
+    Says which layer gives values that are not finite. The run itself is unchanged.
+
+    Examples:
+
+    \b
+      rlbench replay runs/ours/failed-sequence-71.safetensors
+    """
+    load_plugins(plugin)
+    from rlbench.benchmark.api import select_device
+    from rlbench.training import replay_sequence
+
+    failure = replay_sequence(file, str(select_device(device)))
+    typer.echo(f"failed again: {failure}" if failure else "all values are finite on this machine")
+
+
+def training_config(
+    frames: int,
+    batch: int,
+    crop: int,
+    seed: int,
+    max_grad_norm: float,
+    bf16: bool,
+    train_spp: Budgets,
+) -> TrainingConfig:
+    """The config of these options."""
+    from rlbench.training.config import TrainingConfig
+
+    return TrainingConfig(
+        frames, batch, crop, seed=seed, max_grad_norm=max_grad_norm, bf16=bf16, spp=train_spp
+    )
+
+
+def training_runs(
+    out: Path,
+    config: TrainingConfig,
+    device: str,
+    minutes: float | None = None,
+    allow_config_change: bool = False,
+) -> TrainingRuns:
+    """Runs with these options, a progress bar, and this command in their model cards."""
+    from rlbench.benchmark.api import select_device
+    from rlbench.cli import console
+    from rlbench.training.runs import TrainingRuns
+
+    return TrainingRuns(
         out,
-        plan,
-        str(where),
-        arguments.minutes(minutes),
-        command,
-        altered,
+        config,
+        str(select_device(device)),
+        math.inf if minutes is None else minutes,
+        shlex.join(["rlbench", *sys.argv[1:]]),
+        allow_config_change,
         console.training,
     )
-    lessons.check([name for name in map(leaving.variant_to_train, names) if name])
-    folds = leaving.folds(preset, arguments.split(scenes or []), names)
-    clips = tuple(clip for fold in folds for clip in fold.clips)
-    budgets = arguments.numbers("--spp", spp, float)
-    request = RunPlan(names, clips, budgets, (seed,), where, cost, limit_frames=limit_frames)
-    results = out / "results"
-    done = leaving.crossval(folds, lessons, request, results, typer.echo, console.progress)
-    console.done(done, results)
-    console.table(request, results, leaving.row_names(request))
 
 
-def planned(
-    frames: int, batch: int, crop: int, budget: str, half: bool, norm: float, seed: int
-) -> TrainingConfig:
-    """The plan that the options of a command ask for. Raises AskedError."""
-    arguments.positive("--norm", norm)
-    spp = () if budget == "any" else arguments.numbers("--budget", budget, float)
-    return TrainingConfig(frames, batch, crop, seed=seed, max_grad_norm=norm, bf16=half, spp=spp)
+def _trainable(patterns: list[str]) -> list[str]:
+    """The selected methods that can be trained; reports the others."""
+    from rlbench.training.runs import select_trainable
+
+    names = arguments.expand_methods(patterns, pretrained_only=False)
+    trainable = select_trainable(names)
+    for name in names:
+        if name not in trainable:
+            typer.echo(f"{name} has nothing to train")
+    return trainable
+
+
+def _split(
+    names: list[str], preset: str | None, seeds: Seeds | None, holdout: str | None
+) -> TrainingSplit:
+    """Clips for the training of these methods; renders those that are missing."""
+    from rlbench import registry
+    from rlbench.training import dataset
+
+    if not names:
+        return dataset.EMPTY_SPLIT
+    pools = {registry.get_variant(name).traits.pool for name in names}
+    return dataset.select_split(preset, seeds, holdout, pools)

@@ -1,86 +1,162 @@
-"""The options of a user's own scene."""
+"""The command render-scene: a clip of a user's scene file, by the tracer that reads it."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rlbench.cli import arguments, options
+from rlbench.cli.arguments import Definition, PixelSize
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
+    from rlbench.render.presets import Preset
+    from rlbench.render.user.clip import UserSceneOptions
+
+__all__ = ["render_clip", "render_scene", "select_tracer"]
 
 
-def own_scene(
-    scene: Path | None,
-    scenes: list[str] | None,
-    preset: str,
-    camera: str | None,
-    frames: int | None,
-    size: str | None,
-    exposure: float | None,
-    define: list[str] | None,
-    out: Path | None,
-    tracer: str | None = None,
-    engine: Executor | None = None,
-) -> Path:
-    """The clip folder of one's own scene; what is missing of it is rendered now."""
-    if scene is None or scenes:
-        raise OptionError(
-            "--camera, --frames, --size, --exposure, --define, --out and --tracer belong to "
-            "--scene FILE, which is given without --scenes and --seeds"
-        )
-    from rlbench.parallel.executor import LOCAL
-    from rlbench.render.cycles.clip import ensure_cycles
-    from rlbench.render.presets import get_preset as preset_of
-    from rlbench.render.user.clip import UserSceneOptions, ensure_user_clip
+def render_scene(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            exists=True,
+            dir_okay=False,
+            help="a scene: .xml (Mitsuba), .py, .blend, .usd, .glb, .gltf, .fbx, .obj",
+        ),
+    ],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH",
+            help="own, orbit, dolly, still, or a JSON file of matrices",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="default: as in the preset, or the matrices",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    size: Annotated[
+        PixelSize | None,
+        typer.Option(
+            parser=arguments.parse_size,
+            metavar="WIDTHxHEIGHT",
+            help="in pixels; default: the film's shape, as many pixels as the preset",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option(
+            parser=arguments.parse_positive,
+            metavar="FACTOR",
+            help="maps radiance to display white at 1; default: estimated",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    define: Annotated[
+        list[Definition] | None,
+        typer.Option(
+            "--define",
+            "-D",
+            parser=arguments.parse_definition,
+            metavar="NAME=VALUE",
+            help="parameter of the scene or tracer; can be repeated",
+            rich_help_panel=options.RENDERING,
+        ),
+    ] = None,
+    tracer: Annotated[
+        Literal["mitsuba", "cycles"] | None,
+        typer.Option(
+            help="default: the one that reads the file", rich_help_panel=options.RENDERING
+        ),
+    ] = None,
+    preset: options.Preset = "mini",
+    engine: options.Engine = "local",
+    ray_address: options.RayAddress = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="the clip's folder; default: one in the cache",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+) -> None:
+    """Render a clip of your own scene file.
 
-    if exposure is not None and not 0 < exposure < float("inf"):
-        raise OptionError(f"--exposure takes a number above 0 and was given {exposure}")
-    if wrong := [item for item in define or () if not item.partition("=")[0] or "=" not in item]:
-        raise OptionError(f"--define takes name=value and was given '{wrong[0]}'")
-    pairs = [item.partition("=") for item in define or ()]
-    wish = UserSceneOptions(
-        file=scene,
+    A killed rendering resumes, and a changed scene is rendered again. docs/how-to/add-a-scene.md
+    describes cameras, moving shapes, and what each tracer supports.
+
+    Examples:
+
+    \b
+      rlbench render-scene kitchen/scene.xml --camera dolly --frames 20 --size 320x192
+      rlbench render-scene mine.py --camera path.json --out clips/mine
+      rlbench render-scene atrium.blend --frames 20 -D max_bounces=6
+    """
+    from rlbench.parallel.ray_executor import open_executor
+    from rlbench.render.presets import get_preset
+    from rlbench.render.user.clip import UserSceneOptions
+
+    scene = UserSceneOptions(
+        file=file,
         camera=camera or "",
         frames=frames,
-        size=_size(size) if size else None,
+        size=size,
         exposure=exposure,
-        parameters=tuple((name, value) for name, _, value in pairs),
+        parameters=tuple(define or ()),
         out=out,
     )
-    plan, tell = preset_of(preset), lambda words: typer.echo(words, err=True)
-    if tracer_of(scene, tracer) == "mitsuba":
-        return ensure_user_clip(wish, plan, tell, engine or LOCAL)
-    if engine not in (None, LOCAL):
+    with open_executor(engine, ray_address) as executor:
+        typer.echo(render_clip(scene, get_preset(preset), tracer, executor))
+
+
+def render_clip(
+    scene: UserSceneOptions, preset: Preset, tracer: str | None, executor: Executor
+) -> Path:
+    """The clip folder of a scene file, after rendering the missing frames.
+
+    Raises OptionError if the tracer does not read the file, or not with this executor.
+    """
+    from rlbench.parallel.executor import LOCAL
+    from rlbench.render.cycles.clip import ensure_cycles
+    from rlbench.render.user.clip import ensure_user_clip
+
+    def on_message(message: str) -> None:
+        typer.echo(message, err=True)
+
+    if select_tracer(scene.file, tracer) == "mitsuba":
+        return ensure_user_clip(scene, preset, on_message, executor)
+    if executor is not LOCAL:
         raise OptionError(
-            "--engine ray does not render with Cycles, which uses all cores by itself"
+            "--engine ray cannot render with Cycles, which uses all cores by itself. Omit it"
         )
-    return ensure_cycles(wish, plan, tell)
+    return ensure_cycles(scene, preset, on_message)
 
 
-def tracer_of(scene: Path, asked: str | None) -> str:
-    """Which tracer renders a scene file: the one that reads its format. Raises AskedError."""
+def select_tracer(file: Path, tracer: str | None) -> str:
+    """The requested tracer, or the one that reads the file's format.
+
+    Raises OptionError if no tracer, or not the requested one, reads it.
+    """
     from rlbench.render.cycles.scene_file import FORMATS
 
-    reads = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
-    fits = [name for name, kinds in reads.items() if scene.suffix.lower() in kinds]
-    if asked is None and not fits:
-        told = "; ".join(f"{name} reads {', '.join(kinds)}" for name, kinds in reads.items())
-        raise OptionError(f"--scene {scene}: no tracer reads it; {told}")
-    if asked is not None and asked not in fits:
-        known = (
-            f"it reads {', '.join(reads[asked])}" if asked in reads else "it is mitsuba or cycles"
-        )
-        raise OptionError(f"--tracer {asked} does not read {scene.name}; {known}")
-    return fits[0]
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Height and width of `WxH`. Raises AskedError."""
-    wide, _, high = text.partition("x")
-    if not (wide.isdecimal() and high.isdecimal() and int(wide) and int(high)):
-        raise OptionError(f"--size takes width x height, such as 320x192, and was given '{text}'")
-    return int(high), int(wide)
+    formats = {"mitsuba": (".xml", ".py"), "cycles": FORMATS}
+    readers = [name for name, suffixes in formats.items() if file.suffix.lower() in suffixes]
+    supported = "; ".join(f"{name} reads {', '.join(formats[name])}" for name in formats)
+    if not readers:
+        raise OptionError(f"scene file {file}: no tracer reads it. {supported}")
+    if tracer not in (None, *readers):
+        raise OptionError(f"--tracer {tracer} does not read {file.name}. {supported}")
+    return readers[0]

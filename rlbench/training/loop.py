@@ -144,7 +144,7 @@ def _train_sequence(
         file = replay.write(out, state, failed, error.failure)
         raise TrainingError(
             f"Training of '{method}' stopped in sequence {index} at {spp:g} spp: {error}. The "
-            f"sequence is stored in {file}; 'rlbench train --replay {file}' repeats it. To resume "
+            f"sequence is stored in {file}; 'rlbench replay {file}' repeats it. To resume "
             "from the last checkpoint with a different config, pass --allow-config-change, for "
             "example with --max-grad-norm 0.1"
         ) from error

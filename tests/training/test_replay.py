@@ -39,7 +39,7 @@ def failed(clip: Path, tmp_path: Path) -> Path:
     file = tmp_path / "run" / "failed-sequence-3.safetensors"
     message = str(raised.value)
     assert "'blur' stopped in sequence 3 at 2 spp: loss is inf at step 1" in message
-    assert f"'rlbench train --replay {file}' repeats it" in message
+    assert f"'rlbench replay {file}' repeats it" in message
     return file
 
 
@@ -50,7 +50,7 @@ def test_a_failed_sequence_fails_again_at_the_same_step(failed):
 
 
 def test_a_failed_sequence_is_replayed_by_the_command_in_the_error(failed):
-    command = ["train", "--replay", str(failed), "--device", "cpu"]
+    command = ["replay", str(failed), "--device", "cpu"]
     assert "loss is inf at step 1 of the sequence" in CliRunner().invoke(app, command).output
 
 

@@ -84,7 +84,7 @@ def check_orientation(correlations: Correlations) -> CheckResult:
         return failed(CHECK, "; ".join(parts), remedy)
     if all(fit[STORED] < MARGIN for fit in correlations.values()):
         found = f"too few edges to decide: {stored}"
-        return warning(CHECK, found, "inspect the figure of rlbench lint --picture")
+        return warning(CHECK, found, "inspect the figure of rlbench lint --figure")
     return passed(CHECK, f"edges correlate with those of the reference: {stored}")
 
 

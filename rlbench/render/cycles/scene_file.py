@@ -55,7 +55,7 @@ def open_blender_file(
     if file.suffix.lower() not in FORMATS:
         raise SceneError(f"Cycles cannot open {file}; it takes {', '.join(FORMATS)}")
     if not file.is_file():
-        raise SceneError(f"there is no scene file {file}; check --scene")
+        raise SceneError(f"scene file {file} does not exist; check the path")
     description = _describe(options, frames, parameters)
     if missing := description["missing"]:
         raise SceneError(

@@ -32,7 +32,7 @@ SIZE_MULTIPLE = 16  # pixels: chosen widths and heights are multiples of it
 
 @dataclass(frozen=True)
 class UserSceneOptions:
-    """The options of `rlbench render --scene`."""
+    """The options of `rlbench render-scene`."""
 
     file: Path
     camera: str = (

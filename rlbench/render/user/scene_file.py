@@ -66,12 +66,14 @@ def open_scene_file(file: Path, parameters: tuple[tuple[str, str], ...] = ()) ->
     """
     if not file.is_file():
         raise SceneError(
-            f"scene file {file} does not exist; --scene takes a Mitsuba XML or a Python file"
+            f"scene file {file} does not exist; render-scene takes a Mitsuba XML or a Python file"
         )
     if file.suffix == ".xml":
         return _from_xml(XmlFile(file, parameters))
     if file.suffix != ".py":
-        raise SceneError(f"{file} is neither .xml (Mitsuba) nor .py; --scene takes one of these")
+        raise SceneError(
+            f"{file} is neither .xml (Mitsuba) nor .py; render-scene takes one of these"
+        )
     return _from_python(file, parameters)
 
 

@@ -9,7 +9,7 @@ from tests.checks.lint.broken_fixtures import FAULTS, store
 
 
 def test_the_command_passes_and_writes_a_figure(folder, tmp_path):
-    words = ["lint", str(folder), "--picture", str(tmp_path / "figure.png"), "--frames", "3"]
+    words = ["lint", str(folder), "--figure", str(tmp_path / "figure.png"), "--frames", "3"]
     found = CliRunner().invoke(app, words)
     assert found.exit_code == 0, found.output
     assert "failed: 0" in found.output

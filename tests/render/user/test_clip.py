@@ -28,8 +28,10 @@ from tests.render.user.xml_room import (
 def test_an_xml_scene_is_rendered_and_benchmarked_from_the_command_line(room, tmp_path):
     run = CliRunner()
     path = flown(room.parent, PASSING)
-    arguments = ["--scene", room, "--camera", path, "--size", "24x16", "--preset", "tiny"]
-    result = run.invoke(app, ["render", *map(str, arguments), "--out", str(tmp_path / "clip")])
+    arguments = [room, "--camera", path, "--size", "24x16", "--preset", "tiny"]
+    result = run.invoke(
+        app, ["render-scene", *map(str, arguments), "--out", str(tmp_path / "clip")]
+    )
     assert result.exit_code == 0, result.output
     assert verify(tmp_path / "clip") == []
     arguments = ["-m", "mean", "--clips", tmp_path / "clip", "--out", tmp_path / "results"]
@@ -166,7 +168,7 @@ def test_a_changed_file_is_rendered_again(room, change):
     assert after["referenceA.0001.exr"] != before["referenceA.0001.exr"]
 
 
-def test_options_of_a_user_scene_without_scene_are_refused(tmp_path):
+def test_options_of_a_user_scene_are_refused_for_presets(tmp_path):
     result = CliRunner().invoke(app, ["render", "--camera", "orbit"])
     assert result.exit_code == 2
-    assert "belong to --scene" in result.output
+    assert "No such option: --camera" in result.output

@@ -1,0 +1,169 @@
+"""The commands report and regress: write reports, compare scores with a baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.errors import OptionError, RlbenchError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rlbench.benchmark.baseline import Baseline
+
+__all__ = ["regress", "report", "select_baseline", "select_rows"]
+
+
+def report(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="name of a report, or all")] = "all",
+    methods: options.RowMethods = None,
+    results: options.Results = Path("results"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="folder to write to; default: RESULTS/report",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+) -> None:
+    """Write reports from the results: tables and plots.
+
+    `all` writes every report that the results have rows for, and says why it skips the others.
+
+    Examples:
+
+    \b
+      rlbench report all
+      rlbench report pareto --results results/ --out figures/ --methods ours,ntas
+      rlbench report table1
+      rlbench report ablation --methods 'ours/*'
+    """
+    from rlbench import registry
+    from rlbench.benchmark.results import MissingRowsError, read
+
+    rows = read(results)
+    if names := arguments.split_names(methods):
+        rows = select_rows(rows, names, results)
+    failures: dict[str, list[str]] = {}  # names of reports, by error
+    for each in registry.list_plugins("reports") if name == "all" else [name]:
+        try:
+            for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
+                typer.echo(file)
+        except Exception as error:
+            if not isinstance(error, RlbenchError):
+                raise
+            if name == "all" and isinstance(error, MissingRowsError):
+                typer.echo(f"report {each} is skipped: {error}", err=True)
+            else:
+                failures.setdefault(str(error), []).append(each)
+    if failures:
+        raise OptionError(
+            "; ".join(f"cannot write {', '.join(names)}: {why}" for why, names in failures.items())
+        )
+
+
+def regress(
+    methods: options.RowMethods = None,
+    results: options.Results = Path("results"),
+    baseline: Annotated[
+        Path,
+        typer.Option(
+            dir_okay=False,
+            metavar="FILE",
+            help="the committed scores",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = Path("tests/regression/mini.json"),
+    update: Annotated[
+        bool,
+        typer.Option(
+            "--update",
+            help="rewrite the baseline from the results",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
+) -> None:
+    """Compare scores with the committed baseline.
+
+    The exit code is 1 if a score fell by more than its tolerance.
+
+    Examples:
+
+    \b
+      rlbench regress --results results/
+      rlbench regress --methods mean,ours
+      rlbench regress --update
+    """
+    from rlbench.benchmark.baseline import load_baseline
+    from rlbench.benchmark.regression import compare, update_baseline
+    from rlbench.benchmark.results import read
+
+    names = arguments.split_names(methods)
+    if update and names:
+        raise OptionError(
+            "--update rewrites the whole baseline, but --methods selects a part of it. Omit one"
+        )
+    rows = read(results)
+    if update:
+        entries = update_baseline(rows, baseline).entries
+        typer.echo(f"{baseline}: {len(entries)} entries written")
+        return
+    expected = load_baseline(baseline)
+    if names:
+        rows, expected = select_baseline(rows, expected, names)
+    comparison = compare(rows, expected, subset=bool(names))
+    typer.echo(comparison.text())
+    raise typer.Exit(0 if comparison.passed else 1)
+
+
+def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
+    """The rows of methods, given by names in the table or by patterns of installed methods.
+
+    Raises OptionError for a name without rows, and PluginError for a name that is neither in the
+    table nor installed.
+    """
+    from rlbench import registry
+    from rlbench.benchmark.results import RowName, select_methods
+
+    available = set(table["method"])  # also of plugins that are not loaded now
+    exact = [name for name in methods if RowName.parse(name).label or name in available]
+    patterns = [name for name in methods if name not in exact]
+    names = exact + registry.expand(patterns, pretrained_only=False)
+    rows = table[select_methods(table, names)]
+    single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
+    missing = [name for name in single if not select_methods(table, [name]).any()]
+    if missing or rows.empty:
+        raise OptionError(
+            f"{results} has no rows of {', '.join(missing or methods)}; "
+            f"available: {_join(available)}"
+        )
+    return rows
+
+
+def select_baseline(
+    table: pd.DataFrame, baseline: Baseline, methods: Collection[str]
+) -> tuple[pd.DataFrame, Baseline]:
+    """The rows and the baseline entries of some methods.
+
+    Raises OptionError for a method that has neither.
+    """
+    available = {*table["method"], *(entry.method for entry in baseline.entries)}
+    if unknown := sorted(set(methods) - available):
+        raise OptionError(
+            f"--methods {','.join(unknown)}: neither the results nor the baseline have it; "
+            f"available: {_join(available)}"
+        )
+    entries = tuple(entry for entry in baseline.entries if entry.method in methods)
+    return table[table["method"].isin(methods)], replace(baseline, entries=entries)
+
+
+def _join(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

@@ -1,0 +1,95 @@
+"""Options of the commands that train."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.cli.arguments import Budgets
+
+TRAINING = "Training"  # title of a group of options
+
+DEFAULT_FRAMES, DEFAULT_CROP = 12_000, 128  # those of TrainingConfig
+DEFAULT_SPP = Budgets(())  # those of the method
+
+Frames = Annotated[
+    int, typer.Option(min=1, help="crops to train on, per method", rich_help_panel=TRAINING)
+]
+Batch = Annotated[
+    int, typer.Option(min=1, help="crops that advance together", rich_help_panel=TRAINING)
+]
+Crop = Annotated[
+    int, typer.Option(min=16, help="side of a crop in pixels", rich_help_panel=TRAINING)
+]
+TrainSpp = Annotated[
+    Budgets,
+    typer.Option(
+        parser=arguments.parse_train_spp,
+        metavar="SPP",
+        show_default=False,
+        help="training budgets such as 4 or 0.5,1,2; default: those of the method",
+        rich_help_panel=TRAINING,
+    ),
+]
+Bf16 = Annotated[
+    bool,
+    typer.Option("--bf16", help="run the forward pass in bfloat16", rich_help_panel=TRAINING),
+]
+MaxGradNorm = Annotated[
+    float,
+    typer.Option(
+        parser=arguments.parse_positive,
+        metavar="NORM",
+        help="longer gradients are scaled down to this L2 norm",
+        rich_help_panel=TRAINING,
+    ),
+]
+Seed = Annotated[
+    int, typer.Option(help="of weights, sequences and budgets", rich_help_panel=TRAINING)
+]
+Minutes = Annotated[
+    float | None,
+    typer.Option(
+        parser=arguments.parse_positive,
+        metavar="MINUTES",
+        help="stop each training after this time; the same command resumes it",
+        rich_help_panel=TRAINING,
+    ),
+]
+AllowConfigChange = Annotated[
+    bool,
+    typer.Option(
+        "--allow-config-change",
+        help="resume a checkpoint that has another config; the model card records the change",
+        rich_help_panel=TRAINING,
+    ),
+]
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        metavar="PRESET",
+        help="clips to train on; default: train, or mini with --holdout",
+        rich_help_panel=options.CLIPS,
+    ),
+]
+Holdout = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SCENE",
+        help="train on the test scenes of the preset except this one",
+        rich_help_panel=options.CLIPS,
+    ),
+]
+RunsFolder = Annotated[
+    Path,
+    typer.Option(
+        file_okay=False,
+        metavar="FOLDER",
+        help="folder of weights, checkpoints and logs",
+        rich_help_panel=options.OUTPUT,
+    ),
+]

@@ -1,0 +1,121 @@
+"""Parsers of option values: what they accept, and what they say about the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import typer
+
+from rlbench import registry
+from rlbench.cli import arguments
+from rlbench.cli.arguments import WeightsChoice
+
+
+@pytest.mark.parametrize(
+    ("text", "budgets"),
+    [("0.5,1,2", (0.5, 1, 2)), ("1,1.0", (1,)), ("0", (0,)), (" 1 , 4 ", (1, 4))],
+)
+def test_budgets_are_different_numbers(text, budgets):
+    assert arguments.parse_budgets(text) == budgets
+
+
+@pytest.mark.parametrize("text", ["one", "-1", "nan", "1,inf", "", ","])
+def test_other_budgets_are_refused(text):
+    with pytest.raises(typer.BadParameter, match="no list of budgets. Give samples per pixel"):
+        arguments.parse_budgets(text)
+
+
+def test_default_training_budgets_are_those_of_the_method():
+    assert arguments.parse_train_spp("default") == ()
+    assert arguments.parse_train_spp("0.5,4") == (0.5, 4)
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("0:3", (0, 1, 2)), ("7", (7,)), ("3,1", (3, 1)), ("0:2,9,1:3", (0, 1, 9, 2)), ("0,0", (0,))],
+)
+def test_seeds_are_lists_and_ranges_without_their_end(text, seeds):
+    assert arguments.parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["48:0", "a", "", "-1", "1:", ":3", "1:2:3", "1.5"])
+def test_other_seeds_are_refused(text):
+    with pytest.raises(typer.BadParameter, match="a range such as 0:48, which excludes its end"):
+        arguments.parse_seeds(text)
+
+
+def test_a_size_is_width_and_height():
+    assert arguments.parse_size("320x192") == (192, 320)  # height, width
+
+
+@pytest.mark.parametrize("text", ["320", "0x10", "10x0", "axb", "10x10x10", "-1x2"])
+def test_other_sizes_are_refused(text):
+    with pytest.raises(typer.BadParameter, match="is no size. Give WIDTHxHEIGHT"):
+        arguments.parse_size(text)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "much"])
+def test_numbers_that_are_not_positive_are_refused(text):
+    assert arguments.parse_positive("0.5") == 0.5
+    with pytest.raises(typer.BadParameter, match="no number above 0"):
+        arguments.parse_positive(text)
+
+
+def test_a_definition_is_a_name_and_a_value():
+    assert arguments.parse_definition("a=b=c") == ("a", "b=c")
+    assert arguments.parse_definition("a=") == ("a", "")
+    for text in ("a", "=b"):
+        with pytest.raises(typer.BadParameter, match="is no NAME=VALUE"):
+            arguments.parse_definition(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("random", WeightsChoice("random")),
+        ("a.safetensors", WeightsChoice("a.safetensors")),
+        ("b=c.safetensors", WeightsChoice("b=c.safetensors")),  # a file with = in its name
+        ("seed1=a.safetensors", WeightsChoice("a.safetensors", "seed1")),
+        (
+            "reinforce+surrogate=a.safetensors",
+            WeightsChoice("a.safetensors", "reinforce+surrogate"),
+        ),
+    ],
+)
+def test_weights_may_be_named(text, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.safetensors").touch()
+    Path("b=c.safetensors").touch()
+    assert arguments.parse_weights(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("seed1=b.safetensors", "'b.safetensors' does not exist. .*'rlbench train' writes one"),
+        ("b.safetensors", "'b.safetensors' does not exist"),
+        ("a@b=file", "Use letters, digits"),
+        ("half-a=file", "METHOD@half names rows of another kind"),
+        ("bf16=file", "METHOD@bf16 names rows of another kind"),
+        ("crossval=file", "METHOD@crossval names rows of another kind"),
+    ],
+)
+def test_weights_without_a_file_or_a_possible_name_are_refused(text, message):
+    with pytest.raises(typer.BadParameter, match=message):
+        arguments.parse_weights(text)
+
+
+def test_values_that_are_no_text_are_unchanged():
+    assert arguments.parse_seeds((3,)) == (3,)
+    assert arguments.parse_positive(1.5) == 1.5
+
+
+def test_all_skips_a_broken_family_and_says_so(monkeypatch, capsys):
+    monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
+    assert arguments.expand_methods(["all"]) == tuple(
+        name for name in registry.list_plugins("methods") if name != "torn"
+    )
+    assert "'all' skips torn, which cannot be imported: ModuleNotFound" in capsys.readouterr().err
+    with pytest.raises(ModuleNotFoundError):
+        arguments.expand_methods(["mean,torn"])

@@ -1,0 +1,202 @@
+"""The command run, on small clips."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rlbench.benchmark import results as table
+from rlbench.benchmark.results import Row
+from tests.cli.runner import CHECKOUT, ENVIRONMENT, python, rlbench
+from tests.conftest import write_noise, write_plugin
+
+
+def scores(results: Path) -> list[tuple]:
+    rows = table.read(results)
+    kept = rows[~rows["metric"].str.endswith("_ms")]
+    return sorted(kept.itertuples(index=False, name=None), key=repr)
+
+
+def test_run_prints_scores_and_where_the_results_are(run_mean, tmp_path):
+    output = rlbench(*run_mean)
+    message = "4 cells measured, 0 already in the results, 0 skipped; results are in"
+    assert f"{message} {tmp_path}/r" in output
+    assert "PSNR" in output
+
+
+def test_scores_of_another_device_are_not_averaged_in(run_mean, tmp_path):
+    words = (*run_mean, "--spp", 1)
+    rlbench(*words)
+    own = table.read(tmp_path / "r")
+    (cell,) = table.cells(tmp_path / "r")
+    others = [Row(**row) for row in own.assign(device="abacus").to_dict("records")]
+    others = [replace(row, value=0.0 if row.value == row.value else row.value) for row in others]
+    other_cell = replace(cell, key=replace(cell.key, device="abacus"))
+    table.write_cell(tmp_path / "r", other_cell, others)
+    assert set(table.read(tmp_path / "r")["device"]) == {"abacus", *own["device"]}
+    psnr = own[own["metric"] == "psnr"]["value"].mean()
+    assert f"│ mean │ 1 │ {psnr:.2f} │" in rlbench(*words)
+
+
+def test_the_same_run_again_does_nothing_and_says_so(run_mean):
+    rlbench(*run_mean)
+    assert "nothing to do: all 4 cells are in" in rlbench(*run_mean)
+
+
+def test_clips_of_a_folder_are_selected_by_scene(tmp_path):
+    for scene in ("foyer", "attic"):
+        write_noise(tmp_path / "clips" / scene, scene)
+    words = ("run", "-m", "mean", "--clips", tmp_path / "clips", "--out", tmp_path / "r")
+    rlbench(*words, "--scenes", "attic", "--spp", "1,2")
+    assert set(table.read(tmp_path / "r")["scene"]) == {"attic"}
+
+
+def test_clips_of_a_scene_are_selected_together_or_one_by_one(tmp_path):
+    for name in ("attic", "attic-cut", "foyer"):
+        write_noise(tmp_path / "clips" / name, name.partition("-")[0])
+    words = ("run", "-m", "mean", "--clips", tmp_path / "clips", "--spp", 1)
+    rlbench(*words, "--out", tmp_path / "both", "--scenes", "attic")
+    rlbench(*words, "--out", tmp_path / "one", "--scenes", "attic-cut")
+    assert set(table.read(tmp_path / "both")["clip"]) == {"attic", "attic-cut"}
+    assert set(table.read(tmp_path / "one")["clip"]) == {"attic-cut"}
+
+
+def test_only_the_first_frames_are_run_on_request(run_mean, tmp_path):
+    words = (*run_mean, "--spp", 1)
+    rlbench(*words, "--limit-frames", 2)
+    assert set(table.read(tmp_path / "r")["frame"]) == {-1, 0, 1}
+    output = rlbench(*words, "--limit-frames", 1)
+    assert "1 cells measured, 0 already in the results, 0 skipped, 1 older ones replaced" in output
+
+
+def test_seeds_may_be_a_range(run_mean, tmp_path):
+    rlbench(*run_mean, "--spp", 1, "--seed", "0:2")
+    assert set(table.read(tmp_path / "r")["seed"]) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--methods", "foo"), "error: 'foo' is not a method; there are: dasr, eaw, imcd, mean"),
+        (("--methods", "mean/A9"), "error: 'mean' has no variant 'A9'; it has: mean"),
+        (("--spp", "one"), "Error: Invalid value for '--spp': 'one' is no list of budgets"),
+        (("--spp", "-1"), "Error: Invalid value for '--spp': '-1' is no list of budgets"),
+        (("--seed", "x"), "Error: Invalid value for '--seed': 'x' is no list of seeds"),
+        (("--cost", "mine"), "error: no cost profile 'mine'. Use measured, paper-2080ti"),
+        (("--device", "abacus"), "error: device abacus cannot be used on this machine"),
+        (("--scenes", "cellar"), "error: the clips show no scene cellar; available: noise"),
+        (("--scenes", "noise,celar"), "error: the clips show no scene celar; available: noise"),
+        (("--plugin", "nowhere.py"), "error: no plugin file at"),
+        (("--takes", "main"), "error: --takes applies to preset scenes only. With --clips"),
+        (("--takes", "some"), "'some' is not one of 'main', 'all'"),
+        (("--pool", "dead"), "'dead' is not one of 'stored', 'live'"),
+        (("--engine", "steam"), "'steam' is not one of 'local', 'ray'"),
+        (("--weights", "none.safetensors"), "file 'none.safetensors' does not exist"),
+        (("--limit-frames", 0), "Invalid value for '--limit-frames'"),
+        (("--out", __file__), "Invalid value for '--out'"),
+    ],
+)
+def test_wrong_use_of_run_is_one_message(clip_folder, tmp_path, words, message):
+    valid = ("run", "-m", "mean", "--clips", clip_folder, "--out", tmp_path / "r")
+    valid = valid[:1] + valid[3:] if "--methods" in words else valid
+    output = rlbench(*valid, *words, code=2)
+    assert message in output
+    assert "Traceback" not in output
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_folder_without_a_clip_is_an_error(tmp_path):
+    assert "error: no clip in" in rlbench("run", "-m", "mean", "--clips", tmp_path, code=2)
+
+
+def test_a_plugin_file_is_run(clip_folder, tmp_path):
+    plugin = write_plugin(tmp_path / "mine.py", "mine")
+    words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r")
+    rlbench("run", "-m", "mine,mean", "-m", "mine/*", *words)
+    assert set(table.read(tmp_path / "r")["method"]) == {"mine", "mine/B1", "mean"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1", "plugin.py has neither FAMILY nor METHODS"),
+        ("import nothing_of_this_name", "ModuleNotFoundError: No module named"),
+        ("\n1 / 0", "ZeroDivisionError: division by zero (line 2)"),
+        ("def", "SyntaxError: invalid syntax"),
+    ],
+)
+def test_a_broken_plugin_is_reported_in_one_line(text, message, tmp_path):
+    (tmp_path / "plugin.py").write_text(text)
+    output = rlbench("run", "-m", "mean", "--plugin", tmp_path / "plugin.py", code=2)
+    assert message in output
+    assert len(output) < 400
+
+
+def test_the_reason_is_printed_where_there_is_no_number(clip_folder, tmp_path):
+    plugin = write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no luck')")
+    words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    output = rlbench("run", "-m", "odd", *words, code=1)  # nothing could be measured
+    assert "1 skipped" in output
+    assert "odd: no psnr on noise: RuntimeError: no luck" in output
+
+
+def test_a_run_without_any_number_fails_again_when_it_is_repeated(clip_folder, tmp_path):
+    words = ("run", "-m", "eaw", "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 0.5)
+    assert "1 skipped" in rlbench(*words, code=1)
+    assert "nothing to do" in rlbench(*words, code=1)
+
+
+def test_a_budget_that_is_given_twice_is_measured_once(run_mean):
+    assert "1 cells measured" in rlbench(*run_mean, "--spp", "1,1.0")
+
+
+def test_bf16_without_networks_is_reported(run_mean):
+    output = rlbench(*run_mean, "--bf16")
+    assert "--bf16 and --weights have no effect, because mean has no networks" in output
+
+
+def test_a_cost_profile_that_lacks_fields_is_an_error_and_the_one_of_the_docs_works(
+    run_mean, tmp_path
+):
+    words = (*run_mean, "--cost", tmp_path / "mine.toml")
+    (tmp_path / "mine.toml").write_text("sample_ms = 10")
+    output = rlbench(*words, code=2)
+    assert "cost profile" in output
+    assert "sample_ms" in output
+    page = (CHECKOUT / "docs" / "how-to" / "charge-your-renderer.md").read_text()
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "mine.toml").write_text(example)
+    rlbench(*words)
+
+
+@pytest.mark.slow
+def test_a_killed_run_resumes_and_ends_as_an_undisturbed_one(tmp_path):
+    for name in ("foyer", "attic", "cellar"):
+        write_noise(tmp_path / "clips" / name, name, frames=4)
+    slow = "import time; time.sleep(0.02); return samples.mean, None"
+    plugin = write_plugin(tmp_path / "slow.py", "slow", body=slow)
+
+    def words(out: str) -> list[str]:
+        command = ["run", "-m", "slow", "--clips", str(tmp_path / "clips")]
+        options = ["--plugin", str(plugin), "--out", str(tmp_path / out)]
+        return ["-c", "from rlbench.cli.app import app; app()", *command, *options]
+
+    child = subprocess.Popen([sys.executable, *words("killed")], cwd=CHECKOUT, env=ENVIRONMENT)
+    while child.poll() is None and len(table.cells(tmp_path / "killed")) < 3:
+        time.sleep(0.01)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    assert 0 < len(table.cells(tmp_path / "killed")) < 12
+
+    output = python(*words("killed"))
+    assert " 0 already in the results" not in output
+    assert "0 skipped" in output
+    python(*words("undisturbed"))
+    assert scores(tmp_path / "killed") == scores(tmp_path / "undisturbed")

@@ -1,0 +1,65 @@
+"""The commands list and check."""
+
+from __future__ import annotations
+
+import json
+from typing import get_args
+
+import pytest
+from typer.testing import CliRunner
+
+from rlbench.benchmark.listing import list_installed
+from rlbench.cli import plugins
+from rlbench.cli.app import app
+from tests.cli.runner import rlbench
+from tests.conftest import write_plugin
+
+
+def list_json(*words: object) -> dict[str, list[dict[str, object]]]:
+    return json.loads(CliRunner().invoke(app, ["list", *map(str, words), "--json"]).output)
+
+
+def test_every_kind_can_be_listed():
+    assert set(get_args(plugins.Kind)) == {"all", *list_installed()}
+    assert "'gadgets' is not one of 'all', 'methods'" in rlbench("list", "gadgets", code=2)
+
+
+@pytest.mark.parametrize("kind", ["methods", "metrics", "scenes", "reports", "pools", "presets"])
+def test_the_table_and_the_json_list_the_same_names(kind):
+    output = rlbench("list", kind)
+    assert all(row["name"] in output for row in list_json(kind)[kind])
+
+
+def test_a_narrow_terminal_shows_every_word_of_a_list(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert "…" not in rlbench("list", "methods")
+
+
+def test_list_shows_the_properties_of_methods():
+    (row, *_) = list_json("methods")["methods"]
+    assert {"name", "paper", "licence", "inputs", "spp", "adaptive", "question"} <= set(row)
+
+
+def test_a_plugin_file_is_listed_with_its_variants(tmp_path):
+    plugin = write_plugin(tmp_path / "mine.py", "mine")
+    methods = list_json("--plugin", plugin)["methods"]
+    assert "mine/B1" in [row["name"] for row in methods]
+
+
+def test_a_broken_plugin_is_listed_with_its_error(tmp_path):
+    (tmp_path / "torn.py").write_text("1 / 0")
+    output = rlbench("list", "methods", "--plugin", tmp_path / "torn.py")
+    assert "torn (from --plugin torn.py) cannot be imported: ZeroDivisionError" in output
+
+
+def test_check_fails_with_exit_code_1(tmp_path):
+    write_plugin(tmp_path / "bad.py", "bad", body="return samples.mean * float('nan'), None")
+    output = rlbench("check", "bad", "--plugin", tmp_path / "bad.py", code=1)
+    assert "✗" in output
+    assert "failed: bad" in output
+
+
+def test_check_of_an_unknown_method_or_device_is_wrong_use():
+    assert "error: 'foo' is not a method" in rlbench("check", "foo", code=2)
+    output = rlbench("check", "mean", "--device", "abacus", code=2)
+    assert "error: device abacus cannot be used on this machine" in output

@@ -1,0 +1,122 @@
+"""The commands report and regress, on results of small clips."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from rlbench import registry
+from rlbench.benchmark import results as table
+from rlbench.benchmark.results import Row
+from rlbench.cli import reports
+from rlbench.errors import OptionError
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise, write_plugin
+
+NOT_PRETRAINED = ("ours", "ours/encoder-small", "ours/encoder-large@seed1")
+
+
+def test_reports_are_written_to_the_requested_folder(run_mean, tmp_path):
+    rlbench(*run_mean, "--cost", "paper-2080ti")
+    output = rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+    assert f"{tmp_path}/figures/pareto.png" in output
+    assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_report_all_skips_reports_without_rows_and_says_why(run_mean, tmp_path):
+    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+    rlbench(*run_mean, "--cost", "paper-2080ti")
+    reason = "no family has its default"
+    assert f"report ablation is skipped: {reason}" in rlbench("report", "all", *words)
+    assert "error: cannot write ablation: " in rlbench("report", "ablation", *words, code=2)
+
+
+@pytest.mark.parametrize("report", ["summary", "pareto"])
+def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
+    for scene in ("city", "temple", "foyer"):
+        write_noise(tmp_path / "clips" / scene, scene)
+    words = ("--clips", tmp_path / "clips", "--out", tmp_path / "r", "--cost", "paper-2080ti")
+    rlbench("run", "-m", "mean", "--spp", "1,2", *words)
+    rlbench("report", report, "--results", tmp_path / "r", "--out", tmp_path / "figures")
+
+
+def test_report_all_writes_the_others_where_one_fails(run_mean, tmp_path):
+    rlbench(*run_mean)
+    words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
+    output = rlbench("report", "all", *words, code=2)
+    assert "error: cannot write" in output
+    assert "no cell has psnr, plan_ms" in output
+    assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
+
+
+def test_a_method_without_rows_is_an_error_of_report(run_mean, tmp_path):
+    rlbench(*run_mean, "--spp", 1)
+    words = ("report", "summary", "--results", tmp_path / "r")
+    for missing in ("svgf", "mean@sede1"):
+        output = rlbench(*words, "-m", f"mean,{missing}", code=2)
+        assert f"has no rows of {missing}; available: mean" in output
+    assert not (tmp_path / "r" / "report").exists()
+    rlbench(*words, "-m", "all,mean")  # a pattern selects the rows that exist
+    assert (tmp_path / "r" / "report" / "summary.md").is_file()  # beside its table
+
+
+def test_rows_of_a_plugin_can_be_reported_without_it(clip_folder, tmp_path):
+    plugin, out = write_plugin(tmp_path / "grey.py", "grey"), tmp_path / "r"
+    rlbench("run", "-m", "grey,mean", "--plugin", plugin, "--clips", clip_folder, "--out", out)
+    registry.clear_plugins()
+    words = ("report", "summary", "--results", out, "--out", tmp_path / "figures")
+    rlbench(*words, "-m", "grey")
+    assert "| grey |" in (tmp_path / "figures" / "summary.md").read_text()
+    output = rlbench(*words, "-m", "imcd", code=2)
+    assert output.endswith("has no rows of imcd; available: grey, mean")
+
+
+def test_a_budget_of_zero_is_reported(run_mean, tmp_path):
+    rlbench(*run_mean, "--cost", "paper-2080ti", "--spp", "0,1")
+    rlbench("report", "all", "--results", tmp_path / "r", "--out", tmp_path / "figures")
+    assert (tmp_path / "figures" / "paper-spp.png").stat().st_size > 0
+
+
+def test_a_report_without_results_is_an_error(tmp_path):
+    assert "error: no results in" in rlbench("report", "--results", tmp_path, code=2)
+
+
+def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
+    rows = table.to_dataframe(
+        [Row("r", name, "a", "a", 1, 1, 0, "psnr", 20.0) for name in NOT_PRETRAINED]
+    )
+    selected = reports.select_rows(rows, ["ours/*"], tmp_path)
+    assert set(selected["method"]) == set(NOT_PRETRAINED)
+    with pytest.raises(OptionError, match="has no rows of svgf/"):
+        reports.select_rows(rows, ["svgf/*"], tmp_path)
+
+
+def test_regress_fails_where_quality_fell(run_mean, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench(*run_mean)
+    assert "4 entries written" in rlbench("regress", *words, "--update")
+    assert "passed: 4 same" in rlbench("regress", *words)
+
+    content = json.loads((tmp_path / "base.json").read_text())
+    content["entries"][0]["psnr"] += 1
+    (tmp_path / "base.json").write_text(json.dumps(content))
+    assert "FAILED: 1 worse" in rlbench("regress", *words, code=1)
+
+
+def test_regress_refuses_a_method_that_nobody_measured(run_mean, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench(*run_mean, "--spp", 1)
+    rlbench("regress", *words, "--update")
+    assert "passed: 1 same" in rlbench("regress", *words, "--methods", "mean")
+    output = rlbench("regress", *words, "--methods", "mean,maen", code=2)
+    message = "error: --methods maen: neither the results nor the baseline have it; available: mean"
+    assert message in output
+
+
+def test_a_part_of_the_results_does_not_rewrite_the_baseline(run_mean, tmp_path):
+    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
+    rlbench(*run_mean, "--spp", 1)
+    output = rlbench("regress", *words, "--methods", "mean", "--update", code=2)
+    assert "error: --update rewrites the whole baseline" in output
+    assert not (tmp_path / "base.json").exists()

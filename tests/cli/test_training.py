@@ -1,0 +1,143 @@
+"""The commands train, lr-find, replay and crossval: what they hand over, and what they refuse."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from rlbench.render.presets import PRESETS
+from rlbench.training import dataset
+from rlbench.training.runs import TrainingRuns
+from tests.cli.runner import rlbench
+
+
+def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
+    def ensure(preset, scenes, seeds, executor):
+        return [Path(preset.name, str(name)) for name in scenes or seeds]
+
+    monkeypatch.setattr("rlbench.render.jobs.render_clips.ensure", ensure)
+    split = dataset.select_split("standard", None, "hall")
+    assert split.train == [Path("standard", name) for name in ("city", "temple", "ripples")]
+    assert split.validation == [Path("train", "0"), Path("train", "14")]
+
+
+@pytest.mark.parametrize("command", ["train", "lr-find"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--holdout", "attic"), "preset 'mini' has: city, temple, hall,"),
+        (
+            ("--holdout", "hall", "--preset", "train"),
+            "needs a preset with named scenes, and 'train' has none",
+        ),
+        (("--holdout", "hall", "--seeds", "0:9"), "--seeds applies to generated scenes only"),
+        (("--seeds", "7"), "error: --seeds 7 gives one clip. Training needs at least 2 clips"),
+        (("--seeds", "70:82"), "--seeds 80, 81: these belong to test set 'unseen'"),
+    ],
+)
+def test_clips_that_cannot_be_trained_on_are_refused(command, words, message):
+    assert message in rlbench(command, "-m", "oidn", *words, code=2)
+
+
+@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
+def test_no_test_set_is_trained_on(preset):
+    output = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
+    assert f"error: preset '{preset}' is a test set" in output
+    assert output.endswith("Choose: train")
+
+
+def test_no_seed_of_a_test_set_belongs_to_a_training_set():
+    seeds = {preset.is_test_set: set(preset.seeds) for preset in PRESETS.values() if preset.seeds}
+    assert not seeds[True] & seeds[False]
+
+
+@pytest.mark.parametrize("command", ["train", "lr-find", "crossval"])
+@pytest.mark.parametrize(
+    ("budget", "message"),
+    [
+        ("0.5", "'ntas' cannot be trained at 0.5 spp: supports 1 to 8 spp"),
+        ("lots", "Invalid value for '--train-spp': 'lots' is no list of budgets"),
+    ],
+)
+def test_an_impossible_training_budget_is_refused_before_rendering(command, budget, message):
+    assert message in rlbench(command, "-m", "ntas", "--train-spp", budget, code=2)
+
+
+@pytest.mark.parametrize("command", ["train", "crossval"])
+@pytest.mark.parametrize(
+    "words", [("--max-grad-norm", "-1"), ("--max-grad-norm", "0"), ("--minutes", "0")]
+)
+def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
+    output = rlbench(command, "-m", "oidn", "--out", tmp_path / "runs", *words, code=2)
+    assert f"Invalid value for '{words[0]}': '{words[1]}' is no number above 0" in output
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("command", ["train", "lr-find"])
+def test_a_method_with_nothing_to_train_is_reported(command):
+    assert "mean has nothing to train" in rlbench(command, "-m", "mean")
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """The runs that would be trained, and the split that would be rendered."""
+    runs = []
+    monkeypatch.setattr(dataset, "select_split", lambda *arguments: arguments)
+
+    def record(self, name, split, held_out_scene=None):
+        runs.append((self, name, split, held_out_scene))
+
+    monkeypatch.setattr(TrainingRuns, "train", record)
+    return runs
+
+
+def test_train_hands_over_its_options(calls, tmp_path):
+    words = ("--frames", 60, "--batch", 2, "--crop", 32, "--train-spp", "1,4", "--bf16")
+    words += ("--max-grad-norm", 0.5, "--seed", 3, "--minutes", 2, "--allow-config-change")
+    words += ("--device", "cpu", "--out", tmp_path, "--seeds", "0:3", "--preset", "train")
+    output = rlbench("train", "-m", "oidn,oidn/small,mean", *words)
+    assert "mean has nothing to train" in output
+    assert [name for _, name, _, _ in calls] == ["oidn", "oidn/small"]
+    runs, _, split, held_out_scene = calls[0]
+    config = runs.config
+    assert (config.frames, config.batch, config.crop, config.spp) == (60, 2, 32, (1, 4))
+    assert (config.bf16, config.max_grad_norm, config.seed) == (True, 0.5, 3)
+    assert (runs.out, runs.device, runs.minutes) == (tmp_path, "cpu", 2)
+    assert runs.allow_config_change
+    assert split == ("train", (0, 1, 2), None, {"path"})
+    assert held_out_scene is None
+
+
+def test_the_defaults_of_train_are_those_of_the_config(calls):
+    rlbench("train", "-m", "oidn")
+    ((runs, _, split, _),) = calls
+    assert runs.config == type(runs.config)()
+    assert runs.minutes == math.inf
+    assert not runs.allow_config_change
+    assert split == (None, None, None, {"path"})
+
+
+def test_restart_archives_the_old_run(calls, tmp_path):
+    (tmp_path / "oidn").mkdir()
+    words = ("train", "-m", "oidn", "--out", tmp_path)
+    assert "old" not in rlbench(*words, "--resume").replace(str(tmp_path), "")
+    output = rlbench(*words, "--restart")
+    assert f"oidn: the old run is now in {tmp_path}/oidn.old-1" in output
+    assert (tmp_path / "oidn.old-1").is_dir()
+
+
+@pytest.mark.parametrize("content", [None, b"junk"])
+def test_replay_of_another_file_is_refused(tmp_path, content):
+    file = tmp_path / "failed.safetensors"
+    if content is None:
+        assert "failed.safetensors' does not exist" in rlbench("replay", file, code=2)
+    else:
+        file.write_bytes(content)
+        assert "is not a file written by a training run" in rlbench("replay", file, code=2)
+
+
+def test_crossval_refuses_a_scene_that_the_preset_lacks():
+    output = rlbench("crossval", "-m", "ntas", "--scenes", "attic", code=2)
+    assert "preset 'mini' has: city, temple, hall" in output
