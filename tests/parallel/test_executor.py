@@ -194,7 +194,11 @@ def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_pa
     monkeypatch.setenv(METHODS_VARIABLE, "far=faraway:FAMILY")
     clips = tuple(StoredSource(write_noise(tmp_path / "clips" / name)) for name in ("a", "bb"))
     plan = RunPlan(
-        ("mean", "ours", "loose", "far"), clips, target_spp=(0.5, 2.0), repeats=2, cost="paper-2080ti"
+        ("mean", "ours", "loose", "far"),
+        clips,
+        target_spp=(0.5, 2.0),
+        repeats=2,
+        cost="paper-2080ti",
     )
     local, remote = tmp_path / "local", tmp_path / "ray"
     summaries = measure(plan, local), measure(plan, remote, executor=workers)
