@@ -143,9 +143,7 @@ def _draw_panel(axes: Axes, curves: pd.DataFrame, x: str) -> None:
         curve = curves[curves["learner"] == name]
         if curve.empty:
             continue
-        low, mean, high = (
-            curve[c].clip(lower=LOWEST_SCORE) for c in ("lowest", "score", "highest")
-        )
+        scores = curve[["lowest", "score", "highest"]].clip(lower=LOWEST_SCORE)
         axes.fill_between(
             curve[x], scores["lowest"], scores["highest"], color=color, alpha=0.12, linewidth=0
         )
