@@ -142,7 +142,7 @@ def test_rows_with_a_label_are_left_out_and_listed(tmp_path):
     assert "\n| ours@seed1" not in page
 
 
-def test_a_table_without_any_row_of_the_paper_is_refused(tmp_path):
+def test_results_without_a_method_of_the_paper_are_refused(tmp_path):
     other = to_dataframe([replace(r, method="mine") for r in rows(["ours"])])
     with pytest.raises(MissingRowsError, match="methods in the results: mine"):
         table1.write(other, tmp_path)
