@@ -1,4 +1,4 @@
-"""The ablation table: each variant of a family held against the family's default, pair by pair."""
+"""The ablation tables: each variant of a family minus the main variant, pair by pair."""
 
 from __future__ import annotations
 
@@ -7,121 +7,140 @@ from typing import Any
 
 import pandas as pd
 
-from reports.analysis import aggregate, method_names, variant_differences
-from reports.analysis.intervals import DRAWS, INTERVAL_NOTE
-from reports.analysis.variant_differences import METRIC
-from reports.layout import page
-from reports.layout.tables import Grid, gap_text, wide
+from reports.analysis.aggregate import Scores
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, INTERVAL_NOTE
+from reports.analysis.method_names import family_of, label_of, without_label
+from reports.analysis.variant_differences import (
+    choose_family,
+    config_changes,
+    differences,
+    families_with_scores,
+)
+from reports.layout.page import Section, write_page
+from reports.layout.tables import Table, format_difference, pivot_by_budget
 from reports.published import published
+
+__all__ = ["write"]
 
 
 def write(
-    table: pd.DataFrame,
+    results: pd.DataFrame,
     folder: Path,
     name: str = "ablation",
     family: str = "",
     seed: int = 0,
-    draws: int = DRAWS,
+    draws: int = BOOTSTRAP_SAMPLES,
 ) -> list[Path]:
-    """`name`.md, .csv and .tex of one family: `family`, or ours, or that of most variants.
+    """Write `name`.md, .csv and .tex of `family`, by default ours or that with most variants.
 
-    Rows METHOD@NAME are left out, unless the family has none without a name and all have the same:
-    then these are compared, and the title tells it.
-
-    Raises LacksError if the family has no variant here besides its default, and ReportError where
-    rows would be averaged that must not be.
+    Rows METHOD@LABEL are left out, unless their families have no rows without a label and there is
+    only one label: then these rows are compared, and the title names the label. Raises
+    MissingRowsError if the family has scores of its main variant alone, and ReportError if a mean
+    would mix rows that cannot be compared.
     """
-    title = "Ablations of {}"
-    methods = set(table["method"])
-    named = {method for method in methods if method_names.weights(method)}
-    called, families = set(map(method_names.weights, named)), set(map(method_names.family, named))
-    if len(called) == 1 and families.isdisjoint(map(method_names.family, methods - named)):
-        title += f", rows @{called.pop()}"
-        table = table.assign(method=table["method"].map(method_names.row))
-    family = variant_differences.chosen(table, family)
+    label = _only_label(set(results["method"]))
+    if label:
+        results = results.assign(method=results["method"].map(without_label))
+    parts = [Scores(rows, device=device) for device, rows in split_by_device(results).items()]
+    family = choose_family(parts, family)
     sections = []
-    for device, rows in aggregate.by_device(table).items():
-        rows = rows[rows["method"].map(method_names.family) == family]
-        if not variant_differences.families_with_scores(rows).get(family):
+    for part in parts:
+        rows = part.rows[part.rows["method"].map(family_of) == family]
+        scores = Scores(rows, device=part.device)
+        if not families_with_scores(scores).get(family):
             continue
-        aggregate.check(rows)
-        found = variant_differences.differences(rows, family, seed, draws)
-        grids = [_score_grid(rows, found, family), _time_grid(rows, found, family, device)]
-        grids.append(_change_grid(rows, found, family))
-        sections.append(page.Section(device, grids, found, _lists(rows, found, family)))
-    return page.write(folder, name, title.format(family), table, sections)
-
-
-def _score_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
-    base = published().of(family)
-    head, body = wide(found, lambda row: gap_text(row["difference"], row["low"], row["high"]))
-    stated = {line[0]: published().of(line[0]) for line in body}
-    if base and any(stated.values()):
-        head = (*head, f"paper, {published().spp:g} spp")
-        body = [
-            (*line, f"{s.psnr_db - base.psnr_db:+.1f}" if (s := stated[line[0]]) else "-")
-            for line in body
+        check_comparable(rows)
+        records = differences(scores, family, seed, draws)
+        tables = [
+            _score_table(scores, records, family),
+            _time_table(scores, records, family),
+            _config_table(scores, records, family),
         ]
+        sections.append(Section(part.device, tables, records, _lists(scores, records, family)))
+    title = f"Ablations of {family}" + (f", rows @{label}" if label else "")
+    return write_page(folder, name, title, results, sections)
+
+
+def _only_label(methods: set[str]) -> str:
+    """The label to compare by: the only one, if its families have no rows without a label."""
+    labelled = {method for method in methods if label_of(method)}
+    labels, families = set(map(label_of, labelled)), set(map(family_of, labelled))
+    if len(labels) == 1 and families.isdisjoint(map(family_of, methods - labelled)):
+        return labels.pop()
+    return ""
+
+
+def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
+    paper = published()
+    base = paper.find(family)
+    header, rows = pivot_by_budget(
+        records, lambda row: format_difference(row["difference"], row["low"], row["high"])
+    )
     caption = (
-        f"PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
-        f" of each variant less that of "
-        f"{family}, paired by scene, clip, frame, budget and seed; mean over scenes. In brackets: "
-        f"{INTERVAL_NOTE}; bold where it excludes zero. Another training would differ too."
+        f"PSNR in dB ({scores.convention}) of each variant minus that of {family}, paired by "
+        f"scene, clip, frame, budget and seed; mean over scenes. Brackets: {INTERVAL_NOTE}; bold "
+        "if it excludes zero. Another training would differ too."
     )
-    if base and any(stated.values()):
-        caption += f" Paper: difference in {published().source}, {published().title}."
-    return Grid(f"PSNR less that of {family}", caption, head, tuple(body))
+    printed = {row[0]: paper.find(row[0]) for row in rows}
+    if base and any(printed.values()):
+        header = (*header, f"paper, {paper.spp:g} spp")
+        rows = [
+            (*row, f"{p.psnr_db - base.psnr_db:+.1f}" if (p := printed[row[0]]) else "-")
+            for row in rows
+        ]
+        caption += f" Paper: difference in {paper.source}, {paper.title}."
+    return Table(f"PSNR minus that of {family}", caption, header, tuple(rows))
 
 
-def _time_grid(table: pd.DataFrame, found: pd.DataFrame, family: str, device: str) -> Grid:
-    head, body = wide(
-        found, lambda row: "-" if pd.isna(row["frame_ms"]) else f"{row['frame_ms']:+.1f}"
+def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
+    header, rows = pivot_by_budget(
+        records, lambda row: "-" if pd.isna(row["frame_ms"]) else f"{row['frame_ms']:+.1f}"
     )
     caption = (
-        f"Whole frame in ms (plan + denoise, p50, + samples) less that of {family}, mean over "
-        f"scenes, on {device or 'a device not named'}; networks are timed on one clip of each "
-        f"size, so a few ms are noise; cost of a sample: "
-        f"{aggregate.profile(table) or 'not measured'}."
+        f"Frame time in ms (plan + denoise, p50, + samples) minus that of {family}, mean over "
+        f"scenes, on {scores.device_name}. Networks are timed on one clip of each size, so "
+        f"a few ms are noise. Cost of a sample: {scores.cost_source or 'not measured'}."
     )
-    return Grid(f"Frame time less that of {family}", caption, head, tuple(body))
+    return Table(f"Frame time minus that of {family}", caption, header, tuple(rows))
 
 
-def _change_grid(table: pd.DataFrame, found: pd.DataFrame, family: str) -> Grid:
-    head, body = wide(found, lambda row: str(row["pairs"]))
-    lines = tuple((*line, variant_differences.changes(table, line[0], family)) for line in body)
+def _config_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
+    header, rows = pivot_by_budget(records, lambda row: str(row["pairs"]))
+    lines = tuple((*row, config_changes(scores, row[0], family)) for row in rows)
     caption = (
-        f"Settings are those that {family} and its variants wrote into the results, default -> "
-        "variant; rlbench list methods says which question each answers. Numbers: pairs of scores."
+        f"Settings that differ between the configs in the results, {family} -> variant; rlbench "
+        "list methods shows the question that each variant answers. Numbers: pairs of scores."
     )
-    return Grid("What each changes, and pairs", caption, (*head, "settings"), lines)
+    return Table("Changed settings, and pairs", caption, (*header, "settings"), lines)
 
 
-def _lists(table: pd.DataFrame, found: pd.DataFrame, family: str) -> dict[str, list[str]]:
-    rows: list[dict[str, Any]] = [dict(row) for _, row in found.iterrows()]
-    odd = [
-        "{method} at {target_spp:g} spp: {alone} scores without a partner, {pairs} pairs".format(
+def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list[str]]:
+    rows: list[dict[str, Any]] = [dict(row) for _, row in records.iterrows()]
+    unpaired = [
+        "{method} at {target_spp:g} spp: {unpaired} scores without a partner, {pairs} pairs".format(
             **row
         )
         for row in rows
-        if row["alone"]
+        if row["unpaired"]
     ]
-    held = {(row["method"], row["target_spp"]) for row in rows}
+    compared = {(row["method"], row["target_spp"]) for row in rows}
+    missing = [
+        f"{method} at {spp:g} spp: no score of it or of {family}"
+        for method in families_with_scores(scores)[family]
+        for spp in sorted(set(scores.measured["target_spp"]))
+        if (method, spp) not in compared
+    ]
+    variants = set(records["method"])
     absent = [
-        f"{method} at {spp:g} spp: not scored, or {family} is not"
-        for method in variant_differences.families_with_scores(table)[family]
-        for spp in sorted(set(variant_differences.scored(table)["target_spp"]))
-        if (method, spp) not in held
-    ]
-    shown = set(found["method"])
-    stated = [
-        s for s in published().table if method_names.family(s.row) == family and s.row != family
+        f"{p.name}, in rlbench {p.row}"
+        for p in published().table
+        if family_of(p.row) == family and p.row != family and p.row not in variants
     ]
     return {
-        "Scores without a partner": odd,
-        "Not compared": absent,
-        "Variants of the paper that are not here": [
-            f"{s.name}, here {s.row}" for s in stated if s.row not in shown
-        ],
-        "Not run": aggregate.reasons(table[table["metric"] == METRIC]),
-        "Remarks": aggregate.remarks(table[table["metric"] == METRIC]),
+        "Scores without a partner": unpaired,
+        "Not compared": missing,
+        "Published variants that were not measured": absent,
+        "Not run": scores.skip_reasons,
+        "Remarks": scores.remarks,
     }

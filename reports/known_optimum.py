@@ -1,28 +1,31 @@
-"""The known-optimum figure: what share of the optimal error reduction each way to train reaches.
+"""The known-optimum figure: share of the optimal error reduction that each learner reaches.
 
-Command: python -m reports.known_optimum docs, after python -m
-methods.ours.experiments.compare_learners --out docs
+Command: python -m reports.known_optimum docs/results, after python -m
+methods.ours.experiments.compare_learners --out docs/results
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from reports.layout.style import FAINT, INK, RC
+from reports.layout.style import BLACK, GREY, RC
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-TABLE = "known_optimum"
-MARKS = ("<!-- table -->", "<!-- /table -->")
-LOWEST = -0.35  # of the axis; what lies below is drawn at its edge
-LOOKS = {  # colour and dashes; the proposed default has the one that stands out
-    "true gradient": (INK, (0, (1, 1.5))),
+__all__ = ["average_seeds", "draw_figure", "main", "markdown_table", "read_rows"]
+
+NAME = "known_optimum"  # of the CSV and the figure
+LOWEST_SCORE = -0.35  # of the axis; lower scores are drawn at its edge
+LINE_STYLES = {  # colour and dashes; the proposed default has the most salient colour
+    "true gradient": (BLACK, (0, (1, 1.5))),
     "reinforce+surrogate": ("#D55E00", "-"),
     "reinforce": ("#E69F00", "-"),
     "critic": ("#0072B2", "-"),
@@ -33,53 +36,57 @@ LOOKS = {  # colour and dashes; the proposed default has the one that stands out
     "reinforce, single pixels": ("#E69F00", (0, (1, 1))),
     "rllib-appo, joint ratio": ("#7A4FA3", (0, (4, 2))),
 }
-FORMER_NAMES = {  # learners in tables that were written before
+OLD_LEARNER_NAMES = {  # in tables of earlier versions
     "ppo-pixel": "reinforce",
     "ppo-pixel+surrogate": "reinforce+surrogate",
     "ppo-pixel, no price": "reinforce, no price",
     "ppo-pixel, single pixels": "reinforce, single pixels",
 }
-TITLES = {
-    "direct": "pixels judged as they are",
+TITLES = {  # of the modes of the problem
+    "direct": "independent pixels",
     "filter": "pixels coupled by a 5x5 filter",
 }
+TRAINING = ["learner", "mode", "seed"]  # columns that identify a training
 
 
-def curves(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mean, least and greatest score over seeds, at each point of each training."""
-    rows = rows.assign(
-        point=rows.groupby(["learner", "mode", "seed"]).cumcount(),
-    )
-    by = rows.groupby(["learner", "mode", "point"], sort=False)
-    return by.agg(
+def read_rows(file: Path) -> pd.DataFrame:
+    """The CSV that `compare_learners` wrote, with the current names of learners."""
+    return pd.read_csv(file).replace({"learner": OLD_LEARNER_NAMES})
+
+
+def average_seeds(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mean, lowest and highest score over seeds, at each evaluation of each training."""
+    rows = rows.assign(point=rows.groupby(TRAINING).cumcount())
+    groups = rows.groupby(["learner", "mode", "point"], sort=False)
+    return groups.agg(
         frames=("frames", "mean"),
         seconds=("seconds", "mean"),
         score=("score", "mean"),
-        least=("score", "min"),
-        greatest=("score", "max"),
+        lowest=("score", "min"),
+        highest=("score", "max"),
     ).reset_index()
 
 
-def table(rows: pd.DataFrame) -> str:
-    """Markdown: the last score of each learner in both modes, mean and range over seeds."""
-    last = rows.groupby(["learner", "mode", "seed"]).last().reset_index()
-    best = rows.groupby(["learner", "mode", "seed"])["score"].max().reset_index()
+def markdown_table(rows: pd.DataFrame) -> str:
+    """The last and best score of each learner in both modes: mean and range over seeds."""
+    last = rows.groupby(TRAINING).last().reset_index()
+    best = rows.groupby(TRAINING)["score"].max().reset_index()
     modes = [mode for mode in TITLES if mode in set(last["mode"])]
-    head = ["learner", *(f"{mode} {what}" for mode in modes for what in ("at the end", "best"))]
-    lines = ["| " + " | ".join([*head, "frames", "CPU s", "seeds"]) + " |"]
-    lines.append("| --- |" + " ---: |" * (len(head) + 2))
-    for name in (n for n in LOOKS if n in set(last["learner"])):
-        mine, cells = last[last["learner"] == name], [name]
+    scores = [f"{mode} {when}" for mode in modes for when in ("at the end", "best")]
+    lines = ["| " + " | ".join(["learner", *scores, "frames", "CPU s", "seeds"]) + " |"]
+    lines.append("| --- |" + " ---: |" * (len(scores) + 3))
+    for name in (n for n in LINE_STYLES if n in set(last["learner"])):
+        learner, cells = last[last["learner"] == name], [name]
         for mode in modes:
-            end = mine.loc[mine["mode"] == mode, "score"]
+            end = learner.loc[learner["mode"] == mode, "score"]
             top = best.loc[(best["learner"] == name) & (best["mode"] == mode), "score"]
-            cells += [_range(end), f"{top.mean():.2f}" if len(top) else "-"]
-        cells += [f"{mine['frames'].max()}", f"{mine['seconds'].mean():.0f}"]
-        lines.append("| " + " | ".join([*cells, str(mine["seed"].nunique())]) + " |")
+            cells += [_format_range(end), f"{top.mean():.2f}" if len(top) else "-"]
+        cells += [f"{learner['frames'].max()}", f"{learner['seconds'].mean():.0f}"]
+        lines.append("| " + " | ".join([*cells, str(learner["seed"].nunique())]) + " |")
     return "\n".join(lines) + "\n"
 
 
-def _range(scores: pd.Series[float]) -> str:
+def _format_range(scores: pd.Series[float]) -> str:
     if scores.empty:
         return "-"
     if len(scores) == 1:
@@ -87,21 +94,21 @@ def _range(scores: pd.Series[float]) -> str:
     return f"{scores.mean():.2f} ({scores.min():.2f} to {scores.max():.2f})"
 
 
-def draw(rows: pd.DataFrame, file: Path) -> None:
-    """PNG: score against frames above, against seconds below, one column a mode."""
+def draw_figure(rows: pd.DataFrame, file: Path) -> None:
+    """Write a PNG: score against frames above, against seconds below, a column per mode."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    seen = curves(rows)
-    modes = [mode for mode in TITLES if mode in set(seen["mode"])]
+    curves = average_seeds(rows)
+    modes = [mode for mode in TITLES if mode in set(curves["mode"])]
     with mpl.rc_context(RC):
         figure = Figure(figsize=(6.2 * len(modes), 8.4), layout="constrained")
         FigureCanvasAgg(figure)
         grid: Any = figure.subplots(2, len(modes), sharey=True, squeeze=False)
         for column, mode in enumerate(modes):
-            for axes, across in zip(grid[:, column], ("frames", "seconds"), strict=True):
-                _panel(axes, seen[seen["mode"] == mode], across)
+            for axes, x in zip(grid[:, column], ("frames", "seconds"), strict=True):
+                _draw_panel(axes, curves[curves["mode"] == mode], x)
             grid[0, column].set_title(TITLES[mode])
             grid[1, column].set_xscale("log")
             grid[1, column].xaxis.set_major_formatter("{x:g}")
@@ -109,50 +116,53 @@ def draw(rows: pd.DataFrame, file: Path) -> None:
             grid[1, column].set_xlabel("seconds of one CPU core (shared machine)")
         for axes in grid[:, 0]:
             axes.set_ylabel("share of the optimal error reduction")
-        shown = [axes.get_legend_handles_labels() for axes in grid[0]]
-        known = {k: v for handles, names in shown for k, v in zip(names, handles, strict=True)}
-        labels = [name for name in LOOKS if name in known]
-        handles = [known[name] for name in labels]
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+        _add_key(figure, grid[0])
         figure.savefig(file, dpi=150, metadata={})
 
 
-def _panel(axes: Axes, seen: pd.DataFrame, across: str) -> None:
-    axes.axhline(0, color=FAINT, linewidth=1)
-    axes.axhline(1, color=FAINT, linewidth=1)
+def _add_key(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One key for all panels, in the order of LINE_STYLES."""
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        lines, names = axes.get_legend_handles_labels()
+        handles |= dict(zip(names, lines, strict=True))
+    names = [name for name in LINE_STYLES if name in handles]
+    lines = [handles[name] for name in names]
+    figure.legend(lines, names, loc="outside lower center", ncols=4, frameon=False)
+
+
+def _draw_panel(axes: Axes, curves: pd.DataFrame, x: str) -> None:
+    axes.axhline(0, color=GREY, linewidth=1)
+    axes.axhline(1, color=GREY, linewidth=1)
     for text, score in (("uniform", 0), ("optimum", 1)):
-        where: Any = ("axes fraction", "data")
-        axes.annotate(text, (1.01, score), xycoords=where, color=FAINT, va="center", fontsize=10)
-    for name, (color, dash) in LOOKS.items():
-        mine = seen[seen["learner"] == name]
-        if mine.empty:
+        coordinates: Any = ("axes fraction", "data")
+        axes.annotate(
+            text, (1.01, score), xycoords=coordinates, color=GREY, va="center", fontsize=10
+        )
+    for name, (color, dash) in LINE_STYLES.items():
+        curve = curves[curves["learner"] == name]
+        if curve.empty:
             continue
-        low, middle, high = (mine[k].clip(lower=LOWEST) for k in ("least", "score", "greatest"))
-        axes.fill_between(mine[across], low, high, color=color, alpha=0.12, linewidth=0)
-        axes.plot(mine[across], middle, color=color, linestyle=dash, linewidth=2, label=name)
-    axes.set_ylim(LOWEST - 0.02, 1.08)
+        scores = curve[["lowest", "score", "highest"]].clip(lower=LOWEST_SCORE)
+        axes.fill_between(
+            curve[x], scores["lowest"], scores["highest"], color=color, alpha=0.12, linewidth=0
+        )
+        axes.plot(curve[x], scores["score"], color=color, linestyle=dash, linewidth=2, label=name)
+    axes.set_ylim(LOWEST_SCORE - 0.02, 1.08)
 
 
 def main(folder: Path) -> None:
-    """Read the table in `folder`, write the figure beside it, print the table in Markdown.
-
-    A page of the same name, with the marks between which a table belongs, gets it too.
-    """
-    rows = pd.read_csv(folder / f"{TABLE}.csv").replace({"learner": FORMER_NAMES})
-    draw(rows, folder / f"{TABLE}.png")
-    sys.stdout.write(table(rows))
-    page = folder / f"{TABLE}.md"
-    if page.exists():
-        text = page.read_text()
-        begin, end = (text.index(mark) for mark in MARKS)
-        page.write_text(text[: begin + len(MARKS[0])] + "\n" + table(rows) + text[end:])
+    """Read the CSV in `folder`, write the figure beside it, print the table in Markdown."""
+    rows = read_rows(folder / f"{NAME}.csv")
+    draw_figure(rows, folder / f"{NAME}.png")
+    sys.stdout.write(markdown_table(rows))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         prog="python -m reports.known_optimum",
-        description=f"Draw FOLDER/{TABLE}.csv, which "
-        "python -m methods.ours.experiments.compare_learners writes.",
+        description=f"Draw FOLDER/{NAME}.csv, a table of "
+        "python -m methods.ours.experiments.compare_learners.",
     )
-    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs"))
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
     main(parser.parse_args().folder)

@@ -1,4 +1,4 @@
-"""The Pareto plot: error against the whole time of a frame, a curve a method, over budgets."""
+"""The Pareto plot: score against frame time, a curve over budgets for each method."""
 
 from __future__ import annotations
 
@@ -7,86 +7,111 @@ from pathlib import Path
 import matplotlib as mpl
 import pandas as pd
 
-from reports.analysis import aggregate
-from reports.layout import page, style
-from reports.layout.pareto_panels import MOST, OVERALL, draw
+from reports.analysis.aggregate import Scores
+from reports.analysis.comparability import ReportError, check_comparable, split_by_device
+from reports.layout import style
+from reports.layout.page import describe_clips
+from reports.layout.pareto_panels import MAX_PANELS, OVERALL, Labels, draw_pareto
+
+__all__ = ["pareto_front", "plotted_points", "write"]
 
 
 def write(
-    table: pd.DataFrame, folder: Path, metric: str = "psnr", name: str = "pareto"
+    results: pd.DataFrame, folder: Path, metric: str = "psnr", name: str = "pareto"
 ) -> list[Path]:
-    """PNG, PDF and SVG of the plot, and a CSV of what is plotted; one set for each device.
+    """Write PNG, PDF and SVG of the plot and a CSV of its points, one set for each device.
 
-    Total time = plan + denoise + samples bought per pixel x time of one sample per pixel. Cells
-    without score or time are not plotted. Raises ReportError if nothing can be.
+    Frame time = plan + denoise + drawn samples per pixel x time of one sample per pixel. Points
+    without a score or time are not plotted. Raises ReportError if no point is left.
     """
-    parts = aggregate.by_device(table)
-    written = []
-    for device, rows in parts.items():
-        aggregate.check(rows)
-        plotted = curves(rows, metric)
-        file = name if len(parts) == 1 else f"{name}-{style.slug(device)}"
+    devices = split_by_device(results)
+    files = []
+    for device, rows in devices.items():
+        check_comparable(rows)
+        scores = Scores(rows, metric, device)
+        points = plotted_points(scores)
+        stem = name if len(devices) == 1 else f"{name}-{style.slug(device)}"
         with mpl.rc_context(style.RC):
-            figure = draw(plotted, _texts(rows, metric, device))
-            written += style.save(figure, folder, file)
-        plotted.to_csv(folder / f"{file}.csv", index=False)
-        written.append(folder / f"{file}.csv")
-    return written
+            files += style.save_figure(draw_pareto(points, figure_labels(scores)), folder, stem)
+        points.to_csv(folder / f"{stem}.csv", index=False)
+        files.append(folder / f"{stem}.csv")
+    return files
 
 
-def curves(table: pd.DataFrame, metric: str = "psnr") -> pd.DataFrame:
-    """What is plotted: rows of `scores.points` with a total time, and their means over scenes.
+def plotted_points(scores: Scores) -> pd.DataFrame:
+    """The rows of `scores.points` that have a frame time, and their means over scenes.
 
-    `front` is true for a point of its panel that none is both faster and better than.
+    `front` is true for the points on the Pareto front of their panel. Raises ReportError if no
+    point has a time, or if there are too many scenes for panels and no mean over them.
     """
-    per_scene = aggregate.points(table, metric)
-    mean = aggregate.overall(per_scene).assign(scene=OVERALL)
-    every = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
-    every = every[every["frame_ms"].notna()].reset_index(drop=True)
-    if every.empty:
-        found = sorted(set(table.loc[table["value"].notna(), "metric"])) or ["nothing"]
-        raise aggregate.ReportError(
-            f"no cell has {metric}, plan_ms, denoise_ms and sample_ms, so no time can be plotted; "
-            f"measured were: {', '.join(found)}; rlbench run --cost takes a published sample_ms"
-        )
-    if OVERALL not in set(every["scene"]) and every["scene"].nunique() > MOST:
-        raise aggregate.ReportError(
-            f"no method has {metric} and times at one budget on each of {every['scene'].nunique()} "
-            f"scenes, and more than {MOST} have no panels of their own; plot fewer scenes"
-        )
-    every["front"] = False
-    better = aggregate.column_text(table, metric, "direction")
-    for _, panel in every.groupby("scene"):
-        kept = aggregate.pareto_front(panel["frame_ms"], panel["value"], better)
-        every.loc[panel.index[kept], "front"] = True
-    return every
+    per_scene = scores.points
+    mean = scores.overall.assign(scene=OVERALL)
+    points = pd.concat([mean, per_scene], ignore_index=True)[per_scene.columns]
+    points = points[points["frame_ms"].notna()].reset_index(drop=True)
+    _check_points(points, scores)
+    points["front"] = False
+    for _, panel in points.groupby("scene"):
+        front = pareto_front(panel["frame_ms"], panel["value"], scores.direction)
+        points.loc[panel.index[front], "front"] = True
+    return points
 
 
-def _texts(table: pd.DataFrame, metric: str, device: str) -> dict[str, str]:
-    unit, better = (
-        aggregate.column_text(table, metric, "unit"),
-        aggregate.column_text(table, metric, "direction"),
-    )
+def pareto_front(times: pd.Series, values: pd.Series, direction: str) -> list[int]:
+    """Positions of the points on the Pareto front of time and score, in order of time.
+
+    Low times are better; of the values, the `higher` or `lower` ones.
+
+    >>> pareto_front(pd.Series([1.0, 2.0, 3.0]), pd.Series([5.0, 4.0, 6.0]), "higher")
+    [0, 2]
+    """
+    sign = -1 if direction == "lower" else 1
+    order = sorted(range(len(times)), key=lambda i: (times.iloc[i], -sign * values.iloc[i]))
+    front: list[int] = []
+    for i in order:
+        if not front or sign * values.iloc[i] > sign * values.iloc[front[-1]]:
+            front.append(i)
+    return front
+
+
+def figure_labels(scores: Scores) -> Labels:
+    """Axis label and caption of one device's figure."""
+    metric, unit = scores.metric, scores.column_text("unit")
     title = metric.upper().replace("_", "-") if metric in ("psnr", "ms_ssim") else metric
-    value = f"{title} [{unit}]" if unit else title
-    direction = {"higher": "  (up is better)", "lower": "  (down is better)"}.get(better, "")
-    counted = table[(table["metric"] == metric) & table["value"].notna()]
     caption = (
-        f"{title}: {aggregate.column_text(table, metric, 'convention')}; {page.clips(counted)}. "
-        f"Time: plan + denoise (p50) on {device or 'a device not named'}\n+ samples bought per "
-        f"pixel x time of one sample per pixel ({aggregate.profile(table) or 'source not named'})."
+        f"{title}: {scores.convention}; {describe_clips(scores.measured)}. "
+        f"Frame time: plan + denoise (p50) on {scores.device_name}\n+ drawn samples per "
+        f"pixel x time of one sample per pixel ({scores.cost_source or 'an unnamed source'})."
     )
-    caption += _missing(table, metric)
-    return {"value": value, "direction": direction, "better": better, "caption": caption}
+    label = f"{title} [{unit}]" if unit else title
+    return Labels(label, scores.direction, caption + _missing_methods(scores))
 
 
-def _missing(table: pd.DataFrame, metric: str) -> str:
-    """What has no mean over scenes though it was measured, as lines of the caption."""
-    per_scene = aggregate.points(table, metric)
-    untimed = set(per_scene.loc[per_scene["frame_ms"].isna(), "method"])
-    scored = table.loc[(table["metric"] == metric) & table["value"].notna()]
-    whole = aggregate.overall(per_scene).groupby("method")["target_spp"].nunique()
-    asked = scored.groupby("method")["target_spp"].nunique()
-    partly = {method for method, budgets in asked.items() if whole.get(method, 0) < budgets}
-    told = {"Not on every scene and frame": partly, "Without a time on every scene": untimed}
-    return "".join(f"\n{what}: {', '.join(sorted(who))}." for what, who in told.items() if who)
+def _check_points(points: pd.DataFrame, scores: Scores) -> None:
+    if points.empty:
+        rows = scores.rows
+        measured = sorted(set(rows.loc[rows["value"].notna(), "metric"])) or ["nothing"]
+        raise ReportError(
+            f"no method has all of {scores.metric}, plan_ms, denoise_ms and sample_ms on a scene; "
+            f"the results have {', '.join(measured)}. Measure times with rlbench run; its option "
+            "--cost takes sample_ms from a published profile"
+        )
+    scenes = points["scene"].nunique()
+    if OVERALL not in set(points["scene"]) and scenes > MAX_PANELS:
+        raise ReportError(
+            f"no method has {scores.metric} and times at one budget on each of {scenes} scenes, so "
+            f"there is no mean to plot, and more than {MAX_PANELS} scenes have no panels; plot "
+            "fewer scenes"
+        )
+
+
+def _missing_methods(scores: Scores) -> str:
+    """Caption lines with the methods that have scores but no mean over scenes, or no time."""
+    points = scores.points
+    untimed = set(points.loc[points["frame_ms"].isna(), "method"])
+    averaged = scores.overall.groupby("method")["target_spp"].nunique()
+    measured = scores.measured.groupby("method")["target_spp"].nunique()
+    partial = {method for method, count in measured.items() if averaged.get(method, 0) < count}
+    missing = {"Not on every scene and frame": partial, "Without a time on every scene": untimed}
+    return "".join(
+        f"\n{title}: {', '.join(sorted(methods))}." for title, methods in missing.items() if methods
+    )

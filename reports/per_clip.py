@@ -1,4 +1,4 @@
-"""Every clip by itself: who leads where the camera stands, a shot is cut, or nothing moves?"""
+"""PSNR of every clip: methods on moving cameras, cuts and static views."""
 
 from __future__ import annotations
 
@@ -6,79 +6,81 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis import aggregate
-from reports.analysis.intervals import DRAWS, INTERVAL_NOTE, interval, paired
-from reports.layout import page
-from reports.layout.tables import Bold, Grid, gap_text
+from reports.analysis.aggregate import Scores, mean_over_scenes
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.intervals import (
+    BOOTSTRAP_SAMPLES,
+    INTERVAL_NOTE,
+    mean_with_interval,
+    pair,
+)
+from reports.layout.page import Section, write_page
+from reports.layout.tables import Bold, Table, format_difference
 
-METRIC = "psnr"
-BASE = "ours"  # what rows are held against, where it is there; else the best
+__all__ = ["write"]
+
+BASE = "ours"  # the method that others are compared with; the best method if it was not measured
 
 
 def write(
-    table: pd.DataFrame, folder: Path, name: str = "clips", seed: int = 0, draws: int = DRAWS
+    results: pd.DataFrame,
+    folder: Path,
+    name: str = "clips",
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
 ) -> list[Path]:
-    """`name`.md, .csv and .tex: PSNR of each clip, a table a budget, best rows first.
+    """Write `name`.md, .csv and .tex: PSNR of each clip, a table per budget, best methods first.
 
-    Each table ends with the mean over scenes, and with how far each method is from `ours`, or from
-    the best where `ours` is not there, with its interval. `seed` and `draws` are those of the
-    bootstrap. Raises ReportError where rows would be averaged that must not be.
+    Each table ends with the mean over scenes, and with the difference of each method to `ours` (or
+    to the best method if `ours` was not measured) and its interval. `seed` and `draws` are those of
+    the bootstrap. Raises ReportError if a mean would mix rows that cannot be compared.
     """
     sections = []
-    for device, rows in aggregate.by_device(table).items():
-        aggregate.check(rows)
-        scored = rows[rows["metric"] == METRIC]
-        means = aggregate.clip_means(scored, METRIC)
-        whole = aggregate.overall(aggregate.scene_means(scored, METRIC))
-        shots = aggregate.per_frame_scores(scored, METRIC)
-        told = aggregate.column_text(scored, METRIC, "convention")
-        budgets = sorted(set(means["target_spp"]))
-        grids = [_grid(spp, means, whole, shots, told, seed, draws) for spp in budgets]
+    for device, rows in split_by_device(results).items():
+        check_comparable(rows)
+        scores = Scores(rows, device=device)
+        budgets = sorted(set(scores.clip_means["target_spp"]))
+        tables = [_clip_table(scores, spp, seed, draws) for spp in budgets]
         lists = {
-            "Not run": aggregate.reasons(scored),
-            "Left out of the means": aggregate.incomplete_groups(scored, METRIC),
-            "Remarks": aggregate.remarks(scored),
+            "Not run": scores.skip_reasons,
+            "Left out of the means": scores.incomplete_groups,
+            "Remarks": scores.remarks,
         }
-        sections.append(page.Section(device, grids, means, lists))
-    return page.write(folder, name, "Clip by clip", table, sections)
+        sections.append(Section(device, tables, scores.clip_means, lists))
+    return write_page(folder, name, "PSNR by clip", results, sections)
 
 
-def _grid(
-    spp: float,
-    means: pd.DataFrame,
-    whole: pd.DataFrame,
-    shots: pd.DataFrame,
-    convention: str,
-    seed: int,
-    draws: int,
-) -> Grid:
-    means, whole, shots = (part[part["target_spp"] == spp] for part in (means, whole, shots))
-    overall = whole.set_index("method")["value"].sort_values(ascending=False)
-    # what lacks a scene has no mean, and comes last
-    methods = list(dict.fromkeys([*overall.index, *means["method"]]))
+def _clip_table(scores: Scores, spp: float, seed: int, draws: int) -> Table:
+    clip_means, scene_means, per_frame = (
+        part[part["target_spp"] == spp]
+        for part in (scores.clip_means, mean_over_scenes(scores.scene_means), scores.per_frame)
+    )
+    overall = scene_means.set_index("method")["value"].sort_values(ascending=False)
+    # methods that lack a scene have no mean and come last
+    methods = list(dict.fromkeys([*overall.index, *clip_means["method"]]))
     base = BASE if BASE in overall.index else methods[0]
-    wide = means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
-    parts = {str(method): part for method, part in shots.groupby("method")}
-    gaps = {
-        method: interval(paired(parts[method], parts[base]), seed, draws)
+    clips = clip_means.pivot_table("value", ["scene", "clip"], "method").reindex(columns=methods)
+    parts = {str(method): part for method, part in per_frame.groupby("method")}
+    differences = {
+        method: mean_with_interval(pair(parts[method], parts[base]), seed, draws)
         for method in overall.index
         if method != base
     }
-    told = {method: gap_text(gap.mean, gap.low, gap.high) for method, gap in gaps.items()}
-    body = (
-        *((str(clip), *_cells(line)) for clip, line in wide.droplevel("scene").iterrows()),
-        ("mean over scenes", *_cells(overall.reindex(methods))),
-        (f"less {base}", *(told.get(method, "-") for method in methods)),
+    cells = {m: format_difference(gap.mean, gap.low, gap.high) for m, gap in differences.items()}
+    rows = (
+        *((str(clip), *_format_scores(line)) for clip, line in clips.droplevel("scene").iterrows()),
+        ("mean over scenes", *_format_scores(overall.reindex(methods))),
+        (f"minus {base}", *(cells.get(method, "-") for method in methods)),
     )
     caption = (
-        f"{convention}; mean over frames, best of a line bold. "
-        f"Last line: mean over scenes of the difference to {base}, paired by frame; in brackets "
-        f"{INTERVAL_NOTE}; bold where it excludes zero."
+        f"{scores.convention}; mean over frames, the best of a row bold. Last row: mean over "
+        f"scenes of the difference to {base}, paired by frame. Brackets: {INTERVAL_NOTE}; bold if "
+        "it excludes zero."
     )
-    return Grid(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), body)
+    return Table(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), rows)
 
 
-def _cells(line: pd.Series) -> list[str]:
-    best = line.max()
-    shown = ["-" if value != value else f"{value:.2f}" for value in line]
-    return [Bold(x) if value == best else x for x, value in zip(shown, line, strict=True)]
+def _format_scores(scores: pd.Series) -> list[str]:
+    best = scores.max()
+    cells = ["-" if value != value else f"{value:.2f}" for value in scores]
+    return [Bold(x) if value == best else x for x, value in zip(cells, scores, strict=True)]

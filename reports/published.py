@@ -1,4 +1,4 @@
-"""What the paper states in print: Table 1, cost of a sample, deviation between seeds."""
+"""Numbers printed in the paper: Table 1, cost of a sample, deviation between training seeds."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ import pandas as pd
 
 from rlbench.benchmark.results import MissingRowsError
 
+__all__ = ["Published", "PublishedPoint", "PublishedRow", "no_published_rows", "published"]
+
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """A row of the paper's Table 1, and the row of rlbench that is nearest."""
+    """A row of the paper's Table 1 and the method of rlbench that corresponds to it."""
 
     name: str  # as the paper writes it
     row: str  # family or family/variant
     psnr_db: float
     inference_ms: float
-    note: str = ""  # in what our row is another
+    note: str = ""  # how our method differs from it
 
 
 @dataclass(frozen=True)
-class Point:
-    """A score at a budget: printed, or derived from sentences as `source` tells."""
+class PublishedPoint:
+    """A score at a budget: printed, or derived from sentences that `source` names."""
 
     row: str
     spp: float
@@ -37,42 +39,45 @@ class Point:
 
 @dataclass(frozen=True)
 class Published:
-    """All of `published.toml`: each number with the place in the paper where it stands."""
+    """All of `published.toml`: the numbers, each with its place in the paper."""
 
     title: str
     conditions: str  # size, device, renderer, protocol
     source: str  # of the table
-    spp: float  # at which the table's scores are
+    spp: float  # budget of the table's scores
     table: tuple[PublishedRow, ...]
-    derived: tuple[Point, ...]
-    sample_ms: float  # of one sample per pixel, mean of the scenes
+    derived: tuple[PublishedPoint, ...]
+    sample_ms: float  # of one sample per pixel, mean over the scenes
     scene_ms: Mapping[str, float]
     deviation_db: float  # standard deviation between trainings with different seeds
     deviation_row: str
     trainings: int
 
-    def of(self, row: str) -> PublishedRow | None:
-        """What is stated of a row, or None."""
-        return next((stated for stated in self.table if stated.row == row), None)
+    def find(self, row: str) -> PublishedRow | None:
+        """The published row of the method `row`, or None."""
+        return next((printed for printed in self.table if printed.row == row), None)
 
-    def points(self) -> list[Point]:
-        """Every score at its budget: the table's, then those that are derived."""
-        printed = [Point(s.row, self.spp, s.psnr_db, self.source, False) for s in self.table]
+    def points(self) -> list[PublishedPoint]:
+        """Every score at its budget: those of the table, then the derived ones."""
+        printed = [
+            PublishedPoint(p.row, self.spp, p.psnr_db, self.source, derived=False)
+            for p in self.table
+        ]
         return [*printed, *self.derived]
 
 
 @cache
 def published() -> Published:
-    """The paper's numbers. Raises TypeError or KeyError if the file has lost a field."""
-    read = tomllib.loads((files("reports") / "published.toml").read_text(encoding="utf-8"))
-    table, sampling, seeds = read["table1"], read["sampling"], read["seeds"]
+    """The numbers of `published.toml`. Raises TypeError or KeyError if a field is missing."""
+    document = tomllib.loads((files("reports") / "published.toml").read_text(encoding="utf-8"))
+    table, sampling, seeds = document["table1"], document["sampling"], document["seeds"]
     return Published(
-        title=read["title"],
-        conditions=read["conditions"],
+        title=document["title"],
+        conditions=document["conditions"],
         source=table["source"],
         spp=table["spp"],
         table=tuple(PublishedRow(**row) for row in table["rows"]),
-        derived=tuple(Point(**point) for point in read["derived"]),
+        derived=tuple(PublishedPoint(**point) for point in document["derived"]),
         sample_ms=sampling["mean_ms"],
         scene_ms=sampling["scene_ms"],
         deviation_db=seeds["deviation_db"],
@@ -81,10 +86,10 @@ def published() -> Published:
     )
 
 
-def lacking(table: pd.DataFrame, metric: str) -> MissingRowsError:
-    """The error of a table in which no device has a row of the paper on every scene."""
-    have = ", ".join(sorted(set(table["method"]))) or "nothing"
+def no_published_rows(results: pd.DataFrame, metric: str) -> MissingRowsError:
+    """The error for results in which no device has a method of the paper on every scene."""
+    methods = ", ".join(sorted(set(results["method"]))) or "none"
     return MissingRowsError(
-        f"no row of the paper has {metric} on every scene; the results are of: {have}; "
-        "rlbench run --methods all measures the paper's"
+        f"no method of the paper has {metric} on every scene; methods in the results: {methods}. "
+        "Measure the paper's with rlbench run --methods all"
     )

@@ -1,4 +1,4 @@
-"""The paper's two figures anew, its points beside ours: PSNR against budget, and against time."""
+"""The paper's two figures measured again: PSNR against budget and against frame time."""
 
 from __future__ import annotations
 
@@ -8,105 +8,112 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pandas as pd
 
-from reports.analysis import aggregate
-from reports.layout import paired_panels, style
-from reports.published import Published, lacking, published
+from reports.analysis.aggregate import Scores
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.layout import style
+from reports.layout.paired_panels import AXES, draw_pair
+from reports.published import Published, no_published_rows, published
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+__all__ = ["draw_figures", "measured_points", "published_points", "write"]
 
 METRIC = "psnr"
 COLUMNS = ["method", "target_spp", "value", "frame_ms"]
 
 
-def write(table: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
-    """`name`-spp and `name`-time as PNG, PDF and SVG, and `name`-pareto.csv; one set a device.
+def write(results: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
+    """Write `name`-spp and `name`-time as PNG, PDF and SVG, and `name`-pareto.csv, per device.
 
-    Total time = plan + denoise + samples bought per pixel x time of one sample per pixel, as the
-    table has it; the paper's = inference + spp x 26.3 ms. Rows that the paper does not have are
-    named, not drawn. Raises LacksError if none of the paper's rows was measured.
+    Frame time = plan + denoise + drawn samples per pixel x time of one sample per pixel, as in the
+    results; that of the paper = inference + spp x 26.3 ms. Methods that the paper does not have
+    are named in the caption only. Raises MissingRowsError if no method of the paper was measured.
     """
-    parts = {}
-    for device, rows in aggregate.by_device(table).items():
-        aggregate.check(rows)
-        if len(measured(rows)):
-            parts[device] = rows
-    if not parts:
-        raise lacking(table, METRIC)
-    written = []
-    for device, rows in parts.items():
-        suffix = "" if len(parts) == 1 else f"-{style.slug(device)}"
-        for axis, figure in figures(rows, device).items():
+    devices = []
+    for device, rows in split_by_device(results).items():
+        check_comparable(rows)
+        scores = Scores(rows, METRIC, device)
+        if len(measured_points(scores)):
+            devices.append(scores)
+    if not devices:
+        raise no_published_rows(results, METRIC)
+    files = []
+    for scores in devices:
+        suffix = "" if len(devices) == 1 else f"-{style.slug(scores.device)}"
+        for axis, figure in draw_figures(scores).items():
             with mpl.rc_context(style.RC):
-                written += style.save(figure, folder, f"{name}-{axis}{suffix}")
+                files += style.save_figure(figure, folder, f"{name}-{axis}{suffix}")
         file = folder / f"{name}-pareto{suffix}.csv"
-        both = {"here": measured(rows), "paper": stated(published())}
-        pd.concat([part.assign(source=of) for of, part in both.items()]).to_csv(file, index=False)
-        written.append(file)
-    return written
+        parts = {"here": measured_points(scores), "paper": published_points(published())}
+        points = [part.assign(source=source) for source, part in parts.items()]
+        pd.concat(points).to_csv(file, index=False)
+        files.append(file)
+    return files
 
 
-def figures(table: pd.DataFrame, device: str) -> dict[str, Figure]:
-    """The figures of one device's rows: against samples per pixel, `spp`, and against `time`."""
-    here, theirs = measured(table), stated(published())
-    told = _others(table, here)
+def draw_figures(scores: Scores) -> dict[str, Figure]:
+    """The figures of one device: `spp`, against samples per pixel, and `time`, against time."""
+    measured, printed = measured_points(scores), published_points(published())
+    missing = _missing_methods(scores, measured)
     with mpl.rc_context(style.RC):
         return {
-            axis: paired_panels.draw(here, theirs, paired_panels.AXES[axis], caption + told)
-            for axis, caption in _captions(table, here, device).items()
+            axis: draw_pair(measured, printed, AXES[axis], caption + missing)
+            for axis, caption in _captions(scores, measured).items()
         }
 
 
-def measured(table: pd.DataFrame) -> pd.DataFrame:
-    """Columns method, spp, value, frame_ms of the paper's rows: means over scenes, as measured."""
-    found = aggregate.overall(aggregate.points(table, METRIC))
-    found = found[found["method"].map(lambda method: published().of(method) is not None)]
-    return pd.DataFrame(found[COLUMNS].reset_index(drop=True))
+def measured_points(scores: Scores) -> pd.DataFrame:
+    """Measured means over scenes of the paper's methods; columns as in COLUMNS."""
+    means = scores.overall
+    means = means[means["method"].map(lambda method: published().find(method) is not None)]
+    return pd.DataFrame(means[COLUMNS].reset_index(drop=True))
 
 
-def stated(paper: Published) -> pd.DataFrame:
-    """The same columns, and `derived`, of what the paper states; times by its mean cost."""
-    made = []
+def published_points(paper: Published) -> pd.DataFrame:
+    """Published scores, with frame times by the paper's mean cost; COLUMNS and `derived`."""
+    records = []
     for point in paper.points():
-        row = paper.of(point.row)
+        row = paper.find(point.row)
         inference_ms = row.inference_ms if row else float("nan")
         frame_ms = inference_ms + point.spp * paper.sample_ms
-        made.append((point.row, point.spp, point.psnr_db, frame_ms, point.derived))
-    return pd.DataFrame(made, columns=[*COLUMNS, "derived"])
+        records.append((point.row, point.spp, point.psnr_db, frame_ms, point.derived))
+    return pd.DataFrame(records, columns=[*COLUMNS, "derived"])
 
 
-def _captions(table: pd.DataFrame, here: pd.DataFrame, device: str) -> dict[str, str]:
+def _captions(scores: Scores, measured: pd.DataFrame) -> dict[str, str]:
     paper = published()
-    told = (
-        f"Left: PSNR, {aggregate.column_text(table, METRIC, 'convention')}; mean over scenes.\n"
-        f"Right: {paper.title}, Table 1; {paper.conditions}; "
-        "dotted: from its text.\n"
-        "The two panels share a scale, not a zero: their values cannot be compared, their orders "
-        "can."
+    caption = (
+        f"Left: PSNR, {scores.convention}; mean over scenes.\n"
+        f"Right: {paper.title}, {paper.source}; {paper.conditions}; "
+        "points joined by a dotted line: one of them is derived from the text.\n"
+        "The panels have the same dB per inch but no common zero: compare the order of the "
+        "methods, not their values."
     )
-    budgets = ", ".join(f"{spp:g}" for spp in sorted(set(here["target_spp"])))
+    budgets = ", ".join(f"{spp:g}" for spp in sorted(set(measured["target_spp"])))
     times = (
-        f"\nPoints of a curve, from left to right: {budgets} spp, where it was run. Time here: "
-        f"plan + denoise (p50) on {device or 'a device not named'} + samples bought per pixel x "
-        f"time of one sample per pixel ({_cost(aggregate.profile(table))}); "
-        "theirs: inference + spp x "
-        f"{paper.sample_ms:g} ms."
+        f"\nPoints of a curve, from left to right: {budgets} spp, where measured. Measured frame "
+        f"time: plan + denoise (p50) on {scores.device_name} + drawn samples per pixel x "
+        f"time of one sample per pixel ({_short_cost_source(scores.cost_source)}); "
+        f"published: inference + spp x {paper.sample_ms:g} ms."
     )
-    return {"spp": told, "time": told + times}
+    return {"spp": caption, "time": caption + times}
 
 
-def _cost(profile: str) -> str:
-    """The source of the cost in few words; of the paper's, the device and the scaling."""
+def _short_cost_source(source: str) -> str:
+    """The source of the cost in few words; of the paper's profile, the device and the scaling."""
     author = published().title.partition(",")[0]
-    if author in profile:
-        return f"{profile.partition(',')[0]}, published, {profile.rpartition(', ')[2]}"
-    return f"{profile or 'not measured'}; rlbench run --cost paper-2080ti charges the published one"
+    if author in source:
+        return f"{source.partition(',')[0]}, published, {source.rpartition(', ')[2]}"
+    return f"{source or 'not measured'}; rlbench run --cost paper-2080ti uses the published cost"
 
 
-def _others(table: pd.DataFrame, here: pd.DataFrame) -> str:
-    """The rows that are measured and not drawn, as lines of the caption."""
-    scored = table[(table["metric"] == METRIC) & table["value"].notna()]
-    left = sorted(set(scored["method"]) - set(here["method"]))
-    untimed = sorted(set(here.loc[here["frame_ms"].isna(), "method"]))
-    told = {"Measured, but not in the paper or not on every scene": left, "Without a time": untimed}
-    return "".join(f"\n{what}: {', '.join(which)}." for what, which in told.items() if which)
+def _missing_methods(scores: Scores, measured: pd.DataFrame) -> str:
+    """Caption lines with the methods that have scores and are not drawn."""
+    absent = sorted(set(scores.measured["method"]) - set(measured["method"]))
+    untimed = sorted(set(measured.loc[measured["frame_ms"].isna(), "method"]))
+    missing = {
+        "Measured, but not in the paper or not on every scene": absent,
+        "Without a time": untimed,
+    }
+    return "".join(f"\n{title}: {', '.join(names)}." for title, names in missing.items() if names)

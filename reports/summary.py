@@ -1,17 +1,22 @@
-"""The summary: every score and time by method and budget, how sure, and what was not run."""
+"""The summary: every score and time by method and budget, intervals, ties, and what was not run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from reports.analysis import aggregate
-from reports.analysis.intervals import DRAWS, INTERVAL_NOTE
-from reports.analysis.ranking import EVERY, ranking
-from reports.layout import page
-from reports.layout.tables import Bold, Grid
+from reports.analysis import notes
+from reports.analysis.aggregate import Scores, metrics_with_values
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, INTERVAL_NOTE
+from reports.analysis.ranking import ALL_SCENES, rank_methods
+from reports.layout.page import Section, write_page
+from reports.layout.tables import Bold, Table
+
+__all__ = ["write"]
 
 TIME_COLUMNS = {
     "plan_ms": "plan p50",
@@ -19,115 +24,102 @@ TIME_COLUMNS = {
     "denoise_ms": "denoise p50",
     "denoise_p95_ms": "denoise p95",
     "sampling_ms": "sampling",
-    "frame_ms": "total",
+    "frame_ms": "frame",
 }
-Show = Callable[[float], str]
+RULES = {"higher": "Higher is better. ", "lower": "Lower is better. "}
+OVERALL_CAPTION = (
+    f"Bold is best at its budget. Brackets: {INTERVAL_NOTE} of the paired difference to the best. "
+    "A tie is a difference whose interval includes zero."
+)
 
 
 def write(
-    table: pd.DataFrame, folder: Path, name: str = "summary", seed: int = 0, draws: int = DRAWS
+    results: pd.DataFrame,
+    folder: Path,
+    name: str = "summary",
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
 ) -> list[Path]:
-    """`name`.md, .csv and .tex: scores, times, scenes and reasons, a section for each device.
+    """Write `name`.md, .csv and .tex with a section for each device, and return the files.
 
-    `seed` and `draws` are those of the bootstrap. Raises ReportError where rows would be averaged
-    that must not be.
+    `seed` and `draws` are those of the bootstrap. Raises ReportError if a mean would mix rows that
+    cannot be compared.
     """
     sections = []
-    for device, rows in aggregate.by_device(table).items():
-        aggregate.check(rows)
-        ranks = [ranking(rows, metric, seed, draws) for metric in aggregate.metrics(rows)]
-        grids = [*_score_grids(rows, ranks), *_time_grids(rows, device), *_scene_grids(rows, ranks)]
+    for device, rows in split_by_device(results).items():
+        check_comparable(rows)
+        metrics = [Scores(rows, metric, device) for metric in metrics_with_values(rows)]
+        ranks = [rank_methods(scores, seed, draws) for scores in metrics]
+        tables = [
+            _score_table(scores, rank[rank["scene"] == ALL_SCENES], OVERALL_CAPTION)
+            for scores, rank in zip(metrics, ranks, strict=True)
+        ]
+        if metrics:
+            tables += [*_time_tables(metrics[0]), *_scene_tables(metrics[0], ranks[0])]
         records = pd.concat(ranks or [pd.DataFrame()])
-        sections.append(page.Section(device, grids, records, _lists(rows)))
-    return page.write(folder, name, "Summary", table, sections)
+        lists = {
+            "Not run": notes.skip_reasons(rows),
+            "Left out of the means": [x for scores in metrics for x in scores.incomplete_groups],
+            "Remarks": notes.remarks(rows),
+        }
+        sections.append(Section(device, tables, records, lists))
+    return write_page(folder, name, "Summary", results, sections)
 
 
-def _score_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:
+def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
     return [
-        _grid(
-            table,
-            rank[rank["scene"] == EVERY],
-            "mean over scenes",
-            f"Bold is best at its budget. In brackets: {INTERVAL_NOTE} "
-            "of the paired difference to the "
-            "best; a tie is a difference whose interval holds zero.",
-        )
-        for rank in ranks
+        _score_table(scores, rows, "Bold is best at its budget.")
+        for scene, rows in rank.groupby("scene")
+        if scene != ALL_SCENES
     ]
 
 
-def _scene_grids(table: pd.DataFrame, ranks: Sequence[pd.DataFrame]) -> list[Grid]:
-    first = ranks[0] if ranks else pd.DataFrame(columns=["scene"])
-    return [
-        _grid(table, rows, str(scene), "Bold is best at its budget.")
-        for scene, rows in first.groupby("scene")
-        if scene != EVERY
-    ]
-
-
-def _grid(table: pd.DataFrame, rank: pd.DataFrame, of: str, caption: str) -> Grid:
-    metric = str(rank["metric"].iloc[0]) if len(rank) else "score"
-    unit, better, convention = (
-        aggregate.column_text(table, metric, c) for c in ("unit", "direction", "convention")
-    )
-    budgets, show = sorted(set(rank["target_spp"])), _shown(unit)
-    cells = {(row.method, row.target_spp): _cell(row, show) for row in rank.itertuples()}
-    body = tuple(
+def _score_table(scores: Scores, rank: pd.DataFrame, caption: str) -> Table:
+    unit = scores.column_text("unit")
+    number = _number_format(unit)
+    cells = {
+        (row["method"], row["target_spp"]): _format_score(row, number)
+        for row in rank.to_dict("records")
+    }
+    budgets = sorted(set(rank["target_spp"]))
+    rows = tuple(
         (method, *(cells.get((method, spp), "-") for spp in budgets))
         for method in sorted(set(rank["method"]))
     )
-    name = f"{metric} [{unit}]" if unit else metric
-    head = ("method", *(f"{spp:g} spp" for spp in budgets))
-    rule = {"higher": "Higher is better. ", "lower": "Lower is better. "}.get(better, "")
-    return Grid(
-        f"{name}, {of}", f"{convention}. {rule}{caption if better else 'Not ranked.'}", head, body
-    )
+    scenes = set(rank["scene"]) - {ALL_SCENES}
+    title = f"{scores.metric} [{unit}]" if unit else scores.metric
+    title += f", {scenes.pop() if scenes else 'mean over scenes'}"
+    ranked = RULES.get(scores.direction, "") + (caption if scores.direction else "Not ranked.")
+    header = ("method", *(f"{spp:g} spp" for spp in budgets))
+    return Table(title, f"{scores.convention}. {ranked}", header, rows)
 
 
-def _cell(row: object, show: Show) -> str:
-    mean, low, high = (getattr(row, name) for name in ("mean", "low", "high"))
-    text = show(mean)
-    if getattr(row, "best"):  # noqa: B009
+def _format_score(row: Mapping[Hashable, Any], number: Callable[[float], str]) -> str:
+    mean, low, high = (row[name] for name in ("mean", "low", "high"))
+    text = number(mean)
+    if row["best"]:
         return Bold(text)
     if low == low:
-        text += f" [{show(low)}, {show(high)}]"
-    return f"{text} tie" if getattr(row, "tie") else text  # noqa: B009
+        text += f" [{number(low)}, {number(high)}]"
+    return f"{text} tie" if row["tie"] else text
 
 
-def _shown(unit: str) -> Show:
+def _number_format(unit: str) -> Callable[[float], str]:
     return (lambda v: f"{v:.2f}") if unit in ("dB", "ms") else (lambda v: f"{v:.3g}")
 
 
-def _time_grids(table: pd.DataFrame, device: str) -> list[Grid]:
-    metrics = aggregate.metrics(table)
-    if not metrics:
+def _time_tables(scores: Scores) -> list[Table]:
+    if scores.overall["frame_ms"].isna().all():
         return []
-    means = aggregate.overall(aggregate.points(table, metrics[0]))
-    if means["frame_ms"].isna().all():
-        return []
-    head = ("method", "spp", "spp bought", *TIME_COLUMNS.values())
-    body = tuple(
+    header = ("method", "target spp", "mean spp", *TIME_COLUMNS.values())
+    rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
         + tuple("-" if pd.isna(row[c]) else f"{row[c]:.2f}" for c in TIME_COLUMNS)
-        for _, row in means.iterrows()
+        for _, row in scores.overall.iterrows()
     )
-    source = aggregate.profile(table) or "a source not named"
     caption = (
-        f"Plan and denoise on {device or 'a device not named'}; sampling = samples bought per "
-        f"pixel x time of one sample per pixel ({source}); total = plan and denoise p50 + sampling."
+        f"Plan and denoise on {scores.device_name}; sampling = mean spp x time of one sample per "
+        f"pixel ({scores.cost_source or 'an unnamed source'}); frame = plan p50 + denoise p50 + "
+        "sampling."
     )
-    return [Grid("time of a frame [ms], mean over scenes", caption, head, body)]
-
-
-def _lists(table: pd.DataFrame) -> dict[str, list[str]]:
-    """What is missing, and notes on what is not."""
-    missing = [
-        line
-        for metric in aggregate.metrics(table)
-        for line in aggregate.incomplete_groups(table, metric)
-    ]
-    return {
-        "Not run": aggregate.reasons(table),
-        "Left out of the means": missing,
-        "Remarks": aggregate.remarks(table),
-    }
+    return [Table("frame time [ms], mean over scenes", caption, header, rows)]

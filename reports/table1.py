@@ -1,4 +1,4 @@
-"""Table 1 anew: scores and times as measured here, beside those that the paper states."""
+"""Table 1 of the paper measured again: scores and times beside the published ones."""
 
 from __future__ import annotations
 
@@ -9,64 +9,80 @@ from typing import Any
 
 import pandas as pd
 
-from reports.analysis import aggregate, method_names
-from reports.analysis.correlation import Agreement, kendall_tau
-from reports.analysis.intervals import DRAWS, INTERVAL_NOTE, UNKNOWN, interval, paired
-from reports.layout import page
-from reports.layout.tables import Grid, gap_text
-from reports.published import lacking, published
+from reports.analysis import notes
+from reports.analysis.aggregate import Scores
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.correlation import RankCorrelation, kendall_tau
+from reports.analysis.intervals import (
+    BOOTSTRAP_SAMPLES,
+    INTERVAL_NOTE,
+    UNKNOWN,
+    mean_with_interval,
+    pair,
+)
+from reports.analysis.method_names import label_of
+from reports.layout.page import Section, write_page
+from reports.layout.tables import Table, format_difference
+from reports.published import no_published_rows, published
 
-BASE = "ours"  # the row that all others are held against, as the paper does
+__all__ = ["compare_with_paper", "rank_correlation", "write"]
+
+BASE = "ours"  # the method that all others are compared with, as in the paper
 METRIC = "psnr"
-Record = Mapping[Hashable, Any]  # a row of `compared`
+Record = Mapping[Hashable, Any]  # a row of `compare_with_paper`
 WARNING = (
-    "Columns of the paper and of this table cannot be compared with each other, only their orders: "
-    "other scenes, another resolution and device, and samples that are not display-referred."
+    "The paper's columns and ours cannot be compared with each other, only the order of their "
+    "rows: scenes, resolution and device differ, and our samples are not display-referred."
 )
 
 
 def write(
-    table: pd.DataFrame, folder: Path, name: str = "table1", seed: int = 0, draws: int = DRAWS
+    results: pd.DataFrame,
+    folder: Path,
+    name: str = "table1",
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
 ) -> list[Path]:
-    """`name`.md, .csv and .tex: a section for each device.
+    """Write `name`.md, .csv and .tex with a section for each device, and return the files.
 
-    Raises LacksError if no row of the paper's table was measured, and ReportError where rows would
-    be averaged that must not be.
+    Raises MissingRowsError if no method of the paper's table was measured, and ReportError if a
+    mean would mix rows that cannot be compared.
     """
     sections = []
-    for device, rows in aggregate.by_device(table).items():
-        aggregate.check(rows)
-        found = compared(rows, seed, draws)
-        if not any(published().of(method) for method in found.get("method", ())):
-            continue  # another device has the paper's rows, or none has
-        alike = orders(found, seed, draws)
-        grid = _grid(rows, found, alike, device)
-        sections.append(page.Section(device, [grid], found, _lists(rows, found)))
+    for device, rows in split_by_device(results).items():
+        check_comparable(rows)
+        # rows with a label ran with other weights or in another precision
+        scores = Scores(rows[rows["method"].map(label_of) == ""], METRIC, device)
+        records = compare_with_paper(scores, seed, draws)
+        if not any(published().find(method) for method in records.get("method", ())):
+            continue
+        table = _table(scores, records, rank_correlation(records, seed, draws))
+        sections.append(Section(device, [table], records, _lists(scores, records, rows)))
     if not sections:
-        raise lacking(table, METRIC)
-    heading = f"Table 1 of {published().title}, and ours"
-    return page.write(folder, name, heading, table, sections)
+        raise no_published_rows(results, METRIC)
+    title = f"Table 1 of {published().title}, measured again"
+    return write_page(folder, name, title, results, sections)
 
 
-def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataFrame:
-    """A row for each method and budget: its mean over scenes, and what the paper states of it.
+def compare_with_paper(
+    scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
+) -> pd.DataFrame:
+    """The mean over scenes of each method and budget, and the published numbers beside it.
 
     `difference` is the mean of the paired differences to `ours` at that budget, `low` and `high`
-    its interval; inference is plan and denoise, p50. What the paper
-    states of its 4 spp stands at that budget alone. Rows of named weights are left out.
+    its interval; `inference_ms` is plan + denoise, p50. Published numbers stand at the budget of
+    the paper's table only.
     """
-    table = table[table["method"].map(method_names.weights) == ""]
-    means = aggregate.overall(aggregate.points(table, METRIC))
-    shots = aggregate.per_frame_scores(table, METRIC).merge(
-        means[["method", "target_spp"]], on=["method", "target_spp"]
-    )
-    parts = {key: part for key, part in shots.groupby(["method", "target_spp"])}
-    made = []
+    means = scores.overall
+    frames = scores.per_frame.merge(means[["method", "target_spp"]], on=["method", "target_spp"])
+    parts = {key: part for key, part in frames.groupby(["method", "target_spp"])}
+    records = []
     for row in means.to_dict("records"):
         method, spp, gap = row["method"], row["target_spp"], UNKNOWN
         if method != BASE and (BASE, spp) in parts:
-            gap = interval(paired(parts[method, spp], parts[BASE, spp]), seed, draws)
-        made.append(
+            pairs = pair(parts[method, spp], parts[BASE, spp])
+            gap = mean_with_interval(pairs, seed, draws)
+        records.append(
             {
                 "method": method,
                 "target_spp": spp,
@@ -75,110 +91,112 @@ def compared(table: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> pd.DataF
                 "low": gap.low,
                 "high": gap.high,
                 "inference_ms": row["plan_ms"] + row["denoise_ms"],
-                **_stated(method, spp),
+                **_published_columns(method, spp),
             }
         )
-    return pd.DataFrame(made)
+    return pd.DataFrame(records)
 
 
-def orders(found: pd.DataFrame, seed: int = 0, draws: int = DRAWS) -> Agreement:
-    """How alike the paper and this table order the rows that both have at 4 spp."""
-    both = found[found["published_psnr"].notna()]
+def rank_correlation(
+    records: pd.DataFrame, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
+) -> RankCorrelation:
+    """Rank correlation of published and measured PSNR, over the rows that have both."""
+    both = records[records["published_psnr"].notna()]
     return kendall_tau(list(both["published_psnr"]), list(both[METRIC]), seed, draws)
 
 
-def _stated(method: str, spp: float) -> dict[str, object]:
-    stated = published().of(method)
-    here = stated is not None and spp == published().spp
+def _published_columns(method: str, spp: float) -> dict[str, object]:
+    row = published().find(method)
+    at_budget = row is not None and spp == published().spp
     return {
-        "published_name": stated.name if stated else "",
-        "published_psnr": stated.psnr_db if stated and here else math.nan,
-        "published_ms": stated.inference_ms if stated and here else math.nan,
+        "published_name": row.name if row else "",
+        "published_psnr": row.psnr_db if row and at_budget else math.nan,
+        "published_ms": row.inference_ms if row and at_budget else math.nan,
     }
 
 
-def _grid(table: pd.DataFrame, found: pd.DataFrame, alike: Agreement, device: str) -> Grid:
-    at, budgets = published().spp, sorted(set(found["target_spp"]))
-    cells = {(row["method"], row["target_spp"]): row for row in found.to_dict("records")}
-    base = published().of(BASE)
-    body = []
-    for method in _order(found):
-        stated, here = published().of(method), cells.get((method, at))
-        body.append(
-            (
-                method,
-                *(_number(cells.get((method, spp)), METRIC, ".2f") for spp in budgets),
-                _gap(here),
-                _number(here, "inference_ms", ".1f"),
-                f"{stated.psnr_db:.1f}" if stated else "-",
-                f"{stated.psnr_db - base.psnr_db:+.1f}"
-                if stated and base and stated is not base
-                else "-",
-                f"{stated.inference_ms:.1f}" if stated else "-",
-            )
+def _table(scores: Scores, records: pd.DataFrame, correlation: RankCorrelation) -> Table:
+    paper = published()
+    budgets = sorted(set(records["target_spp"]))
+    cells = {(row["method"], row["target_spp"]): row for row in records.to_dict("records")}
+    rows = tuple(
+        (
+            method,
+            *(_format_number(cells.get((method, spp)), METRIC, ".2f") for spp in budgets),
+            _format_gap(cells.get((method, paper.spp))),
+            _format_number(cells.get((method, paper.spp)), "inference_ms", ".1f"),
+            *_published_cells(method),
         )
-    head = (
+        for method in _in_published_order(records)
+    )
+    header = (
         "method",
         *(f"{spp:g} spp" for spp in budgets),
-        f"less {BASE} at {at:g} spp",
+        f"minus {BASE} at {paper.spp:g} spp",
         "inference ms",
-        f"paper, {at:g} spp",
-        f"paper, less {BASE}",
+        f"paper, {paper.spp:g} spp",
+        f"paper, minus {BASE}",
         "paper, ms",
     )
     caption = (
-        f"PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
-        f", mean over scenes; inference = "
-        f"plan + denoise, p50, on {device or 'a device not named'}. In brackets: {INTERVAL_NOTE} "
-        f"of the paired difference; bold where it excludes zero. Paper: "
-        f"{published().title}, {published().source}; {published().conditions}. {WARNING} "
-        + _agreed(alike)
+        f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + denoise, p50, on "
+        f"{scores.device_name}. Brackets: {INTERVAL_NOTE} of the paired difference; bold if it "
+        f"excludes zero. Paper: {paper.title}, {paper.source}; {paper.conditions}. {WARNING} "
+        + _correlation_text(correlation)
     )
-    return Grid(f"Table 1 of {published().title}, and here", caption, head, tuple(body))
+    return Table(f"Table 1 of {paper.title}, measured and published", caption, header, rows)
 
 
-def _agreed(alike: Agreement) -> str:
-    if math.isnan(alike.tau):
-        return f"The orders were not compared: {alike.rows} rows are in both."
+def _published_cells(method: str) -> tuple[str, str, str]:
+    row, base = published().find(method), published().find(BASE)
+    if row is None:
+        return ("-", "-", "-")
+    gap = f"{row.psnr_db - base.psnr_db:+.1f}" if base and row is not base else "-"
+    return (f"{row.psnr_db:.1f}", gap, f"{row.inference_ms:.1f}")
+
+
+def _correlation_text(correlation: RankCorrelation) -> str:
+    if math.isnan(correlation.tau):
+        return f"The orders were not compared: {correlation.rows} rows are in both."
     return (
-        f"Orders at {published().spp:g} spp of the {alike.rows} rows that are in both: Kendall's "
-        f"tau-b {alike.tau:.2f}, p {alike.chance:.2g} by permutation."
+        f"Order of the {correlation.rows} rows that are in both, at {published().spp:g} spp: "
+        f"Kendall's tau-b {correlation.tau:.2f}, p {correlation.p_value:.2g} (permutation test)."
     )
 
 
-def _order(found: pd.DataFrame) -> list[str]:
-    """Methods as the paper lists them, then the others by name."""
-    listed = [stated.row for stated in published().table]
-    there = set(found["method"])
-    return [row for row in listed if row in there] + sorted(there - set(listed))
+def _in_published_order(records: pd.DataFrame) -> list[str]:
+    """Methods in the order of the paper's table, then the others by name."""
+    order = [row.row for row in published().table]
+    methods = set(records["method"])
+    return [row for row in order if row in methods] + sorted(methods - set(order))
 
 
-def _number(row: Record | None, column: str, form: str) -> str:
-    return "-" if row is None or pd.isna(row[column]) else format(row[column], form)
+def _format_number(row: Record | None, column: str, number_format: str) -> str:
+    return "-" if row is None or pd.isna(row[column]) else format(row[column], number_format)
 
 
-def _gap(row: Record | None) -> str:
+def _format_gap(row: Record | None) -> str:
     if row is None or pd.isna(row["difference"]):
         return "-"
-    return gap_text(row["difference"], row["low"], row["high"])
+    return format_difference(row["difference"], row["low"], row["high"])
 
 
-def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
-    there = set(found["method"])
-    named = sorted({m for m in table["method"] if method_names.weights(m)})
-    absent = [f"{s.name}, here {s.row}" for s in published().table if s.row not in there]
-    missing = [] if BASE in there else [f"differences: '{BASE}' was not measured on every scene"]
-    if published().spp not in set(found["target_spp"]):
-        missing.append(f"{published().spp:g} spp, the paper's budget")
-    scored = table[table["metric"] == METRIC]
+def _lists(scores: Scores, records: pd.DataFrame, rows: pd.DataFrame) -> dict[str, list[str]]:
+    paper, methods = published(), set(records["method"])
+    missing = [] if BASE in methods else [f"differences: '{BASE}' was not measured on every scene"]
+    if paper.spp not in set(records["target_spp"]):
+        missing.append(f"{paper.spp:g} spp, the paper's budget")
+    psnr = rows[rows["metric"] == METRIC]
     return {
-        "Rows of the paper that are not here": absent,
-        "Not measured": missing,
-        "Not quite the paper's": [
-            f"{s.row}: {s.note}" for s in published().table if s.note and s.row in there
+        "Published rows that were not measured": [
+            f"{p.name}, in rlbench {p.row}" for p in paper.table if p.row not in methods
         ],
-        "Left out of the means": aggregate.incomplete_groups(table, METRIC),
-        "Left out, as they ran with named weights": named,
-        "Not run": aggregate.reasons(scored),
-        "Remarks": aggregate.remarks(scored),
+        "Not measured": missing,
+        "Differences from the paper's rows": [
+            f"{p.row}: {p.note}" for p in paper.table if p.note and p.row in methods
+        ],
+        "Left out of the means": scores.incomplete_groups,
+        "Left out: other weights or precision": sorted({m for m in rows["method"] if label_of(m)}),
+        "Not run": notes.skip_reasons(psnr),
+        "Remarks": notes.remarks(psnr),
     }

@@ -1,4 +1,4 @@
-"""How much a row's score depends on the seed of its training, beside what the paper states."""
+"""The deviation of scores between trainings with different seeds, beside the published one."""
 
 from __future__ import annotations
 
@@ -6,102 +6,94 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.analysis import aggregate, method_names
+from reports.analysis.aggregate import Scores, mean_over_scenes
+from reports.analysis.comparability import ReportError, check_comparable, split_by_device
 from reports.analysis.correlation import std_with_interval
+from reports.analysis.method_names import label_of, training_series_of, without_label
 from reports.analysis.training_differences import BASE, differences_to
-from reports.layout import page
-from reports.layout.tables import Grid, gap_text, wide
+from reports.layout.page import Section, write_page
+from reports.layout.tables import Table, format_difference, pivot_by_budget
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError
 
-METRIC = "psnr"
+__all__ = ["deviations", "write"]
 
 
-def write(table: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
-    """`name`.md, .csv and .tex: for each row that was trained several times, a line a budget.
+def write(results: pd.DataFrame, folder: Path, name: str = "seeds") -> list[Path]:
+    """Write `name`.md, .csv and .tex: a row for each series of trainings and budget.
 
-    Trainings alike are rows whose names differ in the number at the end of their weights' name
-    alone: ours@seed0, ours@seed1, ... Raises LacksError without two of them, and ReportError where
-    two have the same weights.
+    A series are methods whose names differ only in the number at the end of their label:
+    ours@seed0, ours@seed1, ... Raises MissingRowsError if no series has two trainings, and
+    ReportError if two trainings have the same weights.
     """
     sections = []
-    for device, rows in aggregate.by_device(table).items():
-        trained = rows[rows["method"].map(method_names.training_series) != ""]
-        found = deviations(trained)
-        if len(found):
-            aggregate.check(trained)
-            grids = [_grid(trained, found, device)]
-            differ = differences_to(_means(trained))
-            grids += [_difference_grid(trained, differ)] if len(differ) else []
-            both = found.merge(differ, on=["series", "target_spp"], how="left")
-            sections.append(page.Section(device, grids, both, _lists(trained, found)))
+    for device, rows in split_by_device(results).items():
+        trained = rows[rows["method"].map(training_series_of) != ""]
+        scores = Scores(trained, device=device)
+        records = deviations(scores)
+        if len(records):
+            check_comparable(trained)
+            tables = [_deviation_table(scores, records)]
+            differences = differences_to(mean_over_scenes(scores.scene_means))
+            tables += [_difference_table(scores, differences)] if len(differences) else []
+            both = records.merge(differences, on=["series", "target_spp"], how="left")
+            sections.append(Section(device, tables, both, _lists(scores, records)))
     if not sections:
-        have = sorted({method for method in table["method"] if method_names.weights(method)})
+        labelled = sorted({method for method in results["method"] if label_of(method)})
         raise MissingRowsError(
-            "no row was scored with two trainings; it takes rows such as ours@seed0 and ours@seed1,"
-            f" and rows of named weights are: {', '.join(have) or 'none'}"
+            "no method has scores of two trainings, as in ours@seed0 and ours@seed1; methods with "
+            f"a label in the results: {', '.join(labelled) or 'none'}. Score trained weights with "
+            "rlbench run --weights seed0=FILE"
         )
-    return page.write(folder, name, "Seeds of training", table, sections)
+    return write_page(folder, name, "Training seeds", results, sections)
 
 
-def deviations(table: pd.DataFrame) -> pd.DataFrame:
-    """A row for each series of trainings and budget: the mean over scenes of each, their spread.
+def deviations(scores: Scores) -> pd.DataFrame:
+    """Standard deviation between trainings, per series and budget, of their means over scenes.
 
-    `deviation` is the standard deviation of n - 1, `low` and `high` its 95 % chi-square interval.
-    Trainings that lack a scene at a budget are left out of it, and a budget with fewer than two is.
+    `deviation` has n - 1 in the denominator, `low` and `high` are its 95 % chi-square interval. A
+    training that lacks a scene at a budget is left out there; a budget needs two trainings.
     """
-    _differ(table)
-    made = []
-    means = _means(table)
-    for series, trained in means.groupby(means["method"].map(method_names.training_series)):
-        made += [{"series": series, **row} for row in _spread(trained)]
-    return pd.DataFrame(made)
+    _check_distinct_weights(scores)
+    means = mean_over_scenes(scores.scene_means)
+    records = []
+    for series, trainings in means.groupby(means["method"].map(training_series_of)):
+        for spp, part in trainings.groupby("target_spp"):
+            if len(part) > 1:
+                records.append({"series": series, "target_spp": spp, **_describe(part["value"])})
+    return pd.DataFrame(records)
 
 
-def _means(table: pd.DataFrame) -> pd.DataFrame:
-    return aggregate.overall(aggregate.scene_means(table, METRIC))
+def _describe(values: pd.Series[float]) -> dict[str, float]:
+    deviation = std_with_interval(list(values))
+    return {
+        "mean": values.mean(),
+        "deviation": deviation.value,
+        "low": deviation.low,
+        "high": deviation.high,
+        "least": values.min(),
+        "most": values.max(),
+        "trainings": deviation.count,
+    }
 
 
-def _spread(means: pd.DataFrame) -> list[dict[str, object]]:
-    made = []
-    for spp, part in means.groupby("target_spp"):
-        if len(part) < 2:
-            continue
-        found = std_with_interval(list(part["value"]))
-        made.append(
-            {
-                "target_spp": spp,
-                "mean": part["value"].mean(),
-                "deviation": found.value,
-                "low": found.low,
-                "high": found.high,
-                "least": part["value"].min(),
-                "most": part["value"].max(),
-                "trainings": found.count,
-            }
-        )
-    return made
-
-
-def _differ(table: pd.DataFrame) -> None:
-    """Raise ReportError where two trainings of a series are one: their weights are the same."""
-    known = table[
-        (table["metric"] == METRIC) & table["value"].notna() & (table["weights_hash"] != "")
-    ]
+def _check_distinct_weights(scores: Scores) -> None:
+    """Raise ReportError if two trainings of a series have the same weights."""
+    known = scores.measured[scores.measured["weights_hash"] != ""]
     known = known.drop_duplicates(["method", "weights_hash"])
     for (_, weights), part in known.groupby(
-        [known["method"].map(method_names.training_series), "weights_hash"]
+        [known["method"].map(training_series_of), "weights_hash"]
     ):
         if len(part) > 1:
-            raise aggregate.ReportError(
+            raise ReportError(
                 f"{' and '.join(sorted(part['method']))} ran with the same weights ({weights}); "
                 "a deviation between trainings needs weights of different seeds"
             )
 
 
-def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
+def _deviation_table(scores: Scores, records: pd.DataFrame) -> Table:
     paper = published()
-    body = tuple(
+    rows = tuple(
         (
             f"{row['series']}0, ...",
             f"{row['target_spp']:g}",
@@ -110,46 +102,47 @@ def _grid(table: pd.DataFrame, found: pd.DataFrame, device: str) -> Grid:
             f"{row['deviation']:.3f} [{row['low']:.3f}, {row['high']:.3f}]",
             f"{row['least']:.2f} to {row['most']:.2f}",
             f"{paper.deviation_db:g}"
-            if method_names.row(row["series"]) == paper.deviation_row
+            if without_label(row["series"]) == paper.deviation_row
             else "-",
         )
-        for row in found.to_dict("records")
+        for row in records.to_dict("records")
     )
-    head = ("trainings of", "spp", "number", "mean", "deviation", "range", "paper")
+    header = ("series", "spp", "trainings", "mean", "deviation", "range", "paper")
     caption = (
-        f"PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
-        f", mean over scenes, of trainings "
-        "that differ in their seed alone. Deviation: standard deviation (n - 1) and its 95 % "
-        "interval by chi-square, which takes the trainings to be normal. Paper: "
-        f"{paper.deviation_db:g} dB from {paper.trainings} trainings, budget not said "
-        f"({paper.title}). Scored on {device or 'a device not named'}."
+        f"PSNR in dB ({scores.convention}), mean over scenes, of trainings that differ only in "
+        "their seed. Deviation: standard deviation (n - 1). Brackets: its 95 % chi-square "
+        "interval, which assumes normally distributed trainings. Paper: "
+        f"{paper.deviation_db:g} dB from {paper.trainings} trainings, budget not stated "
+        f"({paper.title}). Measured on {scores.device_name}."
     )
-    return Grid("Deviation between seeds of training [dB]", caption, head, body)
+    return Table("Standard deviation between training seeds [dB]", caption, header, rows)
 
 
-def _difference_grid(table: pd.DataFrame, differ: pd.DataFrame) -> Grid:
-    named = differ.assign(method=differ["series"] + "0, ...")
-    (_, *budgets), body = wide(
+def _difference_table(scores: Scores, differences: pd.DataFrame) -> Table:
+    named = differences.assign(method=differences["series"] + "0, ...")
+    (_, *budgets), rows = pivot_by_budget(
         named,
-        lambda row: gap_text(row["difference"], row["difference_low"], row["difference_high"]),
+        lambda row: format_difference(
+            row["difference"], row["difference_low"], row["difference_high"]
+        ),
     )
     caption = (
-        f"Mean PSNR in dB ({aggregate.column_text(table, METRIC, 'convention')})"
-        f" of a row's trainings less "
-        f"that of the trainings of {BASE}. In brackets: 95 % interval by Welch's t-test over "
-        "trainings, bold where it excludes zero. It holds for these clips; other clips would "
-        "differ too."
+        f"Mean PSNR in dB ({scores.convention}) of a series of trainings minus that of the "
+        f"trainings of {BASE}. Brackets: 95 % interval of Welch's t-test over trainings; bold if "
+        "it excludes zero. The interval holds for these clips; other clips would differ too."
     )
-    title = f"Trainings less those of {BASE} [dB]"
-    return Grid(title, caption, ("trainings of", *budgets), tuple(body))
+    title = f"Trainings minus those of {BASE} [dB]"
+    return Table(title, caption, ("series", *budgets), tuple(rows))
 
 
-def _lists(table: pd.DataFrame, found: pd.DataFrame) -> dict[str, list[str]]:
-    shown = set(found["series"])
-    single = sorted({m for m in table["method"] if method_names.training_series(m) not in shown})
+def _lists(scores: Scores, records: pd.DataFrame) -> dict[str, list[str]]:
+    listed = set(records["series"])
+    methods = set(scores.rows["method"])
     return {
-        "Trained once, so not shown": single,
-        "Left out of the means": aggregate.incomplete_groups(table, METRIC),
-        "Not run": aggregate.reasons(table[table["metric"] == METRIC]),
-        "Remarks": aggregate.remarks(table[table["metric"] == METRIC]),
+        "Trained once, not listed": sorted(
+            method for method in methods if training_series_of(method) not in listed
+        ),
+        "Left out of the means": scores.incomplete_groups,
+        "Not run": scores.skip_reasons,
+        "Remarks": scores.remarks,
     }

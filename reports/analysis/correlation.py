@@ -1,81 +1,97 @@
-"""How alike two orders are, and how far trainings lie apart: rank correlation and deviation."""
+"""Rank correlation between two sets of scores, and the standard deviation between trainings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy import stats
 
-from reports.analysis.intervals import DRAWS, LEVEL
+from reports.analysis.intervals import LEVEL
+
+__all__ = [
+    "MAX_PERMUTATIONS",
+    "Deviation",
+    "RankCorrelation",
+    "kendall_tau",
+    "std_with_interval",
+]
+
+MAX_PERMUTATIONS = 10_000  # all orders are counted if there are at most so many, else drawn
+_BATCH = 1_000  # orders that are in memory at once
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """Kendall's tau-b of two orders, in [-1, 1], and how often chance gives as much."""
+class RankCorrelation:
+    """Kendall's tau-b of two sets of scores and its p-value."""
 
-    tau: float  # nan with fewer than two rows, or where one order is all ties
-    chance: float  # two-sided p of the permutation test, in (0, 1]
+    tau: float  # in [-1, 1]; nan with fewer than two rows, or where all scores of a set are equal
+    p_value: float  # two-sided, of the permutation test, in (0, 1]
     rows: int
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """Standard deviation of a few numbers, and where that of all may lie."""
+    """Standard deviation of a sample and its confidence interval."""
 
-    value: float  # of n - 1; nan with one number
+    value: float  # with n - 1 in the denominator; nan with one number
     low: float
     high: float
     count: int
 
 
 def kendall_tau(
-    one: Sequence[float], other: Sequence[float], seed: int = 0, draws: int = DRAWS
-) -> Agreement:
-    """Do two scores order the same rows alike? Kendall 1945, The Treatment of Ties (tau-b).
+    first: Sequence[float], second: Sequence[float], seed: int = 0, draws: int = MAX_PERMUTATIONS
+) -> RankCorrelation:
+    """Kendall's tau-b (Kendall 1945, The Treatment of Ties) of two scores of the same rows.
 
-    The p-value is the share of orders of `other` whose tau is as far from zero: of all of them
-    where they are at most `draws`, else of as many random ones, which with the one found are never
-    none (Phipson and Smyth 2010, Permutation P-values Should Never Be Zero).
+    The p-value is the share of orders of `second` whose tau is at least as far from zero: of all
+    orders if there are at most `draws`, else of `draws` random orders and the given one, so that it
+    is never zero (Phipson and Smyth 2010, Permutation P-values Should Never Be Zero).
     """
-    count = len(one)
-    left, right = _signs(one), _signs(other)
-    scale = math.sqrt(float(np.abs(left).sum()) * float(np.abs(right).sum()))
-    if not scale:
-        return Agreement(math.nan, math.nan, count)
-    found = float((left * right).sum()) / scale
-    whole = math.factorial(min(count, 20)) <= draws
-    random = np.random.default_rng(seed)
-    orders = (
-        map(np.array, permutations(range(count)))
-        if whole
-        else (random.permutation(count) for _ in range(draws))
+    count = len(first)
+    tau = float(stats.kendalltau(first, second).statistic) if count > 1 else math.nan
+    if math.isnan(tau):
+        return RankCorrelation(math.nan, math.nan, count)
+    signs = _difference_signs(np.asarray(first, float))
+
+    def concordance(orders: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        """Distance of tau from zero, up to a factor that no order changes: a whole number."""
+        pairs = _difference_signs(np.moveaxis(orders, axis, -1))
+        distances: NDArray[np.float64] = np.abs(np.einsum("ij,...ij", signs, pairs))
+        return distances
+
+    # scipy's own two-sided p doubles one tail, which is another number where there are ties
+    test = stats.permutation_test(
+        (np.asarray(second, float),),
+        concordance,
+        permutation_type="pairings",
+        alternative="greater",
+        vectorized=True,
+        n_resamples=draws,
+        batch=_BATCH,
+        rng=np.random.default_rng(seed),
     )
-    taken = [abs(float((left * right[np.ix_(order, order)]).sum())) / scale for order in orders]
-    as_far = sum(tau >= abs(found) - 1e-9 for tau in taken)  # equal sums of signs are equal taus
-    chance = as_far / len(taken) if whole else (as_far + 1) / (draws + 1)
-    return Agreement(found, chance, count)
+    return RankCorrelation(tau, float(test.pvalue), count)
 
 
 def std_with_interval(values: Sequence[float], level: float = LEVEL) -> Deviation:
-    """Standard deviation and its chi-square interval, which takes the numbers to be normal."""
+    """Standard deviation and its chi-square interval, which assumes normally distributed values."""
     count = len(values)
     if count < 2:
         return Deviation(math.nan, math.nan, math.nan, count)
-    found, free = float(np.std(values, ddof=1)), count - 1
+    deviation, freedom = float(np.std(values, ddof=1)), count - 1
     low, high = (
-        found * math.sqrt(free / float(chdtri(free, tail)))
+        deviation * math.sqrt(freedom / float(stats.chi2.isf(tail, freedom)))
         for tail in ((1 - level) / 2, (1 + level) / 2)
     )
-    return Deviation(found, low, high, count)
+    return Deviation(deviation, low, high, count)
 
 
-def _signs(values: Sequence[float]) -> NDArray[np.float64]:
-    """Sign of each difference of two numbers."""
-    numbers = np.asarray(values, float)
-    signs: NDArray[np.float64] = np.sign(numbers[:, None] - numbers[None, :])
+def _difference_signs(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signs of the differences of all pairs, [... n n] of values [... n]."""
+    signs: NDArray[np.float64] = np.sign(values[..., :, None] - values[..., None, :])
     return signs

@@ -1,28 +1,31 @@
-"""Parts of a row's name: `ours/A2@seed3` is family ours, its variant A2, the weights seed3."""
+"""Parts of the method names in the results: `ours/A2@seed3` has family ours and label seed3."""
 
 from __future__ import annotations
 
 from rlbench.benchmark.results import RowName
 
-
-def row(method: str) -> str:
-    """The name without its label: family or family/variant."""
-    return RowName.parse(method).method
+__all__ = ["family_of", "label_of", "training_series_of", "without_label"]
 
 
-def family(method: str) -> str:
-    """The name's family."""
-    return RowName.parse(method).family
+def family_of(name: str) -> str:
+    """The family: `ours` for `ours/A2@seed3`."""
+    return RowName.parse(name).family
 
 
-def weights(method: str) -> str:
-    """The label of the weights; empty for the shipped ones."""
-    return RowName.parse(method).label
+def label_of(name: str) -> str:
+    """The label of weights or precision, `seed3` for `ours/A2@seed3`; empty without one."""
+    return RowName.parse(name).label
 
 
-def training_series(method: str) -> str:
-    """The name that several trainings of one method share: `ours@seed` of `ours@seed0`.
+def without_label(name: str) -> str:
+    """The family and variant: `ours/A2` for `ours/A2@seed3`."""
+    return RowName.parse(name).method
 
-    Empty for shipped weights.
+
+def training_series_of(name: str) -> str:
+    """The name that all trainings of one method share; empty for a name without a label.
+
+    >>> training_series_of("ours/A2@seed12")
+    'ours/A2@seed'
     """
-    return method.rstrip("0123456789") if weights(method) else ""
+    return name.rstrip("0123456789") if label_of(name) else ""

@@ -1,4 +1,4 @@
-"""Who is best at each budget, by how much the others fall short, and who is as good."""
+"""The best method at each budget, the distance of the others to it, and ties."""
 
 from __future__ import annotations
 
@@ -6,58 +6,59 @@ import math
 
 import pandas as pd
 
-from reports.analysis import aggregate
-from reports.analysis.intervals import DRAWS, interval, paired
+from reports.analysis.aggregate import Scores, mean_over_scenes
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, mean_with_interval, pair
 
-EVERY = "all"  # the scene column of means over every scene
+__all__ = ["ALL_SCENES", "rank_methods"]
+
+ALL_SCENES = "all"  # in the column `scene` of means over scenes
 COLUMNS = (
     "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best", "tie",
     "clips", "frames",
 )  # fmt: skip
 
 
-def ranking(table: pd.DataFrame, metric: str, seed: int = 0, draws: int = DRAWS) -> pd.DataFrame:
-    """A row for each method, budget and scene, and scene "all" for the mean over scenes.
+def rank_methods(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES) -> pd.DataFrame:
+    """A row for each method, budget and scene; scene "all" is the mean over scenes.
 
     `difference` is the mean of the paired differences to the best method at that budget, `low` and
-    `high` its interval (nan with one scene and clip), `tie` whether that holds zero. Nothing is
-    best where the metric has no better end. For "all", methods that lack a scene are left out.
+    `high` its interval (nan with one scene and clip), `tie` whether the interval includes zero. No
+    method is best if the metric has no direction. In "all", methods that lack a scene are left out.
     """
-    better = aggregate.column_text(table, metric, "direction")
-    every = aggregate.per_frame_scores(table, metric)
-    whole = aggregate.overall(aggregate.scene_means(table, metric))[["method", "target_spp"]]
-    parts = [(EVERY, every.merge(whole, on=["method", "target_spp"]))]
-    parts += [(str(scene), rows) for scene, rows in every.groupby("scene")]
-    made = []
+    frames = scores.per_frame
+    complete = mean_over_scenes(scores.scene_means)[["method", "target_spp"]]
+    parts = [(ALL_SCENES, frames.merge(complete, on=["method", "target_spp"]))]
+    parts += [(str(scene), rows) for scene, rows in frames.groupby("scene")]
+    records = []
     for scene, rows in parts:
         for spp, methods in rows.groupby("target_spp"):
-            ranked = _rank(methods, better, seed, draws)
-            made += [{"metric": metric, "scene": scene, "target_spp": spp, **row} for row in ranked]
-    return pd.DataFrame(made, columns=list(COLUMNS))
+            keys = {"metric": scores.metric, "scene": scene, "target_spp": spp}
+            records += [keys | row for row in _rank(methods, scores.direction, seed, draws)]
+    return pd.DataFrame(records, columns=list(COLUMNS))
 
 
-def _rank(rows: pd.DataFrame, better: str, seed: int, draws: int) -> list[dict[str, object]]:
-    shots = {str(method): part for method, part in rows.groupby("method")}
-    means = {method: _mean(part) for method, part in shots.items()}
-    sign = {"higher": 1, "lower": -1}.get(better, 0)
+def _rank(rows: pd.DataFrame, direction: str, seed: int, draws: int) -> list[dict[str, object]]:
+    frames = {str(method): part for method, part in rows.groupby("method")}
+    means = {method: _mean(part) for method, part in frames.items()}
+    sign = {"higher": 1, "lower": -1}.get(direction, 0)
     best = max(means, key=lambda method: sign * means[method]) if sign else ""
     ranked = []
-    for method, part in shots.items():
-        found = dict.fromkeys(("difference", "low", "high"), math.nan)
-        tie = False
+    for method, part in frames.items():
+        difference = dict.fromkeys(("difference", "low", "high"), math.nan)
+        is_tie = False
         if best and method != best:
-            gap = interval(paired(part, shots[best]), seed, draws)
-            found, tie = {"difference": gap.mean, "low": gap.low, "high": gap.high}, gap.tie
-        counts = {"clips": part["clip"].nunique(), "frames": len(part)}
+            gap = mean_with_interval(pair(part, frames[best]), seed, draws)
+            difference = {"difference": gap.mean, "low": gap.low, "high": gap.high}
+            is_tie = gap.is_tie
         ranked.append(
-            {"method": method, "mean": means[method], **found, "tie": tie}
+            {"method": method, "mean": means[method], **difference, "tie": is_tie}
             | {"best": bool(best) and means[method] == means[best]}
-            | counts
+            | {"clips": part["clip"].nunique(), "frames": len(part)}
         )
     return ranked
 
 
-def _mean(shots: pd.DataFrame) -> float:
-    """Mean over frames of a clip, then over clips of a scene, then over scenes."""
-    clips = shots.groupby(["scene", "clip"])["value"].mean()
+def _mean(frames: pd.DataFrame) -> float:
+    """Mean over the frames of a clip, then over the clips of a scene, then over scenes."""
+    clips = frames.groupby(["scene", "clip"])["value"].mean()
     return float(clips.groupby("scene").mean().mean())

@@ -1,4 +1,4 @@
-"""Is one row better than another whatever the seed of training? Differences between trainings."""
+"""Differences between two methods that were each trained several times with other seeds."""
 
 from __future__ import annotations
 
@@ -8,49 +8,44 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from reports.analysis import method_names
 from reports.analysis.intervals import LEVEL
+from reports.analysis.method_names import training_series_of, without_label
 
-BASE = "ours"  # row that others are held against, where it was trained several times
+__all__ = ["BASE", "differences_to"]
+
+BASE = "ours"  # the method that others are compared with, if it was trained several times
+COLUMNS = ("series", "target_spp", "difference", "difference_low", "difference_high")
 
 
 def differences_to(means: pd.DataFrame, base: str = BASE, level: float = LEVEL) -> pd.DataFrame:
-    """A row for each series of trainings and budget, its mean less that of `base`'s trainings.
+    """Mean of each series of trainings minus the mean of the trainings of `base`, per budget.
 
-    `means` has a row for each training: columns method, spp, value. `difference_low` and
-    `difference_high` are the interval of Welch's t-test (Welch 1947), which takes trainings to be
-    normal and independent and lets the spreads differ. Compared are rows whose weights have one
-    name but for the number; a side with fewer than two trainings at a budget is left out.
+    `means` has the columns method, target_spp and value, one row per training. `difference_low` and
+    `difference_high` are the interval of Welch's t-test (Welch 1947), which assumes normal,
+    independent trainings and allows unequal variances. Series are compared if their labels differ
+    only in the number; at least two trainings of each are needed at a budget.
     """
-    made = []
-    for (words, spp), part in means.groupby([means["method"].map(_words), "target_spp"]):
-        trained = dict(list(part.groupby(part["method"].map(method_names.row))["value"]))
-        ours = trained.pop(base, pd.Series(dtype=float))
-        for row, theirs in trained.items():
+    records = []
+    for (label, spp), part in means.groupby([means["method"].map(_label_word), "target_spp"]):
+        trainings = dict(list(part.groupby(part["method"].map(without_label))["value"]))
+        ours = trainings.pop(base, pd.Series(dtype=float))
+        for row, theirs in trainings.items():
             if min(len(ours), len(theirs)) > 1:
-                low, high = _welch(theirs.to_numpy(), ours.to_numpy(), level)
-                made.append(
-                    {
-                        "series": f"{row}@{words}",
-                        "target_spp": spp,
-                        "difference": theirs.mean() - ours.mean(),
-                        "difference_low": low,
-                        "difference_high": high,
-                    }
-                )
-    return pd.DataFrame(
-        made, columns=["series", "target_spp", "difference", "difference_low", "difference_high"]
-    )
+                low, high = _welch_interval(theirs.to_numpy(), ours.to_numpy(), level)
+                difference = theirs.mean() - ours.mean()
+                records.append((f"{row}@{label}", spp, difference, low, high))
+    return pd.DataFrame(records, columns=list(COLUMNS))
 
 
-def _welch(one: np.ndarray, other: np.ndarray, level: float) -> tuple[float, float]:
-    """The interval of the difference of two means; their difference itself where none varies."""
-    if math.isclose(one.std() + other.std(), 0.0, abs_tol=1e-12):
-        return (one.mean() - other.mean(),) * 2
-    found = stats.ttest_ind(one, other, equal_var=False).confidence_interval(level)
-    return float(found.low), float(found.high)
+def _welch_interval(first: np.ndarray, second: np.ndarray, level: float) -> tuple[float, float]:
+    """The interval of the difference of two means."""
+    # scipy gives nan where neither side varies; then the difference is exact
+    if math.isclose(first.std() + second.std(), 0.0, abs_tol=1e-12):
+        return (first.mean() - second.mean(),) * 2
+    ends = stats.ttest_ind(first, second, equal_var=False).confidence_interval(level)
+    return float(ends.low), float(ends.high)
 
 
-def _words(method: str) -> str:
-    """The name of the weights without its number."""
-    return method_names.training_series(method).partition("@")[2]
+def _label_word(method: str) -> str:
+    """The label without the number at its end."""
+    return training_series_of(method).partition("@")[2]

@@ -1,114 +1,114 @@
-"""Variants of a family against its default: which there are, what they change, what it gives."""
+"""Variants of a family compared with its main variant: scores, times and config."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 
-from reports.analysis import aggregate, method_names
-from reports.analysis.intervals import DRAWS, interval, paired
+from reports.analysis.aggregate import Scores
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, mean_with_interval, pair
+from reports.analysis.method_names import family_of, label_of
 from rlbench.benchmark.results import MissingRowsError
 
-FAVOURITE = "ours"  # whose variants are shown if none are asked for and it has some
-METRIC = "psnr"
-PAIR = ("scene", "clip", "frame", "seed")  # at one budget
+__all__ = ["choose_family", "config_changes", "differences", "families_with_scores"]
+
+PREFERRED = "ours"  # the family of the report if the user names none
+PAIR = ("scene", "clip", "frame", "seed")  # what the two scores of a pair have in common
 COLUMNS = (
-    "method", "target_spp", "difference", "low", "high", "frame_ms", "pairs", "alone", "units",
+    "method", "target_spp", "difference", "low", "high", "frame_ms", "pairs", "unpaired", "units",
 )  # fmt: skip
 
 
-def families_with_scores(table: pd.DataFrame) -> dict[str, list[str]]:
-    """Families with scores of their default, and which of their variants have scores as well."""
-    methods = sorted({m for m in scored(table)["method"] if not method_names.weights(m)})
+def families_with_scores(scores: Scores) -> dict[str, list[str]]:
+    """Families whose main variant has scores, each with its other variants that have scores."""
+    methods = sorted({name for name in scores.measured["method"] if not label_of(name)})
     return {
-        default: [m for m in methods if method_names.family(m) == default and m != default]
-        for default in methods
-        if default == method_names.family(default)
+        main: [name for name in methods if family_of(name) == main and name != main]
+        for main in methods
+        if main == family_of(main)
     }
 
 
-def scored(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows that are compared: scores that were measured."""
-    return table[(table["metric"] == METRIC) & table["value"].notna()]
+def choose_family(devices: Sequence[Scores], family: str = "") -> str:
+    """`family`, else ours, else the family with the most variants.
 
-
-def chosen(table: pd.DataFrame, family: str = "") -> str:
-    """The family whose variants are shown: the one asked for, or ours, or that of most variants.
-
-    Raises LacksError if it has none here, or if there is no family with any.
+    Raises MissingRowsError if no device has scores of its main variant and another, or if no family
+    has them.
     """
-    parts = aggregate.by_device(table).values()
-    variants = [found for rows in parts for found in families_with_scores(rows).items()]
-    have = sorted({name for name, found in variants if found})
-    if family and family not in have:
+    variants = [item for scores in devices for item in families_with_scores(scores).items()]
+    complete = sorted({name for name, others in variants if others})
+    if family and family not in complete:
         raise MissingRowsError(
-            f"'{family}' has no default and variant on one device; families that do: "
-            f"{', '.join(have) or 'none'}; rlbench run --methods '{family}/*' measures them"
+            f"no device has scores of the main variant of '{family}' and of another variant; "
+            f"families with both: {', '.join(complete) or 'none'}; measure them with "
+            f"rlbench run --methods '{family}/*'"
         )
-    if not have:
+    if not complete:
         raise MissingRowsError(
-            "no family has its default and a variant on one device; "
-            f"rlbench run --methods '{FAVOURITE}/*' measures some"
+            "no family has scores of its main variant and of another variant on one device; "
+            f"measure some with rlbench run --methods '{PREFERRED}/*'"
         )
-    most = max(variants, key=lambda pair: (len(pair[1]), pair[0]))[0]
-    return family or (FAVOURITE if FAVOURITE in have else most)
+    largest = max(variants, key=lambda item: (len(item[1]), item[0]))[0]
+    return family or (PREFERRED if PREFERRED in complete else largest)
 
 
 def differences(
-    table: pd.DataFrame, family: str, seed: int = 0, draws: int = DRAWS
+    scores: Scores, family: str, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
 ) -> pd.DataFrame:
-    """A row for each variant and budget: its PSNR and frame time less those of the default.
+    """Score and frame time of each variant minus those of the main variant, per budget.
 
-    Pairs have scene, clip, frame, budget and seed in common; `low` and `high` are the interval (nan
-    with one clip). `frame_ms` is the difference of the means over the scenes that both have; nan
-    where either has no time.
+    The two scores of a pair have scene, clip, frame, budget and seed in common; `low` and `high`
+    are the interval (nan with one clip). `frame_ms` is the mean difference over the scenes that
+    both have; nan where either has no time.
     """
-    rows = scored(table)
-    parts = {key: part for key, part in rows.groupby(["method", "target_spp"])}
-    times = aggregate.points(table, METRIC)
-    made = []
-    for method in families_with_scores(table)[family]:
-        for spp in sorted(set(rows["target_spp"])):
+    parts = {key: part for key, part in scores.measured.groupby(["method", "target_spp"])}
+    records = []
+    for method in families_with_scores(scores)[family]:
+        for spp in sorted(set(scores.measured["target_spp"])):
             if (method, spp) not in parts or (family, spp) not in parts:
                 continue
-            pairs = paired(parts[method, spp], parts[family, spp], PAIR)
-            gap = interval(pairs, seed, draws)
-            made.append(
+            variant, main = parts[method, spp], parts[family, spp]
+            pairs = pair(variant, main, PAIR)
+            gap = mean_with_interval(pairs, seed, draws)
+            times = scores.points[scores.points["target_spp"] == spp]
+            records.append(
                 {
                     "method": method,
                     "target_spp": spp,
                     "difference": gap.mean,
                     "low": gap.low,
                     "high": gap.high,
-                    "frame_ms": _slower(times[times["target_spp"] == spp], method, family),
+                    "frame_ms": _frame_time_difference(times, method, family),
                     "pairs": len(pairs),
-                    "alone": len(parts[method, spp]) + len(parts[family, spp]) - 2 * len(pairs),
+                    "unpaired": len(variant) + len(main) - 2 * len(pairs),
                     "units": gap.units,
                 }
             )
-    return pd.DataFrame(made, columns=list(COLUMNS))
+    return pd.DataFrame(records, columns=list(COLUMNS))
 
 
-def changes(table: pd.DataFrame, method: str, family: str) -> str:
-    """Settings in which a variant differs from the default, as both wrote them into the table."""
-    known = scored(table).drop_duplicates("method").set_index("method")["config"]
-    theirs, base = json.loads(known[method]), json.loads(known[family])
-    told = [
-        f"{key}: {_told(base, key)} -> {_told(theirs, key)}"
-        for key in sorted({*theirs, *base})
-        if theirs.get(key) != base.get(key)
+def config_changes(scores: Scores, method: str, other: str) -> str:
+    """The settings in which the config of `method` differs from that of `other`: `a: 1 -> 2`."""
+    configs = scores.measured.drop_duplicates("method").set_index("method")["config"]
+    changed, base = json.loads(configs[method]), json.loads(configs[other])
+    changes = [
+        f"{key}: {_value(base, key)} -> {_value(changed, key)}"
+        for key in sorted({*changed, *base})
+        if changed.get(key) != base.get(key)
     ]
-    return "; ".join(told) or "none that they wrote down"
+    return "; ".join(changes) or "no setting in the results"
 
 
-def _told(config: dict[str, object], key: str) -> str:
+def _value(config: dict[str, Any], key: str) -> str:
     return json.dumps(config[key]) if key in config else "-"
 
 
-def _slower(times: pd.DataFrame, method: str, other: str) -> float:
-    """Frame time of one less that of the other, ms, mean over the scenes that both have."""
-    one, two = (
+def _frame_time_difference(times: pd.DataFrame, method: str, other: str) -> float:
+    """Mean difference of the frame time over the scenes that both have, ms."""
+    first, second = (
         times[times["method"] == name].set_index("scene")["frame_ms"] for name in (method, other)
     )
-    return float((one - two).mean())
+    return float((first - second).mean())

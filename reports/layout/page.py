@@ -8,56 +8,59 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.layout.tables import Grid, latex, markdown
+from reports.layout.tables import Table, to_latex, to_markdown
+
+__all__ = ["Section", "describe_clips", "write_page"]
 
 
 @dataclass(frozen=True)
 class Section:
-    """What a page says of one device."""
+    """The part of a page about one device."""
 
     device: str
-    grids: Sequence[Grid]
-    records: pd.DataFrame  # every number of the grids, for the CSV
-    lists: Mapping[str, Sequence[str]] = field(default_factory=dict)  # title: lines; none: no list
+    tables: Sequence[Table]
+    records: pd.DataFrame  # every number of the tables, for the CSV
+    lists: Mapping[str, Sequence[str]] = field(default_factory=dict)  # title to lines; empty: none
 
 
-def write(
-    folder: Path, name: str, heading: str, table: pd.DataFrame, sections: Sequence[Section]
+def write_page(
+    folder: Path, name: str, title: str, results: pd.DataFrame, sections: Sequence[Section]
 ) -> list[Path]:
-    """The files `name`.md, .csv and .tex, a section for each device; CSV rows name theirs.
+    """Write `name`.md, .csv and .tex with a section for each device, and return the files.
 
-    The title says of which clips the table is, the last line of which runs.
+    The title names the clips of `results`, the last line of the page its runs. Rows of the CSV have
+    a column with their device.
     """
-    pages, floats = [f"# {heading}: {clips(table)}\n"], []
+    parts, floats = [f"# {title}: {describe_clips(results)}\n"], []
     for section in sections:
-        pages += [f"## {section.device or 'Device not named'}\n"]
-        pages += [*map(markdown, section.grids), _lists(section.lists)]
-        floats += [f"% {section.device}\n", *map(latex, section.grids)]
-    pages += [f"Runs: {', '.join(sorted(set(table['run_id'])))}\n"]
+        parts += [f"## {section.device or 'Unnamed device'}\n"]
+        parts += [*map(to_markdown, section.tables), _format_lists(section.lists)]
+        floats += [f"% {section.device}\n", *map(to_latex, section.tables)]
+    parts += [f"Runs: {', '.join(sorted(set(results['run_id'])))}\n"]
     records = [section.records.assign(device=section.device) for section in sections]
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{name}.{kind}" for kind in ("md", "csv", "tex")]
-    files[0].write_text("\n".join(pages), encoding="utf-8")
+    files = [folder / f"{name}.{suffix}" for suffix in ("md", "csv", "tex")]
+    files[0].write_text("\n".join(parts), encoding="utf-8")
     pd.concat(records or [pd.DataFrame()]).to_csv(files[1], index=False)
     files[2].write_text("\n".join(floats), encoding="utf-8")
     return files
 
 
-def clips(table: pd.DataFrame) -> str:
-    """The clips whose rows these are: `preset mini, 4 clips of 8 frames`."""
-    presets = sorted(set(table["preset"]) - {""})
-    frames = sorted(set(table[table["frame"] >= 0].groupby("clip")["frame"].nunique()))
-    count = table["clip"].nunique()
-    told = f"{count} clip{'s' * (count != 1)}"
-    if frames:
-        many = f"{frames[0]}" if len(frames) == 1 else f"{frames[0]} to {frames[-1]}"
-        told += f" of {many} frame{'s' * (many != '1')}"
+def describe_clips(results: pd.DataFrame) -> str:
+    """Preset, number and length of the clips: `preset mini, 4 clips of 8 frames`."""
+    presets = sorted(set(results["preset"]) - {""})
+    lengths = sorted(set(results[results["frame"] >= 0].groupby("clip")["frame"].nunique()))
+    count = results["clip"].nunique()
+    text = f"{count} clip{'s' * (count != 1)}"
+    if lengths:
+        length = f"{lengths[0]}" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]}"
+        text += f" of {length} frame{'s' * (length != '1')}"
     if presets:
-        told = f"preset{'s' * (len(presets) > 1)} {' and '.join(presets)}, {told}"
-    return told
+        text = f"preset{'s' * (len(presets) > 1)} {' and '.join(presets)}, {text}"
+    return text
 
 
-def _lists(lists: Mapping[str, Sequence[str]]) -> str:
+def _format_lists(lists: Mapping[str, Sequence[str]]) -> str:
     sections = [
         f"### {title}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
         for title, lines in lists.items()

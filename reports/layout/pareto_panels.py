@@ -1,8 +1,9 @@
-"""Panels of error against time: curves over budgets, what is beaten in grey, keys below."""
+"""Panels of score against frame time: a curve per method, the dominated area grey, keys below."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -12,49 +13,62 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from reports.layout import style
+from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LOG_FROM = 10.0  # what spans more than this factor stands on a logarithmic axis
-WINDOW = 10.0  # dB below the best that a panel shows
-MOST = 8  # scenes that have a panel each
+__all__ = ["MAX_PANELS", "OVERALL", "Labels", "draw_pareto"]
+
+LOG_RATIO = 10.0  # values that span a larger factor get a logarithmic axis
+WINDOW_DB = 10.0  # below the best score, that a panel shows
+MAX_PANELS = 8  # with more scenes, only their mean is drawn
 WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top of the height
-KEY_ROOM = 9.0  # inches of the width for the key of methods
+METHOD_KEY_WIDTH = 9.0  # inches
 OVERALL = "mean of all scenes"
-FRONT, BEATEN = "another is faster and better", "#EFEFEF"
+DOMINATED, DOMINATED_COLOUR = "slower and worse than another", "#EFEFEF"
 
 
-def draw(plotted: pd.DataFrame, texts: dict[str, str]) -> Figure:
-    """The figure: the mean over scenes at the left, a panel a scene at the right, keys below.
+@dataclass(frozen=True)
+class Labels:
+    """The texts of the figure."""
 
-    With one scene that is the only panel; with more than MOST, their mean is.
+    score: str  # name and unit
+    direction: str  # "higher" or "lower" is better, or empty
+    caption: str
+
+
+def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
+    """The figure: the mean over scenes at the left, a panel per scene at the right, keys below.
+
+    A single scene has the only panel. With more than MAX_PANELS scenes only their mean is drawn.
     """
-    found = set(plotted["scene"])
-    scenes = sorted(found - {OVERALL})
-    single = scenes if len(scenes) <= MOST else []
-    scenes = [*found & {OVERALL}, *single] if len(scenes) > 1 else scenes
-    looks = style.line_styles(plotted["method"])
-    columns = _columns(looks)
-    lines = texts["caption"].count("\n") - 1  # of the caption, beyond two
+    names = set(plotted["scene"])
+    scenes = sorted(names - {OVERALL})
+    single = scenes if len(scenes) <= MAX_PANELS else []
+    scenes = [*names & {OVERALL}, *single] if len(scenes) > 1 else scenes
+    styles = style.line_styles(plotted["method"])
+    columns = _key_columns(styles)
+    extra_lines = labels.caption.count("\n") - 1  # beyond two
     # inches for keys and caption
-    room = 1.25 + 0.17 * lines + 0.27 * math.ceil((len(looks) + 1) / columns)
-    figure = Figure(figsize=(WIDTH, HEIGHT + room))
-    panels = _panels(figure, scenes, room / (HEIGHT + room))
-    sizes = _sizes(plotted["target_spp"])
+    footer = 1.25 + 0.17 * extra_lines + 0.27 * math.ceil((len(styles) + 1) / columns)
+    figure = Figure(figsize=(WIDTH, HEIGHT + footer))
+    panels = _add_panels(figure, scenes, footer / (HEIGHT + footer))
+    sizes = _marker_areas(plotted["target_spp"])
     for scene, axes in panels.items():
         points = plotted[plotted["scene"] == scene]
-        _scale(axes, points, texts["better"])
-        _beaten(axes, points[points["front"]], texts["better"])
-        _panel(axes, points, looks, sizes)
+        _set_scales(axes, points, labels.direction)
+        _shade_dominated(axes, points[points["front"]], labels.direction)
+        _draw_curves(axes, points, styles, sizes)
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
-    panels[scenes[0]].set_ylabel(texts["value"] + texts["direction"])
-    _keys(figure, looks, sizes, columns, (room - 0.58) / (HEIGHT + room))
-    figure.text(0.012, 0.014, texts["caption"], fontsize=10.5, color=style.INK, va="bottom")
+    better = f"  ({labels.direction} is better)" if labels.direction else ""
+    panels[scenes[0]].set_ylabel(labels.score + better)
+    _add_keys(figure, styles, sizes, columns, (footer - 0.58) / (HEIGHT + footer))
+    figure.text(0.012, 0.014, labels.caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
 
 
-def _panels(figure: Figure, scenes: list[str], bottom: float) -> dict[str, Axes]:
+def _add_panels(figure: Figure, scenes: list[str], bottom: float) -> dict[str, Axes]:
     rows = 1 if len(scenes) <= 2 else 2
     columns = math.ceil((len(scenes) - 1) / rows)
     grid = figure.add_gridspec(
@@ -66,20 +80,20 @@ def _panels(figure: Figure, scenes: list[str], bottom: float) -> dict[str, Axes]
         panels[scene] = figure.add_subplot(grid[i // columns, 1 + i % columns])
     for i, axes in enumerate(panels.values()):
         if i == 0 or i + columns >= len(scenes):
-            axes.set_xlabel("whole frame time [ms]")
+            axes.set_xlabel("frame time [ms]")
     return panels
 
 
-def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
-    """Axes that hold the points: logarithmic where they span decades, and PSNR from 10 dB below.
+def _set_scales(axes: Axes, points: pd.DataFrame, direction: str) -> None:
+    """Set limits and scales: logarithmic for values that span decades, PSNR from 10 dB below best.
 
-    A method that falls out of that window is named, with its range, at the lower edge.
+    Methods below that window are named at the lower edge.
     """
     low, high = points["value"].min(), points["value"].max()
-    bottom = max(low, high - WINDOW) if better == "higher" else low
-    seen = points[points["value"] >= bottom]["frame_ms"]
-    left, right = seen.min(), seen.max()
-    if left > 0 and right / left > LOG_FROM:
+    bottom = max(low, high - WINDOW_DB) if direction == "higher" else low
+    times = points[points["value"] >= bottom]["frame_ms"]
+    left, right = times.min(), times.max()
+    if left > 0 and right / left > LOG_RATIO:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=20))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
@@ -87,58 +101,59 @@ def _scale(axes: Axes, points: pd.DataFrame, better: str) -> None:
         axes.set_xlim(left / (right / left) ** 0.06, right * (right / left) ** 0.06)
     else:
         axes.set_xlim(left - 0.06 * (right - left or 1), right + 0.06 * (right - left or 1))
-    if better == "lower" and low > 0 and high / low > LOG_FROM:
+    if direction == "lower" and low > 0 and high / low > LOG_RATIO:
         axes.set_yscale("log")
         axes.set_ylim(low / 1.3, high * 1.3)
         return
     margin = 0.07 * (high - bottom or 1)
     axes.set_ylim(bottom - margin, high + margin)
-    style.name_below(axes, points, bottom - margin)
+    style.note_hidden_points(axes, points, bottom - margin)
 
 
-def _beaten(axes: Axes, best: pd.DataFrame, better: str) -> None:
-    """Grey over all that is slower and worse than some point of the front."""
-    best = best.sort_values("frame_ms")
-    times = [*best["frame_ms"], axes.get_xlim()[1]]
-    values = [*best["value"], best["value"].iloc[-1]]
-    worst = axes.get_ylim()[1 if better == "lower" else 0]
-    axes.fill_between(times, values, worst, step="post", color=BEATEN, lw=0, zorder=0.5)
+def _shade_dominated(axes: Axes, front: pd.DataFrame, direction: str) -> None:
+    """Shade the area that is slower and worse than a point of the Pareto front."""
+    front = front.sort_values("frame_ms")
+    times = [*front["frame_ms"], axes.get_xlim()[1]]
+    values = [*front["value"], front["value"].iloc[-1]]
+    worst = axes.get_ylim()[1 if direction == "lower" else 0]
+    axes.fill_between(times, values, worst, step="post", color=DOMINATED_COLOUR, lw=0, zorder=0.5)
 
 
-def _panel(
-    axes: Axes, points: pd.DataFrame, looks: dict[str, style.LineStyle], sizes: dict[float, float]
+def _draw_curves(
+    axes: Axes, points: pd.DataFrame, styles: dict[str, LineStyle], sizes: dict[float, float]
 ) -> None:
     for method, curve in points.groupby("method"):
-        look, curve = looks[str(method)], curve.sort_values("target_spp")
-        axes.plot(curve["frame_ms"], curve["value"], c=look.color, ls=look.dash, lw=1.8, zorder=2)
+        line, curve = styles[str(method)], curve.sort_values("target_spp")
+        axes.plot(curve["frame_ms"], curve["value"], c=line.color, ls=line.dash, lw=1.8, zorder=2)
         axes.scatter(
             curve["frame_ms"], curve["value"], s=curve["target_spp"].map(sizes).tolist(), zorder=3,
-            color=look.face, marker=look.marker, edgecolors=look.edge, linewidths=look.rim,
+            color=line.face, marker=line.marker, edgecolors=line.edge, linewidths=line.edge_width,
         )  # fmt: skip
 
 
-def _sizes(spp: pd.Series) -> dict[float, float]:
-    """Area of a marker in square points, in equal steps from the least budget to the largest."""
+def _marker_areas(spp: pd.Series) -> dict[float, float]:
+    """Marker area in square points for each budget, in equal steps from lowest to highest."""
     budgets = sorted(set(spp))
     return {spp: 26 + 95 * i / max(len(budgets) - 1, 1) for i, spp in enumerate(budgets)}
 
 
-def _columns(looks: dict[str, style.LineStyle]) -> int:
-    """Columns of the key of methods that fit beside the key of budgets."""
-    inches = 0.85 + 0.1 * max(len(name) for name in looks)
-    return max(1, min(len(looks) + 1, int((KEY_ROOM - len(FRONT) * 0.1) / inches) + 1))
+def _key_columns(styles: dict[str, LineStyle]) -> int:
+    """Number of columns of the key of methods that fit beside the key of budgets."""
+    inches = 0.85 + 0.1 * max(len(name) for name in styles)
+    columns = int((METHOD_KEY_WIDTH - len(DOMINATED) * 0.1) / inches) + 1
+    return max(1, min(len(styles) + 1, columns))
 
 
-def _keys(
+def _add_keys(
     figure: Figure,
-    looks: dict[str, style.LineStyle],
+    styles: dict[str, LineStyle],
     sizes: dict[float, float],
     columns: int,
     y: float,
 ) -> None:
-    methods: list[Any] = [_line(look, name) for name, look in looks.items()]
-    methods.append(Patch(color=BEATEN, label=FRONT))
-    budgets = [_dot(size, f"{spp:g}") for spp, size in sizes.items()]
+    methods: list[Any] = [_method_handle(line, name) for name, line in styles.items()]
+    methods.append(Patch(color=DOMINATED_COLOUR, label=DOMINATED))
+    budgets = [_budget_handle(size, f"{spp:g}") for spp, size in sizes.items()]
     shared: dict[str, Any] = {"frameon": False, "fontsize": 12, "borderaxespad": 0}
     figure.legend(
         handles=methods, loc="upper left", bbox_to_anchor=(0.012, y), columnspacing=1.4,
@@ -150,15 +165,15 @@ def _keys(
     )  # fmt: skip
 
 
-def _line(look: style.LineStyle, name: str) -> Line2D:
+def _method_handle(line: LineStyle, name: str) -> Line2D:
     return Line2D(
-        [], [], color=look.color, linestyle=look.dash, linewidth=1.8, marker=look.marker,
-        label=name, markersize=8, markerfacecolor=look.face, markeredgecolor=look.edge,
+        [], [], color=line.color, linestyle=line.dash, linewidth=1.8, marker=line.marker,
+        label=name, markersize=8, markerfacecolor=line.face, markeredgecolor=line.edge,
     )  # fmt: skip
 
 
-def _dot(size: float, name: str) -> Line2D:
+def _budget_handle(area: float, name: str) -> Line2D:
     return Line2D(
-        [], [], linestyle="", marker="o", color=style.FAINT, markersize=math.sqrt(size),
+        [], [], linestyle="", marker="o", color=style.GREY, markersize=math.sqrt(area),
         markeredgecolor="white", label=name,
     )  # fmt: skip

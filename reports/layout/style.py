@@ -1,4 +1,4 @@
-"""How figures look: one colour a family, told apart by colour-blind readers and in grey print."""
+"""Style of the figures: a colour for each family, distinct for colour-blind readers and in grey."""
 
 from __future__ import annotations
 
@@ -8,15 +8,27 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
-from reports.analysis.method_names import family as family_of
+from reports.analysis.method_names import family_of
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito 2008, Color Universal Design; the proposed method has the one that stands out
-COLOURS = {
+__all__ = [
+    "BLACK",
+    "FAMILY_COLOURS",
+    "GREY",
+    "RC",
+    "LineStyle",
+    "line_styles",
+    "note_hidden_points",
+    "save_figure",
+    "slug",
+]
+
+# Okabe and Ito 2008, Color Universal Design; the proposed method has the most salient colour
+FAMILY_COLOURS = {
     "ours": "#D55E00",
     "ntas": "#0072B2",
     "oidn": "#009E73",
@@ -29,11 +41,14 @@ COLOURS = {
     "restir+oidn": "#4B8B3B",
     "eaw": "#8C564B",
 }
-SPARE = ("#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050")
+SPARE_COLOURS = (  # of families that are not listed above
+    "#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050",
+)  # fmt: skip
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
-LETTER, NARROW = 0.072, 4.0  # inches: of a letter, and of a panel in which nothing is named
-INK, FAINT = "#222222", "#8A8A8A"
+LETTER_WIDTH = 0.072  # inches
+NARROW_PANEL = 4.0  # inches; a narrower panel names no method
+BLACK, GREY = "#222222", "#8A8A8A"
 RC: Any = {
     "font.family": "sans-serif",
     "font.size": 12,
@@ -56,67 +71,72 @@ RC: Any = {
 
 @dataclass(frozen=True)
 class LineStyle:
-    """Colour, marker and dashes of one method; markers of variants are hollow."""
+    """Colour, marker and dashes of one method; the markers of variants are hollow."""
 
     color: str
     marker: str
     dash: Any  # as matplotlib's linestyle
     face: str
     edge: str
-    rim: float  # width of the marker's edge, points
+    edge_width: float  # of the marker, points
 
 
 def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
-    """A look for each method: colour by family, dashes and marker by variant.
+    """A style for each method: the colour by family, dashes and marker by variant.
 
-    Families of the list above keep their colour in every figure; strangers get spare ones by name.
+    Families in FAMILY_COLOURS have the same colour in every figure; others get spare colours in
+    the order of their names.
     """
     names = sorted(set(methods))
     families = list(dict.fromkeys(map(family_of, names)))
-    strangers = [family for family in families if family not in COLOURS]
-    free = [color for color in SPARE if color not in {COLOURS.get(f) for f in families}]
-    spare = {family: free[i % len(free)] for i, family in enumerate(strangers)}
-    known = list(COLOURS)
-    found = {}
+    unlisted = [family for family in families if family not in FAMILY_COLOURS]
+    used = {FAMILY_COLOURS.get(family) for family in families}
+    free = [color for color in SPARE_COLOURS if color not in used]
+    spare = {family: free[i % len(free)] for i, family in enumerate(unlisted)}
+    order = [*FAMILY_COLOURS, *unlisted]
+    styles = {}
     for family in families:
-        place = known.index(family) if family in COLOURS else len(known) + strangers.index(family)
+        color = FAMILY_COLOURS.get(family) or spare[family]
         variants = [name for name in names if family_of(name) == family]
         for i, name in enumerate(variants):
-            color = COLOURS.get(family) or spare[family]
-            marker = MARKERS[(place + i) % len(MARKERS)]
+            marker = MARKERS[(order.index(family) + i) % len(MARKERS)]
             dash = DASHES[(i + i // len(MARKERS)) % len(DASHES)]  # no pair twice
-            face, edge, rim = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
-            found[name] = LineStyle(color, marker, dash, face, edge, rim)
-    return found
+            face, edge, width = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
+            styles[name] = LineStyle(color, marker, dash, face, edge, width)
+    return styles
 
 
-def name_below(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
-    """Name, at the lower edge, the methods with a value below it, each with its least.
+def note_hidden_points(axes: Axes, points: pd.DataFrame, bottom: float) -> None:
+    """Name, at the lower edge, the methods with values below `bottom`, each with its lowest.
 
-    A narrow panel says how many.
+    In a narrow panel the note is only their number.
     """
-    least = points.groupby("method")["value"].min()
-    outside = [f"{method} from {value:.1f}" for method, value in least.items() if value < bottom]
-    if outside:
+    lowest = points.groupby("method")["value"].min()
+    hidden = [f"{method} from {value:.1f}" for method, value in lowest.items() if value < bottom]
+    if hidden:
         width = axes.bbox.width / axes.figure.dpi  # inches
-        told = fill("below: " + ", ".join(outside), int(width / LETTER))
-        told = told if width > NARROW else f"{len(outside)} below"
+        text = fill("below the axis: " + ", ".join(hidden), int(width / LETTER_WIDTH))
+        text = text if width > NARROW_PANEL else f"{len(hidden)} below the axis"
         axes.text(
-            0.985, 0.02, told, transform=axes.transAxes, ha="right", fontsize=9.5, color=FAINT,
+            0.985, 0.02, text, transform=axes.transAxes, ha="right", fontsize=9.5, color=GREY,
             zorder=4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
         )  # fmt: skip
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """PNG at 150 dpi, PDF and SVG of a figure, without dates, so that equal figures are equal."""
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write the figure as PNG at 150 dpi, PDF and SVG; equal figures give equal files."""
     folder.mkdir(parents=True, exist_ok=True)
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-    files = [folder / f"{name}.{kind}" for kind in undated]
+    files = [folder / f"{name}.{suffix}" for suffix in undated]
     for file, metadata in zip(files, undated.values(), strict=True):
         figure.savefig(file, dpi=150, metadata=metadata)
     return files
 
 
 def slug(text: str) -> str:
-    """Text as part of a file name."""
+    """The text as part of a file name.
+
+    >>> slug("NVIDIA H100 (x2)")
+    'nvidia-h100-x2'
+    """
     return "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())

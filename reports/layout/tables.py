@@ -8,7 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
+__all__ = ["Bold", "Table", "format_difference", "pivot_by_budget", "to_latex", "to_markdown"]
+
+LATEX_ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
@@ -16,58 +18,65 @@ ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
 
 
 class Bold(str):
-    """Text of a cell that stands out."""
+    """Text of a cell in bold type."""
 
 
 @dataclass(frozen=True)
-class Grid:
+class Table:
     """A titled table: the first column is text, the others are numbers."""
 
     title: str
     caption: str
-    head: tuple[str, ...]
-    body: tuple[tuple[str, ...], ...]
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
 
 
-def gap_text(mean: float, low: float, high: float, form: str = ".2f") -> str:
-    """A difference with its interval in brackets, if that is known; bold where it excludes zero."""
-    text = format(mean, f"+{form}")
+def format_difference(mean: float, low: float, high: float) -> str:
+    """A signed difference with its interval in brackets; bold if the interval excludes zero.
+
+    >>> format_difference(-1.0, -1.25, -0.75)
+    '-1.00 [-1.25, -0.75]'
+    """
+    text = f"{mean:+.2f}"
     if low != low:
         return text
-    text += f" [{low:+{form}}, {high:+{form}}]"
+    text += f" [{low:+.2f}, {high:+.2f}]"
     return Bold(text) if low > 0 or high < 0 else text
 
 
-def wide(
-    found: pd.DataFrame, show: Callable[[Mapping[Hashable, Any]], str]
+def pivot_by_budget(
+    records: pd.DataFrame, format_record: Callable[[Mapping[Hashable, Any]], str]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and lines of a table with a line for each `method` and a column for each budget."""
-    budgets = sorted(set(found["target_spp"]))
-    cells = {(row["method"], row["target_spp"]): show(row) for row in found.to_dict("records")}
-    lines = [
+    """Header and rows of a table with a row for each `method` and a column for each budget."""
+    budgets = sorted(set(records["target_spp"]))
+    cells = {
+        (record["method"], record["target_spp"]): format_record(record)
+        for record in records.to_dict("records")
+    }
+    rows = [
         (method, *(cells.get((method, spp), "-") for spp in budgets))
-        for method in sorted(set(found["method"]))
+        for method in sorted(set(records["method"]))
     ]
-    return ("variant", *(f"{spp:g} spp" for spp in budgets)), lines
+    return ("variant", *(f"{spp:g} spp" for spp in budgets)), rows
 
 
-def markdown(grid: Grid) -> str:
-    """The table as GitHub shows it, its title a heading and its caption a paragraph."""
-    rule = ["---", *["---:"] * (len(grid.head) - 1)]
-    lines = [[_marked(cell) for cell in line] for line in (grid.head, *grid.body)]
+def to_markdown(table: Table) -> str:
+    """The table in GitHub's Markdown, its title as a heading and its caption as a paragraph."""
+    rule = ["---", *["---:"] * (len(table.header) - 1)]
+    lines = [[_markdown_cell(cell) for cell in row] for row in (table.header, *table.rows)]
     lines.insert(1, rule)
-    table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    return f"### {grid.title}\n\n{grid.caption}\n\n{table}\n"
+    body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return f"### {table.title}\n\n{table.caption}\n\n{body}\n"
 
 
-def latex(grid: Grid) -> str:
-    """The table as a float that needs the package booktabs."""
-    lines = [" & ".join(map(_typeset, line)) + r" \\" for line in (grid.head, *grid.body)]
+def to_latex(table: Table) -> str:
+    """The table as a LaTeX float; it needs the package booktabs."""
+    lines = [" & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)]
     return "\n".join(
         [
             r"\begin{table}",
-            rf"\caption{{{_escaped(grid.title)}. {_escaped(grid.caption)}}}",
-            rf"\begin{{tabular}}{{l{'r' * (len(grid.head) - 1)}}}",
+            rf"\caption{{{_escape_latex(table.title)}. {_escape_latex(table.caption)}}}",
+            rf"\begin{{tabular}}{{l{'r' * (len(table.header) - 1)}}}",
             r"\toprule",
             lines[0],
             r"\midrule",
@@ -80,14 +89,14 @@ def latex(grid: Grid) -> str:
     )
 
 
-def _marked(cell: str) -> str:
+def _markdown_cell(cell: str) -> str:
     text = cell.replace("|", "\\|")
     return f"**{text}**" if isinstance(cell, Bold) else text
 
 
-def _typeset(cell: str) -> str:
-    return rf"\textbf{{{_escaped(cell)}}}" if isinstance(cell, Bold) else _escaped(cell)
+def _latex_cell(cell: str) -> str:
+    return rf"\textbf{{{_escape_latex(cell)}}}" if isinstance(cell, Bold) else _escape_latex(cell)
 
 
-def _escaped(text: str) -> str:
-    return "".join(ESCAPES.get(c, c) for c in text)
+def _escape_latex(text: str) -> str:
+    return "".join(LATEX_ESCAPES.get(c, c) for c in text)

@@ -1,4 +1,4 @@
-"""A made-up but realistic results table, from formulas whose means are known."""
+"""Made-up but realistic results, from formulas whose means are known."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ CLIPS, FRAMES = 2, 4
 
 
 def psnr(method, scene, spp, clip=0, frame=0):
-    """Frame and clip wobbles have mean zero; those of a clip differ a little between methods."""
+    """Deviations of frames and clips have mean zero; those of a clip depend on the method."""
     start, slope, _, _ = METHODS[method]
-    own = 0.06 * (2 * clip - 1) * (1 + list(METHODS).index(method) % 2)
-    wobble = 0.3 * math.cos(math.pi * frame) + 0.5 * (2 * clip - 1) + own
-    return start + slope * math.log2(spp) + SCENES[scene] + wobble
+    by_method = 0.06 * (2 * clip - 1) * (1 + list(METHODS).index(method) % 2)
+    deviation = 0.3 * math.cos(math.pi * frame) + 0.5 * (2 * clip - 1) + by_method
+    return start + slope * math.log2(spp) + SCENES[scene] + deviation
 
 
 def rows(methods=METHODS, device="NVIDIA RTX 2080 Ti", profile="profile paper-2080ti"):
-    made = []
+    table = []
     for method in methods:
         for scene in SCENES:
             for spp in BUDGETS:
                 for clip in range(CLIPS):
-                    made += cell(method, scene, spp, clip, device, profile)
-    return made
+                    table += measured_cell(method, scene, spp, clip, device, profile)
+    return table
 
 
-def cell(method, scene, spp, clip, device, profile):
-    def row(frame, metric, value, unit, better, convention):
+def measured_cell(method, scene, spp, clip, device, profile):
+    def row(frame, metric, value, unit, direction, convention):
         return Row(
             "r1", method, f"{scene}-{clip}", scene, spp, spp * 0.99, frame, metric, value, unit,
-            better, convention, device=device, dtype="float32", code_hash="c0de",
+            direction, convention, device=device, dtype="float32", code_hash="c0de",
         )  # fmt: skip
 
     _, _, plan, denoise = METHODS[method]
-    made = []
+    cell_rows = []
     for frame in range(FRAMES):
         value = psnr(method, scene, spp, clip, frame)
-        made.append(row(frame, "psnr", value, "dB", "higher", "peak 1, clipped sRGB"))
-        made.append(row(frame, "relmse", 10 ** (-value / 10), "", "lower", "linear radiance"))
+        cell_rows.append(row(frame, "psnr", value, "dB", "higher", "peak 1, clipped sRGB"))
+        cell_rows.append(row(frame, "relmse", 10 ** (-value / 10), "", "lower", "linear radiance"))
     for metric, value in {
         "plan_ms": plan,
         "plan_p95_ms": plan * 1.1,
         "denoise_ms": denoise,
         "denoise_p95_ms": denoise * 1.2,
     }.items():
-        made.append(row(-1, metric, value, "ms", "lower", "p50 of 50"))
-    made.append(row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "lower", profile))
-    return made
+        cell_rows.append(row(-1, metric, value, "ms", "lower", "p50 of 50"))
+    cell_rows.append(row(-1, "sample_ms", SAMPLE_MS[scene], "ms", "lower", profile))
+    return cell_rows
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The Pareto plot: what is drawn is what was measured, and every file is there."""
+"""The Pareto plot: the drawn points are the measured ones, and every file is written."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.image import imread
 
 from reports import pareto
-from reports.analysis.aggregate import ReportError
+from reports.analysis.aggregate import Scores
+from reports.analysis.comparability import ReportError
 from reports.layout import style
-from reports.layout.pareto_panels import MOST, OVERALL, WINDOW, draw
+from reports.layout.pareto_panels import MAX_PANELS, OVERALL, WINDOW_DB, Labels, draw_pareto
 from rlbench.benchmark.results import to_dataframe
 
-TEXTS = {"value": "PSNR", "direction": "", "better": "higher", "caption": "profile paper-2080ti"}
+LABELS = Labels("PSNR", "higher", "profile paper-2080ti")
 
 
 @pytest.fixture(scope="module")
 def figure(results):
-    return draw(pareto.curves(results), TEXTS)
+    return draw_pareto(pareto.plotted_points(Scores(results)), LABELS)
 
 
 @pytest.fixture(scope="module")
@@ -38,17 +39,17 @@ def drawn(figure, panel, method):
     return line.get_xdata(), line.get_ydata()
 
 
-def test_four_files_are_written(files):
+def test_three_images_and_a_csv_are_written(files):
     assert [file.name for file in files] == [
         "pareto.png", "pareto.pdf", "pareto.svg", "pareto.csv",
     ]  # fmt: skip
     assert all(file.stat().st_size > 1000 for file in files)
 
 
-def test_the_png_is_a_picture_with_ink(files):
-    picture = imread(files[0])
-    assert picture.shape[1] == 1950  # 13 inches at 150 dpi
-    assert 0.02 < (picture[..., :3].min(2) < 0.9).mean() < 0.5
+def test_the_png_is_not_blank(files):
+    image = imread(files[0])
+    assert image.shape[1] == 1950  # 13 inches at 150 dpi
+    assert 0.02 < (image[..., :3].min(2) < 0.9).mean() < 0.5
 
 
 @pytest.mark.parametrize("method", ["ours", "ntas", "oidn"])
@@ -66,53 +67,64 @@ def test_the_overall_curve_is_the_mean_over_scenes(figure):
     assert times[1] == pytest.approx(16.5 + 0.99 * sum(SAMPLE_MS.values()) / 4)
 
 
-def test_the_csv_holds_what_is_plotted(results, files):
-    found = pd.read_csv(files[-1])
-    pd.testing.assert_frame_equal(found, pareto.curves(results))
+def test_the_csv_has_the_plotted_points(results, files):
+    points = pd.read_csv(files[-1])
+    pd.testing.assert_frame_equal(points, pareto.plotted_points(Scores(results)))
 
 
 def test_there_is_a_panel_for_each_scene(figure):
     assert [a.get_title(loc="left") for a in figure.axes] == [OVERALL, *sorted(SCENES)]
 
 
-def test_a_mean_of_some_scenes_is_not_drawn_as_that_of_all_and_is_told(tmp_path):
-    made = rows(["ours", "oidn"])
+def test_a_method_without_a_time_on_every_scene_has_no_mean_and_is_named(tmp_path):
     table = to_dataframe(
-        [r for r in made if (r.method, r.scene, r.metric) != ("oidn", "hall", "sample_ms")]
+        [
+            r
+            for r in rows(["ours", "oidn"])
+            if (r.method, r.scene, r.metric) != ("oidn", "hall", "sample_ms")
+        ]
     )
-    found = pareto.curves(table)
-    assert set(found[found["scene"] == OVERALL]["method"]) == {"ours"}
-    assert set(found[found["scene"] == "city"]["method"]) == {"ours", "oidn"}
+    points = pareto.plotted_points(Scores(table))
+    assert set(points[points["scene"] == OVERALL]["method"]) == {"ours"}
+    assert set(points[points["scene"] == "city"]["method"]) == {"ours", "oidn"}
     files = pareto.write(table, tmp_path)
-    assert "Without a time on every scene: oidn" in pareto._texts(table, "psnr", "x")["caption"]
+    assert (
+        "Without a time on every scene: oidn"
+        in pareto.figure_labels(Scores(table, device="x")).caption
+    )
     assert all(file.exists() for file in files)
 
 
-def test_a_frame_that_is_missing_is_told():
+def test_a_method_that_lacks_a_frame_is_named():
     table = to_dataframe(
         [r for r in rows() if (r.method, r.clip, r.frame) != ("ours", "city-0", 2)]
     )
-    caption = pareto._texts(table, "psnr", "x")["caption"]
+    caption = pareto.figure_labels(Scores(table, device="x")).caption
     assert "Not on every scene and frame: ours." in caption
 
 
-def test_many_scenes_are_one_panel_of_their_mean():
-    every = pareto.curves(to_dataframe(rows()))
-    parts = [every.assign(scene=f"generated-{number}") for number in range(MOST + 1)]
-    axes = draw(pd.concat([every[every["scene"] == OVERALL], *parts]), TEXTS).axes
+def test_many_scenes_have_one_panel_with_their_mean():
+    every = pareto.plotted_points(Scores(to_dataframe(rows())))
+    parts = [every.assign(scene=f"generated-{number}") for number in range(MAX_PANELS + 1)]
+    axes = draw_pareto(pd.concat([every[every["scene"] == OVERALL], *parts]), LABELS).axes
     assert [a.get_title(loc="left") for a in axes] == [OVERALL]
 
 
-def test_times_of_what_is_not_shown_stretch_no_axis(results):
-    every = pareto.curves(results)
+def test_times_of_hidden_points_do_not_stretch_the_axis(results):
+    every = pareto.plotted_points(Scores(results))
     far = every.iloc[[0]].assign(method="mean", value=every["value"].max() - 50, frame_ms=1e6)
-    for axes in draw(pd.concat([every, far.assign(scene=OVERALL, front=False)]), TEXTS).axes[:1]:
+    for axes in draw_pareto(
+        pd.concat([every, far.assign(scene=OVERALL, front=False)]), LABELS
+    ).axes[:1]:
         assert axes.get_xlim()[1] < 1e4
 
 
 def test_one_scene_is_one_panel():
     one = to_dataframe([r for r in rows() if r.scene == "city"])
-    assert [a.get_title(loc="left") for a in draw(pareto.curves(one), TEXTS).axes] == ["city"]
+    assert [
+        a.get_title(loc="left")
+        for a in draw_pareto(pareto.plotted_points(Scores(one)), LABELS).axes
+    ] == ["city"]
 
 
 def test_times_that_span_more_than_ten_are_logarithmic(figure):
@@ -121,14 +133,16 @@ def test_times_that_span_more_than_ten_are_logarithmic(figure):
 
 def test_times_that_span_less_than_ten_are_linear():
     near = to_dataframe([r for r in rows(["ours", "ntas"]) if r.target_spp in (1, 2)])
-    assert {a.get_xscale() for a in draw(pareto.curves(near), TEXTS).axes} == {"linear"}
+    assert {
+        a.get_xscale() for a in draw_pareto(pareto.plotted_points(Scores(near)), LABELS).axes
+    } == {"linear"}
 
 
-def test_what_lies_below_the_window_is_named(figure):
+def test_methods_below_the_window_are_named(figure):
     axes = figure.axes[0]
     top = 29.9 + 3 * 1.15 + sum(SCENES.values()) / 4
-    assert axes.get_ylim()[0] == pytest.approx(top - WINDOW * 1.07)
-    assert [text.get_text() for text in axes.texts] == ["below: mean from 13.0"]
+    assert axes.get_ylim()[0] == pytest.approx(top - WINDOW_DB * 1.07)
+    assert [text.get_text() for text in axes.texts] == ["below the axis: mean from 13.0"]
 
 
 def test_no_two_titles_of_a_panel_touch(figure):
@@ -139,9 +153,9 @@ def test_no_two_titles_of_a_panel_touch(figure):
         )
 
 
-def test_the_front_is_on_the_method_that_is_best_for_its_time(results):
-    found = pareto.curves(results)
-    front = found[found["front"] & (found["scene"] == OVERALL)].sort_values("frame_ms")
+def test_the_front_has_the_best_method_for_each_time(results):
+    points = pareto.plotted_points(Scores(results))
+    front = points[points["front"] & (points["scene"] == OVERALL)].sort_values("frame_ms")
     assert front["method"].tolist()[:2] == ["mean", "ours/small"]
     assert (front["value"].diff().dropna() > 0).all()
     assert front["method"].iloc[-1] == "ours"
@@ -150,11 +164,11 @@ def test_the_front_is_on_the_method_that_is_best_for_its_time(results):
 def test_the_caption_names_device_and_cost_profile(results, tmp_path, monkeypatch):
     monkeypatch.setitem(style.RC, "svg.fonttype", "none")  # letters, not their outlines
     svg = pareto.write(results, tmp_path)[2].read_text()
-    for text in ("profile paper-2080ti", "NVIDIA RTX 2080 Ti", "up is better"):
+    for text in ("profile paper-2080ti", "NVIDIA RTX 2080 Ti", "higher is better"):
         assert text in svg
 
 
-def test_methods_without_a_scene_in_common_have_no_panel_of_their_mean(tmp_path):
+def test_methods_without_a_common_scene_have_no_panel_of_their_mean(tmp_path):
     table = to_dataframe([r for r in rows(["ours"]) if r.scene == "city"])
     other = to_dataframe([r for r in rows(["ntas"]) if r.scene == "hall"])
     pareto.write(pd.concat([table, other]), tmp_path)
@@ -164,8 +178,8 @@ def test_methods_without_a_scene_in_common_have_no_panel_of_their_mean(tmp_path)
 
 def test_many_scenes_without_a_common_method_are_refused(tmp_path):
     parts = [
-        replace(row, method=f"mine-{place}", scene=f"{row.scene}{place}", clip=f"c{place}")
-        for place in range(3)
+        replace(row, method=f"mine-{index}", scene=f"{row.scene}{index}", clip=f"c{index}")
+        for index in range(3)
         for row in rows(["ours"])
     ]
     with pytest.raises(ReportError, match="12 scenes.*fewer scenes"):
@@ -179,9 +193,11 @@ def test_each_device_has_a_plot_of_its_own(tmp_path):
     assert set(pd.read_csv(tmp_path / "pareto-h100.csv")["method"]) == {"ntas"}
 
 
-def test_without_times_it_says_what_is_missing(tmp_path):
+def test_results_without_times_are_refused_with_the_missing_metrics(tmp_path):
     timeless = to_dataframe([r for r in rows(["ours"]) if r.unit != "ms"])
-    with pytest.raises(ReportError, match="no cell has psnr, plan_ms, denoise_ms and sample_ms"):
+    with pytest.raises(
+        ReportError, match="no method has all of psnr, plan_ms, denoise_ms and sample_ms"
+    ):
         pareto.write(timeless, tmp_path)
 
 
@@ -190,20 +206,30 @@ def test_equal_results_give_equal_files(results, files, tmp_path):
     assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
 
 
-@pytest.mark.parametrize(("better", "edge"), [("higher", 0), ("lower", 1)])
-def test_what_a_single_point_beats_is_grey_on_its_worse_side(better, edge):
+@pytest.mark.parametrize(("direction", "edge"), [("higher", 0), ("lower", 1)])
+def test_the_area_that_a_single_point_dominates_is_shaded(direction, edge):
     point = to_dataframe([r for r in rows(["ours"]) if r.scene == "city" and r.target_spp == 1])
-    axes = draw(pareto.curves(point), TEXTS | {"better": better}).axes[0]
+    axes = draw_pareto(
+        pareto.plotted_points(Scores(point)), replace(LABELS, direction=direction)
+    ).axes[0]
     heights = axes.collections[0].get_paths()[0].vertices[:, 1]
     assert {round(h, 6) for h in heights} == {29.9, round(axes.get_ylim()[edge], 6)}
 
 
-def test_an_error_is_better_below(results):
-    found = pareto.curves(results, "relmse")
-    front = found[found["front"] & (found["scene"] == "city")].sort_values("frame_ms")
+def test_a_low_error_is_better(results):
+    points = pareto.plotted_points(Scores(results, "relmse"))
+    front = points[points["front"] & (points["scene"] == "city")].sort_values("frame_ms")
     assert (front["value"].diff().dropna() < 0).all()
 
 
 def test_reports_do_not_import_torch():
-    look = "import sys, reports.pareto, reports.summary; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
+    code = "import sys, reports.pareto, reports.summary; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("direction", "expected"), [("higher", [0, 2, 3]), ("lower", [0, 1])], ids=["higher", "lower"]
+)
+def test_the_front_has_the_points_that_no_other_dominates(direction, expected):
+    times, values = pd.Series([1.0, 2.0, 3.0, 4.0, 4.0]), pd.Series([5.0, 4.0, 6.0, 9.0, 7.0])
+    assert pareto.pareto_front(times, values, direction) == expected
