@@ -52,6 +52,10 @@ def test_names_on_rlbench_are_in_the_reference(name):
     assert re.search(rf"^::: rlbench\.{path}$", REFERENCE, re.MULTILINE)
 
 
+def test_the_table_of_the_reference_lists_the_names_on_rlbench():
+    assert re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE) == list(rlbench.__all__)
+
+
 @pytest.mark.parametrize("module", LAZY)
 def test_importing_a_package_loads_no_torch(module):
     code = f"import sys, {module}; sys.exit('torch' in sys.modules or 'pandas' in sys.modules)"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from reports.analysis.aggregate import points
+from reports.analysis.aggregate import Scores
 from rlbench import registry
 from rlbench.benchmark import latency
 from rlbench.benchmark import results as table
@@ -88,7 +88,7 @@ def test_the_report_has_the_frame_time_of_the_table(clip_folder, tmp_path):
     measure(run_plan(clip_folder, target_spp=(2.0,), cost="paper-2080ti"), tmp_path / "r")
     rows = table.read(tmp_path / "r")
     (frame_ms,) = rows[rows["metric"] == "frame_ms"]["value"]
-    assert points(rows)["frame_ms"].item() == pytest.approx(frame_ms)
+    assert Scores(rows).points["frame_ms"].item() == pytest.approx(frame_ms)
 
 
 def test_a_second_run_measures_nothing(clip_folder, tmp_path):
