@@ -136,7 +136,7 @@ def test_a_second_import_writes_nothing(source, tmp_path):
     words = ("import", source, "--format", "oidn", "--out", tmp_path / "out")
     rlbench(*words)
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out" / "walk").iterdir()}
-    assert "walk: known before, 3 frames" in rlbench(*words)
+    assert "walk: was imported before, 3 frames" in rlbench(*words)
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out" / "walk").iterdir()} == before
 
 
