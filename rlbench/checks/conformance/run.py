@@ -26,7 +26,8 @@ def check_methods(patterns: Sequence[str], device: torch.device) -> bool:
     methods = select_methods(patterns, device)
     nonconforming = [*broken, *(each.name for each in methods if not _check(each, console))]
     summary = f"failed: {', '.join(nonconforming)}" if nonconforming else "none failed"
-    console.print(f"{len(methods)} methods checked; {summary}")
+    noun = "method" if len(methods) == 1 else "methods"
+    console.print(f"{len(methods)} {noun} checked; {summary}")
     return not nonconforming
 
 

@@ -21,7 +21,7 @@ def test_a_loose_method_gets_one_line_per_check(tmp_path):
     lines = rlbench("check", "mine/B1", "--plugin", plugin, code=0)
     assert lines[0] == "mine/B1"
     assert lines[1 : len(CHECKS) + 1] == [f"  ✓ {check.requirement}" for check in CHECKS.values()]
-    assert lines[-1] == "1 methods checked; none failed"
+    assert lines[-1] == "1 method checked; none failed"
 
 
 def test_a_failed_check_is_printed_with_what_was_found_and_how_to_fix_it(tmp_path):
@@ -59,7 +59,7 @@ def test_a_method_that_cannot_run_on_this_machine_is_skipped(tmp_path, missing):
     assert line.startswith("  - run on this machine: ")
     assert missing in line
     assert counts == "  passed: 0, warning: 0, failed: 0, skipped: 1"
-    assert total == "1 methods checked; none failed"
+    assert total == "1 method checked; none failed"
 
 
 def test_samples_of_the_closed_form_clip_stand_in_for_any_installed_pool(tmp_path, monkeypatch):
@@ -72,7 +72,7 @@ def test_samples_of_the_closed_form_clip_stand_in_for_any_installed_pool(tmp_pat
     monkeypatch.syspath_prepend(tmp_path)
     plugin = write_plugin(tmp_path / "mine.py", "mine", traits="pool='chains'")
     lines = rlbench("check", "mine", "--plugin", plugin, code=0)
-    assert "1 methods checked; none failed" in lines
+    assert "1 method checked; none failed" in lines
     assert not MethodUnderTest("mine").unavailable_reason
 
 

@@ -45,7 +45,7 @@ def sheet_options(tmp_path_factory):
     """Scene, size and spp of a sheet, in a cache of its own."""
     folder = tmp_path_factory.mktemp("contact")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contact_sheet.paths, "cache", lambda: folder)
+        patch.setattr(contact_sheet.paths, "cache_folder", lambda: folder)
         yield (["temple", "temple"], 16, 2, folder / "sheet.png")
 
 

@@ -27,7 +27,7 @@ def chains(tracer, count, config=BIASED, indirect=True):
 
 def camera_alone(depth):
     """The room in which only the camera moves: there the unbiased form is exact."""
-    return replace(room(), vertex_animation=lambda time: {}, depth=depth)
+    return replace(room(), vertex_animation=lambda time: {}, max_depth=depth)
 
 
 def many_lamps():
