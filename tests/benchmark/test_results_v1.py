@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from reports.analysis import aggregate
+from reports.analysis.aggregate import Scores
 from rlbench.benchmark import results
 from rlbench.benchmark.cell_key import FAILED, CellsError
 from rlbench.benchmark.clip_sources import StoredSource
@@ -56,7 +56,7 @@ def test_cells_have_a_key():
 
 
 def test_a_report_can_be_made():
-    times = aggregate.points(results.read(FOLDER)).set_index("method")["frame_ms"]
+    times = Scores(results.read(FOLDER)).points.set_index("method")["frame_ms"]
     assert times["mean"] == pytest.approx(2.600241)
 
 

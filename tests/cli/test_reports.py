@@ -27,7 +27,7 @@ def test_reports_are_written_to_the_requested_folder(run_mean, tmp_path):
 def test_report_all_skips_reports_without_rows_and_says_why(run_mean, tmp_path):
     words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
     rlbench(*run_mean, "--cost", "paper-2080ti")
-    reason = "no family has its default"
+    reason = "no family has scores of its main variant and of another variant"
     assert f"report ablation is skipped: {reason}" in rlbench("report", "all", *words)
     assert "error: cannot write ablation: " in rlbench("report", "ablation", *words, code=2)
 
@@ -46,7 +46,7 @@ def test_report_all_writes_the_others_where_one_fails(run_mean, tmp_path):
     words = ("--results", tmp_path / "r", "--out", tmp_path / "figures")
     output = rlbench("report", "all", *words, code=2)
     assert "error: cannot write" in output
-    assert "no cell has psnr, plan_ms" in output
+    assert "no method has all of psnr, plan_ms" in output
     assert (tmp_path / "figures" / "summary.md").stat().st_size > 0
 
 
