@@ -126,23 +126,33 @@ def _plant(stressed: StressedMethod, clean: CleanRun, values: dict[str, float]) 
             yield Fault("state", name, frame, state, modes)
 
 
-def _judge(stressed: StressedMethod, clean: CleanRun, fault: Fault, is_held: bool) -> StressResult:
-    blast = clean.repeat(fault.frame, fault.state, is_held)
+def _judge(
+    stressed: StressedMethod, clean: CleanRun, fault: Fault, is_held: bool
+) -> StressResult:
+    moves_samples = stressed.traits.adaptive and not is_held
+    test = fault.name + ("-free" if moves_samples else "")
+    kind = {"sample": "samples", "state": "state"}.get(fault.target, "buffers")
+    remedy = REMEDIES["counts" if moves_samples else kind]
+    try:
+        blast = clean.repeat(fault.frame, fault.state, is_held)
+    except Exception as error:  # e.g. a density that is not finite
+        found = f"raised {type(error).__name__}: {error}"
+        return StressResult(
+            stressed.name, NAME, test, Verdict.FAILED, unit="pixels", found=found, remedy=remedy
+        )
     verdict = Verdict.PASSED if blast.is_contained else Verdict.WARNING
     if blast.nonfinite or blast.frames_until_clean > MAX_FRAMES:
         verdict = Verdict.FAILED
-    moves_samples = stressed.traits.adaptive and not is_held
-    kind = {"sample": "samples", "state": "state"}.get(fault.target, "buffers")
     return StressResult(
         stressed.name,
         NAME,
-        fault.name + ("-free" if moves_samples else ""),
+        test,
         verdict,
         float(blast.changed),
         "pixels",
         good=float(MAX_CHANGED),
         found=str(blast),
-        remedy="" if blast.is_contained else REMEDIES["counts" if moves_samples else kind],
+        remedy="" if blast.is_contained else remedy,
     )
 
 
