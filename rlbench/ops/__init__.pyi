@@ -8,7 +8,7 @@ from .demodulation import (
     surface_mask,
 )
 from .density import bounded_exp_density
-from .dither import systematic_sample
+from .dither import round_to_total
 from .exposure import autoexposure
 from .init import kaiming_init
 from .kernels import apply_kernels
@@ -62,6 +62,7 @@ __all__ = [
     "reproject",
     "reproject_bicubic",
     "reproject_or_fill",
+    "round_to_total",
     "sanitize_albedo",
     "sanitize_depth",
     "sanitize_motion",
@@ -70,7 +71,6 @@ __all__ = [
     "smape",
     "squash_depth",
     "surface_mask",
-    "systematic_sample",
     "temporal_l1",
     "to_channels_last",
     "to_contiguous_float32",

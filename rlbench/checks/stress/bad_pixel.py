@@ -126,9 +126,7 @@ def _plant(stressed: StressedMethod, clean: CleanRun, values: dict[str, float]) 
             yield Fault("state", name, frame, state, modes)
 
 
-def _judge(
-    stressed: StressedMethod, clean: CleanRun, fault: Fault, is_held: bool
-) -> StressResult:
+def _judge(stressed: StressedMethod, clean: CleanRun, fault: Fault, is_held: bool) -> StressResult:
     moves_samples = stressed.traits.adaptive and not is_held
     test = fault.name + ("-free" if moves_samples else "")
     kind = {"sample": "samples", "state": "state"}.get(fault.target, "buffers")
