@@ -44,7 +44,7 @@ def sanitize_frame(frame: Frame, inputs: frozenset[str]) -> FrameInput:
     >>> frame = Frame(0, GBuffer({"depth": depth}), pool, Reference(half, half))
     >>> gbuffer, pool, repairs = sanitize_frame(frame, frozenset({"depth"}))
     >>> gbuffer.depth.tolist(), repairs["depth"]
-    ([[[[1.0, inf, inf]]]], 2)
+    ([[[[1.0, 1.0, inf]]]], 2)
     """
     repairs: Counter[str] = Counter()
     buffers = {}

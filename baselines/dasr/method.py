@@ -15,6 +15,7 @@ from baselines.dasr.network import Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.density import bounded_exp_density
+from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
@@ -74,7 +75,7 @@ class Dasr:
 
 def _network_input(gbuffer: GBuffer, samples: Samples) -> Float[Tensor, "n 10 h w"]:
     """Input of both networks: log radiance, albedo, normal and depth."""
-    noisy = samples.mean.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0).clamp(0, MAX_RADIANCE)
+    noisy = limit_fireflies(samples.mean)
     albedo, normal = (gbuffer.albedo - ALBEDO_MEAN) / ALBEDO_STD, gbuffer.normal / NORMAL_STD
     return torch.cat((noisy.log1p(), albedo, normal, squash_depth(gbuffer.depth)), 1)
 

@@ -16,14 +16,15 @@ from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
+from rlbench.ops.fireflies import FireflyLimit, firefly_limit
 from rlbench.ops.reprojection import reproject
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["Config", "Imcd", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
-MAX_RADIANCE = 65504.0  # the largest half float; radiance is clamped to this
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state's images, in their order
 
 
@@ -122,8 +123,10 @@ class Imcd:
         self, gbuffer: GBuffer, samples: Samples, albedo: Tensor
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
         """Mean irradiance of the samples, and the mean of their embeddings e_t."""
-        radiance = samples.radiance.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0)
-        irradiance = radiance.clamp(0, MAX_RADIANCE) / albedo[:, None]
+        radiance = sanitize_radiance(samples.radiance)
+        mean = radiance.sum(1) / samples.counts.clamp_min(1)
+        limit = FireflyLimit(*(part.unsqueeze(1) for part in firefly_limit(mean)))
+        irradiance = limit.apply(radiance) / albedo[:, None]
         features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
         embedding = self.networks.encoder(irradiance.log1p(), features, samples.valid_mask)
         return irradiance.sum(1) / samples.counts.clamp_min(1), embedding

@@ -17,6 +17,7 @@ from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
+from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.weights import load_for_inference
@@ -25,7 +26,6 @@ __all__ = ["VARIANTS", "Config", "Ntas", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
 NO_HISTORY = -1.0  # network input where the history is invalid
-MAX_RADIANCE = 65504.0  # the largest half float; radiance is clamped to this
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,7 @@ class Ntas:
 
         # demodulate
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        noisy = samples.mean.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0)
-        noisy = noisy.clamp(0, MAX_RADIANCE)
+        noisy = limit_fireflies(samples.mean)
 
         # predict kernels and filter
         features = _sampler_input(gbuffer, albedo, history, valid)

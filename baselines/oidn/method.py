@@ -14,8 +14,9 @@ from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
+from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
+from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
 from rlbench.weights import load_for_inference
 
@@ -85,7 +86,7 @@ class Oidn:
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image in linear radiance, from the mean of the samples, albedo and normal."""
-        noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
+        noisy = limit_fireflies(samples.mean)
         exposure = self.estimate_exposure(noisy)
         features = encode_inputs(noisy * exposure, gbuffer)
         output = crop(self.network(pad(features, multiple=STRIDE)), *features.shape[-2:])

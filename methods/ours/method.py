@@ -32,6 +32,7 @@ from methods.ours.state import (
 from methods.ours.variants import VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.fireflies import FireflyLimit, firefly_limit
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
@@ -89,7 +90,7 @@ class Ours:
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
         """The image in linear radiance, and the state for the next frame."""
-        samples = replace(samples, radiance=sanitize_radiance(samples.radiance))
+        samples = _limit_samples(samples)
         history = self.reproject(gbuffer, state)
         encoded = self.sample_encoding.encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)
@@ -143,6 +144,14 @@ class Ours:
         if self.networks.training:
             return value
         return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)
+
+
+def _limit_samples(samples: Samples) -> Samples:
+    """Finite samples, none of them far brighter than all pixels around it."""
+    finite = replace(samples, radiance=sanitize_radiance(samples.radiance))
+    limit = firefly_limit(finite.mean)
+    slots = FireflyLimit(*(part.unsqueeze(1) for part in limit))
+    return replace(finite, radiance=slots.apply(finite.radiance))
 
 
 def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:

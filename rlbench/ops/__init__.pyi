@@ -10,6 +10,7 @@ from .demodulation import (
 from .density import bounded_exp_density
 from .dither import round_to_total
 from .exposure import autoexposure
+from .fireflies import firefly_limit, limit_fireflies
 from .init import kaiming_init
 from .kernels import apply_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
@@ -47,9 +48,11 @@ __all__ = [
     "demodulation_albedo",
     "encode_srgb",
     "filtered_albedo",
+    "firefly_limit",
     "kaiming_init",
     "l1",
     "l1_ms_ssim_loss",
+    "limit_fireflies",
     "log_forward",
     "log_inverse",
     "log_loss",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -24,8 +24,11 @@ __all__ = [
     "sanitize_radiance",
 ]
 
+ALBEDO_TOLERANCE = 0.5  # outside [0, 1], up to which albedo is clamped rather than replaced
 MAX_SQUARED_NORMAL = 1.02  # half floats and interpolation make unit normals a little longer
-OUTSIDE = 2.0  # image sizes that repaired motion points away
+MAX_VALID_SQUARED_NORMAL = 4.0  # up to which a normal is scaled rather than replaced
+OUTSIDE = 2.0  # image sizes that motion points away where no neighbour's is known
+NEIGHBOURS = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))  # down, right
 
 
 def sanitize_radiance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
@@ -40,37 +43,57 @@ def sanitize_radiance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 
 
 
 def sanitize_albedo(albedo: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Albedo clamped to [0, 1]; 0 where it is not finite."""
+    """Albedo clamped to [0, 1].
+
+    A pixel that is not finite, or more than 0.5 outside that range, gets a neighbour's albedo.
+    """
     if _is_within(albedo, 0.0, 1.0):
         return albedo
-    return albedo.where(albedo.isfinite(), 0.0).clamp(0, 1)
+    valid = ((albedo - 0.5).abs() <= 0.5 + ALBEDO_TOLERANCE).all(1, keepdim=True)
+    return _fill_from_neighbours(albedo, valid, 0.0).clamp(0, 1)
 
 
 def sanitize_normal(normal: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Normals scaled to unit length where they are longer; zero where any channel is not finite.
+    """Normals scaled to unit length where they are longer.
 
-    Shorter normals stay: an average over a pixel is shorter than 1, and background has none.
+    A pixel that is not finite, or longer than 2, gets a neighbour's normal. Shorter normals stay:
+    an average over a pixel is shorter than 1, and background has none.
     """
-    if bool(normal.square().sum(1).amax() <= MAX_SQUARED_NORMAL):  # False for NaN
+    squared = normal.square().sum(1, keepdim=True)  # may overflow to inf
+    if bool(squared.amax() <= MAX_SQUARED_NORMAL):  # False for NaN
         return normal
-    normal = normal.where(normal.isfinite().all(1, keepdim=True), 0.0)
-    scale = normal.abs().amax(1, keepdim=True).clamp_min(1)  # squares must not overflow
-    is_long = (normal / scale).square().sum(1, keepdim=True) > MAX_SQUARED_NORMAL / scale.square()
-    return torch.where(is_long, F.normalize(normal / scale, dim=1), normal)
+    normal = _fill_from_neighbours(normal, squared <= MAX_VALID_SQUARED_NORMAL, 0.0)
+    is_long = normal.square().sum(1, keepdim=True) > MAX_SQUARED_NORMAL
+    return torch.where(is_long, F.normalize(normal, dim=1), normal)
 
 
 def sanitize_depth(depth: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Depth, or +inf (background) where it is NaN or not above 0."""
-    if bool((depth > 0).all()):  # False for NaN
-        return depth
-    return depth.where(depth > 0, torch.inf)
+    """Depth; a pixel that is NaN or not above 0 gets a neighbour's depth. +inf is background."""
+    valid = depth > 0  # False for NaN
+    return depth if bool(valid.all()) else _fill_from_neighbours(depth, valid, torch.inf)
 
 
 def sanitize_motion(motion: Float[Tensor, "n 2 h w"]) -> Float[Tensor, "n 2 h w"]:
-    """Motion, or a point outside the image where it is not finite: the pixel has no history."""
-    if _is_within(motion, -torch.finfo(motion.dtype).max, torch.finfo(motion.dtype).max):
+    """Motion; a pixel that is not finite gets a neighbour's motion."""
+    limit = torch.finfo(motion.dtype).max
+    if _is_within(motion, -limit, limit):
         return motion
-    return motion.where(motion.isfinite().all(1, keepdim=True), OUTSIDE * max(motion.shape[-2:]))
+    valid = motion.isfinite().all(1, keepdim=True)
+    return _fill_from_neighbours(motion, valid, OUTSIDE * max(motion.shape[-2:]))
+
+
+def _fill_from_neighbours(
+    values: Float[Tensor, "n c h w"], valid: Bool[Tensor, "n 1 h w"], fallback: float
+) -> Float[Tensor, "n c h w"]:
+    """The values, where invalid those of the first valid one of eight neighbours, or `fallback`."""
+    h, w = values.shape[-2:]
+    padded, inside = F.pad(values, (1,) * 4), F.pad(valid, (1,) * 4)
+    filled, missing = values.where(valid, fallback), ~valid
+    for down, right in NEIGHBOURS:
+        window = (..., slice(1 + down, 1 + down + h), slice(1 + right, 1 + right + w))
+        usable = missing & inside[window]
+        filled, missing = torch.where(usable, padded[window], filled), missing & ~usable
+    return filled
 
 
 RULES: Mapping[str, Callable[[Tensor], Tensor]] = {  # by the first word of a buffer's name
