@@ -18,6 +18,7 @@ __all__ = [
     "HoldDensities",
     "RecordRun",
     "ResumeRun",
+    "other_sample",
     "plant_in_buffer",
     "plant_in_samples",
     "plant_in_state",
@@ -34,36 +35,42 @@ VALUES = {
 }
 
 
-def plant_in_samples(frame: Frame, value: float, y: int, x: int) -> Frame:
-    """The frame with `value` in all channels of one pixel's first sample."""
-    assert isinstance(frame.pool, StoredPool)
-    radiance = frame.pool.radiance.clone()
+def plant_in_samples(frame: Frame, value: float | Tensor, y: int, x: int) -> Frame:
+    """The frame with `value`, a number or a colour [n 3], as one pixel's first sample."""
+    radiance = _pool(frame).radiance.clone()
     radiance[:, 0, :, y, x] = value
     return replace(frame, pool=StoredPool(radiance, frame.pool.rounding_seeds))
 
 
-def plant_in_buffer(frame: Frame, name: str, value: float, y: int, x: int) -> Frame:
-    """The frame with `value` in all channels of one pixel of a buffer."""
+def other_sample(frame: Frame, y: int, x: int) -> Tensor:
+    """The last stored sample of a pixel [n 3], which is as good as the first."""
+    return _pool(frame).radiance[:, -1, :, y, x]
+
+
+def plant_in_buffer(frame: Frame, name: str, value: float | Tensor, y: int, x: int) -> Frame:
+    """The frame with `value`, a number or one per channel [n c], in one pixel of a buffer."""
     buffer = frame.gbuffer.buffers[name].clone()
     buffer[..., y, x] = value
     buffers = {**frame.gbuffer.buffers, name: buffer}
     return replace(frame, gbuffer=GBuffer(buffers, frame.gbuffer.static))
 
 
-def plant_in_state(state: State, value: float, size: Size, y: int, x: int) -> tuple[State, int]:
+def plant_in_state(
+    state: State, value: float | None, size: Size, y: int, x: int
+) -> tuple[State, int]:
     """A copy of the state with `value` at one pixel, and the number of tensors that hold it.
 
     The pixel is (y, x) in tensors [n c h w] of the frame's size, and the middle element of tensors
     in another layout. Tensors with fewer elements than the frame has pixels hold no image: they
-    stay unchanged.
+    stay unchanged. With None the pixel becomes equal to its left neighbour.
     """
     copied, count = deepcopy(state), 0
     for tensor in iterate_tensors(copied):
         if tensor.is_floating_point() and tensor.numel() >= size.n * size.h * size.w:
-            if tensor.shape[-2:] == (size.h, size.w):
-                tensor[..., y, x] = value
-            else:
-                tensor.view(-1)[tensor.numel() // 2] = value
+            is_image = tensor.shape[-2:] == (size.h, size.w)
+            pixel = tensor[..., y, x] if is_image else tensor.view(-1)[tensor.numel() // 2]
+            left = tensor[..., y, x - 1] if is_image else tensor.view(-1)[tensor.numel() // 2 - 1]
+            pixel.copy_(left.clone() if value is None else pixel.new_tensor(value))
             count += 1
     return copied, count
 
@@ -111,3 +118,8 @@ class HoldDensities(MethodWrapper[Method]):
         """The next recorded density."""
         self.calls.append(None)
         return self.densities[len(self.calls) - 1]
+
+
+def _pool(frame: Frame) -> StoredPool:
+    assert isinstance(frame.pool, StoredPool)
+    return frame.pool
