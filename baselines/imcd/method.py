@@ -18,13 +18,14 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import FireflyLimit, firefly_limit
 from rlbench.ops.reprojection import reproject
-from rlbench.ops.sanitize import sanitize_radiance
-from rlbench.ops.transfer import squash_depth
+from rlbench.ops.sanitize import is_bounded, sanitize_radiance
+from rlbench.ops.transfer import HALF_MAX, squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["Config", "Imcd", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
+MAX_HISTORY = 100 * HALF_MAX  # the largest radiance over the least demodulation albedo
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state's images, in their order
 
 
@@ -137,7 +138,7 @@ def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor
     if state.age == 0:
         return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
     images, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
-    valid = valid & torch.isfinite(images).all(1, keepdim=True)
+    valid = valid & is_bounded(images, MAX_HISTORY)
     parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
 

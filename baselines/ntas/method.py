@@ -19,13 +19,15 @@ from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.reprojection import reproject
-from rlbench.ops.transfer import log_forward, squash_depth
+from rlbench.ops.sanitize import is_bounded
+from rlbench.ops.transfer import HALF_MAX, log_forward, squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Config", "Ntas", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
 NO_HISTORY = -1.0  # network input where the history is invalid
+MAX_IRRADIANCE = 100 * HALF_MAX  # the largest radiance over the least demodulation albedo
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def _reproject_denoised(
 ) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The previous demodulated image as seen from this frame, zero where it is invalid."""
     history, valid = reproject(state.denoised, gbuffer.motion)
-    valid = valid & torch.isfinite(history).all(1, keepdim=True) & (state.age > 0)
+    valid = valid & is_bounded(history, MAX_IRRADIANCE) & (state.age > 0)
     return history.where(valid, 0.0), valid
 
 

@@ -15,7 +15,8 @@ from methods.ours.sample_encoding import MISSING
 from methods.ours.state import RecurrentState, ReprojectedHistory, detach, gbuffer_features
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.reprojection import reproject, reproject_bicubic
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.sanitize import is_bounded
+from rlbench.ops.transfer import HALF_MAX, log_forward
 
 __all__ = [
     "DenoisedFrame",
@@ -27,6 +28,7 @@ __all__ = [
 ]
 
 STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
+MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504
 SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
 BICUBIC_CHANNELS = [3, 1, 3]  # mean, second moment, previous image
 BILINEAR_CHANNELS = [1, GBUFFER_CHANNELS]  # accumulated spp, G-buffer features
@@ -89,7 +91,8 @@ class LatentHistory:
         """The previous latent at the current pixels; MISSING where it is not valid."""
         state = self.truncate(state)
         features, valid = reproject(state.features, gbuffer.motion)
-        features = features.where(valid & (state.age > 0), MISSING)
+        valid = valid & is_bounded(features, MAX_FEATURE) & (state.age > 0)
+        features = features.where(valid, MISSING)
         inputs = torch.cat((gbuffer_features(gbuffer), features), dim=1)
         return ReprojectedHistory.of_features(inputs, features)
 
@@ -139,7 +142,8 @@ class RadianceHistory(LatentHistory):
         current = gbuffer_features(gbuffer)
         features, spp, previous, valid = self._bilinear(gbuffer, state)
         features = features.where(valid, MISSING)
-        mean, square, image = self._bicubic(gbuffer, state)
+        mean, square, image, is_sound = self._bicubic(gbuffer, state)
+        valid = valid & is_sound
         similarity = feature_similarity(current, previous).where(valid, 0.0)
         radiance = AccumulatedRadiance(mean, square, spp * similarity)
         accumulated = torch.cat((image, network_features(radiance), similarity), dim=1)
@@ -171,19 +175,25 @@ class RadianceHistory(LatentHistory):
         """Features, accumulated spp, G-buffer features, and the mask of valid history."""
         stacked = (state.features, state.radiance.accumulated_spp, state.gbuffer_features)
         moved, valid = reproject(torch.cat(stacked, dim=1), gbuffer.motion)
+        valid = valid & is_bounded(moved[:, : self.channels], MAX_FEATURE) & (state.age > 0)
+        valid = valid & is_bounded(moved[:, self.channels :], HALF_MAX)
+        moved = moved.where(valid, 0.0)
         features, spp, previous = moved.split_with_sizes([self.channels, *BILINEAR_CHANNELS], 1)
-        return features, spp, previous, valid & (state.age > 0)
+        return features, spp, previous, valid
 
-    def _bicubic(self, gbuffer: GBuffer, state: RecurrentState) -> tuple[Tensor, Tensor, Tensor]:
-        """Mean radiance, second moment, and the previous image in log transfer.
+    def _bicubic(
+        self, gbuffer: GBuffer, state: RecurrentState
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Mean radiance, second moment, previous image in log transfer, and a mask of sound pixels.
 
         The image is reprojected in log transfer, since linear bicubic taps beside a lamp are
         dominated by rounding errors.
         """
         stacked = (state.radiance.mean, state.radiance.second_moment, log_forward(state.image))
         moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), gbuffer.motion)
-        mean, square, image = moved.split_with_sizes(BICUBIC_CHANNELS, 1)
-        return mean, square, image
+        is_sound = is_bounded(moved, HALF_MAX**2)
+        mean, square, image = moved.where(is_sound, 0.0).split_with_sizes(BICUBIC_CHANNELS, 1)
+        return mean, square, image, is_sound
 
 
 def _missing(channels: int, size: Size, device: torch.device) -> Tensor:

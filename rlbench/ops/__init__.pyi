@@ -19,6 +19,7 @@ from .padded_rows import PaddedRows
 from .padding import crop, pad
 from .reprojection import reproject, reproject_bicubic, reproject_or_fill
 from .sanitize import (
+    is_bounded,
     sanitize_albedo,
     sanitize_depth,
     sanitize_motion,
@@ -49,6 +50,7 @@ __all__ = [
     "encode_srgb",
     "filtered_albedo",
     "firefly_limit",
+    "is_bounded",
     "kaiming_init",
     "l1",
     "l1_ms_ssim_loss",

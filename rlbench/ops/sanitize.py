@@ -17,6 +17,7 @@ from rlbench.ops.transfer import HALF_MAX
 
 __all__ = [
     "RULES",
+    "is_bounded",
     "sanitize_albedo",
     "sanitize_depth",
     "sanitize_motion",
@@ -94,6 +95,14 @@ def _fill_from_neighbours(
         usable = missing & inside[window]
         filled, missing = torch.where(usable, padded[window], filled), missing & ~usable
     return filled
+
+
+def is_bounded(values: Float[Tensor, "n c h w"], limit: float) -> Bool[Tensor, "n 1 h w"]:
+    """True where all channels of a pixel are finite and at most `limit` in magnitude.
+
+    A method drops history that is not bounded, so that one bad value does not stay for good.
+    """
+    return torch.linalg.vector_norm(values, torch.inf, dim=1, keepdim=True) <= limit
 
 
 RULES: Mapping[str, Callable[[Tensor], Tensor]] = {  # by the first word of a buffer's name

@@ -60,16 +60,17 @@ def plant_in_state(
 ) -> tuple[State, int]:
     """A copy of the state with `value` at one pixel, and the number of tensors that hold it.
 
-    The pixel is (y, x) in tensors [n c h w] of the frame's size, and the middle element of tensors
-    in another layout. Tensors with fewer elements than the frame has pixels hold no image: they
-    stay unchanged. With None the pixel becomes equal to its left neighbour.
+    The pixel is (y, x) in tensors [n c h w] of the frame's size, and the middle of the last
+    dimension in tensors of another layout. Tensors with fewer elements than the frame has pixels
+    hold no image: they stay unchanged. With None the pixel becomes equal to its left neighbour.
     """
     copied, count = deepcopy(state), 0
     for tensor in iterate_tensors(copied):
         if tensor.is_floating_point() and tensor.numel() >= size.n * size.h * size.w:
             is_image = tensor.shape[-2:] == (size.h, size.w)
-            pixel = tensor[..., y, x] if is_image else tensor.view(-1)[tensor.numel() // 2]
-            left = tensor[..., y, x - 1] if is_image else tensor.view(-1)[tensor.numel() // 2 - 1]
+            middle = tensor.shape[-1] // 2
+            pixel = tensor[..., y, x] if is_image else tensor[..., middle]
+            left = tensor[..., y, x - 1] if is_image else tensor[..., middle - 1]
             pixel.copy_(left.clone() if value is None else pixel.new_tensor(value))
             count += 1
     return copied, count
