@@ -16,9 +16,9 @@ from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
-from rlbench.ops.fireflies import FireflyLimit, firefly_limit
+from rlbench.ops.fireflies import limit_sample_fireflies
 from rlbench.ops.reprojection import reproject
-from rlbench.ops.sanitize import is_bounded, sanitize_radiance
+from rlbench.ops.sanitize import is_bounded
 from rlbench.ops.transfer import HALF_MAX, squash_depth
 from rlbench.weights import load_for_inference
 
@@ -124,10 +124,8 @@ class Imcd:
         self, gbuffer: GBuffer, samples: Samples, albedo: Tensor
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
         """Mean irradiance of the samples, and the mean of their embeddings e_t."""
-        radiance = sanitize_radiance(samples.radiance)
-        mean = radiance.sum(1) / samples.counts.clamp_min(1)
-        limit = FireflyLimit(*(part.unsqueeze(1) for part in firefly_limit(mean)))
-        irradiance = limit.apply(radiance) / albedo[:, None]
+        radiance = limit_sample_fireflies(samples.radiance, samples.counts)
+        irradiance = radiance / albedo[:, None]
         features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
         embedding = self.networks.encoder(irradiance.log1p(), features, samples.valid_mask)
         return irradiance.sum(1) / samples.counts.clamp_min(1), embedding

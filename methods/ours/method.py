@@ -32,11 +32,10 @@ from methods.ours.state import (
 from methods.ours.variants import VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.fireflies import FireflyLimit, firefly_limit
+from rlbench.ops.fireflies import limit_sample_fireflies
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.weights import load_for_inference
 
 __all__ = ["CARDS", "Ours", "assemble", "build"]
@@ -90,7 +89,8 @@ class Ours:
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
         """The image in linear radiance, and the state for the next frame."""
-        samples = _limit_samples(samples)
+        radiance = limit_sample_fireflies(samples.radiance, samples.counts)
+        samples = replace(samples, radiance=radiance)
         history = self.reproject(gbuffer, state)
         encoded = self.sample_encoding.encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)
@@ -144,14 +144,6 @@ class Ours:
         if self.networks.training:
             return value
         return torch.cat((value[:, :3].clamp_min(0), value[:, 3:]), dim=1)
-
-
-def _limit_samples(samples: Samples) -> Samples:
-    """Finite samples, none of them far brighter than all pixels around it."""
-    finite = replace(samples, radiance=sanitize_radiance(samples.radiance))
-    limit = firefly_limit(finite.mean)
-    slots = FireflyLimit(*(part.unsqueeze(1) for part in limit))
-    return replace(finite, radiance=slots.apply(finite.radiance))
 
 
 def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:

@@ -10,7 +10,7 @@ from .demodulation import (
 from .density import bounded_exp_density
 from .dither import round_to_total
 from .exposure import autoexposure
-from .fireflies import firefly_limit, limit_fireflies
+from .fireflies import limit_fireflies, limit_sample_fireflies
 from .init import kaiming_init
 from .kernels import apply_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
@@ -49,12 +49,12 @@ __all__ = [
     "demodulation_albedo",
     "encode_srgb",
     "filtered_albedo",
-    "firefly_limit",
     "is_bounded",
     "kaiming_init",
     "l1",
     "l1_ms_ssim_loss",
     "limit_fireflies",
+    "limit_sample_fireflies",
     "log_forward",
     "log_inverse",
     "log_loss",

@@ -1,13 +1,12 @@
-"""Firefly limit: a pixel much brighter than all of its neighbours is dimmed before it spreads."""
+"""Firefly limit: a value far brighter than all pixels around it is dimmed before it spreads."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -15,31 +14,20 @@ from rlbench.ops.color import luminance
 from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
 from rlbench.ops.sanitize import sanitize_radiance
 
-__all__ = ["FireflyLimit", "firefly_limit", "limit_fireflies"]
+__all__ = ["limit_fireflies", "limit_sample_fireflies"]
 
 RADIUS = 2  # pixels around a pixel that vouch for its brightness
 CONTRAST = 64.0  # times the brightest of them, above which a value is taken for an outlier
 
 
-class FireflyLimit(NamedTuple):
-    """The largest plausible luminance of each pixel, and what replaces a larger one."""
-
-    largest: Float[Tensor, "n 1 h w"]
-    replacement: Float[Tensor, "n 1 h w"]
-
-    def apply(self, radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
-        """Linear radiance, scaled to the replacement where it is too bright; the colour stays."""
-        light = luminance(radiance)
-        is_outlier = light > self.largest
-        if not is_outlier.any():
-            return radiance
-        return torch.where(is_outlier, radiance * (self.replacement / light), radiance)
-
-
 def limit_fireflies(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Finite linear radiance without outliers, by `firefly_limit`.
+    """Finite linear radiance without outliers, which get the mean luminance of their window.
 
-    Values that are not finite or negative are replaced first (rlbench.ops.sanitize).
+    An outlier exceeds 64 times the luminance of each other pixel in 5 x 5, and 64 times the
+    log-average luminance of the image (as autoexposure takes it), so that a lamp in the dark is
+    none. Renderers clamp samples to a constant (Cycles: "clamp indirect"); this limit follows the
+    exposure of the scene, and leaves usual fireflies alone. Values that are not finite or negative
+    are replaced first (rlbench.ops.sanitize).
 
     >>> radiance = torch.ones(1, 3, 5, 5)
     >>> radiance[..., 2, 2] = 65504.0
@@ -47,20 +35,32 @@ def limit_fireflies(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h 
     1.0
     """
     radiance = sanitize_radiance(radiance)
-    return firefly_limit(radiance).apply(radiance)
+    return _replace_outliers(radiance, radiance)
 
 
-def firefly_limit(radiance: Float[Tensor, "n 3 h w"]) -> FireflyLimit:
-    """Outliers exceed 64 times the brightest of the other pixels in 5 x 5, which replaces them.
+def limit_sample_fireflies(
+    radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]
+) -> Float[Tensor, "n s 3 h w"]:
+    """As `limit_fireflies`, for single samples, compared with the means of the pixels around.
 
-    In the dark, the log-average luminance of the image takes the place of the brightest pixel, as
-    in autoexposure, so that a small lamp is not an outlier. `radiance` is linear, finite and >= 0.
-    Renderers clamp samples to a constant (Cycles: "clamp indirect"); this limit follows the
-    exposure of the scene, and leaves bright surfaces of two pixels and usual fireflies alone.
+    `counts` is the number of samples per pixel; slots without a sample hold zero.
     """
-    average = MIDDLE_GREY / autoexposure(radiance)
-    brightest = torch.maximum(_max_of_neighbours(luminance(radiance)), average)
-    return FireflyLimit(CONTRAST * brightest, brightest)
+    radiance = sanitize_radiance(radiance)
+    return _replace_outliers(radiance, radiance.sum(1) / counts.clamp_min(1))
+
+
+def _replace_outliers(
+    radiance: Float[Tensor, "*n 3 h w"], mean: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, "*n 3 h w"]:
+    light, average = luminance(mean), MIDDLE_GREY / autoexposure(mean)
+    brightest = torch.maximum(_max_of_neighbours(light), average)
+    value = luminance(radiance)
+    slots = (light.shape[0], *(1,) * (radiance.dim() - 4), *light.shape[1:])
+    is_outlier = value > CONTRAST * brightest.view(slots)
+    if not is_outlier.any():
+        return radiance
+    replacement = _window_mean(torch.minimum(light, brightest)).view(slots)
+    return torch.where(is_outlier, radiance * (replacement / value.clamp_min(1e-30)), radiance)
 
 
 def _max_of_neighbours(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
@@ -72,6 +72,11 @@ def _max_of_neighbours(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h 
     row = _largest([*beside, padded[..., RADIUS : RADIUS + w]])
     others = [row[..., y : y + h, :] for y in offsets if y != RADIUS]
     return _largest([*others, _largest(beside)[..., RADIUS : RADIUS + h, :]])
+
+
+def _window_mean(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """The mean over 5 x 5 pixels, of those inside the image."""
+    return F.avg_pool2d(light, 2 * RADIUS + 1, 1, RADIUS, count_include_pad=False)
 
 
 def _largest(images: Sequence[Tensor]) -> Tensor:

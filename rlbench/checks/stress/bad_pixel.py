@@ -3,8 +3,8 @@
 Frame 2 of a moving procedural clip gets one bad value in a sample, in a buffer or in the state. The
 images are compared with those of a run without it for seven frames. Methods that place their
 samples run with the sample counts of the clean run, and with free counts, in which the fault may
-also move samples. A harmless change at the same place - another sample of the pixel, the buffer or
-the state of its neighbour - is the control.
+also move samples. A legal change at the same place is the control: the brightest stored sample of
+the pixel, the buffer of background, or another pixel's state.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from torch import Tensor
 from rlbench.checks.result import Verdict
 from rlbench.checks.stress.blast import MAX_CHANGED, MAX_FRAMES, Blast, compare_frames
 from rlbench.checks.stress.faults import (
+    BACKGROUND,
     VALUES,
     HoldDensities,
     RecordRun,
     ResumeRun,
-    other_sample,
+    brightest_sample,
     plant_in_buffer,
     plant_in_samples,
     plant_in_state,
@@ -45,7 +46,7 @@ FRAMES = FAULT_FRAME + MAX_FRAMES + 1  # the last one shows whether the sixth le
 SEED = 24
 QUICK_VALUES = ("nan", "65504")
 FREE_VALUES = ("nan", "65504", "minus-one")  # also with free counts, and without sanitising
-HARMLESS = "harmless"
+LEGAL = "legal"
 REMEDIES = {
     "sample": "limit outliers before they are accumulated, exposed or filtered "
     "(rlbench.ops.limit_fireflies)",
@@ -61,7 +62,7 @@ class Fault:
     """A changed first frame of a repeated run, or a changed state before it."""
 
     target: str  # "sample", "state" or the name of a buffer
-    value: str  # its name, or HARMLESS
+    value: str  # its name, or LEGAL
     frame: Frame
     state: State
 
@@ -85,17 +86,17 @@ class CleanRun:
         return ["sample", *sorted(buffers), *(["state"] if has_state else [])]
 
     def plant(self, target: str, value: str) -> Fault:
-        """The fault with the value of this name in VALUES, or a harmless change."""
+        """The fault with the value of this name in VALUES, or a legal change."""
         frame, (y, x) = self.frames[0], self.pixels[0]
         number = VALUES.get(value)
         if target == "state":
             state, _ = plant_in_state(self.state, number, frame.pool.size, y, x)
             return Fault(target, value, frame, state)
         if target == "sample":
-            sample = other_sample(frame, y, x) if number is None else number
+            sample = brightest_sample(frame, y, x) if number is None else number
             return Fault(target, value, plant_in_samples(frame, sample, y, x), self.state)
-        neighbour = frame.gbuffer.buffers[target][..., y, x - 1]
-        bad = plant_in_buffer(frame, target, neighbour if number is None else number, y, x)
+        number = BACKGROUND[target.partition("_")[0]] if number is None else number
+        bad = plant_in_buffer(frame, target, number, y, x)
         return Fault(target, value, bad, self.state)
 
     def repeat(
@@ -143,12 +144,12 @@ def run_clean(stressed: StressedMethod, size: Size = SIZE) -> CleanRun:
 def _compare_values(
     clean: CleanRun, target: str, values: Iterable[str], holds_counts: bool
 ) -> Iterator[StressResult]:
-    harmless = clean.repeat(clean.plant(target, HARMLESS), holds_counts)
+    legal = clean.repeat(clean.plant(target, LEGAL), holds_counts)
     for value in values:
-        yield _judge(clean, clean.plant(target, value), harmless, holds_counts)
+        yield _judge(clean, clean.plant(target, value), legal, holds_counts)
 
 
-def _judge(clean: CleanRun, fault: Fault, harmless: Blast, holds_counts: bool) -> StressResult:
+def _judge(clean: CleanRun, fault: Fault, legal: Blast, holds_counts: bool) -> StressResult:
     stressed = clean.stressed
     moves_samples = stressed.traits.adaptive and not holds_counts
     test = f"{fault.target}-{fault.value}" + ("-free" if moves_samples else "")
@@ -161,10 +162,10 @@ def _judge(clean: CleanRun, fault: Fault, harmless: Blast, holds_counts: bool) -
         return StressResult(
             stressed.name, NAME, test, Verdict.FAILED, unit="pixels", found=found, remedy=remedy
         )
-    verdict = _verdict(blast, harmless)
+    verdict = _verdict(blast, legal)
     found = str(blast)
     if not blast.is_contained():
-        found += f"; a harmless change: {harmless}"
+        found += f"; a legal change: {legal}"
     remedy = "" if verdict is Verdict.PASSED else remedy
     figure, limit = float(blast.changed), float(MAX_CHANGED)
     return StressResult(
@@ -172,11 +173,11 @@ def _judge(clean: CleanRun, fault: Fault, harmless: Blast, holds_counts: bool) -
     )
 
 
-def _verdict(blast: Blast, harmless: Blast) -> Verdict:
-    """Failed if pixels are lost, or if the fault outlives six frames and a harmless change."""
-    if blast.is_contained(harmless):
+def _verdict(blast: Blast, legal: Blast) -> Verdict:
+    """Failed if pixels are lost, or if the fault outlives six frames and a legal change."""
+    if blast.is_contained(legal):
         return Verdict.PASSED
-    is_lasting = blast.frames_until_clean > max(MAX_FRAMES, harmless.frames_until_clean)
+    is_lasting = blast.frames_until_clean > max(MAX_FRAMES, legal.frames_until_clean)
     return Verdict.FAILED if blast.nonfinite or is_lasting else Verdict.WARNING
 
 
@@ -203,12 +204,12 @@ def _judge_unsanitized(clean: CleanRun) -> StressResult:
 
 def _is_contained_unsanitized(clean: CleanRun, target: str, value: str) -> bool:
     holds_counts = clean.stressed.traits.adaptive
-    harmless = clean.repeat(clean.plant(target, HARMLESS), holds_counts)
+    legal = clean.repeat(clean.plant(target, LEGAL), holds_counts)
     try:
         blast = clean.repeat(clean.plant(target, value), holds_counts, read_unsanitized)
     except Exception:  # e.g. a density that is not finite
         return False
-    return blast.is_contained(harmless)
+    return blast.is_contained(legal)
 
 
 def _follow(frames: Sequence[Frame], y: int, x: int) -> list[tuple[int, int]]:

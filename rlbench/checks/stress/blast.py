@@ -20,8 +20,8 @@ MAX_CHANGED = 256  # pixels that a contained fault changes in any frame
 MIN_PSNR_OUTSIDE = 60.0  # dB, of a contained fault outside that radius
 MAX_FRAMES = 6  # until a contained fault has left no trace
 MAX_DB = 150.0  # PSNR of equal images
-TOLERANCE = 1.5  # times as many pixels as a harmless change count as about as many
-PSNR_TOLERANCE = 3.0  # dB below a harmless change that count as about as much
+TOLERANCE = 1.5  # times as many pixels as a legal change count as about as many
+PSNR_TOLERANCE = 3.0  # dB below a legal change that count as about as much
 
 
 @dataclass(frozen=True)
@@ -64,18 +64,18 @@ class Blast:
         """The lowest PSNR outside the radius, in dB."""
         return min(frame.psnr_outside for frame in self.frames)
 
-    def is_contained(self, harmless: Blast | None = None) -> bool:
+    def is_contained(self, legal: Blast | None = None) -> bool:
         """Few pixels changed, next to none outside the radius, and none after six frames.
 
-        `harmless` is the blast of a harmless change at the same place, such as another sample of
-        the same pixel. A fault is contained, too, if it does about as little: a method that
+        `legal` is the blast of a legal change at the same place, such as another sample of the
+        same pixel. A fault is contained, too, if it does about as little: a method that
         averages over time cannot forget any sample within six frames.
         """
         most, frames, least_psnr = MAX_CHANGED, float(MAX_FRAMES), MIN_PSNR_OUTSIDE
-        if harmless:
-            most = max(most, round(TOLERANCE * harmless.changed))
-            frames = max(frames, harmless.frames_until_clean)
-            least_psnr = min(least_psnr, harmless.psnr_outside - PSNR_TOLERANCE)
+        if legal:
+            most = max(most, round(TOLERANCE * legal.changed))
+            frames = max(frames, legal.frames_until_clean)
+            least_psnr = min(least_psnr, legal.psnr_outside - PSNR_TOLERANCE)
         return (
             not self.nonfinite
             and self.changed <= most

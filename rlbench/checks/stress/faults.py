@@ -14,11 +14,12 @@ from rlbench.method import Method, State
 from rlbench.wrappers import MethodWrapper
 
 __all__ = [
+    "BACKGROUND",
     "VALUES",
     "HoldDensities",
     "RecordRun",
     "ResumeRun",
-    "other_sample",
+    "brightest_sample",
     "plant_in_buffer",
     "plant_in_samples",
     "plant_in_state",
@@ -35,6 +36,9 @@ VALUES = {
 }
 
 
+BACKGROUND = {"albedo": 0.0, "normal": 0.0, "depth": math.inf, "motion": 1e4}  # legal values
+
+
 def plant_in_samples(frame: Frame, value: float | Tensor, y: int, x: int) -> Frame:
     """The frame with `value`, a number or a colour [n 3], as one pixel's first sample."""
     radiance = _pool(frame).radiance.clone()
@@ -42,9 +46,10 @@ def plant_in_samples(frame: Frame, value: float | Tensor, y: int, x: int) -> Fra
     return replace(frame, pool=StoredPool(radiance, frame.pool.rounding_seeds))
 
 
-def other_sample(frame: Frame, y: int, x: int) -> Tensor:
-    """The last stored sample of a pixel [n 3], which is as good as the first."""
-    return _pool(frame).radiance[:, -1, :, y, x]
+def brightest_sample(frame: Frame, y: int, x: int) -> Tensor:
+    """The brightest stored sample of a pixel [n 3], for a clip without a batch."""
+    samples = _pool(frame).radiance[0, :, :, y, x]
+    return samples[samples.sum(1).argmax()][None]
 
 
 def plant_in_buffer(frame: Frame, name: str, value: float | Tensor, y: int, x: int) -> Frame:
@@ -62,7 +67,8 @@ def plant_in_state(
 
     The pixel is (y, x) in tensors [n c h w] of the frame's size, and the middle of the last
     dimension in tensors of another layout. Tensors with fewer elements than the frame has pixels
-    hold no image: they stay unchanged. With None the pixel becomes equal to its left neighbour.
+    hold no image: they stay unchanged. With None the pixel gets the values of the one halfway
+    to the left border.
     """
     copied, count = deepcopy(state), 0
     for tensor in iterate_tensors(copied):
@@ -70,8 +76,8 @@ def plant_in_state(
             is_image = tensor.shape[-2:] == (size.h, size.w)
             middle = tensor.shape[-1] // 2
             pixel = tensor[..., y, x] if is_image else tensor[..., middle]
-            left = tensor[..., y, x - 1] if is_image else tensor[..., middle - 1]
-            pixel.copy_(left.clone() if value is None else pixel.new_tensor(value))
+            other = tensor[..., y, x // 2] if is_image else tensor[..., middle - size.w // 4]
+            pixel.copy_(other.clone() if value is None else pixel.new_tensor(value))
             count += 1
     return copied, count
 
