@@ -18,14 +18,15 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_sample_fireflies
 from rlbench.ops.reprojection import reproject
-from rlbench.ops.sanitize import is_bounded
+from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import HALF_MAX, squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["Config", "Imcd", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
-MAX_HISTORY = 100 * HALF_MAX  # the largest radiance over the least demodulation albedo
+MAX_FEATURE = 1e4  # in magnitude, of embeddings and features; usual ones are below 100
+MAX_IRRADIANCE = 100 * HALF_MAX  # the largest radiance over the least demodulation albedo
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state's images, in their order
 
 
@@ -135,8 +136,9 @@ def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor
     """The state as seen from this frame, zero where it is invalid, and the validity mask."""
     if state.age == 0:
         return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
-    images, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
-    valid = valid & is_bounded(images, MAX_HISTORY)
+    limits = ((-MAX_FEATURE, MAX_FEATURE), (0.0, MAX_IRRADIANCE)) * 2
+    parts = [repair_history(part, *limit) for part, limit in zip(state[:4], limits, strict=True)]
+    images, valid = reproject(torch.cat(parts, 1), gbuffer.motion)
     parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
 

@@ -19,7 +19,7 @@ from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.reprojection import reproject
-from rlbench.ops.sanitize import is_bounded
+from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import HALF_MAX, log_forward, squash_depth
 from rlbench.weights import load_for_inference
 
@@ -116,8 +116,9 @@ def _reproject_denoised(
     gbuffer: GBuffer, state: State
 ) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The previous demodulated image as seen from this frame, zero where it is invalid."""
-    history, valid = reproject(state.denoised, gbuffer.motion)
-    valid = valid & is_bounded(history, MAX_IRRADIANCE) & (state.age > 0)
+    denoised = repair_history(state.denoised, 0.0, MAX_IRRADIANCE)
+    history, valid = reproject(denoised, gbuffer.motion)
+    valid = valid & (state.age > 0)
     return history.where(valid, 0.0), valid
 
 

@@ -15,7 +15,7 @@ from methods.ours.sample_encoding import MISSING
 from methods.ours.state import RecurrentState, ReprojectedHistory, detach, gbuffer_features
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.reprojection import reproject, reproject_bicubic
-from rlbench.ops.sanitize import is_bounded
+from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import HALF_MAX, log_forward
 
 __all__ = [
@@ -28,6 +28,8 @@ __all__ = [
 ]
 
 STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
+MIN_IMAGE = -0.01  # linear radiance; while training images may be negative
+MAX_SPP = 1e4  # accumulated samples; a larger number is no count
 MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504
 SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
 BICUBIC_CHANNELS = [3, 1, 3]  # mean, second moment, previous image
@@ -90,9 +92,9 @@ class LatentHistory:
     def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
         """The previous latent at the current pixels; MISSING where it is not valid."""
         state = self.truncate(state)
-        features, valid = reproject(state.features, gbuffer.motion)
-        valid = valid & is_bounded(features, MAX_FEATURE) & (state.age > 0)
-        features = features.where(valid, MISSING)
+        features = repair_history(state.features, -1.0, MAX_FEATURE)
+        features, valid = reproject(features, gbuffer.motion)
+        features = features.where(valid & (state.age > 0), MISSING)
         inputs = torch.cat((gbuffer_features(gbuffer), features), dim=1)
         return ReprojectedHistory.of_features(inputs, features)
 
@@ -142,8 +144,7 @@ class RadianceHistory(LatentHistory):
         current = gbuffer_features(gbuffer)
         features, spp, previous, valid = self._bilinear(gbuffer, state)
         features = features.where(valid, MISSING)
-        mean, square, image, is_sound = self._bicubic(gbuffer, state)
-        valid = valid & is_sound
+        mean, square, image = self._bicubic(gbuffer, state)
         similarity = feature_similarity(current, previous).where(valid, 0.0)
         radiance = AccumulatedRadiance(mean, square, spp * similarity)
         accumulated = torch.cat((image, network_features(radiance), similarity), dim=1)
@@ -173,27 +174,29 @@ class RadianceHistory(LatentHistory):
         self, gbuffer: GBuffer, state: RecurrentState
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Features, accumulated spp, G-buffer features, and the mask of valid history."""
-        stacked = (state.features, state.radiance.accumulated_spp, state.gbuffer_features)
+        stacked = (
+            repair_history(state.features, -1.0, MAX_FEATURE),
+            repair_history(state.radiance.accumulated_spp, 0.0, MAX_SPP),
+            repair_history(state.gbuffer_features, -1.1, 1.1),
+        )
         moved, valid = reproject(torch.cat(stacked, dim=1), gbuffer.motion)
-        valid = valid & is_bounded(moved[:, : self.channels], MAX_FEATURE) & (state.age > 0)
-        valid = valid & is_bounded(moved[:, self.channels :], HALF_MAX)
-        moved = moved.where(valid, 0.0)
         features, spp, previous = moved.split_with_sizes([self.channels, *BILINEAR_CHANNELS], 1)
-        return features, spp, previous, valid
+        return features, spp, previous, valid & (state.age > 0)
 
-    def _bicubic(
-        self, gbuffer: GBuffer, state: RecurrentState
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Mean radiance, second moment, previous image in log transfer, and a mask of sound pixels.
+    def _bicubic(self, gbuffer: GBuffer, state: RecurrentState) -> tuple[Tensor, Tensor, Tensor]:
+        """Mean radiance, second moment, and the previous image in log transfer.
 
         The image is reprojected in log transfer, since linear bicubic taps beside a lamp are
         dominated by rounding errors.
         """
-        stacked = (state.radiance.mean, state.radiance.second_moment, log_forward(state.image))
+        stacked = (
+            repair_history(state.radiance.mean, 0.0, HALF_MAX),
+            repair_history(state.radiance.second_moment, 0.0, HALF_MAX**2),
+            log_forward(repair_history(state.image, MIN_IMAGE, HALF_MAX)),
+        )
         moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), gbuffer.motion)
-        is_sound = is_bounded(moved, HALF_MAX**2)
-        mean, square, image = moved.where(is_sound, 0.0).split_with_sizes(BICUBIC_CHANNELS, 1)
-        return mean, square, image, is_sound
+        mean, square, image = moved.split_with_sizes(BICUBIC_CHANNELS, 1)
+        return mean, square, image
 
 
 def _missing(channels: int, size: Size, device: torch.device) -> Tensor:

@@ -19,7 +19,7 @@ from .padded_rows import PaddedRows
 from .padding import crop, pad
 from .reprojection import reproject, reproject_bicubic, reproject_or_fill
 from .sanitize import (
-    is_bounded,
+    repair_history,
     sanitize_albedo,
     sanitize_depth,
     sanitize_motion,
@@ -49,7 +49,6 @@ __all__ = [
     "demodulation_albedo",
     "encode_srgb",
     "filtered_albedo",
-    "is_bounded",
     "kaiming_init",
     "l1",
     "l1_ms_ssim_loss",
@@ -64,6 +63,7 @@ __all__ = [
     "pu_forward",
     "pu_inverse",
     "reflectance",
+    "repair_history",
     "reproject",
     "reproject_bicubic",
     "reproject_or_fill",

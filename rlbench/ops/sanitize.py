@@ -17,7 +17,7 @@ from rlbench.ops.transfer import HALF_MAX
 
 __all__ = [
     "RULES",
-    "is_bounded",
+    "repair_history",
     "sanitize_albedo",
     "sanitize_depth",
     "sanitize_motion",
@@ -97,12 +97,20 @@ def _fill_from_neighbours(
     return filled
 
 
-def is_bounded(values: Float[Tensor, "n c h w"], limit: float) -> Bool[Tensor, "n 1 h w"]:
-    """True where all channels of a pixel are finite and at most `limit` in magnitude.
+def repair_history(
+    history: Float[Tensor, "n c h w"], least: float, most: float
+) -> Float[Tensor, "n c h w"]:
+    """History in which a pixel that is not finite, or outside [least, most], equals a neighbour.
 
-    A method drops history that is not bounded, so that one bad value does not stay for good.
+    Before reprojection, so that one bad value neither spreads over the taps nor stays for good.
+
+    >>> repair_history(torch.tensor([[[[0.5, torch.nan, 0.25]]]]), least=0.0, most=1.0)
+    tensor([[[[0.5000, 0.5000, 0.2500]]]])
     """
-    return torch.linalg.vector_norm(values, torch.inf, dim=1, keepdim=True) <= limit
+    if _is_within(history, least, most):
+        return history
+    valid = ((history >= least) & (history <= most)).all(1, keepdim=True)  # False for NaN
+    return _fill_from_neighbours(history, valid, 0.0)
 
 
 RULES: Mapping[str, Callable[[Tensor], Tensor]] = {  # by the first word of a buffer's name
