@@ -20,7 +20,7 @@ MAX_CHANGED = 256  # pixels that a contained fault changes in any frame
 MIN_PSNR_OUTSIDE = 60.0  # dB, of a contained fault outside that radius
 MAX_FRAMES = 6  # until a contained fault has left no trace
 MAX_DB = 150.0  # PSNR of equal images
-TOLERANCE = 1.5  # times as many pixels as a legal change count as about as many
+TOLERANCE = 1.5  # times as many pixels, or as large a residue, as a legal change: about as much
 PSNR_TOLERANCE = 3.0  # dB below a legal change that count as about as much
 
 
@@ -32,6 +32,7 @@ class FrameBlast:
     distance: float  # pixels, from the fault to the farthest changed pixel
     psnr_outside: float  # dB, of the pixels farther than 8 pixels away
     nonfinite: int  # pixels
+    error: float  # largest change of a display value in [0, 1]
     largest: float  # finite value in the image, in display whites
 
 
@@ -64,23 +65,28 @@ class Blast:
         """The lowest PSNR outside the radius, in dB."""
         return min(frame.psnr_outside for frame in self.frames)
 
+    @property
+    def residue(self) -> float:
+        """The largest change of a display value that is left in the last frame."""
+        return self.frames[-1].error
+
     def is_contained(self, legal: Blast | None = None) -> bool:
-        """Few pixels changed, next to none outside the radius, and none after six frames.
+        """Few pixels changed, next to none outside the radius, and no residue after six frames.
 
         `legal` is the blast of a legal change at the same place, such as another sample of the
         same pixel. A fault is contained, too, if it does about as little: a method that
         averages over time cannot forget any sample within six frames.
         """
-        most, frames, least_psnr = MAX_CHANGED, float(MAX_FRAMES), MIN_PSNR_OUTSIDE
+        most, residue, least_psnr = MAX_CHANGED, THRESHOLD, MIN_PSNR_OUTSIDE
         if legal:
             most = max(most, round(TOLERANCE * legal.changed))
-            frames = max(frames, legal.frames_until_clean)
+            residue = max(residue, TOLERANCE * legal.residue)
             least_psnr = min(least_psnr, legal.psnr_outside - PSNR_TOLERANCE)
         return (
             not self.nonfinite
             and self.changed <= most
             and self.psnr_outside >= least_psnr
-            and self.frames_until_clean <= frames
+            and self.residue <= residue
         )
 
     def __str__(self) -> str:
@@ -113,6 +119,7 @@ def compare_frames(
         float(distance[changed].amax()) if changed.any() else 0.0,
         min(MAX_DB, -10 * math.log10(mse)) if mse > 0 else MAX_DB,
         int((~finite).sum()),
+        float(error.amax()),
         float(image.where(image.isfinite(), 0.0).amax()),
     )
 
