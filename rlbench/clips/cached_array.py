@@ -1,7 +1,7 @@
 """One cached array: a .npy file that ends in its size and checksum, so damage is noticed.
 
 numpy and other readers ignore what follows the values. The checksum of a file is computed once per
-process, and again where the file changed; header, type, shape and size are checked on every opening.
+process, and again where the file changed; type, shape and size are checked on every opening.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rlbench.system.paths import atomic_write
+from rlbench.system.paths import cache_write
 
 __all__ = ["open_array", "write_array"]
 
@@ -27,7 +27,7 @@ TYPES = (np.float16, np.float32)
 
 def write_array(path: Path, array: NDArray[np.floating]) -> None:
     """Write an array with its checksum atomically. Raises `rlbench.system.paths.WriteError`."""
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
+    with cache_write(path) as temporary, temporary.open("wb") as file:
         np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
         size = file.tell()
         file.flush()

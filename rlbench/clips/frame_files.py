@@ -145,7 +145,7 @@ def nonfinite_mask(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
 
 def exceeds_float(radiance: NDArray[Any], exposure: float) -> bool:
     """Whether exposed radiance is beyond the largest float32, in which methods receive it."""
-    return bool(np.abs(radiance).max(initial=0) * float(exposure) > MAX_FLOAT)
+    return float(np.abs(radiance).max(initial=0)) * exposure > MAX_FLOAT
 
 
 def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:

@@ -16,12 +16,14 @@ __all__ = [
     "WriteError",
     "atomic_write",
     "cache_folder",
+    "cache_write",
     "clips_folder",
     "decoded_folder",
     "write_error",
 ]
 
-UNWRITABLE = {  # errors of the disk or the folder, which the user can mend
+UNWRITABLE = {  # errors of the disk or the folder, which the user can mend; numpy gives no number
+    None,
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
     *(errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP),
 }
@@ -58,20 +60,46 @@ def atomic_write(path: Path) -> Iterator[Path]:
     before the name does. The folder is created. If the block raises, the temporary file is removed
     and `path` stays as it was. Raises WriteError where the disk or the folder takes no file.
     """
-    temporary = path.with_name(f".{uuid.uuid4().hex}.{path.name[-200:]}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with _written_aside(path) as temporary:
         yield temporary
         _synchronize(temporary)
-        temporary.replace(path)
+    with _explained(path):
         _synchronize(path.parent)
+
+
+@contextmanager
+def cache_write(path: Path) -> Iterator[Path]:
+    """`atomic_write` without waiting for the disk, for files that are verified when they are read.
+
+    After a power failure, the file may be damaged.
+    """
+    with _written_aside(path) as temporary:
+        yield temporary
+
+
+@contextmanager
+def _written_aside(path: Path) -> Iterator[Path]:
+    """Yield a temporary path, rename it to `path` after the block, and leave nothing on an error."""
+    temporary = path.with_name(f".{uuid.uuid4().hex}.{path.name[-200:]}")
+    try:
+        with _explained(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Raise errors of the disk and the folder as WriteError."""
+    try:
+        yield
     except OSError as error:
         if isinstance(error, RlbenchError) or error.errno not in UNWRITABLE:
             raise
         raise write_error(path, error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def write_error(path: Path, reason: object) -> WriteError:

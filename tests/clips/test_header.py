@@ -112,7 +112,10 @@ def test_an_unknown_buffer_is_an_error():
 
 def test_a_contradiction_in_clip_toml_is_reported_as_it_is_from_python(folder):
     _edit(folder, "exposure = 0.5", "exposure = -1")
-    with pytest.raises(ClipError, match=r"^clip 'street/mini': exposure is -1\.0, expected 1e-12 to 1e\+12; correct clip"):
+    with pytest.raises(
+        ClipError,
+        match=r"^clip 'street/mini': exposure is -1\.0, expected 1e-12 to 1e\+12; correct clip",
+    ):
         read_header(folder)
 
 

@@ -78,8 +78,8 @@ def select_frames(
 ) -> tuple[int, ...]:
     """The frame numbers in the range `frames`, or all of them.
 
-    Raises SourceError where a frame between first and last is missing, or there are too many. `label` names the sequence
-    in the message.
+    Raises SourceError where a frame between first and last is missing, or there are too many.
+    `label` names the sequence in the message.
     """
     existing = set(numbers)
     first, end = frames or (min(existing), max(existing) + 1)

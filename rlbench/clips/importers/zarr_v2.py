@@ -64,7 +64,6 @@ def read_metadata(archive: zipfile.ZipFile, key: str) -> ZarrMetadata:
         raise SourceError(f"{label} is of type {metadata.dtype}; only numbers are read")
     if len(shape) != len(chunks) or not 1 <= len(shape) <= 8 or min(*shape, *chunks) < 1:
         raise SourceError(f"{label} has shape {shape} in chunks of {chunks}")
-    _check_unpacked(archive, f"{label}, a chunk", metadata.chunk_bytes)
     if metadata.chunk_bytes > MAX_ARRAY_BYTES or math.prod(metadata.chunk_counts) > MAX_CHUNKS:
         raise SourceError(
             f"{label} claims chunks of {metadata.chunk_bytes} bytes for a shape of {shape}; at "
@@ -103,6 +102,7 @@ def read_array(archive: zipfile.ZipFile, key: str, last: int | None = None) -> N
             f"{archive.filename}, array '{key}' claims {size} bytes; "
             f"at most {MAX_ARRAY_BYTES} are read"
         )
+    size = max(size, metadata.chunk_bytes)
     _check_unpacked(archive, f"{archive.filename}, array '{key}'", size)
     chunks = metadata.chunks
     values = np.full(shape, metadata.fill, metadata.dtype)
@@ -154,7 +154,7 @@ def _check_unpacked(archive: zipfile.ZipFile, label: str, size: int) -> None:
     if size > max(SMALL_BYTES, MAX_RATIO * packed):
         raise SourceError(
             f"{label} unpacks to {size} bytes, {size // packed} times the {packed} bytes of the "
-            f"file; at most {MAX_RATIO} times are read. Write the frame anew if it is genuine"
+            f"file; at most {MAX_RATIO} times are read. Write the frame again without compression if it is genuine"
         )
 
 
