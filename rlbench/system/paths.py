@@ -79,7 +79,7 @@ def cache_write(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _written_aside(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, rename it to `path` after the block, and leave nothing on an error."""
+    """Yield a temporary path and rename it to `path`; nothing is left of it after an error."""
     temporary = path.with_name(f".{uuid.uuid4().hex}.{path.name[-200:]}")
     try:
         with _explained(path):

@@ -154,7 +154,7 @@ def _check_unpacked(archive: zipfile.ZipFile, label: str, size: int) -> None:
     if size > max(SMALL_BYTES, MAX_RATIO * packed):
         raise SourceError(
             f"{label} unpacks to {size} bytes, {size // packed} times the {packed} bytes of the "
-            f"file; at most {MAX_RATIO} times are read. Write the frame again without compression if it is genuine"
+            f"file; at most {MAX_RATIO} times are read. If it is genuine, write it uncompressed"
         )
 
 
