@@ -43,20 +43,19 @@ class DecodeCache:
     def _load(self, kind: str, index: int, names: Sequence[str]) -> Arrays:
         """Images by name. Those that the cache lacks, or holds damaged, are decoded together."""
         files = {name: self._cache_file(kind, index, name) for name in names}
-        arrays = {name: open_array(path, self._shape(name)) for name, path in files.items()}
-        missing = [name for name, array in arrays.items() if array is None]
-        if missing:
+        cached = {name: open_array(path, self._shape(name)) for name, path in files.items()}
+        if missing := [name for name, array in cached.items() if array is None]:
             decoded = decode_images(exr_path(self.folder, kind, index), missing, self.header)
             for name, array in decoded.items():
                 write_array(files[name], array)
-                arrays[name] = open_array(files[name], array.shape)
-        for name, array in arrays.items():
-            if array is None:
-                raise ClipError(
-                    f"{files[name]} was written and cannot be read back; the disk of "
-                    f"{paths.decoded_folder()} may be failing. Set RLBENCH_CACHE to another folder"
-                )
-        return {name: array for name, array in arrays.items() if array is not None}
+                cached[name] = open_array(files[name], array.shape)
+        arrays = {name: array for name, array in cached.items() if array is not None}
+        if lost := sorted(files.keys() - arrays.keys()):
+            raise ClipError(
+                f"{files[lost[0]]} was written and cannot be read back; the disk of "
+                f"{paths.decoded_folder()} may be failing. Set RLBENCH_CACHE to another folder"
+            )
+        return arrays
 
     def _shape(self, name: str) -> tuple[int, int, int]:
         """Channels, height and width of an image."""

@@ -141,7 +141,7 @@ OUT_OF_RANGE = [
     ("seed = 0", "seed = -1", "seed is -1, expected 0 to"),
     ("height = 5", "height = 1000000", "height is 1000000, expected 1 to 65536"),
     ("frames = 2", "frames = 100001", "frames is 100001, expected 1 to 100000"),
-    ("[64, 32]", "[64, -32]", "reference_spp lists -32, expected 0 to 2147483647"),
+    ("    32,", "    -32,", "reference_spp lists -32, expected 0 to 2147483647"),
     ("noise_ceiling_db = []", "noise_ceiling_db = [1e9, 3.0]", "noise_ceiling_db lists 1000000000"),
     ("pools_ms = []", "pools_ms = [1.0, 2.0]", "pools_ms lists 2 pools, the clip has 1"),
     ('"path"', '"../../path"', "pools has '../../path', expected letters, digits"),
