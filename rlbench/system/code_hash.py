@@ -26,6 +26,8 @@ CORE = (
     "rlbench.method",
     "rlbench.sampling",
     "rlbench.ops.dither",
+    "rlbench.ops.sanitize",
+    "rlbench.sanitize",
     "rlbench.run",
     "rlbench.clips.stored",
     "rlbench.clips.frame_files",
