@@ -3,7 +3,8 @@
 Cells that are in the results already are not run again, so a killed run resumes where it stopped.
 A cell whose content has changed (code, weights, clip, cost) replaces its older version, so that a
 results folder holds one answer for each method, clip, budget, seed and device. A cell that cannot
-run is one row with the reason; if the reason was an error, the next run tries the cell again.
+run is one row with the reason; if the reason was an error, the next run tries the cell again. A
+damaged row file is set aside, and its cell counts as missing.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ class RunSummary:
     skipped: int = 0  # with a reason instead
     cached: int = 0  # in the results already
     replaced: int = field(default=0, compare=False)  # older versions, removed
+    set_aside: tuple[Path, ...] = field(default=(), compare=False)  # damaged row files, renamed
 
     def __add__(self, other: RunSummary) -> RunSummary:
         """The counts of two runs together."""
@@ -64,6 +66,7 @@ class RunSummary:
             self.skipped + other.skipped,
             self.cached + other.cached,
             self.replaced + other.replaced,
+            self.set_aside + other.set_aside,
         )
 
 
@@ -89,7 +92,7 @@ def measure(
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
     missing = [cell for cell in cells if cell_ids[cell.key] not in store.cells]
-    summary = RunSummary()
+    summary = RunSummary(set_aside=store.set_aside)
     for cell in cells:
         if cell not in missing:
             replaced = store.drop_superseded(cell_ids[cell.key])
@@ -125,6 +128,7 @@ class _Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.set_aside = tuple(results.set_aside_damaged(folder))
         self.cells = results.cells(folder)
         self.slots = by_slot(self.cells)
 

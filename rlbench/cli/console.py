@@ -87,6 +87,9 @@ def importing(frames: int) -> Iterator[Callable[[], None]]:
 def print_summary(summary: RunSummary, out: Path) -> None:
     """Print what happened to the cells of a run."""
     console = Console()
+    for file in summary.set_aside:
+        text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
+        console.print(text, style="yellow", markup=False, soft_wrap=True)
     if not summary.measured + summary.skipped:
         console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
         return

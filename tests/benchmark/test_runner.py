@@ -98,6 +98,29 @@ def test_a_second_run_measures_nothing(clip_folder, tmp_path):
     assert _files(tmp_path / "r") == before
 
 
+@pytest.mark.parametrize("keep", [0.5, 0.0])
+def test_a_damaged_row_file_is_set_aside_and_its_cell_is_measured_again(
+    clip_folder, tmp_path, keep
+):
+    plan = run_plan(clip_folder, target_spp=(1.0, 2.0, 3.0))
+    measure(plan, tmp_path / "r")
+    before, files = scores(tmp_path / "r"), _files(tmp_path / "r")
+    damaged, *others = sorted((tmp_path / "r").glob("*.parquet"))
+    content = damaged.read_bytes()
+    middle = len(content) // 3  # inside the column chunks, which the footer does not cover
+    changed = content[: int(len(content) * keep)] or content[:middle] + b"!" + content[middle + 1 :]
+    damaged.write_bytes(changed)
+    with pytest.raises(table.TableError, match=re.escape(damaged.name)):
+        table.read(tmp_path / "r")
+
+    done = measure(plan, tmp_path / "r")
+    assert done == RunSummary(measured=1, cached=2)
+    (aside,) = done.set_aside
+    assert aside.read_bytes() == changed
+    assert scores(tmp_path / "r") == before
+    assert {f.name: files[f.name] for f in others}.items() <= _files(tmp_path / "r").items()
+
+
 def test_scores_of_two_runs_are_equal_bit_for_bit(clip_folder, tmp_path):
     for folder in ("a", "b"):
         measure(run_plan(clip_folder, target_spp=(0.5, 3.0), seeds=(0, 1)), tmp_path / folder)

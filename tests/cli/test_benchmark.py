@@ -50,6 +50,15 @@ def test_the_same_run_again_does_nothing_and_says_so(run_mean):
     assert "nothing to do: all 4 cells are in" in rlbench(*run_mean)
 
 
+def test_a_damaged_row_file_is_named(run_mean, tmp_path):
+    rlbench(*run_mean)
+    file = min((tmp_path / "r").glob("*.parquet"))
+    file.write_bytes(file.read_bytes()[:-9])
+    output = rlbench(*run_mean)
+    assert f"a damaged row file was set aside as {file}.damaged" in output
+    assert "1 cells measured, 3 already in the results, 0 skipped" in output
+
+
 def test_clips_of_a_folder_are_selected_by_scene(tmp_path):
     for scene in ("foyer", "attic"):
         write_noise(tmp_path / "clips" / scene, scene)
