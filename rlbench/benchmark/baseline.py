@@ -131,7 +131,7 @@ def _rename(entry: Any) -> Any:
     """An entry under today's keys; anything else is left for `documents.decode` to refuse."""
     if not isinstance(entry, dict):
         return entry
-    renamed = {RENAMED.get(key, key): value for key, value in entry.items()}
+    renamed: dict[str, Any] = {RENAMED.get(k, k): value for k, value in entry.items()}
     _check_keys(renamed, BaselineEntry)
     return renamed
 

@@ -10,6 +10,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from tests.conftest import write_noise, write_plugin
 from tests.learning_plugin import write_learner
 
 CHECKOUT = Path(__file__).parents[2]
-KILLS = 4  # of each command
+KILLS = 3  # of each command
 POLL = 0.005  # seconds
 
 pytestmark = pytest.mark.slow
@@ -40,14 +41,18 @@ def wait(child: subprocess.Popen[bytes]) -> None:
     assert child.returncode == 0, output.decode()
 
 
-def writes(folder: Path) -> int:
-    """The number of files in a folder, temporary ones included; grows while a command works."""
-    return sum(path.is_file() for path in folder.rglob("*"))
+def snapshot(folder: Path) -> dict[str, int]:
+    """Times of all files and folders, temporary ones included; changes while a command works."""
+    times = {}
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):
+            times[str(path)] = path.stat().st_mtime_ns
+    return times
 
 
 def working_seconds(child: subprocess.Popen[bytes], folder: Path) -> float:
     """The time from a command's first file to its end."""
-    while child.poll() is None and not writes(folder):
+    while child.poll() is None and not snapshot(folder):
         time.sleep(POLL)
     began = time.monotonic()
     wait(child)
@@ -67,9 +72,9 @@ def kill_and_repeat(words: Callable[[Path], Sequence[object]], tmp_path: Path, s
     seconds = working_seconds(start(words(undisturbed), tmp_path / "cache"), undisturbed)
     kills = 0
     for _ in range(KILLS):
-        before = writes(killed)
+        before = snapshot(killed)
         child = start(words(killed), tmp_path / "cache")
-        while child.poll() is None and writes(killed) <= before:
+        while child.poll() is None and snapshot(killed) == before:
             time.sleep(POLL)
         time.sleep(moments.uniform(0, seconds / 2))
         kills += child.poll() is None
