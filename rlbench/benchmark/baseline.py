@@ -131,7 +131,8 @@ def _rename(entry: Any) -> Any:
     """An entry under today's keys; anything else is left for `documents.decode` to refuse."""
     if not isinstance(entry, dict):
         return entry
-    renamed: dict[str, Any] = {RENAMED.get(k, k): value for k, value in entry.items()}
+    document: dict[str, Any] = entry
+    renamed = {RENAMED.get(key, key): value for key, value in document.items()}
     _check_keys(renamed, BaselineEntry)
     return renamed
 
