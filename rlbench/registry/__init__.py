@@ -26,6 +26,7 @@ from rlbench.registry.methods import (
     shipped_weights,
     training_task,
 )
+from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
 from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
 
 __all__ = [
@@ -33,9 +34,11 @@ __all__ = [
     "METHODS_VARIABLE",
     "PluginEntry",
     "PluginError",
+    "PluginExitError",
     "clear_plugins",
     "current_name",
     "list_entries",
+    "exits_as_errors",
     "expand",
     "load_family",
     "import_error",

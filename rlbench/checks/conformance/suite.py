@@ -62,7 +62,8 @@ def _run(method_under_test: MethodUnderTest, check: Check) -> CheckResult:
     if reason := _skip_reason(method_under_test, check):
         return not_applicable(label, reason)
     try:
-        fault = check.find_fault(method_under_test)
+        with registry.exits_as_errors():
+            fault = check.find_fault(method_under_test)
     except Exception as error:  # whatever a method raises is reported
         return failed(label, _describe(method_under_test, error), check.remedy, error)
     return failed(label, fault, check.remedy) if fault else passed(label)
