@@ -1,0 +1,213 @@
+"""Section precision: float64 as truth for float32, bf16 and fp16; reruns, threads, batch, device."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rlbench.checks.stress.conversion import (
+    convert_clip,
+    convert_method,
+    default_dtype,
+    thread_count,
+)
+from rlbench.checks.stress.display import largest_difference, psnr
+from rlbench.checks.stress.frame_edits import select_clip, to_clip
+from rlbench.checks.stress.held_density import Autocast, RecordDensity, ReplayDensity
+from rlbench.checks.stress.result import Limits, StressResult, judge, skip
+from rlbench.checks.stress.section import MethodSection, StressedMethod
+from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Size
+from rlbench.method import Method
+from rlbench.run import run_clip
+
+__all__ = ["SECTION", "run"]
+
+NAME = "precision"
+SEED = 7200
+CLIPS = 3  # in the batch
+SIZE, QUICK_SIZE = Size(CLIPS, 32, 48), Size(CLIPS, 16, 24)
+FRAMES, QUICK_FRAMES = 5, 3
+
+# PSNR is reported with two digits, so float32 must not change them.
+FLOAT32_LOSS = Limits(good=0.005, fair=0.1, unit="dB")
+# An ablation's differences are a few tenths of a dB.
+HALF_LOSS = Limits(good=0.1, fair=0.5, unit="dB")
+# 1e-3 is the blast radius' threshold of a changed pixel; 1/255 is a step of an 8-bit display.
+FLOAT32_PIXEL = Limits(good=1e-3, fair=1 / 255, unit="display")
+# bf16 has 8 bits, so a step of 8-bit sRGB is unavoidable; 8 steps are visible in a smooth region.
+HALF_PIXEL = Limits(good=8 / 255, fair=32 / 255, unit="display")
+BIT_EQUAL = Limits(good=0.0, fair=0.0, unit="display")
+
+KEEP_FLOAT32 = "compute exposure, sums over many pixels, divisions and logarithms in float32"
+REDUCED = {"bf16": torch.bfloat16, "fp16": torch.float16}
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Runs of one method over one batch of clips; all but the first replay its densities."""
+
+    stressed_method: StressedMethod
+    clip: InMemoryClip
+
+    @cached_property
+    def recorded(self) -> tuple[list[Tensor], list[Tensor]]:
+        """The images in float32, and the densities."""
+        method = RecordDensity(self.stressed_method.method)
+        return self.images(method, self.clip), method.densities
+
+    def images(self, method: Method, clip: InMemoryClip) -> list[Tensor]:
+        """The images of a clip."""
+        return [result.image for result in run_clip(method, clip, self.stressed_method.default_spp)]
+
+    def replay(self, method: Method, clip: InMemoryClip | None = None) -> list[Tensor]:
+        """The images of the clip, or of the same clip converted, with the recorded densities."""
+        held = ReplayDensity.of(method, self.recorded[1])
+        return self.images(held, self.clip if clip is None else clip)
+
+    @cached_property
+    def truth(self) -> list[Tensor] | Exception:
+        """The images in float64, or the exception that a method raises there."""
+        try:
+            method = convert_method(self.stressed_method.method, torch.float64)
+            with default_dtype(torch.float64):
+                images = self.replay(method, convert_clip(self.clip, torch.float64))
+        except Exception as error:  # a method may raise anything in a precision it was not made for
+            return error
+        if images[-1].dtype != torch.float64:
+            return TypeError(f"the image is {images[-1].dtype}, so a part computes in it")
+        return images
+
+    def loss(self, truth: list[Tensor], images: list[Tensor]) -> float:
+        """dB by which the mean PSNR of `images` is below that of `truth`."""
+        references = [frame.reference.mean for frame in self.clip]
+        pairs = zip(truth, images, references, strict=True)
+        losses = [psnr(best.to(ref), ref) - psnr(image.to(ref), ref) for best, image, ref in pairs]
+        return float(torch.stack(losses).mean())
+
+
+def run(stressed_method: StressedMethod, quick: bool) -> Iterator[StressResult]:
+    """All tests of one method."""
+    size, frames = (QUICK_SIZE, QUICK_FRAMES) if quick else (SIZE, FRAMES)
+    clip = procedural_clip(SEED, size, frames, device=stressed_method.device)
+    runs = _Runs(stressed_method, to_clip(clip))
+    yield from _judge_float32(runs)
+    for label, dtype in REDUCED.items():
+        yield from _judge_reduced(runs, label, dtype)
+    yield _judge_rerun(runs)
+    yield _judge_threads(runs)
+    yield _judge_batch(runs)
+    yield _judge_device(runs)
+
+
+def _judge_float32(runs: _Runs) -> Iterator[StressResult]:
+    """float32 against float64."""
+    if isinstance(runs.truth, Exception):
+        reason = f"does not run in float64: {_first_line(runs.truth)}"
+        for test in ("float32", "float32-worst-pixel"):
+            yield skip(runs.stressed_method.name, NAME, test, reason)
+        return
+    images, _ = runs.recorded
+    yield from _judge_pair(runs, "float32", images, (FLOAT32_LOSS, FLOAT32_PIXEL))
+
+
+def _judge_reduced(runs: _Runs, label: str, dtype: torch.dtype) -> Iterator[StressResult]:
+    """A reduced precision against float64, or against float32 where there is no float64."""
+    device = runs.stressed_method.device
+    try:
+        images = runs.replay(Autocast(runs.stressed_method.method, device, dtype))
+    except Exception as error:  # a method may raise anything in a precision it was not made for
+        reason = f"does not run in {label}: {_first_line(error)}"
+        for test in (label, f"{label}-worst-pixel"):
+            yield skip(runs.stressed_method.name, NAME, test, reason)
+        return
+    yield from _judge_pair(runs, label, images, (HALF_LOSS, HALF_PIXEL))
+
+
+def _judge_pair(
+    runs: _Runs, label: str, images: list[Tensor], limits: tuple[Limits, Limits]
+) -> Iterator[StressResult]:
+    """dB lost and worst pixel of images of a lower precision."""
+    has_truth = not isinstance(runs.truth, Exception)
+    truth = runs.recorded[0] if isinstance(runs.truth, Exception) else runs.truth
+    against = f"against {'float64' if has_truth else 'float32'}, {_describe(runs.clip)}"
+    name = runs.stressed_method.name
+    yield judge(name, NAME, label, runs.loss(truth, images), limits[0], against, KEEP_FLOAT32)
+    worst = largest_difference(truth, images)
+    yield judge(name, NAME, f"{label}-worst-pixel", worst, limits[1], against, KEEP_FLOAT32)
+
+
+def _judge_rerun(runs: _Runs) -> StressResult:
+    """A second run with free densities must be equal in every bit."""
+    again = RecordDensity(runs.stressed_method.method)
+    images = runs.images(again, runs.clip)
+    pairs = zip((*images, *again.densities), (*runs.recorded[0], *runs.recorded[1]), strict=True)
+    changed = sum(not torch.equal(one, other) for one, other in pairs)
+    worst = largest_difference(images, runs.recorded[0]) if changed else 0.0
+    found = f"{changed} images and densities differ, {_describe(runs.clip)}"
+    remedy = "seed every random number from arguments, and keep no state in the method"
+    limits = BIT_EQUAL if worst or not changed else Limits(0.0, -1.0)  # densities alone differ
+    return judge(runs.stressed_method.name, NAME, "rerun", worst, limits, found, remedy)
+
+
+def _judge_threads(runs: _Runs) -> StressResult:
+    """Two threads against one, with the densities held."""
+    images = []
+    for threads in (1, 2):
+        with thread_count(threads):
+            images.append(runs.replay(runs.stressed_method.method))
+    remedy = "add in an order that does not depend on threads: no atomics, no data races"
+    return _judge_difference(runs, "threads", largest_difference(*images), remedy)
+
+
+def _judge_batch(runs: _Runs) -> StressResult:
+    """Each clip alone against its part of the batch, with the densities of the batch."""
+    images, densities = runs.recorded
+    worst = 0.0
+    for i in range(CLIPS):
+        single = to_clip(select_clip(frame, i) for frame in runs.clip)
+        held = [density[i : i + 1] for density in densities]
+        alone = runs.images(ReplayDensity.of(runs.stressed_method.method, held), single)
+        worst = max(worst, largest_difference(alone, [image[i : i + 1] for image in images]))
+    remedy = "reduce over the dimensions of one image, never over the batch"
+    return _judge_difference(runs, "batch", worst, remedy)
+
+
+def _judge_device(runs: _Runs) -> StressResult:
+    """The other kind of device, if there is one."""
+    stressed_method = runs.stressed_method
+    if not torch.cuda.is_available():
+        return skip(stressed_method.name, NAME, "device", "this machine has no CUDA device")
+    other = torch.device("cuda" if stressed_method.device.type == "cpu" else "cpu")
+    method = convert_method(stressed_method.method, device=other)
+    images = runs.replay(method, convert_clip(runs.clip, device=other))
+    remedy = "avoid TF32 and operations whose result depends on the device"
+    images = [image.to(stressed_method.device) for image in images]
+    return _judge_difference(
+        runs, "device", largest_difference(images, runs.recorded[0]), remedy
+    )
+
+
+def _judge_difference(runs: _Runs, test: str, worst: float, remedy: str) -> StressResult:
+    """The worst pixel where sums may be added in another order."""
+    name, found = runs.stressed_method.name, _describe(runs.clip)
+    return judge(name, NAME, test, worst, FLOAT32_PIXEL, found, remedy)
+
+
+def _describe(clip: InMemoryClip) -> str:
+    return f"{len(clip)} frames of {clip.size.n} clips of {clip.size.w}x{clip.size.h}"
+
+
+def _first_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+
+
+SECTION = MethodSection(
+    NAME, "How much do precision, threads, batch and device change the image?", run
+)
