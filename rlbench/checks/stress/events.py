@@ -75,10 +75,10 @@ def _judge_teleports(
     losses = (fresh - marked_scores).mean(1)
     worst, found = float(losses.max()), _list_losses(losses)
     remedy = "treat motion that points outside the image as the end of all history"
-    yield judge(
-        stressed_method.name, section, "teleport-marked", worst, MARKED_LOSS, found, remedy
+    yield judge(stressed_method.name, section, "teleport-marked", worst, MARKED_LOSS, found, remedy)
+    yield from _judge_losses(
+        stressed_method, section, "teleport", (fresh - unmarked_scores).mean(1)
     )
-    yield from _judge_losses(stressed_method, section, "teleport", (fresh - unmarked_scores).mean(1))
 
 
 def _judge_losses(

@@ -109,9 +109,7 @@ def _judge_growth(name: str, run: LongRun) -> Iterator[StressResult]:
     remove = "keep nothing outside the state: no list, cache or attribute that grows with frames"
     yield judge(name, NAME, "memory-growth", growth, MEMORY_GROWTH, found, remove)
     found = f"largest finite value {run.largest_value:g}; {run.described}"
-    yield judge(
-        name, NAME, "state-magnitude", run.largest_value, MAGNITUDE, found, LIMIT_HISTORY
-    )
+    yield judge(name, NAME, "state-magnitude", run.largest_value, MAGNITUDE, found, LIMIT_HISTORY)
 
 
 def _slope(x: torch.Tensor, y: torch.Tensor) -> float:

@@ -1,4 +1,4 @@
-"""Section precision: float64 as truth for float32, bf16 and fp16; reruns, threads, batch, device."""
+"""Section precision: float64 as truth for lower precisions; reruns, threads, batch, device."""
 
 from __future__ import annotations
 
@@ -46,7 +46,6 @@ HALF_PIXEL = Limits(good=8 / 255, fair=32 / 255, unit="display")
 BIT_EQUAL = Limits(good=0.0, fair=0.0, unit="display")
 
 KEEP_FLOAT32 = "compute exposure, sums over many pixels, divisions and logarithms in float32"
-REDUCED = {"bf16": torch.bfloat16, "fp16": torch.float16}
 
 
 @dataclass(frozen=True)
@@ -100,10 +99,11 @@ def run(stressed_method: StressedMethod, quick: bool) -> Iterator[StressResult]:
     batch = to_clip(clip)
     runs = _Runs(stressed_method, to_clip(select_clip(frame, 0) for frame in batch))
     yield from _judge_float32(runs)
-    for label, dtype in REDUCED.items():
-        yield from _judge_reduced(runs, label, dtype)
+    yield from _judge_reduced(runs, "bf16", torch.bfloat16)
+    if not quick:  # slow on a CPU, and on busy cores
+        yield from _judge_reduced(runs, "fp16", torch.float16)
+        yield _judge_threads(runs)
     yield _judge_rerun(runs)
-    yield _judge_threads(runs)
     yield _judge_batch(stressed_method, batch)
     yield _judge_device(runs)
 

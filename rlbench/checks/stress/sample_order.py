@@ -41,6 +41,4 @@ def reverse_samples(samples: Samples) -> Samples:
     slots = torch.arange(samples.radiance.shape[1], device=samples.counts.device)
     slots = slots.view(1, -1, 1, 1, 1)
     sources = torch.where(samples.valid_mask, samples.counts.unsqueeze(1) - 1 - slots, slots)
-    return Samples(
-        samples.radiance.gather(1, sources.expand_as(samples.radiance)), samples.counts
-    )
+    return Samples(samples.radiance.gather(1, sources.expand_as(samples.radiance)), samples.counts)
