@@ -9,10 +9,10 @@ from typing import overload
 
 import torch
 
-from rlbench.checks.stress.frame_edits import join_clips, with_buffers
+from rlbench.checks.stress.frame_edits import join_clips
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Frame, Size, StoredPool
+from rlbench.frames import Frame, GBuffer, Size, StoredPool
 
 __all__ = ["MOVING", "STATIC", "long_clip"]
 
@@ -74,5 +74,5 @@ class _LongFrames(Sequence[Frame]):
         radiance = self._static.reference.mean[:, None] * torch.exp(SIGMA * z - SIGMA**2 / 2)
         seeds = tuple(seed + 1 for seed in moving.pool.rounding_seeds)
         motion = torch.zeros_like(moving.gbuffer.buffers["motion"])
-        static = with_buffers(self._static, motion=motion)
-        return Frame(index, static.gbuffer, StoredPool(radiance, seeds), static.reference)
+        gbuffer = GBuffer({**self._static.gbuffer.buffers, "motion": motion})
+        return Frame(index, gbuffer, StoredPool(radiance, seeds), self._static.reference)
