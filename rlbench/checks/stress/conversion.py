@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
@@ -70,11 +70,11 @@ def _convert_parts(
     visited.add(id(part))
     if isinstance(part, nn.Module):
         part.to(dtype=dtype, device=device)
-    fields = getattr(part, "__dict__", {})
-    for name, value in fields.items():
-        fields[name] = _converted(value, dtype, device)
-    children = part if isinstance(part, list | tuple) else fields.values()
-    for child in part.values() if isinstance(part, Mapping) else children:
+    slots: Any = part if isinstance(part, dict | list) else getattr(part, "__dict__", {})
+    for key, value in list(enumerate(slots) if isinstance(slots, list) else slots.items()):
+        slots[key] = _converted(value, dtype, device)
+    children = slots.values() if isinstance(slots, dict) else slots
+    for child in part if isinstance(part, tuple) else children:
         _convert_parts(child, dtype, device, visited)
 
 

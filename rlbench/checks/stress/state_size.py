@@ -7,8 +7,7 @@ import io
 import pickle
 from typing import Any
 
-import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from rlbench.method import State
 
@@ -36,6 +35,7 @@ def state_bytes(state: State) -> int:
 
     Raises TypeError or pickle.PicklingError for a state that cannot be pickled.
 
+    >>> import torch
     >>> state_bytes([torch.zeros(4)]) - state_bytes([torch.zeros(2)])
     8
     """
@@ -49,6 +49,7 @@ def largest_value(state: State) -> float:
 
     Infinity does not count, because it is the depth of the background.
 
+    >>> import torch
     >>> largest_value({"a": torch.tensor([-3.0, torch.inf]), "b": torch.tensor([2.0])})
     3.0
     """
@@ -61,7 +62,7 @@ def largest_value(state: State) -> float:
 def live_tensor_bytes() -> int:
     """Bytes of all tensors that any Python object of the process refers to, on any device."""
     gc.collect()
-    tensors = (thing for thing in gc.get_objects() if issubclass(type(thing), torch.Tensor))
+    tensors = [thing for thing in gc.get_objects() if type(thing) in (Tensor, nn.Parameter)]
     storages = (tensor.untyped_storage() for tensor in tensors)
     return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 

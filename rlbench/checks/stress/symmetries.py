@@ -20,11 +20,15 @@ CHANNELS = (1, 2, 0)  # red gets green, green blue, blue red
 
 @dataclass(frozen=True)
 class Symmetry:
-    """An edit of frames, the inverse edit of images, and the remedy if it changes the error."""
+    """An edit of frames, the inverse edit of images, and the remedy if it changes the error.
+
+    `figure` is what counts of the dB lost: a gain by a mirror shows a preference as well.
+    """
 
     edit: Callable[[Frame], Frame]
     undo: Callable[[Tensor], Tensor]
     remedy: str = ""
+    figure: Callable[[float], float] = abs
 
 
 def _expose(frame: Frame, factor: float) -> Frame:
@@ -66,6 +70,7 @@ SYMMETRIES = {
         partial(_divide, factor=factor),
         "divide radiance by an exposure before any constant, threshold or clamp, and multiply the "
         "image by it",
+        figure=float,
     )
     for factor in EXPOSURES
 }

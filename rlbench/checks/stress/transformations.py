@@ -51,7 +51,7 @@ def run(stressed_method: StressedMethod, quick: bool) -> Iterator[StressResult]:
 def _judge_symmetries(
     stressed_method: StressedMethod, clip: InMemoryClip
 ) -> Iterator[StressResult]:
-    """dB lost when the clip is edited and the edit undone in the image; all edits in one batch."""
+    """The change in dB by an edit that is undone in the image; all edits run in one batch."""
     symmetries = {"original": IDENTITY, **SYMMETRIES}
     edited = [[each.edit(frame) for frame in clip] for each in symmetries.values()]
     results = stressed_method.run(join_clips(edited))
@@ -63,10 +63,10 @@ def _judge_symmetries(
             for result, frame in zip(results, clip, strict=True)
         )
         if test in SYMMETRIES:
-            loss = scores["original"] - scores[test]
+            figure = symmetry.figure(scores["original"] - scores[test])
             found = f"{scores[test]:.2f} dB, the original {scores['original']:.2f} dB"
             remedy = symmetry.remedy
-            yield judge(stressed_method.name, NAME, test, loss, SYMMETRY_LOSS, found, remedy)
+            yield judge(stressed_method.name, NAME, test, figure, SYMMETRY_LOSS, found, remedy)
 
 
 def _judge_shifts(stressed_method: StressedMethod, size: Size, frames: int) -> StressResult:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
+from torch.nn import functional as F
 
 from rlbench.checks.stress.section import StressedMethod
 from rlbench.family import Traits
@@ -124,23 +125,23 @@ class TintsChannels(Mean):
     """Treats the channels differently."""
 
     def denoise(self, gbuffer, samples, state):
-        return samples.mean * samples.mean.new_tensor([1.0, 1.0, 0.3]).view(3, 1, 1), None
+        return samples.mean * samples.mean.new_tensor([1.0, 1.0, 0.0]).view(3, 1, 1), None
 
 
 class PrefersRight(Mean):
-    """Darkens the left half."""
+    """Returns black in the left half."""
 
     def denoise(self, gbuffer, samples, state):
-        ramp = torch.linspace(0.2, 1.0, samples.mean.shape[-1])
-        return samples.mean * ramp**2, None
+        w = samples.mean.shape[-1]
+        return samples.mean * (torch.arange(w) >= w // 2), None
 
 
 class PrefersTop(Mean):
-    """Darkens the lower half."""
+    """Returns black in the lower half."""
 
     def denoise(self, gbuffer, samples, state):
-        ramp = torch.linspace(1.0, 0.2, samples.mean.shape[-2])[:, None]
-        return samples.mean * ramp**2, None
+        h = samples.mean.shape[-2]
+        return samples.mean * (torch.arange(h) < h // 2)[:, None], None
 
 
 class Tiles(Mean):
@@ -183,7 +184,7 @@ class Cancels(Mean):
     """Loses all digits of float32 by adding and subtracting a large number."""
 
     def denoise(self, gbuffer, samples, state):
-        return (samples.mean + 1e6) - 1e6, None
+        return (samples.mean + 3e7) - 3e7, None
 
 
 class CancelsInHalf(Mean):
@@ -192,7 +193,7 @@ class CancelsInHalf(Mean):
     def denoise(self, gbuffer, samples, state):
         image = samples.mean
         rounded = image @ torch.eye(image.shape[-1]).to(image)
-        return image + 20 * (rounded.to(image) - image), None
+        return image + 200 * (rounded.to(image) - image), None
 
 
 @dataclass(frozen=True)
@@ -206,13 +207,13 @@ class NeedsFloat32(Mean):
 
 @dataclass(frozen=True)
 class CopiesAlbedo(Mean):
-    """Returns brightness times albedo: every lie about albedo is in the image."""
+    """Filters irradiance and multiplies by albedo: every lie about albedo is in the image."""
 
     traits: Traits = Traits(inputs=frozenset({"albedo"}))
 
     def denoise(self, gbuffer, samples, state):
-        brightness = samples.mean.sum(1, True) / gbuffer.albedo.sum(1, True).clamp_min(1e-3)
-        return torch.where(gbuffer.albedo > 0, brightness * gbuffer.albedo, 0.0), None
+        irradiance = samples.mean / gbuffer.albedo.clamp_min(0.01)
+        return F.avg_pool2d(irradiance, 5, 1, 2) * gbuffer.albedo, None
 
 
 class MisusesAlbedo(CopiesAlbedo):
