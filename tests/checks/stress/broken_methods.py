@@ -121,11 +121,12 @@ class AddsLight(Mean):
         return samples.mean + 0.01, None
 
 
-class TintsChannels(Mean):
-    """Treats the channels differently."""
+class DimsBlue(Mean):
+    """Clamps the blue channel alone."""
 
     def denoise(self, gbuffer, samples, state):
-        return samples.mean * samples.mean.new_tensor([1.0, 1.0, 0.0]).view(3, 1, 1), None
+        red_green, blue = samples.mean.split((2, 1), 1)
+        return torch.cat((red_green, blue.clamp_max(0.3)), 1), None
 
 
 class PrefersRight(Mean):
@@ -213,7 +214,17 @@ class CopiesAlbedo(Mean):
 
     def denoise(self, gbuffer, samples, state):
         irradiance = samples.mean / gbuffer.albedo.clamp_min(0.01)
-        return F.avg_pool2d(irradiance, 5, 1, 2) * gbuffer.albedo, None
+        image = F.avg_pool2d(irradiance, 5, 1, 2) * gbuffer.albedo
+        return torch.where(gbuffer.albedo.sum(1, True) > 0, image, samples.mean), None
+
+
+class RejectsNegativeAlbedo(CopiesAlbedo):
+    """Raises an exception for one lie."""
+
+    def denoise(self, gbuffer, samples, state):
+        if (gbuffer.albedo < 0).any():
+            raise ValueError("negative albedo")
+        return super().denoise(gbuffer, samples, state)
 
 
 class MisusesAlbedo(CopiesAlbedo):

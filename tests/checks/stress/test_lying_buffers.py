@@ -19,9 +19,17 @@ def test_a_method_without_buffers_is_skipped():
 
 def test_a_method_that_copies_albedo_fails_each_lie_about_it():
     found = results(broken.CopiesAlbedo())
-    for lie in ("albedo-dropped", "albedo-negated"):
+    for lie in ("albedo-dropped", "albedo-negated", "albedo-noised"):
         assert found[lie].verdict is not Verdict.PASSED
     assert found["depth-dropped"].verdict is Verdict.SKIPPED
+
+
+def test_an_exception_fails_its_lie_alone():
+    found = results(broken.RejectsNegativeAlbedo())
+    expected = results(broken.CopiesAlbedo())
+    assert found["albedo-negated"].verdict is Verdict.FAILED
+    assert "exception" in found["albedo-negated"].found
+    assert found["albedo-noised"].figure == pytest.approx(expected["albedo-noised"].figure)
 
 
 def test_a_method_that_trusts_motion_blindly_loses_by_wrong_motion():
