@@ -121,12 +121,12 @@ class AddsLight(Mean):
         return samples.mean + 0.01, None
 
 
-class DimsBlue(Mean):
-    """Clamps the blue channel alone."""
+class RejectsBlue(Mean):
+    """Returns black where the pixel is bluish, as the sky is."""
 
     def denoise(self, gbuffer, samples, state):
-        red_green, blue = samples.mean.split((2, 1), 1)
-        return torch.cat((red_green, blue.clamp_max(0.3)), 1), None
+        red, _, blue = samples.mean.split(1, 1)
+        return samples.mean.where(blue <= 1.5 * red, 0.0), None
 
 
 class PrefersRight(Mean):
