@@ -122,11 +122,11 @@ class AddsLight(Mean):
 
 
 class RejectsBlue(Mean):
-    """Returns black where the pixel is bluish, as the sky is."""
+    """Returns black where blue is above red, as in the sky."""
 
     def denoise(self, gbuffer, samples, state):
         red, _, blue = samples.mean.split(1, 1)
-        return samples.mean.where(blue <= 1.5 * red, 0.0), None
+        return samples.mean.where(blue <= red, 0.0), None
 
 
 class PrefersRight(Mean):
