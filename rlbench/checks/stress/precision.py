@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -12,19 +10,17 @@ from torch import Tensor
 from rlbench.checks.stress.conversion import (
     convert_clip,
     convert_method,
-    default_dtype,
     thread_count,
 )
-from rlbench.checks.stress.display import largest_difference, psnr
+from rlbench.checks.stress.display import largest_difference
 from rlbench.checks.stress.frame_edits import select_clip, to_clip
 from rlbench.checks.stress.held_density import Autocast, RecordDensity, ReplayDensity
+from rlbench.checks.stress.held_runs import HeldRuns
 from rlbench.checks.stress.result import Limits, StressResult, judge, skip
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
-from rlbench.method import Method
-from rlbench.run import run_clip
 
 __all__ = ["SECTION", "run"]
 
@@ -48,56 +44,12 @@ BIT_EQUAL = Limits(good=0.0, fair=0.0, unit="display")
 KEEP_FLOAT32 = "compute exposure, sums over many pixels, divisions and logarithms in float32"
 
 
-@dataclass(frozen=True)
-class _Runs:
-    """Runs of one method over one clip; all but the first replay its densities."""
-
-    stressed_method: StressedMethod
-    clip: InMemoryClip
-
-    @cached_property
-    def recorded(self) -> tuple[list[Tensor], list[Tensor]]:
-        """The images in float32, and the densities."""
-        method = RecordDensity(self.stressed_method.method)
-        return self.images(method, self.clip), method.densities
-
-    def images(self, method: Method, clip: InMemoryClip) -> list[Tensor]:
-        """The images of a clip."""
-        return [result.image for result in run_clip(method, clip, self.stressed_method.default_spp)]
-
-    def replay(self, method: Method, clip: InMemoryClip | None = None) -> list[Tensor]:
-        """The images of the clip, or of the same clip converted, with the recorded densities."""
-        held = ReplayDensity.of(method, self.recorded[1])
-        return self.images(held, self.clip if clip is None else clip)
-
-    @cached_property
-    def truth(self) -> list[Tensor] | Exception:
-        """The images in float64, or the exception that a method raises there."""
-        try:
-            method = convert_method(self.stressed_method.method, torch.float64)
-            held = ReplayDensity.of(method, self.recorded[1])  # recorded in the usual default dtype
-            with default_dtype(torch.float64):
-                images = self.images(held, convert_clip(self.clip, torch.float64))
-        except Exception as error:  # a method may raise anything in a precision it was not made for
-            return error
-        if images[-1].dtype != torch.float64:
-            return TypeError(f"the image is {images[-1].dtype}, so a part computes in it")
-        return images
-
-    def loss(self, truth: list[Tensor], images: list[Tensor]) -> float:
-        """dB by which the mean PSNR of `images` is below that of `truth`."""
-        references = [frame.reference.mean for frame in self.clip]
-        pairs = zip(truth, images, references, strict=True)
-        losses = [psnr(best.to(ref), ref) - psnr(image.to(ref), ref) for best, image, ref in pairs]
-        return float(torch.stack(losses).mean())
-
-
 def run(stressed_method: StressedMethod, quick: bool) -> Iterator[StressResult]:
     """All tests of one method."""
     size, frames = (QUICK_SIZE, QUICK_FRAMES) if quick else (SIZE, FRAMES)
     clip = procedural_clip(SEED, size, frames, device=stressed_method.device)
     batch = to_clip(clip)
-    runs = _Runs(stressed_method, to_clip(select_clip(frame, 0) for frame in batch))
+    runs = HeldRuns(stressed_method, to_clip(select_clip(frame, 0) for frame in batch))
     yield from _judge_float32(runs)
     yield from _judge_reduced(runs, "bf16", torch.bfloat16)
     if not quick:  # slow on a CPU, and on busy cores
@@ -108,7 +60,7 @@ def run(stressed_method: StressedMethod, quick: bool) -> Iterator[StressResult]:
     yield _judge_device(runs)
 
 
-def _judge_float32(runs: _Runs) -> Iterator[StressResult]:
+def _judge_float32(runs: HeldRuns) -> Iterator[StressResult]:
     """float32 against float64."""
     if isinstance(runs.truth, Exception):
         reason = f"does not run in float64: {_first_line(runs.truth)}"
@@ -119,7 +71,7 @@ def _judge_float32(runs: _Runs) -> Iterator[StressResult]:
     yield from _judge_pair(runs, "float32", images, (FLOAT32_LOSS, FLOAT32_PIXEL))
 
 
-def _judge_reduced(runs: _Runs, label: str, dtype: torch.dtype) -> Iterator[StressResult]:
+def _judge_reduced(runs: HeldRuns, label: str, dtype: torch.dtype) -> Iterator[StressResult]:
     """A reduced precision against float64, or against float32 where there is no float64."""
     device = runs.stressed_method.device
     try:
@@ -133,7 +85,7 @@ def _judge_reduced(runs: _Runs, label: str, dtype: torch.dtype) -> Iterator[Stre
 
 
 def _judge_pair(
-    runs: _Runs, label: str, images: list[Tensor], limits: tuple[Limits, Limits]
+    runs: HeldRuns, label: str, images: list[Tensor], limits: tuple[Limits, Limits]
 ) -> Iterator[StressResult]:
     """dB lost and worst pixel of images of a lower precision."""
     has_truth = not isinstance(runs.truth, Exception)
@@ -145,7 +97,7 @@ def _judge_pair(
     yield judge(name, NAME, f"{label}-worst-pixel", worst, limits[1], against, KEEP_FLOAT32)
 
 
-def _judge_rerun(runs: _Runs) -> StressResult:
+def _judge_rerun(runs: HeldRuns) -> StressResult:
     """A second run with free densities must be equal in every bit."""
     again = RecordDensity(runs.stressed_method.method)
     images = runs.images(again, runs.clip)
@@ -158,7 +110,7 @@ def _judge_rerun(runs: _Runs) -> StressResult:
     return judge(runs.stressed_method.name, NAME, "rerun", worst, limits, found, remedy)
 
 
-def _judge_threads(runs: _Runs) -> StressResult:
+def _judge_threads(runs: HeldRuns) -> StressResult:
     """Two threads against one, with the densities held."""
     clip = to_clip(runs.clip.frames[:THREAD_FRAMES])
     images = []
@@ -171,7 +123,7 @@ def _judge_threads(runs: _Runs) -> StressResult:
 
 def _judge_batch(stressed_method: StressedMethod, batch: InMemoryClip) -> StressResult:
     """Each clip alone against its part of the batch, with the densities of the batch."""
-    together = _Runs(stressed_method, batch)
+    together = HeldRuns(stressed_method, batch)
     images, densities = together.recorded
     worst = 0.0
     for i in range(CLIPS):
@@ -183,7 +135,7 @@ def _judge_batch(stressed_method: StressedMethod, batch: InMemoryClip) -> Stress
     return _judge_difference(stressed_method, "batch", worst, remedy)
 
 
-def _judge_device(runs: _Runs) -> StressResult:
+def _judge_device(runs: HeldRuns) -> StressResult:
     """The other kind of device, if there is one."""
     stressed_method = runs.stressed_method
     if not torch.cuda.is_available():

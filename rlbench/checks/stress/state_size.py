@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gc
-import io
-import pickle
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from torch import Tensor, nn
@@ -14,34 +15,17 @@ from rlbench.method import State
 __all__ = ["largest_value", "live_tensor_bytes", "state_bytes"]
 
 
-class _TensorCollector(pickle.Pickler):
-    """Pickles a nested value and keeps its tensors aside."""
-
-    def __init__(self) -> None:
-        self.stream = io.BytesIO()
-        self.tensors: list[Tensor] = []
-        super().__init__(self.stream)
-
-    def persistent_id(self, obj: Any) -> int | None:
-        """The position in `tensors` of a tensor; None, so that it is pickled, for all else."""
-        if not isinstance(obj, Tensor):
-            return None
-        self.tensors.append(obj)
-        return len(self.tensors) - 1
-
-
 def state_bytes(state: State) -> int:
-    """Bytes of all tensors in a state, and of everything else in it when pickled.
-
-    Raises TypeError or pickle.PicklingError for a state that cannot be pickled.
+    """Bytes of all tensors in a state, and of the Python objects that hold them.
 
     >>> import torch
     >>> state_bytes([torch.zeros(4)]) - state_bytes([torch.zeros(2)])
     8
     """
-    collected = _collect(state)
-    tensors = sum(tensor.numel() * tensor.element_size() for tensor in collected.tensors)
-    return tensors + len(collected.stream.getvalue())
+    return sum(
+        part.numel() * part.element_size() if isinstance(part, Tensor) else sys.getsizeof(part)
+        for part in _iterate_parts(state, set())
+    )
 
 
 def largest_value(state: State) -> float:
@@ -53,10 +37,12 @@ def largest_value(state: State) -> float:
     >>> largest_value({"a": torch.tensor([-3.0, torch.inf]), "b": torch.tensor([2.0])})
     3.0
     """
-    floats = [t.float() for t in _collect(state).tensors if t.is_floating_point() and t.numel()]
+    tensors = [part for part in _iterate_parts(state, set()) if isinstance(part, Tensor)]
+    floats = [tensor.float() for tensor in tensors if tensor.is_floating_point()]
     if any(bool(tensor.isnan().any()) for tensor in floats):
         return float("nan")
-    return max((float(t.where(t.isfinite(), 0.0).abs().max()) for t in floats), default=0.0)
+    values = (tensor.where(tensor.isfinite(), 0.0).abs() for tensor in floats if tensor.numel())
+    return max((float(value.max()) for value in values), default=0.0)
 
 
 def live_tensor_bytes() -> int:
@@ -67,7 +53,20 @@ def live_tensor_bytes() -> int:
     return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
 
 
-def _collect(state: State) -> _TensorCollector:
-    collector = _TensorCollector()
-    collector.dump(state)
-    return collector
+def _iterate_parts(value: Any, visited: set[int]) -> Iterator[Any]:
+    """A nested value and all of its parts, each object once."""
+    if id(value) in visited or isinstance(value, type):
+        return
+    visited.add(id(value))
+    yield value
+    if isinstance(value, Tensor | str | bytes):
+        return
+    parts: list[Any] = list(getattr(value, "__dict__", {}).values())
+    if isinstance(value, Mapping):
+        parts += [*value.keys(), *value.values()]
+    elif isinstance(value, list | tuple | set | frozenset):
+        parts += value
+    elif is_dataclass(value) and not hasattr(value, "__dict__"):  # with slots
+        parts += [getattr(value, field.name) for field in fields(value)]
+    for part in parts:
+        yield from _iterate_parts(part, visited)
