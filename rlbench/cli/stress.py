@@ -55,8 +55,8 @@ def stress(
     shipped weights; rows without any are skipped. Results are stored per method and section, and
     reused while code and weights are the same. The exit code is 1 if a test failed.
 
-    Sections: bad-pixel, budgets, long-runs, precision, transformations, lying-buffers, metrics, and
-    those of plugins.
+    Sections: bad-pixel, budgets, allocation, long-runs, precision, transformations, lying-buffers,
+    metrics, and those of plugins.
 
     Examples:
 

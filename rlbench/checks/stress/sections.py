@@ -21,6 +21,7 @@ FOLDER = "rlbench.checks.stress"
 CORE_SECTIONS = {  # module:object by name
     "bad-pixel": f"{FOLDER}.bad_pixel:SECTION",
     "budgets": f"{FOLDER}.budgets:SECTION",
+    "allocation": f"{FOLDER}.allocation:SECTION",
     "long-runs": f"{FOLDER}.long_runs:SECTION",
     "precision": f"{FOLDER}.precision:SECTION",
     "transformations": f"{FOLDER}.transformations:SECTION",
