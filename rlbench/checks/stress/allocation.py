@@ -23,7 +23,7 @@ LARGE_BUDGETS = (0.5, 2.3)  # of images above MAX_SMALL pixels, to save time
 MAX_SMALL = 77 * 123
 POOL_SPP = 8  # most samples of a pixel
 ROUNDING_SEED = 5
-EXACT = Limits(good=0, fair=0, unit="samples")
+EXACT = Limits(good=0.0, fair=0.0, unit="samples")
 REMEDY = "correct rlbench.sampling.allocate_counts"
 
 

@@ -16,6 +16,7 @@ from rlbench.checks.stress.tables import VERDICT_NAMES
 __all__ = ["count_contained", "count_verdicts", "print_job", "print_summary"]
 
 BAD_PIXEL = "bad-pixel"  # the section that plants one bad pixel per test
+PIXELS = "pixels"  # unit of the figure of these tests: the pixels that it changed
 
 
 def print_job(title: str, results: Iterable[StressResult], console: Console) -> None:
@@ -50,16 +51,24 @@ def count_contained(results: Iterable[StressResult]) -> tuple[int, int]:
     planted = [
         result.verdict
         for result in results
-        if result.section == BAD_PIXEL and result.verdict is not Verdict.SKIPPED
+        if result.section == BAD_PIXEL and result.unit == PIXELS
     ]
     return len(planted), planted.count(Verdict.PASSED)
 
 
 def _format_figure(result: StressResult) -> str:
-    """`2.1 dB (passes up to 1, fails beyond 3)`, or empty without a figure."""
+    """`2.1 dB (passes up to 1, fails above 3)`, or empty without limits."""
     if math.isnan(result.good):
         return ""
     unit = f" {result.unit}" if result.unit else ""
-    words = ("up to", "above") if result.good <= result.fair else ("from", "below")
-    limits = f"passes {words[0]} {result.good:g}, fails {words[1]} {result.fair:g}"
-    return f"{result.figure:.4g}{unit} ({limits})"
+    return f"{result.figure:.4g}{unit} ({_format_limits(result)})"
+
+
+def _format_limits(result: StressResult) -> str:
+    good, fair = result.good, result.fair
+    if good == fair:
+        return f"at most {good:g}"
+    if math.isnan(fair):
+        return f"limit {good:g}"
+    words = ("up to", "above") if good < fair else ("from", "below")
+    return f"passes {words[0]} {good:g}, fails {words[1]} {fair:g}"

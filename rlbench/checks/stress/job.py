@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -55,7 +55,7 @@ class SectionWork:
         """All results of a job; an exception of the method or of the section is a failure."""
         results: list[StressResult] = []
         try:
-            results.extend(self._run(job))
+            results.extend(map(_with_float, self._run(job)))
         except (Exception, SystemExit) as error:  # whatever a method raises is reported
             results.append(raised(job.method, job.section, RUN, error))
             return JobOutcome(tuple(results), is_complete=False)
@@ -76,6 +76,11 @@ class SectionWork:
             self._method = None  # frees memory before the next one is loaded
             self._method = load_stressed_method(job.method, torch.device(job.device))
         return self._method
+
+
+def _with_float(result: StressResult) -> StressResult:
+    """The result with a plain number as its figure, as it will be read back."""
+    return replace(result, figure=float(result.figure))
 
 
 def raised(method: str, section: str, test: str, error: BaseException) -> StressResult:
