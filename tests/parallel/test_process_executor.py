@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
+import pytest
 import torch
 
 from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
@@ -23,6 +24,7 @@ def work(job, on_progress):
     return job, "toy" in list_plugins("methods"), torch.get_num_threads()
 
 
+@pytest.mark.slow
 def test_every_job_has_a_value_or_an_error_and_sees_the_plugins(tmp_path):
     use_plugin(write_plugin(tmp_path / "toy.py", "toy"))
     jobs = ["crash", "exit", "error", "value"]
