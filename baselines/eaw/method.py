@@ -12,8 +12,9 @@ from torch import Tensor
 from baselines.eaw import FAMILY
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
+from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import atrous_taps
 
 __all__ = ["Config", "Eaw", "build", "atrous_pass"]

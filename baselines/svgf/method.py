@@ -22,8 +22,9 @@ from baselines.svgf.history import (
 from baselines.svgf.wavelet import Edges, atrous_pass
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
+from rlbench.ops.demodulation import reflectance, surface_mask
 from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import atrous_taps, box_taps
 
 __all__ = ["VARIANTS", "Config", "Svgf", "build", "depth_gradient", "atrous_filter"]

@@ -32,10 +32,10 @@ from methods.ours.state import (
 from methods.ours.variants import VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import sanitize_radiance
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.weights import load_for_inference
 
 __all__ = ["CARDS", "Ours", "assemble", "build"]

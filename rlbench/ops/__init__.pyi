@@ -5,11 +5,10 @@ from .demodulation import (
     demodulation_albedo,
     filtered_albedo,
     reflectance,
-    sanitize_radiance,
     surface_mask,
 )
 from .density import bounded_exp_density
-from .dither import systematic_sample
+from .dither import round_to_total
 from .exposure import autoexposure
 from .init import kaiming_init
 from .kernels import apply_kernels
@@ -18,6 +17,13 @@ from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
 from .padding import crop, pad
 from .reprojection import reproject, reproject_bicubic, reproject_or_fill
+from .sanitize import (
+    sanitize_albedo,
+    sanitize_depth,
+    sanitize_motion,
+    sanitize_normal,
+    sanitize_radiance,
+)
 from .stencils import Tap, atrous_taps
 from .transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
 from .unet import UNet
@@ -56,11 +62,15 @@ __all__ = [
     "reproject",
     "reproject_bicubic",
     "reproject_or_fill",
+    "round_to_total",
+    "sanitize_albedo",
+    "sanitize_depth",
+    "sanitize_motion",
+    "sanitize_normal",
     "sanitize_radiance",
     "smape",
     "squash_depth",
     "surface_mask",
-    "systematic_sample",
     "temporal_l1",
     "to_channels_last",
     "to_contiguous_float32",
