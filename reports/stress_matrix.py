@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -150,8 +151,11 @@ def _list_faults(rows: pd.DataFrame) -> str:
         return "Every test passed.\n"
     faults = faults.sort_values("verdict", key=lambda v: v.map(ORDER.index), kind="stable")
     cells = [
-        [row.method, row.test, MARKS[row.verdict], _format_figure(row), row.found, row.remedy]
-        for row in faults.itertuples()
+        [
+            *(row["method"], row["test"], MARKS[row["verdict"]]),
+            *(_format_figure(row), row["found"], row["remedy"]),
+        ]
+        for row in faults.to_dict("records")
     ]
     head = ["method", "test", "verdict", "figure (limits)", "found", "remedy"]
     return _format_table(head, cells)
@@ -163,11 +167,10 @@ def _format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
 
 
-def _format_figure(row: object) -> str:
+def _format_figure(row: Mapping[Hashable, Any]) -> str:
     """`2.1 dB (0.1, 1)`, with the limits of passed and degraded; empty without a figure."""
-    figure, good, fair = (getattr(row, name) for name in ("figure", "good", "fair"))
-    limits = ", ".join(f"{limit:g}" for limit in (good, fair) if limit == limit)
-    text = f"{figure:.4g} {getattr(row, 'unit', '')}".strip() if figure == figure else ""
+    limits = ", ".join(f"{row[name]:g}" for name in ("good", "fair") if row[name] == row[name])
+    text = f"{row['figure']:.4g} {row['unit']}".strip() if row["figure"] == row["figure"] else ""
     return f"{text} ({limits})" if limits else text
 
 
