@@ -19,6 +19,7 @@ from rlbench.registry.lookup import (
     load_or_explain,
     load_plugin,
 )
+from rlbench.registry.method_code import method_code_hash
 from rlbench.registry.methods import (
     expand,
     is_trainable,
@@ -49,6 +50,7 @@ __all__ = [
     "load_metrics",
     "module_file",
     "list_plugins",
+    "method_code_hash",
     "plugin_file",
     "resolve",
     "shipped_weights",

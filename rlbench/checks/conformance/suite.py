@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import torch
 
 from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS, Check
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
+from rlbench.checks.result import (
+    CheckResult,
+    Verdict,
+    describe_exception,
+    failed,
+    not_applicable,
+    passed,
+)
 
 __all__ = ["CheckResult", "Verdict", "run_check", "run_checks"]
 
@@ -79,10 +84,6 @@ def _skip_reason(method_under_test: MethodUnderTest, check: Check) -> str | None
 
 
 def _describe(method_under_test: MethodUnderTest, error: Exception) -> str:
-    """The error, the last line of the method's folder that it passed through, and its notes."""
-    frames = traceback.extract_tb(error.__traceback__)
-    folder = registry.module_file(registry.load_family(method_under_test.name).build).parent
-    own = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
-    place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
-    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
-    return f"raised {type(error).__name__}: {error}{place}{notes}"
+    """The error, and the last line of the method's folder that it passed through."""
+    build = registry.load_family(method_under_test.name).build
+    return describe_exception(error, registry.module_file(build).parent)
