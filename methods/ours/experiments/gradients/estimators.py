@@ -21,7 +21,8 @@ from methods.ours.policy import (
     SurrogateLearner,
 )
 from methods.ours.policy.gamma_gradient import gamma_gradient_per_sample
-from rlbench.training.surrogate_gradient import kuznetsov_gradient
+from methods.ours.policy.surrogate_gradient import kuznetsov_gradient_per_sample
+from rlbench.training.surrogate_gradient import SampleGradient, kuznetsov_gradient
 
 __all__ = ["ESTIMATORS", "Estimator", "ScoreFunction"]
 
@@ -95,6 +96,7 @@ class Estimator:
     min_spp: float = 0  # least budget at which the suite trains with it
     trains_ours: bool = True  # False for references, ablations and textbook estimators
     noise_factor: int = 1  # how many times more draws than others it needs
+    remedy: str = ""  # against a wrong direction
 
     def draw(self, denoiser: Mode, spp: float, draws: int, seed: int = 0) -> Float[Tensor, "d p"]:
         """Independent gradients of one image each, by the learner's own loss.
@@ -124,16 +126,24 @@ def _not_for_training(
     return Estimator(make_learner, has_scale, trains_ours=False)
 
 
+def _by_samples(sample_gradient: SampleGradient) -> Estimator:
+    remedy = "the denoiser reads counts, which this gradient holds constant: train with reinforce"
+    return Estimator(lambda denoiser: SurrogateLearner(sample_gradient), min_spp=1, remedy=remedy)
+
+
+def _by_trial(make_learner: Callable[[Mode], SamplerLearner]) -> Estimator:
+    remedy = "explore with a smaller action_std or smaller blocks, at the price of more noise"
+    return Estimator(make_learner, has_scale=False, noise_factor=3, remedy=remedy)
+
+
 ESTIMATORS: Mapping[str, Estimator] = {
     "relaxed truth": _not_for_training(lambda denoiser: RelaxedTruth()),
     "explored truth": _not_for_training(lambda denoiser: ExploredTruth()),
-    "surrogate": Estimator(lambda denoiser: SurrogateLearner(kuznetsov_gradient), min_spp=1),
-    "surrogate per sample": Estimator(lambda denoiser: SurrogateLearner(), min_spp=1),
-    "gamma": Estimator(lambda denoiser: SurrogateLearner(gamma_gradient_per_sample), min_spp=1),
-    "reinforce": Estimator(reinforce, has_scale=False, noise_factor=3),
-    "reinforce+surrogate": Estimator(
-        lambda denoiser: CombinedLearner(reinforce(denoiser)), has_scale=False, noise_factor=3
-    ),
+    "surrogate": _by_samples(kuznetsov_gradient),
+    "surrogate per sample": _by_samples(kuznetsov_gradient_per_sample),
+    "gamma": _by_samples(gamma_gradient_per_sample),
+    "reinforce": _by_trial(reinforce),
+    "reinforce+surrogate": _by_trial(lambda denoiser: CombinedLearner(reinforce(denoiser))),
     "reinforce, no price": _not_for_training(lambda d: reinforce(d, 0.0), has_scale=False),
     "score function": _not_for_training(lambda denoiser: ScoreFunction(baseline=True)),
     "score function, no baseline": _not_for_training(lambda d: ScoreFunction(baseline=False)),

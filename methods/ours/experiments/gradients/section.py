@@ -78,20 +78,19 @@ def judge_estimator(name: str, estimator: Estimator, quick: bool = True) -> Iter
             for denoiser in denoisers
             for spp in budgets
         ]
-        yield _judge_direction(test, measured)
+        yield _judge_direction(test, measured, estimator.remedy)
         if estimator.has_scale:
             yield _judge_scale(test, measured)
         yield _judge_noise(test, measured)
 
 
-def _judge_direction(test: str, measured: Sequence[Measurement]) -> StressResult:
+def _judge_direction(test: str, measured: Sequence[Measurement], remedy: str) -> StressResult:
     resolved = [m for m in measured if m.statistics.is_resolved]
     test = f"{test}-direction"
     if not resolved:
         draws = measured[0].draws
         return skip("", NAME, test, f"hidden by noise in the mean of {draws} gradients")
     worst = min(resolved, key=lambda m: m.statistics.cosine.value)
-    remedy = "let the estimator see how the denoiser reads the counts, or use reinforce"
     found = f"cosine {worst.statistics.cosine} {_where(worst)}"
     return judge("", NAME, test, worst.statistics.cosine.value, DIRECTION, found, remedy)
 

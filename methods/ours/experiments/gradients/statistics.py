@@ -1,4 +1,4 @@
-"""Bias, direction and noise of an estimator, with confidence intervals, against a known gradient."""
+"""Bias, direction and noise of an estimator against a known gradient, with intervals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
