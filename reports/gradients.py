@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import pandas as pd
 
@@ -92,10 +93,10 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, panel: Panel) -> None:
         axes.axhline(panel.ideal, color=GREY, linewidth=1)
     for name, (color, dash) in LINE_STYLES.items():
         curve = rows[rows["estimator"] == name]
-        hidden = panel.column == "scale" and not curve["has_scale"].all()
-        values = curve[panel.column].where(not hidden)
+        values = curve[panel.column]
         if panel.column == "scale":  # a length that noise hides is not drawn
-            values = values.where(curve["scale"] > curve["scale_margin"])
+            is_known = curve["has_scale"] & (curve["scale"] > curve["scale_margin"])
+            values = values.where(is_known)
         axes.plot(curve["spp"], values, "o", color=color, linestyle=dash, markersize=3, label=name)
         if panel.column == "cosine":
             low = (values - curve["cosine_margin"]).clip(lower=-1)
@@ -113,7 +114,7 @@ def draw_ratios(rows: pd.DataFrame, file: Path) -> None:
         figure = Figure(figsize=(7.5, 4.6), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots()
-        for (ratio, step), curve in rows.groupby(["ratio", "step"], sort=False):
+        for (ratio, step), curve in _by_ratio_and_step(rows):
             dash: Any = "-" if step.startswith("Adam") else DOTTED
             label = f"{ratio}, {step}"
             axes.plot(
@@ -132,6 +133,12 @@ def draw_ratios(rows: pd.DataFrame, file: Path) -> None:
         axes.set_ylabel("ratios outside 1 ± 0.15 after one step")
         figure.legend(loc="outside right center", frameon=False)
         figure.savefig(file, dpi=130, metadata={})
+
+
+def _by_ratio_and_step(rows: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
+    for key, curve in rows.groupby(["ratio", "step"], sort=False):
+        ratio, step = cast("tuple[str, str]", key)
+        yield (ratio, step), curve
 
 
 def gradient_table(rows: pd.DataFrame) -> str:
@@ -171,7 +178,7 @@ def ratio_table(rows: pd.DataFrame) -> str:
         "| ratio, step | " + " | ".join(f"{side}x{side}" for side in sides) + " |",
         "| --- |" + " ---: |" * len(sides),
     ]
-    for (ratio, step), own in rows.groupby(["ratio", "step"], sort=False):
+    for (ratio, step), own in _by_ratio_and_step(rows):
         shares = own.set_index("side")["clipped"].reindex(sides)
         cells = [f"{share:.0%}" for share in shares]
         lines.append("| " + " | ".join([f"{ratio}, {step}", *cells]) + " |")

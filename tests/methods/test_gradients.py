@@ -122,7 +122,7 @@ def test_the_true_gradient_is_that_of_finite_differences(denoiser, spp):
 def test_the_true_gradient_is_that_of_simulated_errors(denoiser):
     """A long step, equal samples at both ends: the change of realised errors."""
     step, tile, spp = 0.1, 0, 2
-    problem = problem_of(denoiser, spp, 800, seed=5)
+    problem = problem_of(denoiser, spp, 500, seed=5)
     ends = [with_tile(problem, tile, sign * step).float() for sign in (1, -1)]
     first, second = problem.rollout(torch.stack(ends)).errors.mean((2, 3, 4))
     change, exact = first - second, [float(expected_error(problem, end)) for end in ends]
@@ -240,24 +240,20 @@ def test_the_truth_itself_passes():
 
 
 @pytest.mark.parametrize(
-    ("planted", "quantity"),
+    ("planted", "caught"),
     [
-        (Planted(factor=-1), "direction"),
-        (Planted(factor=-1), "scale"),
-        (Planted(factor=10), "scale"),
-        (Planted(factor=0.1), "scale"),
-        (Planted(shift=5), "direction"),
-        (Planted(noise=40), "noise"),
-        (Planted(factor=0), "noise"),
+        (Planted(factor=-1), {"direction", "scale"}),
+        (Planted(factor=10), {"scale"}),
+        (Planted(factor=0.1), {"scale"}),
+        (Planted(shift=5), {"direction", "scale"}),
+        (Planted(noise=40), {"noise"}),
+        (Planted(factor=0), {"scale", "noise"}),
     ],
-    ids=str,
+    ids=["wrong sign", "too long", "too short", "wrong place", "noisy", "zero"],
 )
-def test_a_planted_fault_is_caught(planted, quantity):
-    assert verdicts(planted)[quantity] is Verdict.FAILED
-
-
-def test_a_zero_gradient_never_passes_as_a_direction():
-    assert verdicts(Planted(factor=0))["direction"] is not Verdict.PASSED
+def test_a_planted_fault_is_caught(planted, caught):
+    failed = {name for name, verdict in verdicts(planted).items() if verdict is Verdict.FAILED}
+    assert caught <= failed
 
 
 # estimators

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.experiments.gradients.problem import make_problem
+from methods.ours.experiments.gradients.problem import make_problem, tile_parameters
 from methods.ours.experiments.gradients.truth import relaxed_error, true_gradient
 from methods.ours.experiments.known_optimum import Mode, ToyProblem
 from methods.ours.policy import (
@@ -52,7 +52,8 @@ class ScoreFunction:
             errors = (errors - errors.mean(0)) * draws / (draws - 1)  # minus mean of the others
         distance = (actions - mean) / self.policy.action_std
         log_probability = -distance.square().sum((2, 3, 4)) / 2
-        return (errors * log_probability).mean()
+        loss: Tensor = (errors * log_probability).mean()
+        return loss
 
 
 @dataclass(frozen=True)
@@ -81,10 +82,11 @@ class ExploredTruth:
         """A loss whose gradient is the exact one at an action around the mean."""
         assert isinstance(problem, ToyProblem)
         action = self.policy.explore(problem.act(), (0, 0), generator)
-        (parameters,) = problem.sampler.parameters()  # type: ignore[attr-defined]
+        parameters = tile_parameters(problem)
         n = len(action)
         gradients = torch.stack([true_gradient(problem, action, image) for image in range(n)])
-        return (parameters.flatten(1) * gradients.to(parameters)).sum() / n
+        loss: Tensor = (parameters.flatten(1) * gradients.to(parameters)).sum() / n
+        return loss
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,9 @@ class Estimator:
         rows = []
         for _ in range(0, draws, BATCH):
             problem = make_problem(denoiser, spp, BATCH, generator)
-            parameters = list(problem.sampler.parameters())
-            (gradient,) = torch.autograd.grad(learner.loss(problem, generator), parameters)
+            (gradient,) = torch.autograd.grad(
+                learner.loss(problem, generator), [tile_parameters(problem)]
+            )
             rows.append(BATCH * gradient.flatten(1).double())  # the loss is a mean over images
         return torch.cat(rows)[:draws]
 

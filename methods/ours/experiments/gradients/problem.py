@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from methods.ours.experiments.known_optimum import Direct, Filter, FixedFilter, Mode, ToyProblem
 from methods.ours.experiments.toy_scenes import ToyFrame, toy_frames
 
-__all__ = ["BUDGETS", "DENOISERS", "SIDE", "TILE", "TileAction", "make_problem"]
+__all__ = ["BUDGETS", "DENOISERS", "SIDE", "TILE", "TileAction", "make_problem", "tile_parameters"]
 
 SIDE = 24  # rows and columns of the image
 TILE = 6  # rows and columns of a tile: the density has one parameter per tile, 16 in total
@@ -61,6 +61,12 @@ def make_problem(denoiser: Mode, spp: float, n: int, generator: torch.Generator)
     stored = max(MIN_STORED, round(2 * spp) + MIN_STORED)  # more than any action asks for
     frame = replace(scene, **repeated).resample(generator, stored)
     return ToyProblem(frame, denoiser, TileAction(n), spp)
+
+
+def tile_parameters(problem: ToyProblem) -> Float[Tensor, "n 1 _ _"]:
+    """The parameters of the density of each image, which gradients belong to."""
+    assert isinstance(problem.sampler, TileAction)
+    return problem.sampler.parameters_per_tile
 
 
 @lru_cache

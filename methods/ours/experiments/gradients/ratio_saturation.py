@@ -79,7 +79,7 @@ def adam_step(side: int, learning_rate: float, seed: int = 0) -> Float[Tensor, "
     with torch.no_grad():
         before = problem.act()
         for weight, gradient in zip(weights, gradients, strict=True):
-            weight -= learning_rate * gradient.sign()
+            weight.sub_(learning_rate * gradient.sign())
         return (problem.act() - before)[0, 0]
 
 

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from methods.ours.experiments.gradients.problem import tile_parameters
 from methods.ours.experiments.known_optimum import ToyProblem, toy_density
 from rlbench.ops.dither import hilbert_order
 from rlbench.training.surrogate_gradient import relaxed_counts
@@ -80,8 +81,9 @@ def true_gradient(
     """
     mean = problem.act()
     at = mean if action is None else action + mean - mean.detach()  # with the gradient of the mean
-    parameters = list(problem.sampler.parameters())  # type: ignore[attr-defined]
-    (gradient,) = torch.autograd.grad(expected_error(problem, at, image), parameters)
+    (gradient,) = torch.autograd.grad(
+        expected_error(problem, at, image), [tile_parameters(problem)]
+    )
     return gradient[image].flatten()
 
 
