@@ -101,13 +101,15 @@ def relaxed_counts(
 
     Differentiable, including the multiplier k: pixels strictly within the bounds share what the
     others leave, in proportion to their density. If the mean of `min_counts` is `spp`, no pixel is
-    within the bounds, and there is no gradient. The density must lie in [0, 1] with a maximum of 1;
-    a pixel with a density below exp(-30) may be left at its minimum.
+    within the bounds, and there is no gradient; at 0 spp all counts are zero. The density must lie
+    in [0, 1] with a maximum of 1; a pixel with a density below exp(-30) may be left at its minimum.
 
     >>> density = torch.tensor([[[[0.25, 0.5, 1.0, 1.0]]]])
     >>> relaxed_counts(density, 3.0, torch.ones(1, 1, 1, 4, dtype=torch.int64), 8).flatten()
     tensor([1.0909, 2.1818, 4.3636, 4.3636])
     """
+    if spp == 0:
+        return density * 0
     smallest, low = int(min_counts.min()), min_counts.to(density.dtype)
     with torch.no_grad():
         first = smallest or spp / 1000  # a multiplier at which the mean is at most `spp`

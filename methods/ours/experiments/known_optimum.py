@@ -22,6 +22,7 @@ __all__ = [
     "MODES",
     "Direct",
     "Filter",
+    "FixedFilter",
     "Mode",
     "ToyProblem",
     "greedy_counts",
@@ -77,6 +78,23 @@ class Filter:
         return variance + (_blur(weight * truth) / total - truth).square()
 
 
+@dataclass(frozen=True)
+class FixedFilter:
+    """The same filter without counts: it couples pixels, but its weights are constants."""
+
+    reach: int = 2
+
+    def image(self, estimate: Tensor, counts: Tensor) -> Tensor:
+        """Mean of the neighbourhood, in which all pixels weigh the same."""
+        return _blur(estimate) / _blur(torch.ones_like(estimate))
+
+    def expected_error(self, sigma: Tensor, truth: Tensor, counts: Tensor) -> Tensor:
+        """Variance of that mean plus its squared bias, which no sample changes."""
+        variance, total = sigma.square() / (counts + PRIOR_SAMPLES), _blur(torch.ones_like(truth))
+        bias = _blur(truth) / total - truth
+        return _blur(variance, squared=True) / total.square() + bias.square()
+
+
 MODES: Mapping[str, Mode] = {"direct": Direct(), "filter": Filter()}
 
 
@@ -106,14 +124,19 @@ class ToyProblem:
         """Samples of each image."""
         return round(self.spp * self.frame.sigma[0].numel())
 
+    @property
+    def max_samples(self) -> int:
+        """Largest count of a pixel: all its stored samples."""
+        return self.frame.stored.shape[1]
+
     def act(self) -> Float[Tensor, "n 1 h w"]:
         """The sampler's action."""
         return self.sampler(self.frame.observation)
 
     def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-        """Shares of the budget, within `min_samples` and STORED_SAMPLES."""
+        """Shares of the budget, within `min_samples` and `max_samples`."""
         low = torch.full(action.shape, self.min_samples)
-        return relaxed_counts(toy_density(action), self.spp, low, STORED_SAMPLES)
+        return relaxed_counts(toy_density(action), self.spp, low, self.max_samples)
 
     def draw_counts(self, action: Float[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 h w"]:
         """Whole counts at the exact budget, also for k n images one after another."""
@@ -121,7 +144,7 @@ class ToyProblem:
         seeds = self.frame.rounding_seeds
         seeds = seeds * (len(action) // len(seeds))
         density = toy_density(action.detach())
-        return allocate_counts(density, self.total_samples, low, STORED_SAMPLES, seeds)
+        return allocate_counts(density, self.total_samples, low, self.max_samples, seeds)
 
     def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
         """Realised errors, from the same stored samples for every action."""
@@ -181,6 +204,6 @@ def greedy_counts(
 
 def _blur(values: Tensor, squared: bool = False) -> Tensor:
     """Sums over 5x5 pixels with binomial weights, or with their squares; zero outside."""
-    line = torch.tensor([1.0, 4, 6, 4, 1]) / 16
+    line = torch.tensor([1.0, 4, 6, 4, 1], dtype=values.dtype) / 16
     line = line.square() if squared else line
     return F.conv2d(values, torch.outer(line, line)[None, None], padding=2)

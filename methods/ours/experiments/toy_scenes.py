@@ -43,9 +43,11 @@ class ToyFrame:
     stored: Float[Tensor, "n s 1 h w"]  # independent samples, log-normal, of mean `truth`
     rounding_seeds: tuple[int, ...]
 
-    def resample(self, generator: torch.Generator) -> ToyFrame:
-        """The same frame with new samples."""
-        return replace(self, **_draw_noise(self.truth, self.sigma, generator))
+    def resample(
+        self, generator: torch.Generator, stored_samples: int = STORED_SAMPLES
+    ) -> ToyFrame:
+        """The same frame with new samples, `stored_samples` per pixel."""
+        return replace(self, **_draw_noise(self.truth, self.sigma, generator, stored_samples))
 
 
 def toy_frames(seed: int, n: int = 4, side: int = 48) -> Iterator[ToyFrame]:
@@ -117,13 +119,15 @@ def _pixel_centres(side: int) -> tuple[Tensor, Tensor]:
     return y, x
 
 
-def _draw_noise(truth: Tensor, sigma: Tensor, generator: torch.Generator) -> dict[str, Any]:
+def _draw_noise(
+    truth: Tensor, sigma: Tensor, generator: torch.Generator, stored_samples: int = STORED_SAMPLES
+) -> dict[str, Any]:
     """The random fields of a ToyFrame: prior, stored samples, rounding seeds."""
     n, _, h, w = truth.shape
     log_variance = (1 + (sigma / truth).square()).log().unsqueeze(1)
     prior, stored = (
         torch.randn(shape, generator=generator)
-        for shape in ((n, 1, h, w), (n, STORED_SAMPLES, 1, h, w))
+        for shape in ((n, 1, h, w), (n, stored_samples, 1, h, w))
     )
     return {
         "prior": truth + sigma * prior / PRIOR_SAMPLES**0.5,

@@ -31,6 +31,7 @@ from methods.ours.policy.block_policy_gradient import (
     remove_common_change,
 )
 from methods.ours.policy.environment import Env
+from methods.ours.policy.importance_ratio import pixel_ratios
 
 __all__ = ["GymSamplingEnv", "PixelLearner", "SamplerModule", "train"]
 
@@ -149,8 +150,7 @@ class PixelLearner(APPOTorchLearner):  # type: ignore[misc]
             current = mean.detach() + change
         previous = batch[Columns.ACTION_DIST_INPUTS][acted].chunk(2, 1)[0]
         action = batch[Columns.ACTIONS][acted]
-        distance = (action - current).square() - (action - previous).square()
-        ratio = (-distance / 2 / log_std.exp().square()).exp()
+        ratio = pixel_ratios(current, previous, action, log_std.exp())
         clipped = ratio.clamp(1 - config.clip_param, 1 + config.clip_param)
         objective = torch.minimum(ratio * gain, clipped * gain).mean()
         total: Tensor = regression - objective + DRIFT_WEIGHT * mean.mean(1).square().mean()

@@ -26,7 +26,6 @@ from rlbench.checks.stress.blast import (
 from rlbench.checks.stress.faults import (
     BACKGROUND,
     VALUES,
-    HoldDensities,
     RecordRun,
     ResumeRun,
     brightest_sample,
@@ -34,6 +33,7 @@ from rlbench.checks.stress.faults import (
     plant_in_samples,
     plant_in_state,
 )
+from rlbench.checks.stress.held_density import ReplayDensity
 from rlbench.checks.stress.result import StressResult
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.clips.in_memory import InMemoryClip
@@ -112,7 +112,7 @@ class CleanRun:
         """Run again with a fault, until the image is equal to that of the clean run."""
         method: Method = self.stressed.method
         if holds_counts:
-            method = HoldDensities(method, list(self.densities))
+            method = ReplayDensity.of(method, self.densities)
         clip = InMemoryClip("stress", "procedural", "", (fault.frame, *self.frames[1:]))
         results = run_clip(ResumeRun(method, fault.state), clip, self.stressed.default_spp, read)
         blasts = []

@@ -16,7 +16,6 @@ from rlbench.wrappers import MethodWrapper
 __all__ = [
     "BACKGROUND",
     "VALUES",
-    "HoldDensities",
     "RecordRun",
     "ResumeRun",
     "brightest_sample",
@@ -112,19 +111,6 @@ class ResumeRun(MethodWrapper[Method]):
     def start(self, size: Size) -> State:
         """The given state."""
         return self.state
-
-
-@dataclass(frozen=True)
-class HoldDensities(MethodWrapper[Method]):
-    """A method that plans recorded densities, so that a fault cannot move its samples."""
-
-    densities: list[Tensor]  # of all passes in order
-    calls: list[None] = field(default_factory=list)  # one entry per call of `plan`
-
-    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
-        """The next recorded density."""
-        self.calls.append(None)
-        return self.densities[len(self.calls) - 1]
 
 
 def _pool(frame: Frame) -> StoredPool:

@@ -1,0 +1,203 @@
+"""The gradient figures: direction, scale and noise of estimators, and saturated importance ratios.
+
+Command: python -m reports.gradients docs/results, after python -m
+methods.ours.experiments.gradients.measure --out docs/results
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import pandas as pd
+
+from reports.layout.style import BLACK, GREY, RC
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["LINE_STYLES", "draw_gradients", "draw_ratios", "gradient_table", "main", "ratio_table"]
+
+GRADIENTS, RATIOS = "gradients", "importance_ratio"  # of the CSVs and the figures
+DOTTED, DASHED = (0, (1, 1.5)), (0, (4, 2))
+LINE_STYLES = {  # colour and dashes; colours as in the figure of the known optimum
+    "explored truth": (BLACK, DOTTED),
+    "surrogate": ("#009E73", "-"),
+    "surrogate per sample": ("#009E73", DASHED),
+    "gamma": ("#CC79A7", "-"),
+    "reinforce": ("#E69F00", "-"),
+    "reinforce, no price": ("#E69F00", DASHED),
+    "score function": ("#0072B2", "-"),
+    "score function, no baseline": ("#0072B2", DASHED),
+}
+UNDRAWN = ("relaxed truth", "reinforce+surrogate")  # nearly 1; nearly `reinforce`
+RATIO_COLOURS = {"joint": "#7A4FA3", "block": "#E69F00", "pixel": "#0072B2"}
+TABLE_BUDGETS = (0.5, 4.0, 64.0)  # samples per pixel
+PLAIN, WEIGHTED = "no filter", "count-weighted filter"
+
+
+class Panel(NamedTuple):
+    """One row of panels: a column of the table against the budget."""
+
+    column: str
+    label: str
+    is_log: bool
+    ideal: float | None
+    limits: tuple[float, float]
+
+
+PANELS = (
+    Panel("cosine", "cosine to the true gradient", False, 1, (-0.05, 1.05)),
+    Panel("scale", "length along it / true length", True, 1, (0.02, 12)),
+    Panel("frames", "frames until noise = signal", True, None, (0.2, 1e6)),
+)
+
+
+def draw_gradients(rows: pd.DataFrame, file: Path) -> None:
+    """Write a PNG: cosine, scale and noise against the budget, a column per denoiser."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    denoisers = list(rows["denoiser"].unique())
+    with mpl.rc_context(RC):
+        figure = Figure(figsize=(4.6 * len(denoisers), 10.5), layout="constrained")
+        FigureCanvasAgg(figure)
+        grid: Any = figure.subplots(
+            len(PANELS), len(denoisers), sharex=True, sharey="row", squeeze=False
+        )
+        for line, panel in zip(grid, PANELS, strict=True):
+            for axes, denoiser in zip(line, denoisers, strict=True):
+                _draw_panel(axes, rows[rows["denoiser"] == denoiser], panel)
+            line[0].set_ylabel(panel.label)
+        for axes, denoiser in zip(grid[0], denoisers, strict=True):
+            axes.set_title(denoiser)
+        for axes in grid[-1]:
+            axes.set_xlabel("samples per pixel")
+        lines, names = grid[0, 0].get_legend_handles_labels()
+        figure.legend(lines, names, loc="outside lower center", ncols=3, frameon=False)
+        figure.savefig(file, dpi=130, metadata={})
+
+
+def _draw_panel(axes: Axes, rows: pd.DataFrame, panel: Panel) -> None:
+    axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_formatter("{x:g}")
+    if panel.is_log:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    axes.set_ylim(*panel.limits)
+    if panel.ideal is not None:
+        axes.axhline(panel.ideal, color=GREY, linewidth=1)
+    for name, (color, dash) in LINE_STYLES.items():
+        curve = rows[rows["estimator"] == name]
+        values = curve[panel.column]
+        if panel.column == "scale":  # a length that noise hides is not drawn
+            is_known = curve["has_scale"] & (curve["scale"] > curve["scale_margin"])
+            values = values.where(is_known)
+        axes.plot(curve["spp"], values, "o", color=color, linestyle=dash, markersize=3, label=name)
+        if panel.column == "cosine":
+            low = (values - curve["cosine_margin"]).clip(lower=-1)
+            high = (values + curve["cosine_margin"]).clip(upper=1)
+            axes.fill_between(curve["spp"], low, high, color=color, alpha=0.12, linewidth=0)
+
+
+def draw_ratios(rows: pd.DataFrame, file: Path) -> None:
+    """Write a PNG: share of ratios outside the clip range against the side of the image."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(RC):
+        figure = Figure(figsize=(7.5, 4.6), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        for (ratio, step), curve in _by_ratio_and_step(rows):
+            dash: Any = "-" if step.startswith("Adam") else DOTTED
+            label = f"{ratio}, {step}"
+            axes.plot(
+                curve["side"],
+                curve["clipped"],
+                "o",
+                color=RATIO_COLOURS[ratio],
+                linestyle=dash,
+                markersize=4,
+                label=label,
+            )
+        axes.set_xscale("log", base=2)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_ylim(-0.03, 1.03)
+        axes.set_xlabel("rows and columns of the image")
+        axes.set_ylabel("ratios outside 1 ± 0.15 after one step")
+        figure.legend(loc="outside right center", frameon=False)
+        figure.savefig(file, dpi=130, metadata={})
+
+
+def _by_ratio_and_step(rows: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
+    for key, curve in rows.groupby(["ratio", "step"], sort=False):
+        ratio, step = cast("tuple[str, str]", key)
+        yield (ratio, step), curve
+
+
+def gradient_table(rows: pd.DataFrame) -> str:
+    """Cosine, scale and noise of each estimator at TABLE_BUDGETS, as Markdown."""
+    budgets = " / ".join(f"{spp:g}" for spp in TABLE_BUDGETS)
+    lines = [
+        f"| at {budgets} spp | cosine, {PLAIN} | cosine, {WEIGHTED} | length, {PLAIN} "
+        f"| frames, {PLAIN} | frames, {WEIGHTED} |",
+        "| --- |" + " ---: |" * 5,
+    ]
+    for name in rows["estimator"].unique():
+        own = rows[rows["estimator"] == name]
+        cells = [_cells(own, PLAIN, "cosine"), _cells(own, WEIGHTED, "cosine")]
+        cells += [_cells(own, PLAIN, "scale") if own["has_scale"].all() else "any"]
+        cells += [_cells(own, PLAIN, "frames"), _cells(own, WEIGHTED, "frames")]
+        lines.append("| " + " | ".join([name, *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cells(rows: pd.DataFrame, denoiser: str, column: str) -> str:
+    chosen = rows[rows["denoiser"] == denoiser].set_index("spp").reindex(TABLE_BUDGETS)
+    if column == "scale":
+        chosen = chosen.where(chosen["scale"].abs() > chosen["scale_margin"])
+    return " / ".join("?" if pd.isna(value) else _plain(value, column) for value in chosen[column])
+
+
+def _plain(value: float, column: str) -> str:
+    if column == "frames":
+        return f"{value:,.0f}" if value >= 9.5 else f"{value:.1f}"
+    return f"{value:.2f}"
+
+
+def ratio_table(rows: pd.DataFrame) -> str:
+    """Share of ratios outside the clip range, a line per ratio and step, as Markdown."""
+    sides = sorted(rows["side"].unique())
+    lines = [
+        "| ratio, step | " + " | ".join(f"{side}x{side}" for side in sides) + " |",
+        "| --- |" + " ---: |" * len(sides),
+    ]
+    for (ratio, step), own in _by_ratio_and_step(rows):
+        shares = own.set_index("side")["clipped"].reindex(sides)
+        cells = [f"{share:.0%}" for share in shares]
+        lines.append("| " + " | ".join([f"{ratio}, {step}", *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main(folder: Path) -> None:
+    """Read both CSVs in `folder`, write the figures beside them, print the tables in Markdown."""
+    gradients, ratios = (pd.read_csv(folder / f"{name}.csv") for name in (GRADIENTS, RATIOS))
+    draw_gradients(gradients, folder / f"{GRADIENTS}.png")
+    draw_ratios(ratios, folder / f"{RATIOS}.png")
+    sys.stdout.write(gradient_table(gradients) + "\n" + ratio_table(ratios))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        prog="python -m reports.gradients",
+        description=f"Draw FOLDER/{GRADIENTS}.csv and FOLDER/{RATIOS}.csv, the tables of "
+        "python -m methods.ours.experiments.gradients.measure.",
+    )
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
+    main(parser.parse_args().folder)

@@ -1,0 +1,412 @@
+"""Gradient estimators: the truth against slow twins, planted faults, and the stress section."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import itertools
+import math
+import time
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from methods.ours.experiments.gradients import section
+from methods.ours.experiments.gradients.estimators import ESTIMATORS, Estimator, ScoreFunction
+from methods.ours.experiments.gradients.measure import gradient_row, write_tables
+from methods.ours.experiments.gradients.measurement import measure
+from methods.ours.experiments.gradients.problem import (
+    BUDGETS,
+    DENOISERS,
+    TileAction,
+    make_problem,
+)
+from methods.ours.experiments.gradients.ratio_saturation import adam_step, clipped_shares
+from methods.ours.experiments.gradients.statistics import GradientStatistics
+from methods.ours.experiments.gradients.truth import (
+    expected_error,
+    list_outcomes,
+    relaxed_error,
+    true_gradient,
+)
+from methods.ours.experiments.known_optimum import Direct, ToyProblem
+from methods.ours.policy import SamplerLearner
+from methods.ours.policy.appo_config import AppoSettings
+from methods.ours.policy.importance_ratio import joint_ratio, pixel_ratios
+from rlbench.checks.result import Verdict
+from rlbench.sampling import allocate_counts
+from rlbench.training.surrogate_gradient import relaxed_counts
+
+EVERY_DENOISER = pytest.mark.parametrize("denoiser", DENOISERS.values(), ids=list(DENOISERS))
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def problem_of(denoiser, spp: float, n: int = 1, seed: int = 0) -> ToyProblem:
+    return make_problem(denoiser, spp, n, seeded(seed))
+
+
+def with_tile(problem: ToyProblem, tile: int, value: float) -> Tensor:
+    """The action with one tile's parameter moved."""
+    moved = TileAction(len(problem.frame.truth)).double()
+    with torch.no_grad():
+        moved.parameters_per_tile.flatten(1)[:, tile] = value
+        return moved(problem.observation)
+
+
+@pytest.mark.parametrize("spp", [0.25, 1, 4])
+def test_the_outcomes_are_those_of_the_allocation(spp):
+    """Every allocation of the benchmark is one of the outcomes, as often as it should be."""
+    problem = problem_of(Direct(), spp)
+    action = problem.act().detach()
+    low = torch.zeros(action.shape, dtype=torch.int64)
+    density = (1 + action.double()) / 2
+    shares = relaxed_counts(density, spp, low, problem.max_samples)[0]
+    outcomes = list_outcomes(shares)
+    assert float(outcomes.probabilities.sum()) == pytest.approx(1)
+    seeds = tuple(range(400))
+    many = (400, 1, *action.shape[-2:])
+    drawn = allocate_counts(
+        density.expand(many), problem.total_samples, low.expand(many), problem.max_samples, seeds
+    )
+    known = {tuple(c.flatten().long().tolist()): i for i, c in enumerate(outcomes.counts)}
+    found = [known[tuple(c.flatten().tolist())] for c in drawn]
+    # seeds are equivalent to uniform offsets: the chosen outcomes spread evenly over [0, 1]
+    offsets = outcomes.offsets[found].sort().values
+    uniform = (torch.arange(400) + 0.5) / 400
+    assert float((offsets - uniform).abs().max()) < 1.63 / 400**0.5 + 0.01  # Kolmogorov, 1 %
+
+
+@EVERY_DENOISER
+@pytest.mark.parametrize("spp", [0.25, 2])
+def test_the_expected_error_is_that_of_simulation(denoiser, spp):
+    """Real rollouts: new samples, priors and roundings, 800 times."""
+    simulated = []
+    for seed in range(2):
+        problem = problem_of(denoiser, spp, 400, seed)
+        errors = problem.rollout(problem.act().detach()[None]).errors
+        simulated.append(errors.mean((0, 2, 3, 4)))
+    errors = torch.cat(simulated)
+    standard_error = float(errors.std()) / len(errors) ** 0.5
+    exact = float(expected_error(problem, problem.act().detach()))
+    assert exact == pytest.approx(float(errors.mean()), abs=4 * standard_error)
+    assert standard_error < 0.03 * exact
+
+
+def slow_error(problem: ToyProblem, action: Tensor) -> float:
+    """The expected error by a twin: shares in closed form, one rounding offset after another."""
+    density = (1 + action) / 2
+    shares = (problem.spp * density / density.mean())[0]  # no pixel is at a bound
+    outcomes = list_outcomes(shares)
+    sigma, truth = problem.frame.sigma.double(), problem.frame.truth.double()
+    pairs = zip(outcomes.probabilities.tolist(), outcomes.counts, strict=True)
+    return sum(
+        probability * float(problem.mode.expected_error(sigma, truth, counts[None]).mean())
+        for probability, counts in pairs
+    )
+
+
+@EVERY_DENOISER
+@pytest.mark.parametrize("spp", [0.25, 16])
+def test_the_true_gradient_is_that_of_finite_differences(denoiser, spp):
+    problem, step, tile = problem_of(denoiser, spp), 1e-7, 6
+    ends = [slow_error(problem, with_tile(problem, tile, sign * step)) for sign in (1, -1)]
+    difference = (ends[0] - ends[1]) / (2 * step)
+    assert float(true_gradient(problem)[tile]) == pytest.approx(difference, rel=1e-3)
+
+
+@EVERY_DENOISER
+def test_the_true_gradient_is_that_of_simulated_errors(denoiser):
+    """A long step, equal samples at both ends: the change of realised errors."""
+    step, tile, spp = 0.1, 0, 2
+    problem = problem_of(denoiser, spp, 500, seed=5)
+    ends = [with_tile(problem, tile, sign * step).float() for sign in (1, -1)]
+    first, second = problem.rollout(torch.stack(ends)).errors.mean((2, 3, 4))
+    change, exact = first - second, [float(expected_error(problem, end)) for end in ends]
+    standard_error = float(change.std()) / len(change) ** 0.5
+    assert exact[0] - exact[1] == pytest.approx(float(change.mean()), abs=4 * standard_error)
+    assert 3 * standard_error < abs(exact[0] - exact[1])
+
+
+def test_without_a_filter_the_gradient_has_a_closed_form():
+    """The slope of a pixel between m and m + 1 samples is e(m + 1) - e(m)."""
+    problem = problem_of(Direct(), 2)
+    action = problem.act().detach().double().requires_grad_()
+    (gradient,) = torch.autograd.grad(expected_error(problem, action), action)
+    density = (1 + action.detach()) / 2
+    shares = 2 * density / density.mean()
+    variance, m = problem.frame.sigma.double().square(), shares.floor()
+    slope = variance / (m + 1.5) - variance / (m + 0.5)
+    centred = slope - (slope * density).sum() / density.sum()  # the budget is shared
+    expected = centred * (2 / density.mean()) / 2 / density.numel()
+    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_rounding_adds_to_the_error():
+    problem = problem_of(Direct(), 0.25)
+    action = problem.act().detach()
+    assert float(expected_error(problem, action)) > 1.1 * float(relaxed_error(problem, action))
+
+
+def test_a_budget_of_zero_has_no_gradient():
+    density = torch.tensor([[[[0.25, 1.0]]]], requires_grad=True)
+    counts = relaxed_counts(density, 0.0, torch.zeros(1, 1, 1, 2, dtype=torch.int64), 8)
+    counts.sum().backward()
+    assert not counts.any()
+    assert not density.grad.any()
+
+
+# statistics
+
+
+def noisy_draws(truth: Tensor, factor: float, turn: float, noise: float, count: int = 4000):
+    """Draws around `factor` times the truth, turned by an angle."""
+    across = torch.zeros_like(truth)
+    across[-1] = truth.norm()
+    mean = factor * (math.cos(turn) * truth + math.sin(turn) * across)
+    return mean + noise * torch.randn(count, len(truth), generator=seeded(1)).double()
+
+
+TRUTH = torch.tensor([3.0, 4.0, 0.0], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(("factor", "turn"), [(1, 0), (2, 0), (-1, 0), (1, 0.5), (3, 1.5)])
+def test_statistics_find_a_known_scale_and_direction(factor, turn):
+    found = GradientStatistics.of_draws(noisy_draws(TRUTH, factor, turn, noise=5.0), TRUTH)
+    length, cosine = abs(factor), math.copysign(1, factor) * math.cos(turn)
+    assert found.scale.value == pytest.approx(length * cosine, abs=1.5 * found.scale.margin)
+    assert found.cosine.value == pytest.approx(cosine, abs=1.5 * found.cosine.margin + 1e-3)
+    bias = math.sqrt(length**2 - 2 * length * cosine + 1)
+    assert found.bias.value == pytest.approx(bias, abs=0.05)
+    assert found.is_resolved
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """95 % of 200 experiments, within 4 standard deviations."""
+    held = 0
+    for seed in range(200):
+        noise = 3 * torch.randn(64, 3, generator=seeded(seed)).double()
+        found = GradientStatistics.of_draws(TRUTH + noise, TRUTH)
+        held += abs(found.scale.value - 1) <= found.scale.margin
+    assert held >= 190 - 4 * 3.1
+
+
+def test_noise_alone_has_no_direction():
+    noise = torch.randn(256, 3, generator=seeded()).double()
+    assert not GradientStatistics.of_draws(noise, TRUTH).is_resolved
+
+
+def test_noise_is_relative_to_the_signal():
+    found = GradientStatistics.of_draws(noisy_draws(TRUTH, 1, 0, noise=5.0), TRUTH)
+    assert found.frames_needed == pytest.approx(3, rel=0.1)  # 3 components of the truth's length
+
+
+# planted faults
+
+
+@dataclass
+class Planted:
+    """The true gradient with noise, times a factor, in a wrong place if `shift` is not zero."""
+
+    factor: float = 1.0
+    shift: int = 0
+    noise: float = 0.5
+    min_samples: int = 0
+    network: None = None
+
+    def loss(self, problem: ToyProblem, generator: torch.Generator) -> Tensor:
+        (parameters,) = problem.sampler.parameters()
+        truth = true_gradient(problem).float().roll(self.shift)
+        noise = torch.randn(len(parameters), len(truth), generator=generator) / len(truth) ** 0.5
+        gradients = self.factor * (truth + self.noise * truth.norm() * noise)
+        return (parameters.flatten(1) * gradients).sum() / len(parameters)
+
+
+def verdicts(learner: SamplerLearner) -> dict[str, Verdict]:
+    """The worst verdict of each quantity."""
+    order = [Verdict.PASSED, Verdict.SKIPPED, Verdict.WARNING, Verdict.FAILED]
+    worst: dict[str, Verdict] = {}
+    for result in section.judge_estimator("planted", Estimator(lambda denoiser: learner)):
+        quantity = result.test.rpartition("-")[2]
+        worst[quantity] = max(worst.get(quantity, Verdict.PASSED), result.verdict, key=order.index)
+    return worst
+
+
+def test_the_truth_itself_passes():
+    assert set(verdicts(Planted()).values()) == {Verdict.PASSED}
+
+
+@pytest.mark.parametrize(
+    ("planted", "caught"),
+    [
+        (Planted(factor=-1), {"direction", "scale"}),
+        (Planted(factor=10), {"scale"}),
+        (Planted(factor=0.1), {"scale"}),
+        (Planted(shift=5), {"direction", "scale"}),
+        (Planted(noise=40), {"noise"}),
+        (Planted(factor=0), {"scale", "noise"}),
+    ],
+    ids=["wrong sign", "too long", "too short", "wrong place", "noisy", "zero"],
+)
+def test_a_planted_fault_is_caught(planted, caught):
+    failed = {name for name, verdict in verdicts(planted).items() if verdict is Verdict.FAILED}
+    assert caught <= failed
+
+
+# estimators
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_gives_independent_finite_gradients(name):
+    gradients = ESTIMATORS[name].draw(Direct(), 2.0, 4)
+    assert gradients.shape == (4, 16)
+    assert torch.isfinite(gradients).all()
+    if name != "relaxed truth":
+        assert len({tuple(row.tolist()) for row in gradients}) == 4
+
+
+def test_the_surrogate_is_twice_the_true_derivative():
+    found = measure("surrogate", "no filter", 16, 256).statistics
+    assert found.scale.value == pytest.approx(2, abs=0.25)
+    assert found.cosine.value > 0.99
+
+
+def test_the_surrogate_fades_where_pixels_have_no_sample():
+    assert measure("surrogate per sample", "no filter", 0.25, 256).statistics.scale.value < 0.2
+
+
+def test_counts_in_the_denoiser_turn_the_surrogate_away_also_at_high_budgets():
+    plain, weighted = (
+        measure("surrogate", denoiser, 64, 128).statistics.cosine
+        for denoiser in ("fixed filter", "count-weighted filter")
+    )
+    assert plain.value > 0.98
+    assert weighted.value + weighted.margin < 0.9
+
+
+def test_a_baseline_reduces_the_noise_of_the_score_function():
+    noise = [
+        ESTIMATORS[name].draw(Direct(), 4.0, 256).var(0).sum()
+        for name in ("score function", "score function, no baseline")
+    ]
+    assert 4 * noise[0] < noise[1]
+
+
+@pytest.mark.slow
+def test_the_score_function_is_unbiased():
+    """For the error of the noisy action, along its exact gradient; small noise, many draws."""
+    policy = replace(ScoreFunction(True).policy, action_std=0.1, draws=32)
+    learner = ScoreFunction(baseline=True, policy=policy)
+    truth = true_gradient(problem_of(Direct(), 0.5))
+    found = GradientStatistics.of_draws(
+        Estimator(lambda denoiser: learner).draw(Direct(), 0.5, 1024), truth
+    )
+    assert found.scale.value == pytest.approx(1, abs=1.5 * found.scale.margin)
+    assert found.scale.margin < 0.8
+
+
+# ratios
+
+
+def test_pixel_ratios_are_ratios_of_normal_densities():
+    current, previous, action = torch.randn(3, 5, generator=seeded()).double()
+    densities = [
+        torch.distributions.Normal(mean, 0.3).log_prob(action) for mean in (current, previous)
+    ]
+    expected = densities[0] - densities[1]
+    torch.testing.assert_close(pixel_ratios(current, previous, action, 0.3), expected.exp())
+    torch.testing.assert_close(joint_ratio(current, previous, action, 0.3), expected.sum().exp())
+
+
+def test_the_joint_ratio_is_that_of_rllib():
+    pytest.importorskip("gymnasium")
+    distributions = pytest.importorskip("ray.rllib.models.torch.torch_distributions")
+    current, previous, action = 0.1 * torch.randn(3, 4, 64, generator=seeded())
+    deviation = torch.full_like(current, math.log(0.3))
+    new, old = (
+        distributions.TorchDiagGaussian.from_logits(torch.cat((mean, deviation), 1)).logp(action)
+        for mean in (current, previous)
+    )
+    torch.testing.assert_close(joint_ratio(current, previous, action, 0.3), (new - old).exp())
+
+
+@pytest.mark.parametrize("side", [16, 64, 128])
+def test_the_saturation_of_the_joint_ratio_is_that_of_its_normal_law(side):
+    """The logarithm is normal: mean -v / 2 and variance v = pixels * (step / std)^2."""
+    step, std, clip, draws = 1e-3, 0.3, 0.15, 2000
+    spread = side * step / std
+    law = torch.distributions.Normal(-(spread**2) / 2, spread)
+    low, high = (law.cdf(torch.tensor(math.log(1 + s * clip))) for s in (-1, 1))
+    expected = float(1 - high + low)
+    found = clipped_shares(torch.full((side, side), step), std, clip, draws)["joint"]
+    assert found == pytest.approx(expected, abs=4 * 0.5 / draws**0.5)
+
+
+def test_the_joint_ratio_leaves_the_clip_range_where_pixel_ratios_stay():
+    settings = AppoSettings()
+    change = adam_step(64, settings.learning_rate)
+    shares = clipped_shares(change, settings.action_std, settings.clip, 64)
+    assert shares["joint"] > 0.9
+    assert max(shares["block"], shares["pixel"]) < 0.4
+
+
+@pytest.mark.slow  # torch.optim is slow to import
+def test_the_step_is_that_of_adam():
+    """torch.optim.Adam on the same gradient moves the mean action by the same amount."""
+    from methods.ours.experiments.compare_learners import initial_sampler
+    from methods.ours.experiments.toy_scenes import toy_frames
+    from methods.ours.policy import BlockPolicyGradient, BlockReinforce
+
+    sampler = initial_sampler(0)
+    problem = ToyProblem(next(toy_frames(0, 1, 16)), Direct(), sampler)
+    loss = BlockReinforce(BlockPolicyGradient(block=1, margin=0)).loss(problem, seeded())
+    optimizer = torch.optim.Adam(sampler.parameters(), 1e-3)
+    loss.backward()
+    before = problem.act().detach()
+    optimizer.step()
+    moved = (problem.act().detach() - before)[0, 0]
+    torch.testing.assert_close(adam_step(16, 1e-3), moved, rtol=0.05, atol=2e-4)
+
+
+# the section and the command
+
+
+def test_the_section_is_registered_and_quick():
+    (entry,) = importlib.metadata.entry_points(group="rlbench.stress", name="gradients")
+    suite_section = entry.load()
+    began = time.process_time()
+    results = list(suite_section.run(True))
+    assert time.process_time() - began < 10  # 2.5 on an idle core
+    assert suite_section.name == "gradients" == results[0].section
+    assert len({result.test for result in results}) == len(results)
+    failing = [result.test for result in results if result.verdict is Verdict.FAILED]
+    assert failing == ["ratio-joint"]  # the literal recipe, a known limit
+    assert all(result.remedy for result in results if result.verdict is Verdict.WARNING)
+
+
+def test_results_are_the_same_in_a_second_run():
+    names = itertools.islice(ESTIMATORS, 2, 4)
+    first, second = (
+        [gradient_row(measure(name, "no filter", 2.0, 16)) for name in names_]
+        for names_ in itertools.tee(names)
+    )
+    assert first == second
+
+
+@pytest.mark.slow
+def test_the_full_section_takes_less_than_a_minute_of_one_core():
+    began = time.process_time()
+    results = list(section.run_gradients(False))
+    assert time.process_time() - began < 60
+    assert [r.test for r in results if r.verdict is Verdict.FAILED] == ["ratio-joint"]
+
+
+@pytest.mark.slow
+def test_the_command_writes_both_tables(tmp_path):
+    write_tables(tmp_path, draws=4, budgets=BUDGETS[:1], sides=(8,))
+    rows = (tmp_path / "gradients.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(ESTIMATORS) * len(DENOISERS)
+    assert len((tmp_path / "importance_ratio.csv").read_text().splitlines()) == 1 + 6
