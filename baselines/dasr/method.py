@@ -15,7 +15,7 @@ from baselines.dasr.network import Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.density import bounded_exp_density
-from rlbench.ops.fireflies import limit_fireflies
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
@@ -75,7 +75,7 @@ class Dasr:
 
 def _network_input(gbuffer: GBuffer, samples: Samples) -> Float[Tensor, "n 10 h w"]:
     """Input of both networks: log radiance, albedo, normal and depth."""
-    noisy = limit_fireflies(samples.mean)
+    noisy = mean_without_fireflies(samples.radiance, samples.counts)
     albedo, normal = (gbuffer.albedo - ALBEDO_MEAN) / ALBEDO_STD, gbuffer.normal / NORMAL_STD
     return torch.cat((noisy.log1p(), albedo, normal, squash_depth(gbuffer.depth)), 1)
 

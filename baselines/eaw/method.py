@@ -13,8 +13,9 @@ from baselines.eaw import FAMILY
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import reflectance, surface_mask
-from rlbench.ops.fireflies import limit_fireflies
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import atrous_taps
 
 __all__ = ["Config", "Eaw", "build", "atrous_pass"]
@@ -65,14 +66,12 @@ class Eaw:
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The filtered image, linear radiance."""
         # demodulate
-        noisy, albedo = (
-            limit_fireflies(samples.mean),
-            reflectance(gbuffer.albedo),
-        )
+        noisy, albedo = sanitize_radiance(samples.mean), reflectance(gbuffer.albedo)
+        limited = mean_without_fireflies(samples.radiance, samples.counts)
         surface = surface_mask(gbuffer.albedo, gbuffer.depth)
         n, _, h, w = noisy.shape
         rows = PaddedRows(n, h, w, margin=2**self.config.passes)
-        irradiance = rows.pack((noisy / albedo).where(surface, 0.0))
+        irradiance = rows.pack((limited / albedo).where(surface, 0.0))
 
         # a-trous passes
         normal = rows.pack(gbuffer.normal)

@@ -16,17 +16,16 @@ from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
-from rlbench.ops.fireflies import limit_sample_fireflies
+from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import HALF_MAX, squash_depth
+from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["Config", "Imcd", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
 MAX_FEATURE = 1e4  # in magnitude, of embeddings and features; usual ones are below 100
-MAX_IRRADIANCE = 100 * HALF_MAX  # the largest radiance over the least demodulation albedo
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state's images, in their order
 
 
@@ -125,7 +124,7 @@ class Imcd:
         self, gbuffer: GBuffer, samples: Samples, albedo: Tensor
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
         """Mean irradiance of the samples, and the mean of their embeddings e_t."""
-        radiance = limit_sample_fireflies(samples.radiance, samples.counts)
+        radiance = limit_fireflies(samples.radiance, samples.counts)
         irradiance = radiance / albedo[:, None]
         features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
         embedding = self.networks.encoder(irradiance.log1p(), features, samples.valid_mask)
@@ -136,8 +135,12 @@ def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor
     """The state as seen from this frame, zero where it is invalid, and the validity mask."""
     if state.age == 0:
         return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
-    limits = ((-MAX_FEATURE, MAX_FEATURE), (0.0, MAX_IRRADIANCE)) * 2
-    parts = [repair_history(part, *limit) for part, limit in zip(state[:4], limits, strict=True)]
+    parts = (
+        repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE),
+        repair_radiance_history(state.irradiance),
+        repair_history(state.features, -MAX_FEATURE, MAX_FEATURE),
+        repair_radiance_history(state.denoised),
+    )
     images, valid = reproject(torch.cat(parts, 1), gbuffer.motion)
     parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid

@@ -17,17 +17,15 @@ from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
-from rlbench.ops.fireflies import limit_fireflies
+from rlbench.ops.fireflies import mean_without_fireflies, repair_radiance_history
 from rlbench.ops.reprojection import reproject
-from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import HALF_MAX, log_forward, squash_depth
+from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Config", "Ntas", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
 NO_HISTORY = -1.0  # network input where the history is invalid
-MAX_IRRADIANCE = 100 * HALF_MAX  # the largest radiance over the least demodulation albedo
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class Ntas:
 
         # demodulate
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        noisy = limit_fireflies(samples.mean)
+        noisy = mean_without_fireflies(samples.radiance, samples.counts)
 
         # predict kernels and filter
         features = _sampler_input(gbuffer, albedo, history, valid)
@@ -116,8 +114,7 @@ def _reproject_denoised(
     gbuffer: GBuffer, state: State
 ) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The previous demodulated image as seen from this frame, zero where it is invalid."""
-    denoised = repair_history(state.denoised, 0.0, MAX_IRRADIANCE)
-    history, valid = reproject(denoised, gbuffer.motion)
+    history, valid = reproject(repair_radiance_history(state.denoised), gbuffer.motion)
     valid = valid & (state.age > 0)
     return history.where(valid, 0.0), valid
 

@@ -14,7 +14,7 @@ from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.fireflies import limit_fireflies
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
@@ -86,7 +86,7 @@ class Oidn:
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image in linear radiance, from the mean of the samples, albedo and normal."""
-        noisy = limit_fireflies(samples.mean)
+        noisy = mean_without_fireflies(samples.radiance, samples.counts)
         exposure = self.estimate_exposure(noisy)
         features = encode_inputs(noisy * exposure, gbuffer)
         output = crop(self.network(pad(features, multiple=STRIDE)), *features.shape[-2:])

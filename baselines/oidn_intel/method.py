@@ -13,7 +13,7 @@ from baselines.oidn_intel import TRAITS
 from baselines.oidn_intel.library import Filter, FilterSettings, library_version
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.fireflies import limit_fireflies
+from rlbench.ops.fireflies import mean_without_fireflies
 
 __all__ = ["VARIANTS", "Config", "OidnIntel", "build"]
 
@@ -62,7 +62,7 @@ class OidnIntel:
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image in linear radiance; the clips of a batch one after another."""
-        noisy = limit_fireflies(samples.mean)
+        noisy = mean_without_fireflies(samples.radiance, samples.counts)
         settings = FilterSettings(self.config.quality, self.config.clean_aux)
         run_filter = get_filter(settings, *noisy.shape[-2:], torch.get_num_threads())
         inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)

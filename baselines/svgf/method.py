@@ -23,7 +23,7 @@ from baselines.svgf.wavelet import Edges, atrous_pass
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import reflectance, surface_mask
-from rlbench.ops.fireflies import limit_fireflies
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
 from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import atrous_taps, box_taps
@@ -102,7 +102,8 @@ class Svgf:
         # demodulate
         noisy, albedo = samples.mean, reflectance(gbuffer.albedo)
         surface = surface_mask(gbuffer.albedo, gbuffer.depth)
-        irradiance = torch.where(surface, limit_fireflies(noisy) / albedo, 0.0)
+        limited = mean_without_fireflies(samples.radiance, samples.counts)
+        irradiance = torch.where(surface, limited / albedo, 0.0)
         depth = torch.where(surface, gbuffer.depth, 0.0)
         normal = torch.where(surface, normalize(gbuffer.normal), 0.0)
         rows = self._padded_rows(Size(len(noisy), *noisy.shape[2:]))

@@ -14,6 +14,7 @@ from methods.ours.networks import GBUFFER_CHANNELS
 from methods.ours.sample_encoding import MISSING
 from methods.ours.state import RecurrentState, ReprojectedHistory, detach, gbuffer_features
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.fireflies import repair_radiance_history
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import HALF_MAX, log_forward
@@ -28,7 +29,6 @@ __all__ = [
 ]
 
 STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
-MIN_IMAGE = -0.01  # linear radiance; while training images may be negative
 MAX_SPP = 1e4  # accumulated samples; a larger number is no count
 MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504
 SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
@@ -190,9 +190,9 @@ class RadianceHistory(LatentHistory):
         dominated by rounding errors.
         """
         stacked = (
-            repair_history(state.radiance.mean, 0.0, HALF_MAX),
+            repair_radiance_history(state.radiance.mean),
             repair_history(state.radiance.second_moment, 0.0, HALF_MAX**2),
-            log_forward(repair_history(state.image, MIN_IMAGE, HALF_MAX)),
+            log_forward(repair_radiance_history(state.image.clamp_min(0))),
         )
         moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), gbuffer.motion)
         mean, square, image = moved.split_with_sizes(BICUBIC_CHANNELS, 1)

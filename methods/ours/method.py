@@ -32,7 +32,7 @@ from methods.ours.state import (
 from methods.ours.variants import VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.fireflies import limit_sample_fireflies
+from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
@@ -89,7 +89,7 @@ class Ours:
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
         """The image in linear radiance, and the state for the next frame."""
-        radiance = limit_sample_fireflies(samples.radiance, samples.counts)
+        radiance = limit_fireflies(samples.radiance, samples.counts)
         samples = replace(samples, radiance=radiance)
         history = self.reproject(gbuffer, state)
         encoded = self.sample_encoding.encode(samples)

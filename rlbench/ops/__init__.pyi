@@ -10,7 +10,7 @@ from .demodulation import (
 from .density import bounded_exp_density
 from .dither import round_to_total
 from .exposure import autoexposure
-from .fireflies import limit_fireflies, limit_sample_fireflies
+from .fireflies import limit_fireflies, mean_without_fireflies, repair_radiance_history
 from .init import kaiming_init
 from .kernels import apply_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
@@ -53,17 +53,18 @@ __all__ = [
     "l1",
     "l1_ms_ssim_loss",
     "limit_fireflies",
-    "limit_sample_fireflies",
     "log_forward",
     "log_inverse",
     "log_loss",
     "luminance",
+    "mean_without_fireflies",
     "ms_ssim",
     "pad",
     "pu_forward",
     "pu_inverse",
     "reflectance",
     "repair_history",
+    "repair_radiance_history",
     "reproject",
     "reproject_bicubic",
     "reproject_or_fill",

@@ -1,4 +1,4 @@
-"""Firefly limit: a value far brighter than all pixels around it is dimmed before it spreads."""
+"""Fireflies: a sample far brighter than all pixels around it is dimmed before it spreads."""
 
 from __future__ import annotations
 
@@ -12,55 +12,67 @@ from torch.nn import functional as F
 
 from rlbench.ops.color import luminance
 from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
-from rlbench.ops.sanitize import sanitize_radiance
+from rlbench.ops.sanitize import repair_history, sanitize_radiance
+from rlbench.ops.transfer import HALF_MAX
 
-__all__ = ["limit_fireflies", "limit_sample_fireflies"]
+__all__ = ["limit_fireflies", "mean_without_fireflies", "repair_radiance_history"]
 
 RADIUS = 2  # pixels around a pixel that vouch for its brightness
-CONTRAST = 64.0  # times the brightest of them, above which a value is taken for an outlier
+CONTRAST = 64.0  # times the brightest of them, above which a sample is taken for an outlier
+HISTORY_CONTRAST = 4096.0  # times the image's log-average, above which history is broken
 
 
-def limit_fireflies(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
-    """Finite linear radiance without outliers, which get the mean luminance of their window.
-
-    An outlier exceeds 64 times the luminance of each other pixel in 5 x 5, and 64 times the
-    log-average luminance of the image (as autoexposure takes it), so that a lamp in the dark is
-    none. Renderers clamp samples to a constant (Cycles: "clamp indirect"); this limit follows the
-    exposure of the scene, and leaves usual fireflies alone. Values that are not finite or negative
-    are replaced first (rlbench.ops.sanitize).
-
-    >>> radiance = torch.ones(1, 3, 5, 5)
-    >>> radiance[..., 2, 2] = 65504.0
-    >>> round(limit_fireflies(radiance)[0, 0, 2, 2].item(), 3)
-    1.0
-    """
-    radiance = sanitize_radiance(radiance)
-    return _replace_outliers(radiance, radiance)
-
-
-def limit_sample_fireflies(
+def limit_fireflies(
     radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n s 3 h w"]:
-    """As `limit_fireflies`, for single samples, compared with the means of the pixels around.
+    """Finite samples without outliers, which get the mean luminance of the pixels around.
+
+    A sample is an outlier if its luminance exceeds 64 times the mean of each other pixel in 5 x 5,
+    and 64 times the log-average luminance of the image, as autoexposure takes it. Renderers clamp
+    samples to a constant (Cycles: "clamp indirect"); this limit follows the exposure of the scene
+    and leaves usual fireflies alone. A lamp that covers a single pixel is dimmed like an outlier.
+    Samples that are not finite or negative are replaced first (rlbench.ops.sanitize).
 
     `counts` is the number of samples per pixel; slots without a sample hold zero.
+
+    >>> radiance = torch.ones(1, 1, 3, 5, 5)
+    >>> radiance[..., 2, 2] = 65504.0
+    >>> limited = limit_fireflies(radiance, counts=torch.ones(1, 1, 5, 5))
+    >>> round(limited[0, 0, 0, 2, 2].item(), 3)
+    1.0
     """
-    radiance = sanitize_radiance(radiance)
-    return _replace_outliers(radiance, radiance.sum(1) / counts.clamp_min(1))
-
-
-def _replace_outliers(
-    radiance: Float[Tensor, "*n 3 h w"], mean: Float[Tensor, "n 3 h w"]
-) -> Float[Tensor, "*n 3 h w"]:
+    mean = _mean(radiance, counts)
+    if sanitize_radiance(mean) is not mean:
+        radiance = sanitize_radiance(radiance)
+        mean = _mean(radiance, counts)
     light, average = luminance(mean), MIDDLE_GREY / autoexposure(mean)
     brightest = torch.maximum(_max_of_neighbours(light), average)
-    value = luminance(radiance)
-    slots = (light.shape[0], *(1,) * (radiance.dim() - 4), *light.shape[1:])
-    is_outlier = value > CONTRAST * brightest.view(slots)
-    if not is_outlier.any():
+    if not (light * counts > CONTRAST * brightest).any():  # no sample is brighter than the sum
         return radiance
-    replacement = _window_mean(torch.minimum(light, brightest)).view(slots)
+    replacement = _window_mean(torch.minimum(light, brightest)).unsqueeze(1)
+    value = luminance(radiance)
+    is_outlier = value > CONTRAST * brightest.unsqueeze(1)
     return torch.where(is_outlier, radiance * (replacement / value.clamp_min(1e-30)), radiance)
+
+
+def mean_without_fireflies(
+    radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]
+) -> Float[Tensor, "n 3 h w"]:
+    """The mean of each pixel's samples after `limit_fireflies`; zero without a sample."""
+    return _mean(limit_fireflies(radiance, counts), counts)
+
+
+def repair_radiance_history(history: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
+    """Linear radiance of earlier frames, in which a broken pixel equals a neighbour.
+
+    A pixel is broken if it is not finite, negative, or above 4096 times the log-average luminance.
+    """
+    history = repair_history(history, 0.0, HALF_MAX)
+    return repair_history(history, 0.0, HISTORY_CONTRAST * MIDDLE_GREY / autoexposure(history))
+
+
+def _mean(radiance: Tensor, counts: Tensor) -> Tensor:
+    return radiance.sum(1) / counts.clamp_min(1)
 
 
 def _max_of_neighbours(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:

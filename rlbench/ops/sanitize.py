@@ -98,7 +98,7 @@ def _fill_from_neighbours(
 
 
 def repair_history(
-    history: Float[Tensor, "n c h w"], least: float, most: float
+    history: Float[Tensor, "n c h w"], least: float, most: float | Float[Tensor, "n 1 1 1"]
 ) -> Float[Tensor, "n c h w"]:
     """History in which a pixel that is not finite, or outside [least, most], equals a neighbour.
 
@@ -107,9 +107,11 @@ def repair_history(
     >>> repair_history(torch.tensor([[[[0.5, torch.nan, 0.25]]]]), least=0.0, most=1.0)
     tensor([[[[0.5000, 0.5000, 0.2500]]]])
     """
-    if _is_within(history, least, most):
+    if isinstance(most, float) and _is_within(history, least, most):
         return history
     valid = ((history >= least) & (history <= most)).all(1, keepdim=True)  # False for NaN
+    if valid.all():
+        return history
     return _fill_from_neighbours(history, valid, 0.0)
 
 

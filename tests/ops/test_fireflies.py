@@ -1,4 +1,4 @@
-"""Firefly limit: one outlier gets the mean of its window; usual light is left alone."""
+"""Fireflies: one outlier gets the mean of its window; usual light is left alone."""
 
 from __future__ import annotations
 
@@ -6,80 +6,79 @@ import math
 
 import pytest
 import torch
+from torch import Tensor
 
 from rlbench.ops.color import luminance
-from rlbench.ops.fireflies import CONTRAST, limit_fireflies, limit_sample_fireflies
+from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
+from rlbench.ops.fireflies import (
+    CONTRAST,
+    limit_fireflies,
+    mean_without_fireflies,
+    repair_radiance_history,
+)
+
+SIDE, SPP = 16, 3
+COUNTS = torch.full((1, 1, SIDE, SIDE), SPP)
 
 
-def noisy(side: int = 16, seed: int = 0) -> torch.Tensor:
-    """Exponential noise: its largest neighbour is within a factor of 64."""
+def noisy(seed: int = 0) -> Tensor:
+    """Three samples per pixel of exponential noise: no mean is 64 times its neighbours."""
     generator = torch.Generator().manual_seed(seed)
-    return -torch.rand(1, 3, side, side, generator=generator).clamp_min(1e-6).log()
+    return -torch.rand(1, SPP, 3, SIDE, SIDE, generator=generator).clamp_min(1e-6).log()
 
 
-def limit_slowly(radiance: torch.Tensor, average: float) -> torch.Tensor:
-    """Pixel by pixel."""
-    light, result = luminance(radiance)[0, 0], radiance.clone()
-    h, w = light.shape
-    for y in range(h):
-        for x in range(w):
-            window = [
-                (yy, xx)
-                for yy in range(max(y - 2, 0), min(y + 3, h))
-                for xx in range(max(x - 2, 0), min(x + 3, w))
-            ]
-            brightest = [max(_others(light, window, p)) for p in window]
-            brightest = [max(value, average) for value in brightest]
-            here = window.index((y, x))
-            if light[y, x] > CONTRAST * brightest[here]:
-                # each pixel of the window counts up to the brightest of its own neighbours
-                limits = _limits(light, window, average)
-                mean = sum(min(float(light[p]), m) for p, m in zip(window, limits, strict=True))
-                result[0, :, y, x] *= mean / len(window) / light[y, x]
+def window(y: int, x: int) -> list[tuple[int, int]]:
+    rows, columns = range(max(y - 2, 0), min(y + 3, SIDE)), range(max(x - 2, 0), min(x + 3, SIDE))
+    return [(row, column) for row in rows for column in columns]
+
+
+def limit_slowly(radiance: Tensor) -> Tensor:
+    """Pixel by pixel and sample by sample."""
+    mean, result = radiance.mean(1), radiance.clone()
+    light, average = luminance(mean)[0, 0], float(MIDDLE_GREY / autoexposure(mean))
+
+    def brightest(y: int, x: int) -> float:
+        return max(average, *(float(light[p]) for p in window(y, x) if p != (y, x)))
+
+    for y in range(SIDE):
+        for x in range(SIDE):
+            limited = [min(float(light[p]), brightest(*p)) for p in window(y, x)]
+            for slot in range(SPP):
+                value = float(luminance(radiance[0, slot])[0, y, x])
+                if value > CONTRAST * brightest(y, x):
+                    result[0, slot, :, y, x] *= sum(limited) / len(limited) / value
     return result
-
-
-def _others(light, window, pixel):
-    return [float(light[p]) for p in window if p != pixel]
-
-
-def _limits(light, window, average):
-    h, w = light.shape
-    limits = []
-    for y, x in window:
-        others = [
-            float(light[yy, xx])
-            for yy in range(max(y - 2, 0), min(y + 3, h))
-            for xx in range(max(x - 2, 0), min(x + 3, w))
-            if (yy, xx) != (y, x)
-        ]
-        limits.append(max(*others, average))
-    return limits
 
 
 @pytest.mark.parametrize("pixel", [(8, 8), (0, 0), (15, 3)])
 def test_an_outlier_is_replaced_as_by_a_slow_twin(pixel):
-    from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
-
     radiance = noisy()
-    radiance[..., pixel[0], pixel[1]] = torch.tensor([65504.0, 1000.0, 10.0])
-    average = float(MIDDLE_GREY / autoexposure(radiance))
-    limited = limit_fireflies(radiance)
+    radiance[:, 1, :, pixel[0], pixel[1]] = torch.tensor([65504.0, 1000.0, 10.0])
+    limited = limit_fireflies(radiance, COUNTS)
     assert not torch.equal(limited, radiance)
-    assert torch.allclose(limited, limit_slowly(radiance, average), rtol=1e-4)
+    assert torch.allclose(limited, limit_slowly(radiance), rtol=1e-4)
+
+
+def test_the_other_samples_of_the_pixel_stay():
+    bad = noisy()
+    bad[:, 1, :, 8, 8] = 65504.0
+    limited = limit_fireflies(bad, COUNTS)
+    limited[:, 1, :, 8, 8] = bad[:, 1, :, 8, 8] = 0
+    assert torch.equal(limited, bad)
 
 
 def test_usual_noise_and_two_bright_pixels_side_by_side_stay():
     radiance = noisy()
     radiance[..., 8, 8:10] = 1000.0
-    assert limit_fireflies(radiance) is radiance
+    assert limit_fireflies(radiance, COUNTS) is radiance
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
-def test_invalid_values_become_black(value):
+@pytest.mark.parametrize("value", [math.nan, math.inf, -10.0])
+def test_invalid_samples_become_black(value):
     radiance = noisy()
-    radiance[..., 3, 4] = value
-    assert (limit_fireflies(radiance)[..., 3, 4] == 0).all()
+    radiance[:, 1, :, 3, 4] = value
+    assert (limit_fireflies(radiance, COUNTS)[:, 1, :, 3, 4] == 0).all()
+    assert mean_without_fireflies(radiance, COUNTS).isfinite().all()
 
 
 @pytest.mark.parametrize("exposure", [1e-4, 1e2])
@@ -87,16 +86,26 @@ def test_the_limit_follows_the_exposure(exposure):
     """With a lamp of 300 in light of 1, which a fixed cap would cut at one exposure only."""
     radiance = noisy()
     radiance[..., 8, 8] = 300.0
-    limited = limit_fireflies(radiance * exposure) / exposure
-    assert torch.allclose(limited, limit_fireflies(radiance), rtol=1e-4)
+    limited = limit_fireflies(radiance * exposure, COUNTS) / exposure
+    assert torch.allclose(limited, limit_fireflies(radiance, COUNTS), rtol=1e-4)
 
 
-def test_one_sample_is_limited_and_the_others_of_its_pixel_stay():
-    radiance = torch.stack([noisy(seed=s)[0] for s in range(3)])[None]
-    bad = radiance.clone()
-    bad[0, 1, :, 8, 8] = 65504.0
-    counts = torch.full((1, 1, 16, 16), 3)
-    limited = limit_sample_fireflies(bad, counts)
-    assert luminance(limited[0, 1, :, 8, 8, None, None]).item() < 5
-    limited[0, 1, :, 8, 8] = radiance[0, 1, :, 8, 8]
-    assert torch.equal(limited, radiance)
+def test_pixels_without_a_sample_stay_black():
+    radiance, counts = noisy(), COUNTS.clone()
+    counts[..., ::2] = 0
+    radiance[..., ::2] = 0
+    assert (mean_without_fireflies(radiance, counts)[..., ::2] == 0).all()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 65504.0])
+def test_broken_history_is_a_neighbours(value):
+    history = noisy().mean(1)
+    broken = history.clone()
+    broken[..., 8, 8] = value
+    assert torch.equal(repair_radiance_history(broken)[..., 8, 8], history[..., 8, 7])
+
+
+def test_valid_history_stays_though_a_lamp_is_a_thousand_times_brighter():
+    history = noisy().mean(1)
+    history[..., 8, 8] = 1000.0
+    assert repair_radiance_history(history) is history

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.stress.display import psnr
 from rlbench.ops.color import encode_srgb
 
 __all__ = ["Blast", "FrameBlast", "compare_frames"]
@@ -33,6 +34,7 @@ class FrameBlast:
     psnr_outside: float  # dB, of the pixels farther than 8 pixels away
     nonfinite: int  # pixels
     error: float  # largest change of a display value in [0, 1]
+    loss: float  # dB of PSNR against the reference
     largest: float  # finite value in the image, in display whites
 
 
@@ -64,6 +66,11 @@ class Blast:
     def psnr_outside(self) -> float:
         """The lowest PSNR outside the radius, in dB."""
         return min(frame.psnr_outside for frame in self.frames)
+
+    @property
+    def loss(self) -> float:
+        """The largest loss of PSNR in any frame, in dB; inf if a pixel is not finite."""
+        return math.inf if self.nonfinite else max(frame.loss for frame in self.frames)
 
     @property
     def residue(self) -> float:
@@ -104,7 +111,11 @@ class Blast:
 
 
 def compare_frames(
-    image: Float[Tensor, "1 3 h w"], clean: Float[Tensor, "1 3 h w"], y: int, x: int
+    image: Float[Tensor, "1 3 h w"],
+    clean: Float[Tensor, "1 3 h w"],
+    reference: Float[Tensor, "1 3 h w"],
+    y: int,
+    x: int,
 ) -> FrameBlast:
     """Compare a frame with the same frame of a run without the fault, which lies at (y, x)."""
     finite = image.isfinite().all(1)[0]
@@ -120,6 +131,7 @@ def compare_frames(
         min(MAX_DB, -10 * math.log10(mse)) if mse > 0 else MAX_DB,
         int((~finite).sum()),
         float(error.amax()),
+        float(psnr(clean, reference) - psnr(image, reference)),
         float(image.where(image.isfinite(), 0.0).amax()),
     )
 

@@ -159,7 +159,7 @@ def test_the_figures_of_a_blast_are_those_of_a_planted_change():
     image = clean.clone()
     image[..., 20, 25] = image[..., 20, 37] = 0.6
     image[..., 0, 0] = math.nan
-    blast = compare_frames(image, clean, 20, 25)
+    blast = compare_frames(image, clean, clean, 20, 25)
     assert (blast.changed, blast.nonfinite) == (3, 1)
     assert blast.distance == pytest.approx(math.hypot(20, 25))
     assert blast.largest == pytest.approx(0.6)
@@ -171,7 +171,7 @@ def test_a_blast_is_clean_after_its_last_changed_frame():
     clean = torch.zeros(1, 3, 20, 20)
     bad = clean.clone()
     bad[..., 5, 5] = 1.0
-    same, other = compare_frames(clean, clean, 5, 5), compare_frames(bad, clean, 5, 5)
+    same, other = compare_frames(clean, clean, clean, 5, 5), compare_frames(bad, clean, clean, 5, 5)
     assert Blast([same]).frames_until_clean == 0
     assert Blast([other, same, other, same]).frames_until_clean == 3
     assert Blast([other, other]).frames_until_clean == math.inf
