@@ -45,8 +45,9 @@ def limit_fireflies(
     if sanitize_radiance(mean) is not mean:
         radiance = sanitize_radiance(radiance)
         mean = _mean(radiance, counts)
-    light, average = luminance(mean), MIDDLE_GREY / autoexposure(mean)
-    brightest = torch.maximum(_max_of_neighbours(light), average)
+    light = luminance(mean)
+    neighbours = _max_of_neighbours(light)
+    brightest = torch.maximum(neighbours, _log_average(torch.minimum(light, neighbours)))
     if not (light * counts > CONTRAST * brightest).any():  # no sample is brighter than the sum
         return radiance
     replacement = _window_mean(torch.minimum(light, brightest)).unsqueeze(1)
@@ -68,7 +69,14 @@ def repair_radiance_history(history: Float[Tensor, "n 3 h w"]) -> Float[Tensor, 
     A pixel is broken if it is not finite, negative, or above 4096 times the log-average luminance.
     """
     history = repair_history(history, 0.0, HALF_MAX)
-    return repair_history(history, 0.0, HISTORY_CONTRAST * MIDDLE_GREY / autoexposure(history))
+    light = luminance(history)
+    average = _log_average(torch.minimum(light, _max_of_neighbours(light)))
+    return repair_history(history, 0.0, HISTORY_CONTRAST * average)
+
+
+def _log_average(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 1 1"]:
+    """The log-average luminance of each image, 0.18 for a black one."""
+    return MIDDLE_GREY / autoexposure(light.expand(-1, 3, -1, -1))
 
 
 def _mean(radiance: Tensor, counts: Tensor) -> Tensor:

@@ -35,10 +35,18 @@ def window(y: int, x: int) -> list[tuple[int, int]]:
 def limit_slowly(radiance: Tensor) -> Tensor:
     """Pixel by pixel and sample by sample."""
     mean, result = radiance.mean(1), radiance.clone()
-    light, average = luminance(mean)[0, 0], float(MIDDLE_GREY / autoexposure(mean))
+    light = luminance(mean)[0, 0]
+
+    def others(y: int, x: int) -> float:
+        return max(float(light[p]) for p in window(y, x) if p != (y, x))
+
+    # the image's average, in which an outlier counts as much as its brightest neighbour
+    plausible = [min(float(light[y, x]), others(y, x)) for y in range(SIDE) for x in range(SIDE)]
+    image = torch.tensor(plausible).view(1, 1, SIDE, SIDE).expand(1, 3, SIDE, SIDE)
+    average = float(MIDDLE_GREY / autoexposure(image))
 
     def brightest(y: int, x: int) -> float:
-        return max(average, *(float(light[p]) for p in window(y, x) if p != (y, x)))
+        return max(average, others(y, x))
 
     for y in range(SIDE):
         for x in range(SIDE):
