@@ -218,12 +218,12 @@ class CopiesAlbedo(Mean):
         return torch.where(gbuffer.albedo.sum(1, True) > 0, image, samples.mean), None
 
 
-class RejectsNegativeAlbedo(CopiesAlbedo):
+class RejectsBlackAlbedo(CopiesAlbedo):
     """Raises an exception for one lie."""
 
     def denoise(self, gbuffer, samples, state):
-        if (gbuffer.albedo < 0).any():
-            raise ValueError("negative albedo")
+        if not gbuffer.albedo.any():  # the core replaces negative values by zero
+            raise ValueError("black albedo")
         return super().denoise(gbuffer, samples, state)
 
 

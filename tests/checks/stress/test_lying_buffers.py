@@ -35,7 +35,7 @@ def test_a_fault_is_found(method, test):
 
 
 def test_an_exception_fails_its_lie_alone():
-    found = results(broken.RejectsNegativeAlbedo())
+    found = results(broken.RejectsBlackAlbedo())
     expected = results(broken.CopiesAlbedo())
     assert found["albedo-negated"].verdict is Verdict.FAILED
     assert "exception" in found["albedo-negated"].found

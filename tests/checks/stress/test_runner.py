@@ -88,7 +88,7 @@ def test_jobs_with_similar_names_have_their_own_files(tmp_path):
 
 FAULTS = {  # body of the build function: what is found
     "raise OSError('no licence')": "raised OSError: no licence",
-    "raise SystemExit('bye')": "raised SystemExit: bye",
+    "raise SystemExit('bye')": "raised PluginExitError: plugin code called sys.exit('bye')",
 }
 
 
