@@ -135,13 +135,13 @@ def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor
     """The state as seen from this frame, zero where it is invalid, and the validity mask."""
     if state.age == 0:
         return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
-    parts = (
+    repaired = (
         repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE),
         repair_radiance_history(state.irradiance),
         repair_history(state.features, -MAX_FEATURE, MAX_FEATURE),
         repair_radiance_history(state.denoised),
     )
-    images, valid = reproject(torch.cat(parts, 1), gbuffer.motion)
+    images, valid = reproject(torch.cat(repaired, 1), gbuffer.motion)
     parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
 

@@ -89,8 +89,8 @@ class Ours:
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
         """The image in linear radiance, and the state for the next frame."""
-        radiance = limit_fireflies(samples.radiance, samples.counts)
-        samples = replace(samples, radiance=radiance)
+        limited = limit_fireflies(samples.radiance, samples.counts)
+        samples = replace(samples, radiance=limited)
         history = self.reproject(gbuffer, state)
         encoded = self.sample_encoding.encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)

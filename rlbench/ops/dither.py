@@ -54,7 +54,8 @@ def _pairs(parts: Tensor) -> tuple[Tensor, Tensor]:
     axis = _axis(parts)
     if parts.shape[axis] % 2:
         parts = F.pad(parts, (0, 1) if axis == 1 else (0, 0, 0, 1))
-    first, second = parts.unflatten(axis, (-1, 2)).unbind(axis + 1)
+    sides = (*parts.shape[:axis], -1, 2, *parts.shape[axis + 1 :])
+    first, second = parts.reshape(sides).unbind(axis + 1)
     return first, second
 
 

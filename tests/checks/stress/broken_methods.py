@@ -222,7 +222,7 @@ class RejectsBlackAlbedo(CopiesAlbedo):
     """Raises an exception for one lie."""
 
     def denoise(self, gbuffer, samples, state):
-        if not gbuffer.albedo.any():  # the core replaces negative values by zero
+        if not gbuffer.albedo.flatten(1).any(1).all():  # negative values are repaired to zero
             raise ValueError("black albedo")
         return super().denoise(gbuffer, samples, state)
 
