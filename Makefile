@@ -102,7 +102,7 @@ stress: .venv/dev.stamp
 	$(BIN)/rlbench stress --out $(RESULTS)/stress || test $$? -eq 1
 	$(BIN)/python -m reports.stress_matrix $(RESULTS)/stress docs/results --readme README.md
 
-# gradient estimators of the sampler against an exact gradient: 8 minutes of one core
+# gradient estimators of the sampler against an exact gradient: 4 minutes of one core
 gradients: .venv/run.stamp
 	$(BIN)/python -m methods.ours.experiments.gradients.measure --out docs/results
 	$(BIN)/python -m reports.gradients docs/results

@@ -51,8 +51,8 @@ class Dasr:
     normals are normalised as there. Differs from it: there is no shadow buffer, which our clips
     lack; depth enters as 1 / (1 + depth), because ours is infinite for the background; the budget
     is met exactly, while there the map is rescaled five times; images are padded to a multiple of
-    32 by repeating the border, not with zeros. Ours: mean radiance that is NaN or negative
-    enters as 0.
+    32 by repeating the border, not with zeros. Ours: fireflies are limited
+    (rlbench.ops.limit_fireflies).
     """
 
     networks: Networks

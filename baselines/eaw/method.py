@@ -47,8 +47,8 @@ class Eaw:
     compared as log(1 + c), so that bright light does not dominate the edges; the filtered signal is
     radiance over albedo (its mean over 3 x 3 pixels), so that textures are not blurred; background
     and emitters that reflect nothing pass through unfiltered; the widths are the best of a grid on
-    training clips (`python -m baselines.eaw.search`). A pixel whose mean is not finite is black
-    before filtering.
+    training clips (`python -m baselines.eaw.search`). Fireflies are limited before filtering
+    (rlbench.ops.limit_fireflies).
     """
 
     config: Config = Config()

@@ -64,8 +64,8 @@ class Imcd:
     history, as in the first frame, e_t and the noisy irradiance take its place, so blending
     leaves them unchanged; irradiance is radiance over (albedo of 3 x 3 pixels + 0.01), or over 1.01
     where albedo is black, as for emitters and sky; depth enters as 1 / (1 + depth), and there is no
-    roughness. Samples that are NaN or negative enter as 0, those above 65504 as 65504; history that
-    is not finite is invalid.
+    roughness. Fireflies are limited (rlbench.ops.limit_fireflies), and a pixel of broken history is
+    replaced by a neighbour.
 
     A frame takes about 2 kB per pixel, nearly all of it for the U-Net, at any kernel size; with
     samples, G-buffers and references that is below 2 GB at 720 x 720.

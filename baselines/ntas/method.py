@@ -62,9 +62,8 @@ class Ntas:
     colours enter them as `log_forward(radiance)`; the filtered signal is linear radiance over
     (albedo, the mean of 3 x 3 pixels, + 0.01), or over 1.01 where albedo is black, as for emitters
     and sky. The history is demodulated likewise, so that textures are not blurred from frame to
-    frame; the networks see it modulated by the albedo of this frame. Mean radiance that is NaN or
-    negative enters as 0, that above 65504 as 65504, as in OIDN; history that is not finite is
-    invalid.
+    frame; the networks see it modulated by the albedo of this frame. Fireflies are limited
+    (rlbench.ops.limit_fireflies), and a pixel of broken history is replaced by a neighbour.
 
     The variant `direct` is NTAS as compared by Scardigli et al. 2023: in their release a U-Net
     predicts colours instead of kernels, which differs from Hasselgren et al. The variant keeps that

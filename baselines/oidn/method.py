@@ -67,7 +67,8 @@ class Oidn:
     U-Net, transfer function and exposure are those of its training toolkit. The weights are ours,
     trained on the same frames as every other method here; those of `oidn/tuned` start from Intel's.
     Uniform sampling, frames are independent. Differs from OIDN: images are padded to a multiple of
-    16 by repeating the border, not with zeros.
+    16 by repeating the border, not with zeros, and fireflies are limited
+    (rlbench.ops.limit_fireflies), which OIDN leaves to the renderer.
     """
 
     network: nn.Module  # 9 channels to 3, in transfer space

@@ -45,7 +45,8 @@ class OidnIntel:
     HDR colour with albedo and normal; uniform sampling, frames are independent. It runs on the CPU
     with as many threads as torch; tensors on another device are copied there and back. Differs
     from `baselines.oidn`: the library pads images with zeros to a multiple of 16, and processes
-    large images in overlapping tiles.
+    large images in overlapping tiles. Fireflies are limited before the library sees them
+    (rlbench.ops.limit_fireflies).
     """
 
     config: Config

@@ -80,7 +80,8 @@ class Svgf:
     differences, so that silhouettes have none, and at least 1e-4 of depth, so that rounding does
     not stop the filter on surfaces that face the camera; albedo is the mean of 3 x 3 pixels, since
     radiance covers a pixel and the G-buffer samples its centre, and modulation uses the same
-    albedo, at least 0.001. A pixel whose mean is not finite keeps its history, or is black.
+    albedo, at least 0.001. Fireflies are limited on surfaces (rlbench.ops.limit_fireflies). A pixel
+    whose mean is not finite keeps its history, or is black; history that is not finite is dropped.
     """
 
     config: Config = BASE

@@ -59,8 +59,10 @@ class Ours:
     weights where Intel has a network of its size. Also, in all but B1 and B2: radiance is
     accumulated beside the state, with a trust that the encoder predicts; the denoiser predicts how
     far the previous image is kept; new samples that contradict both reduce both (antilag.py);
-    sampler and encoder read both. A static pixel without samples keeps its state and its radiance.
-    The sampler reads the spp of the previous frame, by which it scales the contrast of its map.
+    sampler and encoder read both. A static pixel trusts its radiance in full, so that a still
+    camera converges; without samples it keeps its state too. The sampler reads the spp of the
+    previous frame, by which it scales the contrast of its map. Fireflies are limited
+    (rlbench.ops.limit_fireflies), and a pixel of broken history is replaced by a neighbour.
     """
 
     config: Config  # recorded in results; the parts below follow from it, see `assemble`
