@@ -64,16 +64,16 @@ def plant_in_state(
 ) -> tuple[State, int]:
     """A copy of the state with `value` at one pixel, and the number of tensors that hold it.
 
-    The pixel is (y, x) in tensors [n c h w] of the frame's size, and the middle of the last
-    dimension in tensors of another layout. Tensors with fewer elements than the frame has pixels
-    hold no image: they stay unchanged. With None the pixel gets the values of the one halfway
-    to the left border.
+    The pixel is (y, x) in tensors [n c h w] of the frame's size. In another layout it is half a
+    line behind the middle of the last dimension: the centre of images that are stored line by line.
+    Tensors with fewer elements than the frame has pixels hold no image: they stay unchanged. With
+    None the pixel gets the values of the one halfway to the left border.
     """
     copied, count = deepcopy(state), 0
     for tensor in iterate_tensors(copied):
         if tensor.is_floating_point() and tensor.numel() >= size.n * size.h * size.w:
             is_image = tensor.shape[-2:] == (size.h, size.w)
-            middle = tensor.shape[-1] // 2
+            middle = tensor.shape[-1] // 2 + size.w // 2
             pixel = tensor[..., y, x] if is_image else tensor[..., middle]
             other = tensor[..., y, x // 2] if is_image else tensor[..., middle - size.w // 4]
             pixel.copy_(other.clone() if value is None else pixel.new_tensor(value))

@@ -186,6 +186,6 @@ def test_a_planted_state_leaves_the_original_and_small_tensors_unchanged():
     planted, count = plant_in_state(state, math.nan, Size(1, 4, 6), 1, 2)
     assert count == 2
     assert planted["image"].isnan().nonzero().tolist() == [[0, 0, 1, 2], [0, 1, 1, 2]]
-    assert planted["row"].isnan().nonzero().tolist() == [[0, 20], [1, 20], [2, 20]]
+    assert planted["row"].isnan().nonzero().tolist() == [[0, 23], [1, 23], [2, 23]]
     assert not planted["age"].isnan().any()
     assert not state["image"].isnan().any()
