@@ -19,16 +19,18 @@ __all__ = ["limit_fireflies", "mean_without_fireflies", "repair_radiance_history
 
 RADIUS = 2  # pixels around a pixel that vouch for its brightness
 CONTRAST = 64.0  # times the brightest of them, above which a sample is taken for an outlier
+FALLOFF = 4  # an outlier twice as bright keeps 1/16 of the limit: no jump between kept and replaced
 HISTORY_CONTRAST = 4096.0  # times the image's log-average, above which history is broken
 
 
 def limit_fireflies(
     radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n s 3 h w"]:
-    """Finite samples without outliers, which get the mean luminance of the pixels around.
+    """Finite samples without outliers, which are dimmed to the mean luminance around them.
 
     A sample is an outlier if its luminance exceeds 64 times the mean of each other pixel in 5 x 5,
-    and 64 times the log-average luminance of the image, as autoexposure takes it. Renderers clamp
+    and 64 times the log-average luminance of the image, as autoexposure takes it. The farther it
+    exceeds this limit, the closer it comes to the mean of its window. Renderers clamp
     samples to a constant (Cycles: "clamp indirect"); this limit follows the exposure of the scene
     and leaves usual fireflies alone. A lamp that covers a single pixel is dimmed like an outlier.
     Samples that are not finite or negative are replaced first (rlbench.ops.sanitize).
@@ -50,10 +52,12 @@ def limit_fireflies(
     brightest = torch.maximum(neighbours, _log_average(torch.minimum(light, neighbours)))
     if not (light * counts > CONTRAST * brightest).any():  # no sample is brighter than the sum
         return radiance
+    limit = CONTRAST * brightest.unsqueeze(1)
     replacement = _window_mean(torch.minimum(light, brightest)).unsqueeze(1)
     value = luminance(radiance)
-    is_outlier = value > CONTRAST * brightest.unsqueeze(1)
-    return torch.where(is_outlier, radiance * (replacement / value.clamp_min(1e-30)), radiance)
+    excess = (value / limit).clamp_min(1)
+    dimmed = replacement + (limit - replacement) * excess.pow(-FALLOFF)
+    return torch.where(excess > 1, radiance * (dimmed / value.clamp_min(1e-30)), radiance)
 
 
 def mean_without_fireflies(
