@@ -97,7 +97,7 @@ seeds: .venv/dev.stamp
 	done
 	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs/results
 
-# gradient estimators of the sampler against an exact gradient: 8 minutes of one core
+# gradient estimators of the sampler against an exact gradient: 4 minutes of one core
 gradients: .venv/run.stamp
 	$(BIN)/python -m methods.ours.experiments.gradients.measure --out docs/results
 	$(BIN)/python -m reports.gradients docs/results

@@ -25,7 +25,7 @@ __all__ = ["GRADIENTS", "RATIOS", "gradient_row", "write_tables"]
 
 PROGRAM = "python -m methods.ours.experiments.gradients.measure"
 GRADIENTS, RATIOS = "gradients.csv", "importance_ratio.csv"
-EXPLORED_DRAWS = 64  # of the slow reference, whose draws have little noise
+EXPLORED_DRAWS = 32  # of the slow reference, whose draws have little noise
 
 
 def gradient_row(measurement: Measurement) -> dict[str, str]:
@@ -92,7 +92,7 @@ def main() -> None:
         "--out", type=Path, default=Path("docs/results"), help="folder (default: docs/results)"
     )
     parser.add_argument(
-        "--draws", type=int, default=1024, help="gradients per measurement (default: 1024)"
+        "--draws", type=int, default=512, help="gradients per measurement (default: 512)"
     )
     arguments = parser.parse_args()
     if arguments.draws < 2:
