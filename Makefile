@@ -27,7 +27,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen equal takes crossval appendix seeds gradients contact site test test-all format clean
+.PHONY: demo docs table1 unseen equal takes crossval appendix seeds gradients stress contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -96,6 +96,11 @@ seeds: .venv/dev.stamp
 	  done; \
 	done
 	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs/results
+
+# stress tests of every shipped row; resumes if it was killed; succeeds also where tests fail, since the page lists them
+stress: .venv/dev.stamp
+	$(BIN)/rlbench stress --out $(RESULTS)/stress || test $$? -eq 1
+	$(BIN)/python -m reports.stress_matrix $(RESULTS)/stress docs/results --readme README.md
 
 # gradient estimators of the sampler against an exact gradient: 4 minutes of one core
 gradients: .venv/run.stamp

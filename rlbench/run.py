@@ -10,7 +10,7 @@ The method never receives the reference, a later frame, or a sample that its bud
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -21,8 +21,11 @@ from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Samples
 from rlbench.method import Method, checked_density
 from rlbench.sampling import draw_pilot, draw_samples
+from rlbench.sanitize import FrameInput, Repairs, sanitize_frame
 
 __all__ = ["FrameResult", "run_clip", "unroll"]
+
+ReadFrame = Callable[[Frame, frozenset[str]], FrameInput]
 
 
 @dataclass(frozen=True)
@@ -32,13 +35,17 @@ class FrameResult:
     frame: Frame
     samples: Samples  # pilot and all passes, also those that the method discards
     image: Float[Tensor, "n 3 h w"]  # linear radiance
+    repairs: Repairs  # invalid pixels and samples of the frame that were replaced, by buffer
 
 
-def unroll(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
+def unroll(
+    method: Method, clip: Clip, spp: float, read: ReadFrame = sanitize_frame
+) -> Iterator[FrameResult]:
     """Run `method` over `clip` in order, with gradients; yield one result per frame.
 
     `spp` is the budget in samples per pixel, as a mean over the image: each frame costs exactly
-    round(spp * h * w) samples, the pilot and all passes included.
+    round(spp * h * w) samples, the pilot and all passes included. `read` replaces invalid values of
+    a frame; stress tests hand over `read_unsanitized`.
 
     Raises PluginError if a method varies its density without Traits(adaptive=True), and BudgetError
     (rlbench.sampling) if a density is invalid or the budget cannot pay for `Traits.min_samples`.
@@ -46,22 +53,24 @@ def unroll(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
     traits = method.traits
     state = method.start(clip.size)
     for frame in clip:
-        gbuffer = frame.gbuffer.select(traits.inputs)
-        samples = draw_pilot(frame.pool, min(traits.pilot_spp, spp))
+        gbuffer, pool, repairs = read(frame, traits.inputs)
+        samples = draw_pilot(pool, min(traits.pilot_spp, spp))
         for share in traits.passes:
             previous = samples
             density = checked_density(method, gbuffer, previous, state)
             limits = _count_limits(traits, spp, share)
             samples = draw_samples(
-                frame.pool, previous, density, spp * share, *limits, traits.discard_pilot
+                pool, previous, density, spp * share, *limits, traits.discard_pilot
             )
         visible = samples.since(previous) if traits.discard_pilot else samples
         image, state = method.denoise(gbuffer, visible, state)
-        yield FrameResult(frame, samples, image)
+        yield FrameResult(frame, samples, image, repairs)
 
 
 @torch.inference_mode()  # as a decorator it is active while a frame is computed, not between frames
-def run_clip(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
+def run_clip(
+    method: Method, clip: Clip, spp: float, read: ReadFrame = sanitize_frame
+) -> Iterator[FrameResult]:
     """Run `method` over `clip` as `unroll` does, without gradients: for measurements.
 
     >>> from rlbench import registry
@@ -76,7 +85,7 @@ def run_clip(method: Method, clip: Clip, spp: float) -> Iterator[FrameResult]:
     ...     print(tuple(result.image.shape), int(result.samples.counts.sum()))  # 1.5 * 9 * 11
     (1, 3, 9, 11) 148
     """
-    yield from unroll(method, clip, spp)
+    yield from unroll(method, clip, spp, read)
 
 
 def _count_limits(traits: Traits, spp: float, share: float) -> tuple[int, int | None]:

@@ -8,13 +8,12 @@ from torch import Tensor
 
 from rlbench.errors import RlbenchError
 from rlbench.frames import Pool, Samples
-from rlbench.ops.dither import systematic_sample
+from rlbench.ops.dither import ONE_SHARE, round_to_total
 
 __all__ = ["BudgetError", "allocate_counts", "draw_pilot", "draw_samples"]
 
 BUDGET_TOLERANCE = 1e-3  # samples by which the sum of shares may miss the budget before rounding
 MAX_NEWTON_STEPS = 64  # for the multiplier k; 5 to 10 are usual
-REMAINDER_PARTS = 2**32  # unit of fractional shares: 1 / 2^32 of a sample
 
 
 class BudgetError(RlbenchError, ValueError):
@@ -127,7 +126,7 @@ def _allocate_image(
         low = torch.where(positive, high, low)
         density = (~positive).to(density.dtype)
     shares = _water_fill(density / density.max(), total_samples, low, high)
-    return _round_to_total(shares, total_samples, high, seed)
+    return _round_shares(shares, total_samples, high, seed)
 
 
 def _water_fill(density: Tensor, total_samples: int, low: Tensor, high: Tensor) -> Tensor:
@@ -156,14 +155,14 @@ def _water_fill(density: Tensor, total_samples: int, low: Tensor, high: Tensor) 
     return best
 
 
-def _round_to_total(shares: Tensor, total_samples: int, high: Tensor, seed: int) -> Tensor:
-    """Whole counts that sum to `total_samples`: each share rounded down or up, at most `high`."""
-    counts = shares.floor().long()
-    while (remaining := total_samples - int(counts.sum())) > 0:
-        free = counts < high
-        remainders = ((shares - counts).clamp(0, 1) * REMAINDER_PARTS).long().where(free, 0)
-        if not remainders.any():
-            remainders = free.long()
-        counts += systematic_sample(remainders, remaining, seed)
-        seed += 1
-    return counts
+def _round_shares(shares: Tensor, total_samples: int, high: Tensor, seed: int) -> Tensor:
+    """Whole counts that sum to `total_samples`: each share rounded down or up, at most `high`.
+
+    What the shares lack of the total is first added in proportion to the room below `high`.
+    """
+    fixed = (shares * ONE_SHARE).long()
+    lacking = total_samples * ONE_SHARE - int(fixed.sum())
+    if abs(lacking) >= ONE_SHARE // 2:
+        room = high * ONE_SHARE - fixed
+        fixed += (room.double() * (lacking / float(room.sum()))).long()
+    return round_to_total(fixed, total_samples, seed)

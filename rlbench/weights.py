@@ -122,7 +122,8 @@ def load_into(module: nn.Module, path: Path) -> ModelCard:
     """Load the weights at `path` into `module`, in its own dtype and device; returns their card.
 
     Raises WeightsError if the file or its card is missing, if the file does not have the hash on
-    the card, or if the names and shapes are not exactly those of the module.
+    the card, if the names and shapes are not exactly those of the module, or if a value is NaN or
+    infinite.
     """
     card = read_card(path)
     content = path.read_bytes()
@@ -136,6 +137,7 @@ def load_into(module: nn.Module, path: Path) -> ModelCard:
     except SafetensorError as error:
         raise WeightsError(f"{path} is not a safetensors file: {error}") from error
     _check_shapes(path, _shapes(tensors), _shapes(module.state_dict()))
+    _check_finite(path, tensors)
     module.load_state_dict(tensors)
     return card
 
@@ -195,6 +197,16 @@ def _check_shapes(
             raise WeightsError(
                 f"{path} was saved from another network: '{name}' has shape {stored[name]}, "
                 f"expected {shape}"
+            )
+
+
+def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    for name, tensor in tensors.items():
+        if count := tensor.numel() - int(torch.isfinite(tensor).sum()):
+            raise WeightsError(
+                f"{path}: tensor '{name}' has {count} of {tensor.numel()} values that are NaN or "
+                "infinite, so every image would be. Train again with 'rlbench train', or select "
+                "other weights with 'rlbench run --weights FILE'"
             )
 
 

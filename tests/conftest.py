@@ -10,6 +10,7 @@ import torch
 
 from rlbench import registry
 from rlbench.clips.stored import Header, write_frame, write_header
+from rlbench.system import paths
 
 
 @pytest.fixture(autouse=True)
@@ -17,6 +18,7 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Tests do not touch the user's cache; plugin files are unloaded after each test."""
     monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv(registry.METHODS_VARIABLE, raising=False)
+    monkeypatch.setattr(paths, "_synchronize", lambda path: None)  # it takes 10 ms per file
     torch.set_num_threads(1)
     yield
     registry.clear_plugins()

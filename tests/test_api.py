@@ -13,8 +13,10 @@ from pathlib import Path
 import pytest
 
 import rlbench
+from rlbench import registry
+from rlbench.benchmark.run_verdict import RunWarning
 from rlbench.clips import write_header
-from tests.conftest import write_noise
+from tests.conftest import write_noise, write_plugin
 
 ROOT = Path(__file__).parents[1]
 GUIDE = (ROOT / "docs" / "how-to" / "add-a-method.md").read_text()
@@ -76,6 +78,21 @@ def test_an_unknown_name_is_an_attribute_error():
 @pytest.fixture
 def clips(tmp_path: Path) -> Path:
     return write_noise(tmp_path / "clips" / "noise", h=24, w=32).parent
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("raise SystemExit(0)", "1 cell stopped by an error .odd on noise at 1 spp, seed 0"),
+        ("return samples.mean / 0, None", "1 cell with images that are not finite .odd on noise"),
+    ],
+)
+def test_run_warns_of_cells_without_the_numbers_that_were_requested(clips, tmp_path, body, message):
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    with pytest.warns(RunWarning, match=f"FAILED: {message}.*`note` has the reasons") as issued:
+        rows = rlbench.run(["odd", "mean"], clips=[clips], spp=[1], out=tmp_path / "results")
+    assert set(rows["method"]) == {"odd", "mean"}
+    assert issued[0].filename == __file__
 
 
 def test_run_returns_the_rows_of_the_call_and_measures_nothing_twice(clips, tmp_path):

@@ -154,6 +154,8 @@ def test_other_names_are_refused_and_listed(path):
         ('name = "x"\n', "missing fields: sha256"),
         ('name = "x"\nsha256 = "y"\ncolour = 1\n', "unknown fields: colour"),
         ('name = "x"\nsha256 = "y"\nsteps = "many"\n', "Expected `int`, got `str`.*steps"),
+        (f"name = {'[' * 2000}", r"oidn\.toml is not a model card: .* is not TOML"),
+        ('name = "x"\nsha256 = 1979-05-27\n', "Expected `str`, got `date`.*sha256"),
         ('name = "x"\nsha256 = "y"\ncurve = [[1]]\n', r"length 2.*validation_history\[0\]"),
     ],
 )
@@ -239,6 +241,21 @@ def test_weights_outside_float16_are_not_saved(path, value):
     with pytest.raises(WeightsError, match="'weight' has values that float16 cannot hold"):
         save(module, path, CARD)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_weights_that_are_not_finite_are_refused_with_tensor_and_count(path, value):
+    card = save(nn.Linear(3, 2), path, CARD)
+    tensors = safetensors.torch.load_file(path)
+    tensors["weight"][1, :2] = value
+    safetensors.torch.save_file(tensors, path)
+    card_path(path).write_text(card_path(path).read_text().replace(card.sha256, digest(path)))
+    module = nn.Linear(3, 2)
+    before = module.weight.detach().clone()
+    message = r"oidn\.safetensors: tensor 'weight' has 2 of 6 values that are NaN or infinite"
+    with pytest.raises(WeightsError, match=message):
+        load_into(module, path)
+    assert torch.equal(module.weight, before)
 
 
 @pytest.mark.parametrize("weights", [None, "random", "file"])

@@ -15,6 +15,7 @@ from baselines.dasr.network import Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.density import bounded_exp_density
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
@@ -50,8 +51,8 @@ class Dasr:
     normals are normalised as there. Differs from it: there is no shadow buffer, which our clips
     lack; depth enters as 1 / (1 + depth), because ours is infinite for the background; the budget
     is met exactly, while there the map is rescaled five times; images are padded to a multiple of
-    32 by repeating the border, not with zeros. Ours: mean radiance that is NaN or negative
-    enters as 0.
+    32 by repeating the border, not with zeros. Ours: fireflies are limited
+    (rlbench.ops.limit_fireflies).
     """
 
     networks: Networks
@@ -74,7 +75,7 @@ class Dasr:
 
 def _network_input(gbuffer: GBuffer, samples: Samples) -> Float[Tensor, "n 10 h w"]:
     """Input of both networks: log radiance, albedo, normal and depth."""
-    noisy = samples.mean.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0).clamp(0, MAX_RADIANCE)
+    noisy = mean_without_fireflies(samples.radiance, samples.counts)
     albedo, normal = (gbuffer.albedo - ALBEDO_MEAN) / ALBEDO_STD, gbuffer.normal / NORMAL_STD
     return torch.cat((noisy.log1p(), albedo, normal, squash_depth(gbuffer.depth)), 1)
 

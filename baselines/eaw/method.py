@@ -12,8 +12,10 @@ from torch import Tensor
 from baselines.eaw import FAMILY
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
+from rlbench.ops.demodulation import reflectance, surface_mask
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import atrous_taps
 
 __all__ = ["Config", "Eaw", "build", "atrous_pass"]
@@ -45,8 +47,8 @@ class Eaw:
     compared as log(1 + c), so that bright light does not dominate the edges; the filtered signal is
     radiance over albedo (its mean over 3 x 3 pixels), so that textures are not blurred; background
     and emitters that reflect nothing pass through unfiltered; the widths are the best of a grid on
-    training clips (`python -m baselines.eaw.search`). A pixel whose mean is not finite is black
-    before filtering.
+    training clips (`python -m baselines.eaw.search`). Fireflies are limited before filtering
+    (rlbench.ops.limit_fireflies).
     """
 
     config: Config = Config()
@@ -65,10 +67,11 @@ class Eaw:
         """The filtered image, linear radiance."""
         # demodulate
         noisy, albedo = sanitize_radiance(samples.mean), reflectance(gbuffer.albedo)
+        limited = mean_without_fireflies(samples.radiance, samples.counts)
         surface = surface_mask(gbuffer.albedo, gbuffer.depth)
         n, _, h, w = noisy.shape
         rows = PaddedRows(n, h, w, margin=2**self.config.passes)
-        irradiance = rows.pack((noisy / albedo).where(surface, 0.0))
+        irradiance = rows.pack((limited / albedo).where(surface, 0.0))
 
         # a-trous passes
         normal = rows.pack(gbuffer.normal)

@@ -16,14 +16,16 @@ from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
+from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
 from rlbench.ops.reprojection import reproject
+from rlbench.ops.sanitize import repair_history
 from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["Config", "Imcd", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
-MAX_RADIANCE = 65504.0  # the largest half float; radiance is clamped to this
+MAX_FEATURE = 1e4  # in magnitude, of embeddings and features; usual ones are below 100
 CHANNELS = (EMBEDDING, 3, FEATURES, 3)  # of the state's images, in their order
 
 
@@ -62,8 +64,8 @@ class Imcd:
     history, as in the first frame, e_t and the noisy irradiance take its place, so blending
     leaves them unchanged; irradiance is radiance over (albedo of 3 x 3 pixels + 0.01), or over 1.01
     where albedo is black, as for emitters and sky; depth enters as 1 / (1 + depth), and there is no
-    roughness. Samples that are NaN or negative enter as 0, those above 65504 as 65504; history that
-    is not finite is invalid.
+    roughness. Fireflies are limited (rlbench.ops.limit_fireflies), and a pixel of broken history is
+    replaced by a neighbour.
 
     A frame takes about 2 kB per pixel, nearly all of it for the U-Net, at any kernel size; with
     samples, G-buffers and references that is below 2 GB at 720 x 720.
@@ -122,8 +124,8 @@ class Imcd:
         self, gbuffer: GBuffer, samples: Samples, albedo: Tensor
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 32 h w"]]:
         """Mean irradiance of the samples, and the mean of their embeddings e_t."""
-        radiance = samples.radiance.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0)
-        irradiance = radiance.clamp(0, MAX_RADIANCE) / albedo[:, None]
+        radiance = limit_fireflies(samples.radiance, samples.counts)
+        irradiance = radiance / albedo[:, None]
         features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
         embedding = self.networks.encoder(irradiance.log1p(), features, samples.valid_mask)
         return irradiance.sum(1) / samples.counts.clamp_min(1), embedding
@@ -133,8 +135,13 @@ def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor
     """The state as seen from this frame, zero where it is invalid, and the validity mask."""
     if state.age == 0:
         return state, torch.zeros_like(state.irradiance[:, :1], dtype=torch.bool)
-    images, valid = reproject(torch.cat(state[:4], 1), gbuffer.motion)
-    valid = valid & torch.isfinite(images).all(1, keepdim=True)
+    repaired = (
+        repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE),
+        repair_radiance_history(state.irradiance),
+        repair_history(state.features, -MAX_FEATURE, MAX_FEATURE),
+        repair_radiance_history(state.denoised),
+    )
+    images, valid = reproject(torch.cat(repaired, 1), gbuffer.motion)
     parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
     return State._make((*parts, state.age)), valid
 

@@ -17,6 +17,7 @@ from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
+from rlbench.ops.fireflies import mean_without_fireflies, repair_radiance_history
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.weights import load_for_inference
@@ -25,7 +26,6 @@ __all__ = ["VARIANTS", "Config", "Ntas", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
 NO_HISTORY = -1.0  # network input where the history is invalid
-MAX_RADIANCE = 65504.0  # the largest half float; radiance is clamped to this
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,8 @@ class Ntas:
     colours enter them as `log_forward(radiance)`; the filtered signal is linear radiance over
     (albedo, the mean of 3 x 3 pixels, + 0.01), or over 1.01 where albedo is black, as for emitters
     and sky. The history is demodulated likewise, so that textures are not blurred from frame to
-    frame; the networks see it modulated by the albedo of this frame. Mean radiance that is NaN or
-    negative enters as 0, that above 65504 as 65504, as in OIDN; history that is not finite is
-    invalid.
+    frame; the networks see it modulated by the albedo of this frame. Fireflies are limited
+    (rlbench.ops.limit_fireflies), and a pixel of broken history is replaced by a neighbour.
 
     The variant `direct` is NTAS as compared by Scardigli et al. 2023: in their release a U-Net
     predicts colours instead of kernels, which differs from Hasselgren et al. The variant keeps that
@@ -97,8 +96,7 @@ class Ntas:
 
         # demodulate
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        noisy = samples.mean.nan_to_num(0.0, posinf=MAX_RADIANCE, neginf=0.0)
-        noisy = noisy.clamp(0, MAX_RADIANCE)
+        noisy = mean_without_fireflies(samples.radiance, samples.counts)
 
         # predict kernels and filter
         features = _sampler_input(gbuffer, albedo, history, valid)
@@ -115,8 +113,8 @@ def _reproject_denoised(
     gbuffer: GBuffer, state: State
 ) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
     """The previous demodulated image as seen from this frame, zero where it is invalid."""
-    history, valid = reproject(state.denoised, gbuffer.motion)
-    valid = valid & torch.isfinite(history).all(1, keepdim=True) & (state.age > 0)
+    history, valid = reproject(repair_radiance_history(state.denoised), gbuffer.motion)
+    valid = valid & (state.age > 0)
     return history.where(valid, 0.0), valid
 
 

@@ -14,8 +14,9 @@ from baselines.oidn import FAMILY, TRAITS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.transfer import HALF_MAX, pu_forward, pu_inverse
+from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
 from rlbench.weights import load_for_inference
 
@@ -66,7 +67,8 @@ class Oidn:
     U-Net, transfer function and exposure are those of its training toolkit. The weights are ours,
     trained on the same frames as every other method here; those of `oidn/tuned` start from Intel's.
     Uniform sampling, frames are independent. Differs from OIDN: images are padded to a multiple of
-    16 by repeating the border, not with zeros.
+    16 by repeating the border, not with zeros, and fireflies are limited
+    (rlbench.ops.limit_fireflies), which OIDN leaves to the renderer.
     """
 
     network: nn.Module  # 9 channels to 3, in transfer space
@@ -85,7 +87,7 @@ class Oidn:
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image in linear radiance, from the mean of the samples, albedo and normal."""
-        noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
+        noisy = mean_without_fireflies(samples.radiance, samples.counts)
         exposure = self.estimate_exposure(noisy)
         features = encode_inputs(noisy * exposure, gbuffer)
         output = crop(self.network(pad(features, multiple=STRIDE)), *features.shape[-2:])

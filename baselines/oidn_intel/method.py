@@ -13,7 +13,7 @@ from baselines.oidn_intel import TRAITS
 from baselines.oidn_intel.library import Filter, FilterSettings, library_version
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.transfer import HALF_MAX
+from rlbench.ops.fireflies import mean_without_fireflies
 
 __all__ = ["VARIANTS", "Config", "OidnIntel", "build"]
 
@@ -45,7 +45,8 @@ class OidnIntel:
     HDR colour with albedo and normal; uniform sampling, frames are independent. It runs on the CPU
     with as many threads as torch; tensors on another device are copied there and back. Differs
     from `baselines.oidn`: the library pads images with zeros to a multiple of 16, and processes
-    large images in overlapping tiles.
+    large images in overlapping tiles. Fireflies are limited before the library sees them
+    (rlbench.ops.limit_fireflies).
     """
 
     config: Config
@@ -62,7 +63,7 @@ class OidnIntel:
         self, gbuffer: GBuffer, samples: Samples, state: None
     ) -> tuple[Float[Tensor, "n 3 h w"], None]:
         """The image in linear radiance; the clips of a batch one after another."""
-        noisy = samples.mean.nan_to_num(0.0, HALF_MAX, 0.0).clamp_min(0)
+        noisy = mean_without_fireflies(samples.radiance, samples.counts)
         settings = FilterSettings(self.config.quality, self.config.clean_aux)
         run_filter = get_filter(settings, *noisy.shape[-2:], torch.get_num_threads())
         inputs = zip(noisy, gbuffer.albedo.clamp(0, 1), gbuffer.normal.clamp(-1, 1), strict=True)

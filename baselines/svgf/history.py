@@ -79,6 +79,7 @@ def reproject_history(
     does, those of a 3 x 3 box count. `motion` None means a static frame: every pixel keeps its own
     history without a surface test.
     """
+    history = history._replace(accumulated=_drop_nonfinite(history.accumulated))
     if motion is None:
         return rows.unpack(history.accumulated)
     x, y = (_previous_position(motion, axis) for axis in (0, 1))
@@ -125,6 +126,11 @@ def accumulate(
         torch.lerp(old_moments, moments, alpha_moments),
         length,
     )
+
+
+def _drop_nonfinite(accumulated: Float[Tensor, "6 row"]) -> Float[Tensor, "6 row"]:
+    """Zero, length included, at pixels with a value that is not finite."""
+    return accumulated.where(accumulated.isfinite().all(0), 0.0)
 
 
 def _previous_position(motion: Tensor, axis: int) -> Float[Tensor, "n h w"]:

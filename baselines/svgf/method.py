@@ -22,8 +22,10 @@ from baselines.svgf.history import (
 from baselines.svgf.wavelet import Edges, atrous_pass
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import reflectance, sanitize_radiance, surface_mask
+from rlbench.ops.demodulation import reflectance, surface_mask
+from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padded_rows import PaddedRows
+from rlbench.ops.sanitize import sanitize_radiance
 from rlbench.ops.stencils import atrous_taps, box_taps
 
 __all__ = ["VARIANTS", "Config", "Svgf", "build", "depth_gradient", "atrous_filter"]
@@ -78,7 +80,8 @@ class Svgf:
     differences, so that silhouettes have none, and at least 1e-4 of depth, so that rounding does
     not stop the filter on surfaces that face the camera; albedo is the mean of 3 x 3 pixels, since
     radiance covers a pixel and the G-buffer samples its centre, and modulation uses the same
-    albedo, at least 0.001. A pixel whose mean is not finite keeps its history, or is black.
+    albedo, at least 0.001. Fireflies are limited on surfaces (rlbench.ops.limit_fireflies). A pixel
+    whose mean is not finite keeps its history, or is black; history that is not finite is dropped.
     """
 
     config: Config = BASE
@@ -100,7 +103,8 @@ class Svgf:
         # demodulate
         noisy, albedo = samples.mean, reflectance(gbuffer.albedo)
         surface = surface_mask(gbuffer.albedo, gbuffer.depth)
-        irradiance = torch.where(surface, sanitize_radiance(noisy) / albedo, 0.0)
+        limited = mean_without_fireflies(samples.radiance, samples.counts)
+        irradiance = torch.where(surface, limited / albedo, 0.0)
         depth = torch.where(surface, gbuffer.depth, 0.0)
         normal = torch.where(surface, normalize(gbuffer.normal), 0.0)
         rows = self._padded_rows(Size(len(noisy), *noisy.shape[2:]))

@@ -145,9 +145,12 @@ class TemporalRadiance:
         counts: Int[Tensor, "n 1 h w"],
         history: ReprojectedHistory,
     ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
-        """A static pixel without samples keeps its latent, and trusts its radiance in full."""
+        """A static pixel trusts its radiance in full, so that its error falls from frame to frame.
+
+        Without samples it keeps its latent too.
+        """
         held = history.static_mask & (counts == 0)
-        return history.features.where(held, latent), trust.masked_fill(held, 1.0)
+        return history.features.where(held, latent), trust.masked_fill(history.static_mask, 1.0)
 
     def accumulate(
         self,

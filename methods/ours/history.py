@@ -14,8 +14,10 @@ from methods.ours.networks import GBUFFER_CHANNELS
 from methods.ours.sample_encoding import MISSING
 from methods.ours.state import RecurrentState, ReprojectedHistory, detach, gbuffer_features
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.fireflies import repair_radiance_history
 from rlbench.ops.reprojection import reproject, reproject_bicubic
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.sanitize import repair_history
+from rlbench.ops.transfer import HALF_MAX, log_forward
 
 __all__ = [
     "DenoisedFrame",
@@ -27,6 +29,8 @@ __all__ = [
 ]
 
 STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
+MAX_SPP = 1e4  # accumulated samples; a larger number is no count
+MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504
 SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
 BICUBIC_CHANNELS = [3, 1, 3]  # mean, second moment, previous image
 BILINEAR_CHANNELS = [1, GBUFFER_CHANNELS]  # accumulated spp, G-buffer features
@@ -88,7 +92,8 @@ class LatentHistory:
     def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
         """The previous latent at the current pixels; MISSING where it is not valid."""
         state = self.truncate(state)
-        features, valid = reproject(state.features, gbuffer.motion)
+        features = repair_history(state.features, -1.0, MAX_FEATURE)
+        features, valid = reproject(features, gbuffer.motion)
         features = features.where(valid & (state.age > 0), MISSING)
         inputs = torch.cat((gbuffer_features(gbuffer), features), dim=1)
         return ReprojectedHistory.of_features(inputs, features)
@@ -169,7 +174,11 @@ class RadianceHistory(LatentHistory):
         self, gbuffer: GBuffer, state: RecurrentState
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Features, accumulated spp, G-buffer features, and the mask of valid history."""
-        stacked = (state.features, state.radiance.accumulated_spp, state.gbuffer_features)
+        stacked = (
+            repair_history(state.features, -1.0, MAX_FEATURE),
+            repair_history(state.radiance.accumulated_spp, 0.0, MAX_SPP),
+            repair_history(state.gbuffer_features, -1.1, 1.1),
+        )
         moved, valid = reproject(torch.cat(stacked, dim=1), gbuffer.motion)
         features, spp, previous = moved.split_with_sizes([self.channels, *BILINEAR_CHANNELS], 1)
         return features, spp, previous, valid & (state.age > 0)
@@ -180,7 +189,11 @@ class RadianceHistory(LatentHistory):
         The image is reprojected in log transfer, since linear bicubic taps beside a lamp are
         dominated by rounding errors.
         """
-        stacked = (state.radiance.mean, state.radiance.second_moment, log_forward(state.image))
+        stacked = (
+            repair_radiance_history(state.radiance.mean),
+            repair_history(state.radiance.second_moment, 0.0, HALF_MAX**2),
+            log_forward(repair_radiance_history(state.image.clamp_min(0))),
+        )
         moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), gbuffer.motion)
         mean, square, image = moved.split_with_sizes(BICUBIC_CHANNELS, 1)
         return mean, square, image

@@ -32,7 +32,7 @@ from methods.ours.state import (
 from methods.ours.variants import VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.demodulation import sanitize_radiance
+from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
@@ -59,8 +59,10 @@ class Ours:
     weights where Intel has a network of its size. Also, in all but B1 and B2: radiance is
     accumulated beside the state, with a trust that the encoder predicts; the denoiser predicts how
     far the previous image is kept; new samples that contradict both reduce both (antilag.py);
-    sampler and encoder read both. A static pixel without samples keeps its state and its radiance.
-    The sampler reads the spp of the previous frame, by which it scales the contrast of its map.
+    sampler and encoder read both. A static pixel trusts its radiance in full, so that a still
+    camera converges; without samples it keeps its state too. The sampler reads the spp of the
+    previous frame, by which it scales the contrast of its map. Fireflies are limited
+    (rlbench.ops.limit_fireflies), and a pixel of broken history is replaced by a neighbour.
     """
 
     config: Config  # recorded in results; the parts below follow from it, see `assemble`
@@ -89,7 +91,8 @@ class Ours:
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> tuple[Float[Tensor, "n 3 h w"], RecurrentState]:
         """The image in linear radiance, and the state for the next frame."""
-        samples = replace(samples, radiance=sanitize_radiance(samples.radiance))
+        limited = limit_fireflies(samples.radiance, samples.counts)
+        samples = replace(samples, radiance=limited)
         history = self.reproject(gbuffer, state)
         encoded = self.sample_encoding.encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)

@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +24,7 @@ from rlbench.benchmark import cost as costs
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
+from rlbench.benchmark.run_verdict import RunWarning, judge_run
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
 from rlbench.clips.stored import find_clips
 from rlbench.errors import OptionError
@@ -67,6 +69,9 @@ def run(
     Results are kept in the folder `out`; cells that it holds already are not measured again.
     `on_cell` is called with each finished cell.
 
+    A cell that an error stopped is one row with value nan, whose `note` is the error. It does not
+    stop the other cells: a RunWarning names it, and cells with images that are not finite.
+
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
     names = tuple(registry.expand(methods))
@@ -83,8 +88,11 @@ def run(
         bf16=bf16,
         limit_frames=limit_frames,
     )
-    measure(plan, Path(out), on_cell, executor)
-    return read_cells(plan, Path(out))
+    summary = measure(plan, Path(out), on_cell, executor)
+    rows = read_cells(plan, Path(out))
+    if not (verdict := judge_run(summary, rows)).passed:
+        warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)
+    return rows
 
 
 def render_clips(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, replace
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +47,17 @@ class BaselineEntry:
     psnr: float  # dB
     tolerance_db: float | None = None  # largest allowed fall; None: the baseline's
 
+    def __post_init__(self) -> None:
+        """Raise BaselineError for numbers that no score can be compared with."""
+        if not math.isfinite(self.psnr):
+            raise BaselineError(f"{self.key} has psnr {self.psnr}; a finite number is required")
+        if not (math.isfinite(self.target_spp) and self.target_spp >= 0):
+            raise BaselineError(
+                f"target_spp is {self.target_spp}; a finite number >= 0 is required"
+            )
+        if self.tolerance_db is not None:
+            _check_tolerance(self.tolerance_db)
+
     @property
     def key(self) -> ScoreKey:
         """Identity of the entry."""
@@ -60,25 +73,32 @@ class Baseline:
     tolerance_db: float = TOLERANCE_DB
     entries: tuple[BaselineEntry, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raise BaselineError for a tolerance that no score can exceed."""
+        _check_tolerance(self.tolerance_db)
+
 
 def load_baseline(path: Path) -> Baseline:
     """The baseline in a JSON file. Raises BaselineError, saying what is wrong with it."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = documents.read_json(path)
     except FileNotFoundError:
         raise BaselineError(f"no baseline at {path}; rlbench regress --update makes one") from None
-    except json.JSONDecodeError as error:
-        raise BaselineError(f"{path} is not JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("schema") not in SCHEMAS:
-        schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
+    except (OSError, ValueError) as error:
+        raise BaselineError(f"{error}. Restore the file, or pass another --baseline") from None
+    schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
+    if schema not in SCHEMAS:
         raise BaselineError(
-            f"{path} has schema {schema}, expected {' or '.join(map(str, SCHEMAS))}"
+            f"{path} has schema {schema}, expected {' or '.join(map(str, SCHEMAS))}. Restore the "
+            "file, or pass another --baseline"
         )
     try:
-        entries = tuple(_entry(entry) for entry in content["entries"])
-        return Baseline(content["preset"], content["command"], content["tolerance_db"], entries)
-    except (KeyError, TypeError, ValueError) as error:
-        raise BaselineError(f"{path} has a missing, unknown or wrong field: {error}") from None
+        return _decode(content)
+    except ValueError as error:
+        raise BaselineError(
+            f"{path} has a missing, unknown or wrong field: {error}. Correct it, or rewrite the "
+            "baseline with rlbench regress --update"
+        ) from None
 
 
 def write_baseline(baseline: Baseline, path: Path) -> None:
@@ -94,10 +114,39 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
         temporary.write_text(f'{opening},\n  "entries": [\n{lines}\n  ]\n}}\n', encoding="utf-8")
 
 
-def _entry(document: dict[str, Any]) -> BaselineEntry:
-    """An entry of either schema, under today's names."""
-    today = {RENAMED.get(key, key): value for key, value in document.items()}
-    if unknown := documents.unknown_keys(today, BaselineEntry):
-        raise ValueError(f"unknown keys {', '.join(unknown)}")
-    entry = documents.decode(today, BaselineEntry)
+def _decode(document: dict[str, Any]) -> Baseline:
+    """A baseline of either schema. Raises ValueError, naming the field that is wrong."""
+    fields = {key: value for key, value in document.items() if key != "schema"}
+    if missing := [f.name for f in dataclass_fields(Baseline) if f.name not in fields]:
+        raise ValueError(f"missing keys {', '.join(missing)}")
+    _check_keys(fields, Baseline)
+    entries = fields["entries"]
+    if isinstance(entries, list):
+        fields["entries"] = [_rename(entry) for entry in entries]
+    baseline = documents.decode(fields, Baseline)
+    return replace(baseline, entries=tuple(_with_current_name(e) for e in baseline.entries))
+
+
+def _rename(entry: Any) -> Any:
+    """An entry under today's keys; anything else is left for `documents.decode` to refuse."""
+    if not isinstance(entry, dict):
+        return entry
+    document: dict[str, Any] = entry
+    renamed = {RENAMED.get(key, key): value for key, value in document.items()}
+    _check_keys(renamed, BaselineEntry)
+    return renamed
+
+
+def _with_current_name(entry: BaselineEntry) -> BaselineEntry:
     return replace(entry, method=results_v1.current_name(entry.method))
+
+
+def _check_keys(document: dict[str, Any], kind: type) -> None:
+    if unknown := documents.unknown_keys(document, kind):
+        raise ValueError(f"unknown keys {', '.join(unknown)}")
+
+
+def _check_tolerance(tolerance_db: float) -> None:
+    """Every comparison with NaN is false, so no score would ever be worse."""
+    if not (math.isfinite(tolerance_db) and tolerance_db >= 0):
+        raise BaselineError(f"tolerance_db is {tolerance_db}; a finite number >= 0 is required")

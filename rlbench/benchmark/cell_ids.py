@@ -62,7 +62,7 @@ class CellIds:
 
         Empty where the code cannot be found; building the method then reports the reason.
         """
-        return {method.name: _code_hash(method.name) for method in self._methods}
+        return {method.name: registry.method_code_hash(method.name) for method in self._methods}
 
     @cached_property
     def weights_hashes(self) -> dict[str, str]:
@@ -125,24 +125,6 @@ class CellIds:
         held_out = self.plan.held_out_scene
         prefix = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
         return prefix + _hash(method.weights_file)
-
-
-def _code_hash(method: str) -> str:
-    """Hash of what builds a method, and of its imports from packages of methods; or empty."""
-    module = registry.load_family(method).build.partition(":")[0]
-    try:
-        file = registry.plugin_file(module)
-        if file is None:
-            return code_hash.code_hash(code_hash.import_closure(module, _method_packages()))
-        imports = code_hash.code_hash(code_hash.closure_of_file(file, _method_packages()))
-    except LookupError:
-        return ""
-    return sha256(imports.encode() + file.read_bytes()).hexdigest()[:16]
-
-
-def _method_packages() -> set[str]:
-    """Top-level packages of installed methods: one method may use parts of another."""
-    return {entry.target.partition(".")[0] for entry in registry.list_entries("methods").values()}
 
 
 def _hash(file: Path) -> str:

@@ -101,7 +101,12 @@ def _write_sheet(
     if not images:
         raise ImagesError("; ".join(f"{method}: {reason}" for method, reason in missing.items()))
     clip, spp = cells[0].header.name, cells[0].target_spp
-    folder = out / f"{clip}-{spp:g}spp-{index:02}"
+    folder = out / f"{clip.replace('/', '-')}-{spp:g}spp-{index:02}"
+    if folder.is_symlink():
+        raise ImagesError(
+            f"{folder} is a link, to {folder.resolve()}, and no image is written through one; "
+            "remove it, or choose another --out"
+        )
     _save(folder / "reference", reference)
     for image in images:
         _save(folder / image.row_name.replace("/", "-"), image.image)
@@ -124,7 +129,6 @@ def _save(stem: Path, image: LinearImage) -> None:
     """Write STEM.exr with linear radiance and STEM.png with clipped sRGB."""
     from PIL import Image
 
-    stem.parent.mkdir(parents=True, exist_ok=True)
     planes = np.moveaxis(image.radiance.astype(np.float32), -1, 0)
     write_exr(stem.parent / f"{stem.name}.exr", dict(zip("RGB", planes, strict=True)))
     with paths.atomic_write(stem.parent / f"{stem.name}.png") as temporary:

@@ -125,7 +125,7 @@ def update_baseline(table: pd.DataFrame, path: Path) -> Baseline:
 
 
 def mean_psnr(table: pd.DataFrame) -> dict[ScoreKey, float | None]:
-    """Mean PSNR in dB of each method, scene and budget, or None if a frame has no value.
+    """Mean PSNR in dB of each method, scene and budget, or None if a frame has no finite value.
 
     Raises BaselineError if the results are of several devices.
     """
@@ -138,7 +138,7 @@ def mean_psnr(table: pd.DataFrame) -> dict[ScoreKey, float | None]:
     groups = rows.groupby(["method", "scene", "target_spp"])["value"]
     means = groups.agg(lambda values: values.mean(skipna=False))
     return {
-        ScoreKey(*key): round(psnr, DECIMALS) if psnr == psnr else None
+        ScoreKey(*key): round(psnr, DECIMALS) if math.isfinite(psnr) else None
         for key, psnr in zip(means.index, means, strict=True)
     }
 

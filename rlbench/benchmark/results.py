@@ -1,26 +1,25 @@
 """The results table: one number a row, one parquet file a cell, so a killed run loses one cell.
 
-Reports read this module alone. Files of schema 1 are read under today's names (`results_v1`).
+Reports read this module alone. `cell_file` reads, writes and checks the file of one cell; files of
+schema 1 are read under today's names (`results_v1`).
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rlbench.benchmark import results_v1
+from rlbench.benchmark import cell_file
 from rlbench.benchmark.cell_key import CellId, CellKey
+from rlbench.benchmark.row import COLUMNS, Row, TableError, arrow_schema
 from rlbench.benchmark.row_name import RowName
-from rlbench.errors import RlbenchError
-from rlbench.system import documents, paths
 
 if TYPE_CHECKING:
     import pandas as pd
-    import pyarrow as pa
 
 __all__ = [
     "COLUMNS",
@@ -36,63 +35,19 @@ __all__ = [
     "drop_cell",
     "read",
     "select_methods",
+    "set_aside_damaged",
     "to_dataframe",
     "write_cell",
 ]
 
-SCHEMA = 2  # of columns, names and metadata
 WHOLE_CLIP = -1  # `frame` of a number that belongs to no single frame
 SUFFIX = ".parquet"
-METADATA = b"rlbench"  # key of the JSON with the schema and the cell's identity
+DAMAGED = ".damaged"  # added to the name of a row file that cannot be read
 HELD_OUT_PREFIX = "without "  # in `weights_hash`, before the scene that a cross-validation held out
-
-
-class TableError(RlbenchError, ValueError):
-    """Rows that cannot be stored, or a folder without results."""
 
 
 class MissingRowsError(TableError):
     """A valid table without the rows that a report needs; `report all` continues without it."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One number. A measurement that could not be made has value nan and a note with the reason."""
-
-    run_id: str  # hash of the run plan that measured it
-    method: str  # family or family/variant, with other weights or precision NAME@LABEL
-    clip: str
-    scene: str
-    target_spp: float  # requested samples per pixel
-    mean_spp: float  # samples per pixel drawn on average, or nan where none were
-    frame: int  # 0, 1, ...; -1 for the whole clip
-    metric: str  # psnr, denoise_ms, ...
-    value: float  # finite, or nan with a note
-    unit: str = ""  # dB, ms, ...; empty for a plain number
-    direction: str = ""  # "higher" or "lower" is better, or empty where neither is
-    convention: str = ""  # how it was measured: peak, colour space, cost profile
-    note: str = ""  # why there is no value, or a remark on it
-    seed: int = 0
-    preset: str = ""  # of the clip, empty for a clip without one
-    device: str = ""  # model name of the processor that ran the method
-    dtype: str = ""  # precision of the method, such as float32
-    code_hash: str = ""  # of the method's code
-    weights_hash: str = ""  # of the method's weights, empty where it has none
-    config: str = "{}"  # the method's config as JSON
-
-
-COLUMNS = tuple(field.name for field in fields(Row))
-DEFAULTS = {field.name: field.default for field in fields(Row) if field.default is not MISSING}
-_KINDS = {field.name: str(field.type) for field in fields(Row)}
-
-
-@dataclass(frozen=True)
-class _Metadata:
-    """What a file says of itself in the parquet metadata."""
-
-    schema: int
-    key: CellKey
-    content_hash: str
 
 
 def write_cell(folder: Path, cell: CellId, rows: Sequence[Row]) -> Path:
@@ -101,22 +56,29 @@ def write_cell(folder: Path, cell: CellId, rows: Sequence[Row]) -> Path:
     A second call with the same `cell` replaces the first. Raises TableError if there are no rows,
     or if a value is infinite, or nan without a note.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     _check(cell, rows)
     target = folder / f"{cell.file_stem}{SUFFIX}"
-    metadata = json.dumps(asdict(_Metadata(SCHEMA, cell.key, cell.content_hash)))
-    schema = _schema().with_metadata({METADATA: metadata})
-    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
-    with paths.atomic_write(target) as unfinished:
-        pq.write_table(table, unfinished)
+    cell_file.write(target, cell, rows)
     return target
 
 
 def cells(folder: Path) -> set[CellId]:
-    """Identities of the finished cells; an unfinished or truncated file does not count."""
+    """Identities of the finished cells; an unfinished or damaged file does not count."""
     return set(_finished(folder).values())
+
+
+def set_aside_damaged(folder: Path) -> list[Path]:
+    """Rename each damaged row file to NAME.parquet.damaged; returns the new paths.
+
+    Every row is read and checked. Raises TableError for a file that a newer version wrote.
+    """
+    renamed = []
+    for file in _files(folder):
+        try:
+            cell_file.read_cell(file)
+        except cell_file.DamagedFileError:
+            renamed.append(file.rename(file.with_name(f"{file.name}{DAMAGED}")))
+    return renamed
 
 
 def drop_cell(folder: Path, cell: CellId) -> None:
@@ -131,14 +93,16 @@ def read(folder: Path) -> pd.DataFrame:
     """All cells in `folder` as one table, in the order of `COLUMNS`, sorted by file name.
 
     `frame` and `seed` are int64; `target_spp`, `mean_spp` and `value` float64; all others strings
-    that are empty rather than missing. Raises TableError if there are no cells.
+    that are empty rather than missing. Raises TableError if there are no cells, and for a damaged
+    file.
     """
     import pandas as pd
 
-    files = _finished(folder)
-    if not files:
+    stored = [cell_file.read_cell(file) for file in _files(folder)]
+    rows = [cell[1] for cell in stored if cell is not None]
+    if not rows:
         raise TableError(f"no results in {folder}: {_content(folder)}; rlbench run writes them")
-    table: pd.DataFrame = pd.concat([_read_file(file) for file in files], ignore_index=True)
+    table: pd.DataFrame = pd.concat(rows, ignore_index=True)
     return table
 
 
@@ -158,16 +122,9 @@ def to_dataframe(rows: Sequence[Row]) -> pd.DataFrame:
     import pyarrow as pa
 
     table: pd.DataFrame = pa.Table.from_pylist(
-        [asdict(row) for row in rows], schema=_schema()
+        [asdict(row) for row in rows], schema=arrow_schema()
     ).to_pandas()
     return table
-
-
-def _schema() -> pa.Schema:
-    import pyarrow as pa
-
-    kinds = {"str": pa.string(), "float": pa.float64(), "int": pa.int64()}
-    return pa.schema([pa.field(name, kinds[kind]) for name, kind in _KINDS.items()])
 
 
 def _check(cell: CellId, rows: Sequence[Row]) -> None:
@@ -181,45 +138,18 @@ def _check(cell: CellId, rows: Sequence[Row]) -> None:
             raise TableError(f"{where}: value is nan and the note does not say why")
 
 
+def _files(folder: Path) -> list[Path]:
+    """The finished files, sorted; that of a killed run begins with a dot."""
+    return sorted(file for file in folder.glob(f"*{SUFFIX}") if not file.name.startswith("."))
+
+
 def _finished(folder: Path) -> dict[Path, CellId]:
-    """The whole files, sorted, and the cell in each."""
-    files = {file: _read_cell_id(file) for file in sorted(folder.glob(f"*{SUFFIX}"))}
-    return {file: cell for file, cell in files.items() if cell is not None}
-
-
-def _read_cell_id(file: Path) -> CellId | None:
-    """The cell in a file; None if the file is unfinished, truncated or holds no results."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    if file.name.startswith("."):
-        return None
-    try:
-        schema = pq.read_schema(file)
-    except (pa.ArrowInvalid, OSError):
-        return None
-    content = (schema.metadata or {}).get(METADATA)
-    if content is None:
-        old = results_v1.is_schema_1(set(schema.names))
-        return results_v1.read_cell_id(file, schema) if old else None
-    document: dict[str, Any] = json.loads(content)
-    if document["schema"] != SCHEMA:
-        raise TableError(
-            f"{file} has schema {document['schema']}, this version reads 1 and {SCHEMA}. Update "
-            "rlbench, or use another folder"
-        )
-    metadata = documents.decode(document, _Metadata)
-    return CellId(metadata.key, metadata.content_hash)
-
-
-def _read_file(file: Path) -> pd.DataFrame:
-    import pyarrow.parquet as pq
-
-    table: pd.DataFrame = pq.ParquetFile(file).read().to_pandas()
-    if METADATA not in (pq.read_schema(file).metadata or {}):
-        table = results_v1.to_current(table)
-    absent = {name: value for name, value in DEFAULTS.items() if name not in table}
-    return table.assign(**absent)[list(COLUMNS)]
+    """The readable files, sorted, and the cell in each."""
+    stored = {}
+    for file in _files(folder):
+        with suppress(cell_file.DamagedFileError):
+            stored[file] = cell_file.read_id(file)
+    return {file: cell for file, cell in stored.items() if cell is not None}
 
 
 def _content(folder: Path) -> str:

@@ -3,12 +3,13 @@
 Cells that are in the results already are not run again, so a killed run resumes where it stopped.
 A cell whose content has changed (code, weights, clip, cost) replaces its older version, so that a
 results folder holds one answer for each method, clip, budget, seed and device. A cell that cannot
-run is one row with the reason; if the reason was an error, the next run tries the cell again.
+run is one row with the reason; if the reason was an error, the next run tries the cell again. A
+damaged row file is set aside, and its cell counts as missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -21,7 +22,7 @@ from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_key import by_slot, check_no_overwrite, superseded_cells
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
-from rlbench.benchmark.results import CellId, Row
+from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.scoring import refusal_row, row_template, score_frame, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache
@@ -53,17 +54,23 @@ class RunSummary:
     """Number of cells by what happened to them."""
 
     measured: int = 0  # with numbers
-    skipped: int = 0  # with a reason instead
+    skipped: int = 0  # not supported by the method, with the reason instead
+    failed: int = 0  # stopped by an error, which is their reason
     cached: int = 0  # in the results already
     replaced: int = field(default=0, compare=False)  # older versions, removed
+    set_aside: tuple[Path, ...] = field(default=(), compare=False)  # damaged row files, renamed
+    failures: tuple[CellKey, ...] = field(default=(), compare=False)  # cells that failed
 
     def __add__(self, other: RunSummary) -> RunSummary:
         """The counts of two runs together."""
         return RunSummary(
             self.measured + other.measured,
             self.skipped + other.skipped,
+            self.failed + other.failed,
             self.cached + other.cached,
             self.replaced + other.replaced,
+            self.set_aside + other.set_aside,
+            self.failures + other.failures,
         )
 
 
@@ -89,7 +96,7 @@ def measure(
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
     missing = [cell for cell in cells if cell_ids[cell.key] not in store.cells]
-    summary = RunSummary()
+    summary = RunSummary(set_aside=store.set_aside)
     for cell in cells:
         if cell not in missing:
             replaced = store.drop_superseded(cell_ids[cell.key])
@@ -101,11 +108,16 @@ def measure(
         else:
             cell_id, rows = cell_ids[outcome.job.key], outcome.result()
         results.write_cell(folder, cell_id, rows)
-        skipped = len(rows) == 1
-        replaced = store.drop_superseded(cell_id)
-        summary += RunSummary(measured=not skipped, skipped=skipped, replaced=replaced)
+        summary += _count_cell(cell_id, rows, store.drop_superseded(cell_id))
         on_cell(outcome.job)
     return summary
+
+
+def _count_cell(cell: CellId, rows: Sequence[Row], replaced: int) -> RunSummary:
+    if cell.is_failed:
+        return RunSummary(failed=1, replaced=replaced, failures=(cell.key,))
+    skipped = len(rows) == 1
+    return RunSummary(measured=not skipped, skipped=skipped, replaced=replaced)
 
 
 def read_cells(plan: RunPlan, folder: Path) -> pd.DataFrame:
@@ -125,6 +137,7 @@ class _Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.set_aside = tuple(results.set_aside_damaged(folder))
         self.cells = results.cells(folder)
         self.slots = by_slot(self.cells)
 
@@ -174,7 +187,8 @@ class CellRunner:
         """Scores of each frame, then times; or one row with the reason why there are none."""
         if reason := self.loader.incompatibility(cell):
             return [refusal_row(self.templates[cell.key], reason)]
-        return self._measure(cell, self.loader.method(cell))
+        with registry.exits_as_errors():
+            return self._measure(cell, self.loader.method(cell))
 
     def failure(self, cell: ResolvedCell, error: Exception) -> Row:
         """The only row of a cell that an error stopped."""

@@ -18,6 +18,7 @@ from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.run import FrameResult
+from rlbench.sanitize import Repairs
 
 __all__ = ["refusal_row", "row_template", "score_frame", "timing_rows"]
 
@@ -75,6 +76,15 @@ def score_frame(
             note = f"the value is nan: {metric.convention}"
         row = replace(frame, unit=metric.unit, direction=metric.direction)
         yield _with_value(row, metric.name, score, metric.convention, note)
+    yield from _repair_rows(frame, result.repairs)
+
+
+def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
+    """A row with the number of invalid pixels and samples that were replaced, if there were any."""
+    if repairs:
+        kinds = ", ".join(f"{name} {count}" for name, count in sorted(repairs.items()))
+        convention = f"invalid pixels and samples, replaced before the method read them: {kinds}"
+        yield _with_value(frame, "repaired", float(sum(repairs.values())), convention)
 
 
 def timing_rows(template: Row, timing: Timing, cost: Cost) -> list[Row]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
+from rlbench import registry
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.cost import Cost, CostProfile
@@ -35,7 +36,8 @@ class TimingCache:
 
     def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> Timing:
         """Times of a cell, measured now: the work that `measure_all` hands to an executor."""
-        return self._measure(cell, self.loader.method(cell), self.loader.clip(cell))
+        with registry.exits_as_errors():
+            return self._measure(cell, self.loader.method(cell), self.loader.clip(cell))
 
     def measure_all(
         self,

@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from rlbench.checks.result import CheckResult, Verdict
 
-__all__ = ["print_results"]
+__all__ = ["format_line", "print_results"]
 
 MARKS = {
     Verdict.PASSED: "[green]✓[/green]",
@@ -30,14 +30,15 @@ def print_results(results: Iterable[CheckResult], console: Console, title: str =
         console.print(f"[bold]{escape(title)}[/bold]", highlight=False, soft_wrap=True)
     counts: Counter[Verdict] = Counter()
     for result in results:
-        console.print(_format_line(result), highlight=False, soft_wrap=True)
+        console.print(format_line(result), highlight=False, soft_wrap=True)
         counts[result.verdict] += 1
     summary = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict)
     console.print(f"  {summary}", highlight=False, soft_wrap=True)
     return not counts[Verdict.FAILED]
 
 
-def _format_line(result: CheckResult) -> str:
+def format_line(result: CheckResult) -> str:
+    """The line of a result, in rich's markup: the mark, the check, what was found, the remedy."""
     found = f": {escape(result.found)}" if result.found else ""
     remedy = f" [bold]-> {escape(result.remedy)}[/bold]" if result.remedy else ""
     return f"  {MARKS[result.verdict]} {escape(result.check)}{found}{remedy}"

@@ -51,8 +51,9 @@ def run(
 ) -> None:
     """Score and time methods on clips, and add the results.
 
-    Cells that the results hold already are not measured again, so a killed run resumes. The exit
-    code is 1 if there are no numbers.
+    Cells that the results hold already are not measured again, so a killed run resumes. A damaged
+    row file is set aside, and its cell is measured again. The exit code is 1 if an error stopped a
+    cell, if an image is not finite, or if there are no numbers; the last line names the cells.
 
     Examples:
 
@@ -93,7 +94,7 @@ def run(
         with console.measuring(plan) as bar:
             summary = measure(plan, out, bar.on_cell, executor, bar.on_timing)
     console.print_summary(summary, out)
-    if not console.print_scores(plan, out):
+    if not console.print_scores(plan, summary, out):
         raise typer.Exit(1)
 
 

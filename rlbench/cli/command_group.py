@@ -9,6 +9,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from rlbench.cli.old_spellings import translate
 from rlbench.errors import RlbenchError
+from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = ["CommandGroup", "CommandWithGroupedHelp"]
 
@@ -33,7 +34,11 @@ class CommandWithGroupedHelp(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """Commands whose expected errors are one message and exit code 2, without a traceback."""
+    """Commands whose expected errors are one message and exit code 2, without a traceback.
+
+    Neither a plugin nor a library ends a command without a message: commands signal their exit code
+    by `typer.Exit`, so every other exit is an error.
+    """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command and its arguments; old spellings are translated, with a note."""
@@ -45,7 +50,8 @@ class CommandGroup(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Errors that users cannot cause are defects and keep their traceback."""
         try:
-            return super().invoke(ctx)
+            with exits_as_errors():
+                return super().invoke(ctx)
         except Exception as error:
             if not isinstance(error, RlbenchError):
                 raise

@@ -14,6 +14,7 @@ from rich.table import Table
 from rlbench.benchmark import latency, results
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells, resolve_method
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.run_verdict import judge_run
 from rlbench.benchmark.runner import ProgressCallbacks
 
 if TYPE_CHECKING:
@@ -87,21 +88,28 @@ def importing(frames: int) -> Iterator[Callable[[], None]]:
 def print_summary(summary: RunSummary, out: Path) -> None:
     """Print what happened to the cells of a run."""
     console = Console()
-    if not summary.measured + summary.skipped:
+    for file in summary.set_aside:
+        text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
+        console.print(text, style="yellow", markup=False, soft_wrap=True)
+    if not summary.measured + summary.skipped + summary.failed:
         console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
         return
     text = (
         f"{summary.measured} cells measured, {summary.cached} already in the results, "
         f"{summary.skipped} skipped"
     )
+    text += f", {summary.failed} failed" if summary.failed else ""
     text += f", {summary.replaced} older ones replaced" if summary.replaced else ""
     console.print(f"{text}; results are in {out}")
 
 
-def print_scores(plan: RunPlan, out: Path, row_names: Iterable[str] = ()) -> bool:
-    """Print mean PSNR and times of a plan, and why numbers are missing; are there any numbers?
+def print_scores(
+    plan: RunPlan, summary: RunSummary, out: Path, row_names: Iterable[str] = ()
+) -> bool:
+    """Print mean PSNR and times of a plan, why numbers are missing, and whether the run passed.
 
-    `row_names` are the methods' names in the results, where they are not those of the plan.
+    Returns False if a cell failed, an image is not finite, or there are no numbers. `row_names` are
+    the methods' names in the results, where they are not those of the plan.
     """
     rows = _planned_rows(plan, results.read(out), row_names)
     clips = len(plan.clips)
@@ -117,7 +125,10 @@ def print_scores(plan: RunPlan, out: Path, row_names: Iterable[str] = ()) -> boo
     console = Console()
     console.print(table)
     _print_notes(rows, console)
-    return bool(rows["value"].notna().any())
+    verdict = judge_run(summary, rows)
+    style = "" if verdict.passed else "red"
+    console.print(str(verdict), style=style, markup=False, soft_wrap=True)
+    return verdict.passed
 
 
 def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:

@@ -73,4 +73,5 @@ def crossval(
     results = out / "results"
     summary = protocol.crossval(folds, runs, plan, results, typer.echo, console.measuring)
     console.print_summary(summary, results)
-    console.print_scores(plan, results, protocol.row_names(plan))
+    if not console.print_scores(plan, summary, results, protocol.row_names(plan)):
+        raise typer.Exit(1)

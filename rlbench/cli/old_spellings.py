@@ -5,7 +5,7 @@ They are accepted until the next release, and no help text shows them. Then this
 
 from __future__ import annotations
 
-__all__ = ["RENAMED_OPTIONS", "translate"]
+__all__ = ["CURRENT_OPTIONS", "RENAMED_OPTIONS", "translate"]
 
 RENAMED_OPTIONS = {  # former name -> today's
     "--altered": "--allow-config-change",
@@ -19,6 +19,7 @@ RENAMED_OPTIONS = {  # former name -> today's
     "--retime": "--remeasure-sample-time",
     "--views": "--buffers",
 }
+CURRENT_OPTIONS = {("stress", "--only")}  # a newer command may use a former name
 FORMER_MODES = {  # command and option that selected a mode -> today's command, takes a file?
     ("render", "--scene"): ("render-scene", True),
     ("train", "--range-test"): ("lr-find", False),
@@ -44,7 +45,7 @@ def translate(arguments: list[str]) -> tuple[list[str], list[str]]:
             command = today
             notes.append(_note(f"{former} {option}", today))
     for index, word in enumerate(rest):
-        if word in RENAMED_OPTIONS:
+        if word in RENAMED_OPTIONS and (command, word) not in CURRENT_OPTIONS:
             rest[index] = RENAMED_OPTIONS[word]
             notes.append(_note(word, rest[index]))
             if word == "--budget" and rest[index + 1 : index + 2] == ["any"]:

@@ -35,7 +35,7 @@ def list_(
 ) -> None:
     """List installed methods, metrics, scenes, presets, and more.
 
-    Plugins that cannot be imported are listed with their error.
+    Plugins that cannot be imported are listed with their error; the exit code is then 1.
 
     Examples:
 
@@ -53,6 +53,8 @@ def list_(
         from rlbench.cli import console
 
         console.print_installed(installed)
+    if any("broken" in row for rows in installed.values() for row in rows):
+        raise typer.Exit(1)
 
 
 def check(

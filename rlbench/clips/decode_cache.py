@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rlbench.clips.cached_array import open_array, write_array
 from rlbench.clips.exr import read_exr
-from rlbench.clips.frame_files import channel_names, exr_path, nonfinite_mask
-from rlbench.clips.header import ClipError, Header
+from rlbench.clips.frame_files import channel_names, exceeds_float, exr_path, nonfinite_mask
+from rlbench.clips.header import BUFFER_CHANNELS, ClipError, Header
 from rlbench.system import code_hash, paths
 
 Arrays = Mapping[str, NDArray[np.floating]]  # by image name, each [c h w], float16 or float32
@@ -40,15 +41,25 @@ class DecodeCache:
         return self._load(f"reference{half}", index, ["rgb"])["rgb"]
 
     def _load(self, kind: str, index: int, names: Sequence[str]) -> Arrays:
-        """Images by name. Those that are not in the cache are decoded together."""
+        """Images by name. Those that the cache lacks, or holds damaged, are decoded together."""
         files = {name: self._cache_file(kind, index, name) for name in names}
-        missing = [name for name, path in files.items() if not path.exists()]
-        if missing:
+        cached = {name: open_array(path, self._shape(name)) for name, path in files.items()}
+        if missing := [name for name, array in cached.items() if array is None]:
             decoded = decode_images(exr_path(self.folder, kind, index), missing, self.header)
             for name, array in decoded.items():
-                with paths.atomic_write(files[name]) as temporary, temporary.open("wb") as file:
-                    np.save(file, array)
-        return {name: np.load(path, mmap_mode="r") for name, path in files.items()}
+                write_array(files[name], array)
+                cached[name] = open_array(files[name], array.shape)
+        arrays = {name: array for name, array in cached.items() if array is not None}
+        if lost := sorted(files.keys() - arrays.keys()):
+            raise ClipError(
+                f"{files[lost[0]]} was written and cannot be read back; the disk of "
+                f"{paths.decoded_folder()} may be failing. Set RLBENCH_CACHE to another folder"
+            )
+        return arrays
+
+    def _shape(self, name: str) -> tuple[int, int, int]:
+        """Channels, height and width of an image."""
+        return len(channel_names([name])), self.header.height, self.header.width
 
     def _cache_file(self, kind: str, index: int, name: str) -> Path:
         folder = paths.decoded_folder() / f"{self.digest}-{_decoder_hash()}" / kind
@@ -58,7 +69,8 @@ class DecodeCache:
 @cache
 def _decoder_hash() -> str:
     """Hash of the decoding code, so that arrays decoded by other code are not read."""
-    modules = [__name__, "rlbench.clips.exr", "rlbench.clips.frame_files"]
+    names = ("cached_array", "exr", "exr_header", "frame_files")
+    modules = [__name__, *(f"rlbench.clips.{name}" for name in names)]
     return code_hash.code_hash(modules, core=())[:8]
 
 
@@ -66,7 +78,7 @@ def decode_images(path: Path, names: Sequence[str], header: Header) -> Arrays:
     """The named images of one EXR file, each [c h w].
 
     Raises ClipError where the file is missing, broken, of another size or holds values that are
-    not finite; depth may be +inf, which is background.
+    not finite, or radiance that is not once it is exposed; depth may be +inf, for background.
     """
     planes = iter(read_exr(path, channel_names(names), header.height, header.width))
     arrays = {n: np.stack([next(planes) for _ in channel_names([n])]) for n in names}
@@ -75,5 +87,10 @@ def decode_images(path: Path, names: Sequence[str], header: Header) -> Arrays:
             raise ClipError(
                 f"{path}: {count} of {array.size} values of {name} are not finite; "
                 "delete the file and run `rlbench render` to trace that frame again"
+            )
+        if name not in BUFFER_CHANNELS and exceeds_float(array, header.exposure):
+            raise ClipError(
+                f"{path}: {name} has {np.abs(array).max():g}, which exceeds float32 at exposure "
+                f"{header.exposure:g}; correct the exposure in clip.toml, or trace that frame again"
             )
     return arrays

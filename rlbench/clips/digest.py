@@ -27,7 +27,7 @@ def clip_digest(folder: Path, header: Header, pool: str) -> str:
             path = exr_path(folder, kind, index)
             stamps[path.name] = _stamp(path, cached.get(path.name))
     if (merged := cached | stamps) != cached:
-        with paths.atomic_write(_stamps_file(folder)) as temporary:
+        with paths.cache_write(_stamps_file(folder)) as temporary:
             temporary.write_text(json.dumps(merged))
     hashes = {name: stamp[2] for name, stamp in stamps.items()}
     content = json.dumps([header.digest_fields(pool), hashes])

@@ -9,18 +9,27 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from rlbench.clips.exr_header import ExrHeader, ExrHeaderError, read_exr_header
 from rlbench.clips.header import ClipError, version_1_names
-from rlbench.system.paths import atomic_write
+from rlbench.system.paths import atomic_write, write_error
+
+__all__ = ["TYPES", "channel_dtype", "read_exr", "read_planes", "write_exr"]
 
 TYPES: dict[str, type[np.floating]] = {"HALF": np.float16, "FLOAT": np.float32}
 
 
 def write_exr(path: Path, channels: Mapping[str, NDArray[np.floating]]) -> None:
-    """Write [h w] arrays of float16 or float32 as a ZIP-compressed scan-line file, atomically."""
+    """Write [h w] arrays of float16 or float32 as a ZIP-compressed scan-line file, atomically.
+
+    Raises `rlbench.system.paths.WriteError` where the disk or the folder takes no file.
+    """
     layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     pixels = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     with atomic_write(path) as temporary, OpenEXR.File(layout, pixels) as file:
-        file.write(str(temporary))
+        try:
+            file.write(str(temporary))
+        except RuntimeError as error:  # the library reports a full disk so, without its number
+            raise write_error(path, error) from error
 
 
 def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArray[np.floating]:
@@ -33,21 +42,26 @@ def read_exr(path: Path, names: Sequence[str], height: int, width: int) -> NDArr
     if not path.is_file():
         raise ClipError(f"{path} is missing; `rlbench render` restores missing frames")
     try:
-        file = OpenEXR.InputFile(str(path))
-        header = file.header()
-        stored_names = [_stored_name(name, header["channels"]) for name in names]
+        header = read_exr_header(path)
+        stored_names = [_stored_name(name, header.channels) for name in names]
         _check(path, header, stored_names, height, width)
-        packed = file.channels(stored_names)
-    except (OSError, RuntimeError) as error:
+        return np.stack(read_planes(path, header, stored_names))
+    except (OSError, RuntimeError, MemoryError, ExrHeaderError) as error:
         raise ClipError(
             f"{path} cannot be decoded, truncated or corrupt ({error}); "
             "delete it and run `rlbench render` to trace that frame again"
         ) from error
-    dtypes = [TYPES[str(header["channels"][name].type)] for name in stored_names]
-    planes = [
-        np.frombuffer(b, t).reshape(height, width) for b, t in zip(packed, dtypes, strict=True)
-    ]
-    return np.stack(planes)
+
+
+def read_planes(path: Path, header: ExrHeader, names: Sequence[str]) -> list[NDArray[np.floating]]:
+    """The channels `names` of a file, each [h w], in its precision. `header` is the file's.
+
+    The channels must be half or float, with a value in every pixel. Raises OSError or RuntimeError,
+    whichever the library raises, where the pixels cannot be decoded.
+    """
+    packed = OpenEXR.InputFile(str(path)).channels(list(names))
+    dtypes = [TYPES[header.channels[name].pixel_type] for name in names]
+    return [np.frombuffer(b, t).reshape(header.size) for b, t in zip(packed, dtypes, strict=True)]
 
 
 def channel_dtype(path: Path, name: str) -> type[np.floating]:
@@ -58,8 +72,8 @@ def channel_dtype(path: Path, name: str) -> type[np.floating]:
     if not path.is_file():
         raise ClipError(f"{path} is missing; `rlbench render` restores missing frames")
     try:
-        return TYPES[str(OpenEXR.InputFile(str(path)).header()["channels"][name].type)]
-    except (OSError, RuntimeError, KeyError) as error:
+        return TYPES[read_exr_header(path).channels[name].pixel_type]
+    except (OSError, KeyError, ExrHeaderError) as error:
         raise ClipError(f"{path} has no channel {name} of half or float: {error}") from error
 
 
@@ -70,19 +84,19 @@ def _stored_name(name: str, channels: Collection[str]) -> str:
     return old_name if name not in channels and old_name in channels else name
 
 
-def _check(path: Path, header: dict[str, object], names: Sequence[str], h: int, w: int) -> None:
-    """Raise ClipError for another size, a missing channel, or one of another type."""
-    window, channels = header["dataWindow"], header["channels"]
-    size = (window.max.y - window.min.y + 1, window.max.x - window.min.x + 1)  # type: ignore[attr-defined]
-    if size != (h, w):
+def _check(path: Path, header: ExrHeader, names: Sequence[str], h: int, w: int) -> None:
+    """Raise ClipError for another size, a missing channel, or one of another type or sampling."""
+    if header.size != (h, w):
         raise ClipError(
-            f"{path} is {size[1]} x {size[0]} pixels, clip.toml says {w} x {h}; "
+            f"{path} is {header.size[1]} x {header.size[0]} pixels, clip.toml says {w} x {h}; "
             "delete the file or correct clip.toml, then run `rlbench render`"
         )
-    assert isinstance(channels, dict)
+    channels = header.channels
     if missing := [name for name in names if name not in channels]:
         raise ClipError(
             f"{path} has no channel {', '.join(missing)}; it has: {', '.join(channels)}"
         )
-    if others := [name for name in names if str(channels[name].type) not in TYPES]:
-        raise ClipError(f"{path}: channel {', '.join(others)} is not half or float")
+    if others := [name for name in names if not channels[name].is_readable]:
+        raise ClipError(
+            f"{path}: channel {', '.join(others)} is not half or float with a value in every pixel"
+        )

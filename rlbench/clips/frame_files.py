@@ -15,6 +15,7 @@ from rlbench.clips.header import BUFFER_CHANNELS, ClipError, Header
 __all__ = [
     "CHANNELS",
     "channel_names",
+    "exceeds_float",
     "exr_path",
     "file_kinds",
     "has_frame",
@@ -26,6 +27,7 @@ __all__ = [
 
 HALF_PREFIXES = ("albedo", "normal")  # buffers with these prefixes are stored as float16
 MAX_HALF = float(np.finfo(np.float16).max)
+MAX_FLOAT = float(np.finfo(np.float32).max)
 CHANNELS = {  # EXR channels of an image; sample 0 of a pool has s0.R, s0.G, s0.B, and so on
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
@@ -95,8 +97,8 @@ def write_frame(
         half_b: the other, independent half, [h w 3].
 
     Raises:
-        ClipError: for an unknown buffer, another shape, or a value that is not finite. Nothing is
-            written then.
+        ClipError: for an unknown buffer, another shape, or a value that is not finite or would not
+            be when it is read back. Nothing is written then.
     """
     size = np.shape(half_a)[:2]
     _check(index, size, gbuffer, pools, half_a, half_b)
@@ -113,13 +115,12 @@ def write_frame(
 def write_pool(folder: Path, index: int, pool: str, samples: NDArray[Any]) -> None:
     """Add the file of one pool [s h w 3] to a frame that exists, as `write_frame` writes it.
 
-    Raises ClipError for another shape or a value that is not finite.
+    Raises ClipError for another shape or a value that cannot be stored.
     """
     name = f"pool.{pool}"
     if np.ndim(samples) != 4 or np.shape(samples)[-1] != 3:
         raise ClipError(f"frame {index}: {name} has shape {np.shape(samples)}, expected s h w 3")
-    if count := int(nonfinite_mask(name, samples).sum()):
-        raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")
+    _check_values(index, name, samples)
     _write_pool(folder, index, pool, samples)
 
 
@@ -142,6 +143,11 @@ def nonfinite_mask(name: str, array: NDArray[Any]) -> NDArray[np.bool_]:
     return np.logical_and(bad, ~np.isposinf(array)) if name.startswith("depth") else bad
 
 
+def exceeds_float(radiance: NDArray[Any], exposure: float) -> bool:
+    """Whether exposed radiance is beyond the largest float32, in which methods receive it."""
+    return float(np.abs(radiance).max(initial=0)) * exposure > MAX_FLOAT
+
+
 def _planes(name: str, image: NDArray[Any], precision: type[np.floating]) -> dict[str, Any]:
     """The planes [h w] of an image [h w c], by channel name."""
     planes = np.moveaxis(image, -1, 0).astype(precision)
@@ -160,7 +166,7 @@ def _check(
     half_a: NDArray[Any],
     half_b: NDArray[Any],
 ) -> None:
-    """Raise ClipError for the first array with another shape or a value that is not finite."""
+    """Raise ClipError for the first array with another shape or a value that cannot be stored."""
     if not gbuffer:
         raise ClipError(
             f"frame {index}: no buffer; write at least one of {', '.join(BUFFER_CHANNELS)}"
@@ -176,5 +182,19 @@ def _check(
     for name, (array, shape) in arrays.items():
         if np.shape(array) != shape:
             raise ClipError(f"frame {index}: {name} has shape {np.shape(array)}, expected {shape}")
-        if count := int(nonfinite_mask(name, array).sum()):
-            raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")
+        _check_values(index, name, array)
+
+
+def _check_values(index: int, name: str, array: NDArray[Any]) -> None:
+    """Raise ClipError for values that are not finite, or would not be when they are read back."""
+    if count := int(nonfinite_mask(name, array).sum()):
+        raise ClipError(f"frame {index}: {count} values of {name} are not finite; not written")
+    precision = np.float16 if name.startswith(HALF_PREFIXES) else np.float32
+    with np.errstate(over="ignore"):
+        lost = np.isinf(np.asarray(array).astype(precision)) & np.isfinite(array)
+    if count := int(lost.sum()):
+        raise ClipError(
+            f"frame {index}: {count} values of {name} exceed {np.finfo(precision).max:g}, the "
+            f"largest {np.dtype(precision).name}, in which {name} is stored; not written. Scale or "
+            "clip them first"
+        )

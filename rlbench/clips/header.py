@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from rlbench.clips.header_limits import describe_value, find_violation
 from rlbench.errors import RlbenchError
 from rlbench.system.documents import decode, read_toml, write_toml
 
@@ -28,6 +29,7 @@ __all__ = [
 VERSION = 2  # of the format that is written
 READABLE_VERSIONS = (1, 2)
 FILE = "clip.toml"
+MAX_FILE_BYTES = 2**24  # of clip.toml
 STANDARD_BUFFERS = {"albedo": 3, "normal": 3, "depth": 1, "motion": 2}  # channels of each
 OPTIONAL_BUFFERS = {  # channels of the buffers that only some clips have
     "object": 1,
@@ -129,11 +131,10 @@ class Header:
 
     def __post_init__(self) -> None:
         """Raise ClipError for values that are out of range or contradict each other."""
-        low = [k for k in ("height", "width", "frames", "pool_spp") if getattr(self, k) < 1]
-        if low:
-            raise ClipError(f"clip '{self.name}': {', '.join(low)} must be at least 1")
-        if not (math.isfinite(self.exposure) and self.exposure > 0):
-            raise ClipError(f"clip '{self.name}': exposure is {self.exposure}, must be above 0")
+        if violation := find_violation(self):
+            raise ClipError(
+                f"clip {describe_value(self.name)}: {violation}; correct {FILE}, or what writes it"
+            )
         self._check_lengths()
         if not (self.buffers and self.pools):
             raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
@@ -142,12 +143,15 @@ class Header:
         self._check_cuts()
 
     def _check_lengths(self) -> None:
-        for key in ("reference_spp", "noise_ceiling_db"):
-            values = getattr(self, key)
-            if len(values) != self.frames and (values or key == "reference_spp"):
+        expected = {
+            "reference_spp": ("frames", {self.frames}),
+            "noise_ceiling_db": ("frames", {0, self.frames}),
+            "pools_ms": ("pools", {0, len(self.pools)}),
+        }
+        for key, (items, counts) in expected.items():
+            if (count := len(getattr(self, key))) not in counts:
                 raise ClipError(
-                    f"clip '{self.name}': {key} lists {len(values)} frames, "
-                    f"the clip has {self.frames}"
+                    f"clip '{self.name}': {key} lists {count} {items}, the clip has {max(counts)}"
                 )
 
     def _check_words(self, key: str, vocabulary: Iterable[str]) -> None:
@@ -215,13 +219,18 @@ def read_header(folder: Path) -> Header:
             "Resume it with `rlbench render` or `rlbench import`"
         )
     try:
+        if (size := path.stat().st_size) > MAX_FILE_BYTES:
+            raise ValueError(f"it has {size} bytes, at most {MAX_FILE_BYTES} are read")
         document = read_toml(path)
-    except ValueError as error:
-        raise ClipError(f"{error}; delete the file and render the clip again") from error
-    if (version := document.get("version")) not in READABLE_VERSIONS:
+    except (OSError, ValueError, RecursionError) as error:
+        raise ClipError(
+            f"{path} cannot be read ({error}); delete the file and render the clip again"
+        ) from error
+    version = document.get("version")
+    if not isinstance(version, int) or version not in READABLE_VERSIONS:
         readable = " and ".join(map(str, READABLE_VERSIONS))
         raise ClipError(
-            f"{path} has format version {version}, this rlbench reads {readable}: "
+            f"{path} has format version {describe_value(version)}, this rlbench reads {readable}: "
             "update rlbench, or render the clip again"
         )
     return _decode_header(path, document)
@@ -231,11 +240,11 @@ def _decode_header(path: Path, document: Mapping[str, Any]) -> Header:
     """The header in a document of any readable version. Raises ClipError, naming the wrong key."""
     try:
         return decode(_rename_buffers(document), Header, renamed=RENAMED_FIELDS)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         if isinstance(error.__cause__, ClipError):  # raised by Header itself
             raise error.__cause__ from None
         key = re.search(r"\$\.(\w+)", str(error))  # msgspec names a key as `$.height`
-        value = f", which is {document.get(key[1])!r}" if key else ""
+        value = f", which is {describe_value(document.get(key[1]))}" if key else ""
         raise ClipError(
             f"{path}: {error}{value}; correct the file, or render the clip again"
         ) from error

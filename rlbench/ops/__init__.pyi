@@ -5,12 +5,12 @@ from .demodulation import (
     demodulation_albedo,
     filtered_albedo,
     reflectance,
-    sanitize_radiance,
     surface_mask,
 )
 from .density import bounded_exp_density
-from .dither import systematic_sample
+from .dither import round_to_total
 from .exposure import autoexposure
+from .fireflies import limit_fireflies, mean_without_fireflies, repair_radiance_history
 from .init import kaiming_init
 from .kernels import apply_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
@@ -18,6 +18,14 @@ from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
 from .padding import crop, pad
 from .reprojection import reproject, reproject_bicubic, reproject_or_fill
+from .sanitize import (
+    repair_history,
+    sanitize_albedo,
+    sanitize_depth,
+    sanitize_motion,
+    sanitize_normal,
+    sanitize_radiance,
+)
 from .stencils import Tap, atrous_taps
 from .transfer import log_forward, log_inverse, pu_forward, pu_inverse, squash_depth
 from .unet import UNet
@@ -44,23 +52,31 @@ __all__ = [
     "kaiming_init",
     "l1",
     "l1_ms_ssim_loss",
+    "limit_fireflies",
     "log_forward",
     "log_inverse",
     "log_loss",
     "luminance",
+    "mean_without_fireflies",
     "ms_ssim",
     "pad",
     "pu_forward",
     "pu_inverse",
     "reflectance",
+    "repair_history",
+    "repair_radiance_history",
     "reproject",
     "reproject_bicubic",
     "reproject_or_fill",
+    "round_to_total",
+    "sanitize_albedo",
+    "sanitize_depth",
+    "sanitize_motion",
+    "sanitize_normal",
     "sanitize_radiance",
     "smape",
     "squash_depth",
     "surface_mask",
-    "systematic_sample",
     "temporal_l1",
     "to_channels_last",
     "to_contiguous_float32",

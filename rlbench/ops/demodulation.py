@@ -7,13 +7,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.ops.transfer import HALF_MAX
-
 __all__ = [
     "demodulation_albedo",
     "filtered_albedo",
     "reflectance",
-    "sanitize_radiance",
     "surface_mask",
 ]
 
@@ -64,12 +61,3 @@ def surface_mask(
     Pixels with black albedo show only emitted light.
     """
     return depth.isfinite() & (albedo > 0).any(1, keepdim=True)
-
-
-def sanitize_radiance(radiance: Float[Tensor, "*n 3 h w"]) -> Float[Tensor, "*n 3 h w"]:
-    """Radiance clamped to [0, 65504]; black where any channel is not finite.
-
-    65504 is the largest half float; the square of the result is finite in float32.
-    """
-    finite = radiance.isfinite().all(-3, keepdim=True)
-    return torch.where(finite, radiance, 0.0).clamp(0, HALF_MAX)

@@ -1,66 +1,102 @@
-"""Systematic sampling along a Hilbert curve: distribute whole samples evenly over an image."""
+"""Dithered rounding: fractional shares become whole counts with an exact sum, spread evenly."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from torch import Tensor
+from torch.nn import functional as F
 
-__all__ = ["hash_to_unit_interval", "hilbert_order", "systematic_sample"]
+__all__ = ["ONE_SHARE", "hash_to_integer", "round_to_total"]
+
+SHARE_BITS = 32
+ONE_SHARE = 2**SHARE_BITS  # a share of one sample, as an integer
+FRACTION = ONE_SHARE - 1  # mask of a share's fractional part
+THRESHOLD_BITS = 30  # threshold times fraction must stay below 2^63
 
 
-def systematic_sample(weights: Int[Tensor, "h w"], count: int, seed: int) -> Bool[Tensor, "h w"]:
-    """Mask of about `count` pixels, each chosen with probability count * weight / sum(weights).
+def round_to_total(shares: Int[Tensor, "h w"], total: int, seed: int) -> Int[Tensor, "h w"]:
+    """Whole counts that sum to `total`: each share rounded down or up, without bias.
 
-    Systematic sampling (Madow 1949) along a Hilbert curve, as in halftoning (Velho and Gomes 1991):
-    the weights are laid end to end along the curve, and `count` equidistant marks, shifted by a
-    hash of `seed`, choose the pixels that they fall into. Neighbours on the curve are neighbours in
-    the image, so each region of the image gets its share to within about one sample.
+    `shares` are in units of 2^-32 (`ONE_SHARE` is one) and must sum to within one of `total`. A
+    share is rounded up with the probability of its fractional part, over seeds.
 
-    Exactly `count` pixels are chosen if no weight exceeds the distance between two marks; otherwise
-    fewer, but at least one. Weights are >= 0 with a positive sum. Uses only integers and single
-    IEEE operations, so that the result is the same on every device.
+    The pivotal method of Deville and Tille 1998, with a fixed tournament over the image (spatially
+    balanced sampling, as in Stevens and Olsen 2004): halves of the image are halved in turn, along
+    both axes, down to pixels. Each part gets its share rounded down or up, and divides its count
+    between its two halves in the same way. So every aligned square of 2^k pixels gets its share to
+    within one sample, and a change in one pixel moves few samples of others: some twenty in 128 x
+    128 pixels, while marks along a curve through the image would all shift. Thresholds alternate
+    between neighbours, so that half a share per pixel gives a chequerboard.
 
-    >>> systematic_sample(torch.tensor([[0, 5, 0, 5]]), count=2, seed=0).tolist()
-    [[False, True, False, True]]
+    Integers only, so that the result is the same on every device.
+
+    >>> half = torch.full((2, 4), ONE_SHARE // 2)
+    >>> round_to_total(half, total=4, seed=0).sum(1).tolist()
+    [2, 2]
     """
-    h, w = weights.shape
-    order = hilbert_order(h, w, weights.device)
-    along_curve = weights.flatten()[order]
-    ends = along_curve.cumsum(0)
-    marks = (ends.double() * (count / float(ends[-1])) + hash_to_unit_interval(seed)).floor()
-    marks[-1] = count
-    chosen = (torch.diff(marks, prepend=marks.new_zeros(1)) > 0) & (along_curve > 0)
-    return torch.empty_like(chosen).scatter_(0, order, chosen).view(weights.shape)
+    levels = [shares]
+    while levels[-1].numel() > 1:
+        levels.append(_add_pairs(levels[-1]))
+    counts = torch.full_like(levels.pop(), total)
+    for level, parts in reversed(list(enumerate(levels))):
+        counts = _divide(counts, parts, hash_to_integer(seed, level))
+    return counts
 
 
-@lru_cache(maxsize=8)
-def hilbert_order(h: int, w: int, device: torch.device) -> Int[Tensor, " _"]:
-    """Flat indices of the h * w pixels in the order of a Hilbert curve through the image.
+def _axis(parts: Tensor) -> int:
+    """The axis along which parts are paired: the longer one, rows before columns."""
+    return 1 if parts.shape[1] >= parts.shape[0] else 0
 
-    Uses the curve of the smallest enclosing power-of-two square, without the pixels outside the
-    image. The position on the curve is computed from row and column bit by bit (Hilbert 1891; as in
-    Warren 2012, Hacker's Delight, section 16.2).
 
-    >>> hilbert_order(2, 2, torch.device("cpu")).tolist()
-    [0, 2, 3, 1]
+def _pairs(parts: Tensor) -> tuple[Tensor, Tensor]:
+    """The first and the second part of each pair; the second of an odd one out is zero."""
+    axis = _axis(parts)
+    if parts.shape[axis] % 2:
+        parts = F.pad(parts, (0, 1) if axis == 1 else (0, 0, 0, 1))
+    sides = (*parts.shape[:axis], -1, 2, *parts.shape[axis + 1 :])
+    first, second = parts.reshape(sides).unbind(axis + 1)
+    return first, second
+
+
+def _add_pairs(parts: Tensor) -> Tensor:
+    first, second = _pairs(parts)
+    return first + second
+
+
+def _divide(counts: Tensor, parts: Tensor, threshold: int) -> Tensor:
+    """The counts of both parts of each pair, whose sum is in `counts`.
+
+    Let a and b be the fractional parts, and `rest` the samples beyond both shares rounded down: 0
+    or 1 if a + b < 1, else 1 or 2. One sample goes to the first part with a probability that
+    makes its mean over `rest` and threshold equal to a.
     """
-    rows, columns = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
-    x, y, position = columns.flatten(), rows.flatten(), torch.zeros(h * w, dtype=torch.int64)
-    for bit in reversed(range((max(h, w) - 1).bit_length())):
-        right, down = (x >> bit) & 1, (y >> bit) & 1
-        position = (position << 2) | ((3 * right) ^ down)
-        transposed, mirrored = down == 0, (down == 0) & (right == 1)
-        x, y = (torch.where(mirrored, ~side, side) for side in (x, y))
-        x, y = torch.where(transposed, y, x), torch.where(transposed, x, y)
-    return position.argsort().to(device)
+    axis = _axis(parts)
+    first, second = _pairs(parts)
+    a, b = first & FRACTION, second & FRACTION
+    rest = counts - (first >> SHARE_BITS) - (second >> SHARE_BITS)
+    both = a + b
+    is_small = both < ONE_SHARE
+    favourable = torch.where(is_small, a, ONE_SHARE - b)
+    possible = torch.where(is_small, both, 2 * ONE_SHARE - both)
+    wins = _alternate(threshold, counts, 1 - axis) * possible < favourable << THRESHOLD_BITS
+    up = (rest > 1) | ((rest == 1) & wins)
+    first_counts = (first >> SHARE_BITS) + up
+    divided = torch.stack((first_counts, counts - first_counts), axis + 1)
+    return divided.flatten(axis, axis + 1).narrow(axis, 0, parts.shape[axis])
 
 
-def hash_to_unit_interval(seed: int) -> float:
-    """A number in [0, 1): the top 32 bits after two rounds of a multiplicative hash of `seed`."""
+def _alternate(threshold: int, counts: Tensor, axis: int) -> Tensor:
+    """The threshold, and its complement in every second line along `axis`."""
+    line = torch.arange(counts.shape[axis], device=counts.device) % 2
+    values = torch.where(line == 0, threshold, 2**THRESHOLD_BITS - 1 - threshold)
+    return values[:, None] if axis == 0 else values
+
+
+def hash_to_integer(seed: int, level: int) -> int:
+    """A number in [0, 2^30): the top bits after two rounds of a multiplicative hash."""
+    mixed = seed * 64 + level
     for factor in (0x9E3779B97F4A7C15, 0xD1342543DE82EF95):
-        seed = (seed * factor + 1) & (2**64 - 1)
-        seed ^= seed >> 32
-    return (seed >> 32) / 2**32
+        mixed = (mixed * factor + 1) & (2**64 - 1)
+        mixed ^= mixed >> 32
+    return mixed >> (64 - THRESHOLD_BITS)

@@ -19,6 +19,7 @@ from rlbench.registry.lookup import (
     load_or_explain,
     load_plugin,
 )
+from rlbench.registry.method_code import method_code_hash
 from rlbench.registry.methods import (
     expand,
     is_trainable,
@@ -26,6 +27,7 @@ from rlbench.registry.methods import (
     shipped_weights,
     training_task,
 )
+from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
 from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
 
 __all__ = [
@@ -33,9 +35,11 @@ __all__ = [
     "METHODS_VARIABLE",
     "PluginEntry",
     "PluginError",
+    "PluginExitError",
     "clear_plugins",
     "current_name",
     "list_entries",
+    "exits_as_errors",
     "expand",
     "load_family",
     "import_error",
@@ -46,6 +50,7 @@ __all__ = [
     "load_metrics",
     "module_file",
     "list_plugins",
+    "method_code_hash",
     "plugin_file",
     "resolve",
     "shipped_weights",

@@ -23,6 +23,7 @@ from typing import Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.entry import PluginEntry
+from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.plugin_files import file_entries, import_file, plugin_file, plugin_files
 
 __all__ = [
@@ -35,7 +36,7 @@ __all__ = [
     "resolve",
 ]
 
-GROUPS = ("methods", "metrics", "reports", "pools", "scenes")
+GROUPS = ("methods", "metrics", "reports", "pools", "scenes", "stress")
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 
@@ -82,7 +83,8 @@ def resolve(target: str) -> Any:
     """
     module, _, attribute = target.partition(":")
     file = plugin_file(module)
-    value: Any = import_file(file) if file else importlib.import_module(module)
+    with exits_as_errors():
+        value: Any = import_file(file) if file else importlib.import_module(module)
     for part in attribute.split("."):
         value = getattr(value, part)
     return value
@@ -109,7 +111,12 @@ def installed_entries(group: str) -> list[PluginEntry]:
     """The plugins of installed packages, those of rlbench first."""
     points = importlib.metadata.entry_points(group=f"rlbench.{group}")
     own_first = sorted(points, key=lambda point: (_origin(point) != "rlbench", point.name))
-    return [PluginEntry(p.name, p.value, _origin(p), p.load) for p in own_first]
+    return [PluginEntry(p.name, p.value, _origin(p), partial(_load, p)) for p in own_first]
+
+
+def _load(point: importlib.metadata.EntryPoint) -> Any:
+    with exits_as_errors():
+        return point.load()
 
 
 def _origin(point: importlib.metadata.EntryPoint) -> str:

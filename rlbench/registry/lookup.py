@@ -37,7 +37,7 @@ def load_plugin(group: str, name: str) -> Any:
     """
     known = list_entries(group)
     if name not in known:
-        raise PluginError(_unknown(name, f"a {group.removesuffix('s')}", known))
+        raise PluginError(_unknown(name, f"a {_kind(group)}", known))
     return known[name].load()
 
 
@@ -48,7 +48,7 @@ def load_or_explain(group: str, name: str) -> Any:
     except PluginError:
         raise
     except Exception as error:  # third-party code may raise anything
-        plugin = f"{group.removesuffix('s')} '{name}' from {list_entries(group)[name].origin}"
+        plugin = f"{_kind(group)} '{name}' from {list_entries(group)[name].origin}"
         raise PluginError(
             f"{plugin} cannot be imported: {type(error).__name__}: {error}"
         ) from error
@@ -107,6 +107,10 @@ def get_variant(name: str) -> Variant:
 def load_metrics() -> dict[str, Any]:
     """All metrics by name. Raises PluginError for a metric that cannot be imported."""
     return {name: load_or_explain("metrics", name) for name in list_plugins("metrics")}
+
+
+def _kind(group: str) -> str:
+    return "stress section" if group == "stress" else group.removesuffix("s")
 
 
 def _unknown(name: str, kind: str, known: Mapping[str, PluginEntry]) -> str:

@@ -15,6 +15,7 @@ from rlbench.registry.lookup import (
     list_plugins,
     load_family,
 )
+from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system import provenance
 
 if TYPE_CHECKING:
@@ -49,7 +50,8 @@ def load_method(
             f"'{name}' needs {missing}, which is not installed: pip install {missing}"
         )
     build = load_family(name).build
-    instance = resolve(build)(name.partition("/")[2], torch.device(device), weights)
+    with exits_as_errors():
+        instance = resolve(build)(name.partition("/")[2], torch.device(device), weights)
     if not isinstance(instance, Method):
         raise PluginError(
             f"{build} returned an object of type {type(instance).__name__}, not a Method"
@@ -85,7 +87,8 @@ def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) 
     name = current_name(name)
     if not is_trainable(name):
         raise PluginError(f"'{name}' has nothing to train")
-    return resolve(load_family(name).train)(name.partition("/")[2], torch.device(device), seed)
+    with exits_as_errors():
+        return resolve(load_family(name).train)(name.partition("/")[2], torch.device(device), seed)
 
 
 def is_trainable(name: str) -> bool:

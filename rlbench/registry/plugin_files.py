@@ -11,6 +11,7 @@ from typing import Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.entry import PluginEntry
+from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = [
     "clear_plugins",
@@ -84,7 +85,8 @@ def import_file(file: Path) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        with exits_as_errors():
+            spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise

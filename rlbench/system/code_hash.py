@@ -26,6 +26,8 @@ CORE = (
     "rlbench.method",
     "rlbench.sampling",
     "rlbench.ops.dither",
+    "rlbench.ops.sanitize",
+    "rlbench.sanitize",
     "rlbench.run",
     "rlbench.clips.stored",
     "rlbench.clips.frame_files",
@@ -33,6 +35,8 @@ CORE = (
     "rlbench.clips.in_memory",
     "rlbench.clips.decode_cache",
     "rlbench.clips.exr",
+    "rlbench.clips.exr_header",
+    "rlbench.clips.cached_array",
     "rlbench.benchmark.clip_sources",
     "rlbench.weights",
 )  # modules of rlbench that decide the image a method makes of a clip, whatever it imports itself

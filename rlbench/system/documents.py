@@ -1,4 +1,4 @@
-"""TOML and JSON documents as typed dataclasses: decoding with type checks, and writing.
+"""TOML and JSON documents as typed dataclasses: reading with type checks, and writing.
 
 `msgspec` checks the types and names the key that is wrong; `tomli_w` writes TOML.
 """
@@ -16,7 +16,7 @@ import tomli_w
 
 from rlbench.system.paths import atomic_write
 
-__all__ = ["decode", "read_toml", "to_toml", "unknown_keys", "write_toml"]
+__all__ = ["decode", "read_json", "read_toml", "to_toml", "unknown_keys", "write_toml"]
 
 T = TypeVar("T")
 
@@ -33,7 +33,8 @@ def decode(
     >>> decode({"cpu": "EPYC", "cores": 4, "gpu": "", "os": "Linux"}, Machine).cores
     4
 
-    Raises ValueError, naming the key, for a value of another type or a missing key.
+    Raises ValueError, naming the key, for a value of another type, a missing key, and a value that
+    the dataclass itself refuses with a ValueError.
     """
     return msgspec.convert(_rename(document, renamed), kind)
 
@@ -50,8 +51,19 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file. Raises ValueError for a file that is not TOML in UTF-8."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no TOML, not UTF-8, or nested too deeply
         raise ValueError(f"{path} is not TOML: {error}") from error
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file. Raises ValueError for a file that is not JSON in UTF-8.
+
+    NaN, infinite values and numbers beyond the range of float64 are not JSON.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes())
+    except (ValueError, RecursionError) as error:  # no JSON, not UTF-8, or nested too deeply
+        raise ValueError(f"{path} is not JSON: {error}") from error
 
 
 def to_toml(document: Mapping[str, Any]) -> str:

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["cache_folder", "clips_folder", "decoded_folder", "atomic_write"]
+from rlbench.errors import RlbenchError
+
+__all__ = [
+    "WriteError",
+    "atomic_write",
+    "cache_folder",
+    "cache_write",
+    "clips_folder",
+    "decoded_folder",
+    "write_error",
+]
+
+UNWRITABLE = {  # errors of the disk or the folder, which the user can mend; numpy gives no number
+    None,
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
+    *(errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP),
+}
 
 
 def cache_folder() -> Path:
@@ -30,17 +48,79 @@ def decoded_folder() -> Path:
     return cache_folder() / "decoded"
 
 
+class WriteError(RlbenchError, OSError):
+    """A file that cannot be written: the disk is full, or the folder is read-only or no folder."""
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`, then rename it to `path`.
 
-    Readers never see a partial file. The folder is created. If the block raises, the temporary file
-    is removed and `path` stays as it was.
+    Readers never see a partial file, not even after a power failure: the content reaches the disk
+    before the name does. The folder is created. If the block raises, the temporary file is removed
+    and `path` stays as it was. Raises WriteError where the disk or the folder takes no file.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{uuid.uuid4().hex}.{path.name}")
-    try:
+    with _written_aside(path) as temporary:
         yield temporary
-        temporary.replace(path)
+        _synchronize(temporary)
+    with _explained(path):
+        _synchronize(path.parent)
+
+
+@contextmanager
+def cache_write(path: Path) -> Iterator[Path]:
+    """`atomic_write` without waiting for the disk, for files that are verified when they are read.
+
+    After a power failure, the file may be damaged.
+    """
+    with _written_aside(path) as temporary:
+        yield temporary
+
+
+@contextmanager
+def _written_aside(path: Path) -> Iterator[Path]:
+    """Yield a temporary path and rename it to `path`; nothing is left of it after an error."""
+    temporary = path.with_name(f".{uuid.uuid4().hex}.{path.name[-200:]}")
+    try:
+        with _explained(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Raise errors of the disk and the folder as WriteError."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, RlbenchError) or error.errno not in UNWRITABLE:
+            raise
+        raise write_error(path, error) from error
+
+
+def write_error(path: Path, reason: object) -> WriteError:
+    """The error for a file that cannot be written: its folder, the free space, and what to do."""
+    folder = next(parent for parent in path.absolute().parents if parent.is_dir())
+    free = shutil.disk_usage(folder).free
+    remedy = "free some space, or choose another folder"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        remedy = "the folder is not writable: change its permissions, or choose another"
+    return WriteError(
+        f"{path} cannot be written ({reason}); {folder} has {free} bytes free, {remedy}"
+    )
+
+
+def _synchronize(path: Path) -> None:
+    """Wait until a file or the entries of a folder are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some file systems sync no folder
+            raise
+    finally:
+        os.close(descriptor)

@@ -1,12 +1,14 @@
-"""Checkpoint files: tensors and JSON metadata in one safetensors file."""
+"""Checkpoint files: tensors, JSON metadata and a checksum of both in one safetensors file."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -30,16 +32,18 @@ def write(path: Path, tensors: Mapping[str, Tensor], metadata: dict[str, Any]) -
     """Write tensors and metadata to one file. A kill leaves the old file or the new one."""
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     with paths.atomic_write(path) as temporary:
-        save_file(contiguous, temporary, {"progress": json.dumps(metadata)})
+        progress = json.dumps(metadata)
+        checksum = _checksum(progress, contiguous)
+        save_file(contiguous, temporary, {"progress": progress, "checksum": checksum})
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
     """The metadata of a file that `write` wrote. Raises CheckpointError for any other file."""
     try:
         with safe_open(path, "pt") as file:
-            metadata: dict[str, Any] = json.loads(file.metadata()["progress"])
+            metadata: dict[str, Any] = dict(json.loads(file.metadata()["progress"]))
             return metadata
-    except (OSError, SafetensorError, TypeError, KeyError, ValueError) as error:
+    except (OSError, SafetensorError, TypeError, LookupError, ValueError, RecursionError) as error:
         raise CheckpointError(
             f"{path} is not a file written by a training run ({error!r}). Give a checkpoint or a "
             "failed sequence from the folder of a run"
@@ -47,11 +51,22 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The metadata and the tensors of a file that `write` wrote, under their present names."""
+    """The metadata and the tensors of a file that `write` wrote, under their present names.
+
+    Raises CheckpointError for any other file, and for one that was changed. Older files have no
+    checksum, so that a change of a number in them is not found.
+    """
     metadata = read_metadata(path)
     with safe_open(path, "pt") as file:
         names = list(file.keys())  # safe_open objects are not iterable
-        return metadata, {_rename_prefix(name): file.get_tensor(name) for name in names}
+        tensors = {name: file.get_tensor(name) for name in names}
+        stored = file.metadata()
+    if stored.get("checksum", checksum := _checksum(stored["progress"], tensors)) != checksum:
+        raise CheckpointError(
+            f"{path} was changed after it was written: its checksum is another one. Delete it and "
+            "train again, or restore it from a copy"
+        )
+    return metadata, {_rename_prefix(name): tensor for name, tensor in tensors.items()}
 
 
 def select_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -61,6 +76,15 @@ def select_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tenso
     {'bias': 1}
     """
     return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _checksum(progress: str, tensors: Mapping[str, Tensor]) -> str:
+    """Hash of the metadata and of every name and bit of the tensors."""
+    digest = sha256(progress.encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
+        digest.update(tensor.detach().cpu().reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
 
 
 def _rename_prefix(name: str) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from rlbench.system import documents
+from rlbench.training.checkpoint import CheckpointError
 from rlbench.training.config import rename_keys
 
 __all__ = ["Progress"]
@@ -38,9 +40,20 @@ class Progress:
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> Progress:
-        """The progress in a checkpoint's metadata, also one from before the renaming of fields."""
-        values = {RENAMED_KEYS.get(key, key): value for key, value in stored.items()}
-        return cls(**values | {"config": rename_keys(values.get("config", {}))})
+        """The progress in a checkpoint's metadata, also one from before the renaming of fields.
+
+        Raises CheckpointError for unknown fields and for values of another type.
+        """
+        try:
+            if unknown := documents.unknown_keys(stored, cls, renamed=RENAMED_KEYS):
+                raise ValueError(f"unknown fields: {', '.join(unknown)}")
+            progress = documents.decode(stored, cls, renamed=RENAMED_KEYS)
+        except ValueError as error:
+            raise CheckpointError(
+                f"the checkpoint has no progress of a training: {error}. Choose another --out"
+            ) from error
+        progress.config = rename_keys(progress.config)
+        return progress
 
     def switch_config(self, config: dict[str, Any]) -> None:
         """Continue with another config, and record what changed."""

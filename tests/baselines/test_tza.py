@@ -84,7 +84,7 @@ def test_black_tiles_and_bright_emitters_get_intels_exposure(gain):
     (frame,), samples = noisy().frames, Samples(radiance, counts)
     image, _ = build("", CPU, None).denoise(frame.gbuffer, samples, None)
     assert image.max() > 20 * gain
-    intel_image = run_intel(FrameResult(frame, samples, image), "high", tza.export(SHIPPED))
+    intel_image = run_intel(FrameResult(frame, samples, image, {}), "high", tza.export(SHIPPED))
     torch.testing.assert_close(intel_image / gain, image / gain, **CLOSE)
 
 

@@ -217,6 +217,74 @@ def test_a_broken_baseline_says_what_is_wrong(tmp_path, content, message):
         load_baseline(tmp_path / "b.json")
 
 
+NUMBERS = {"tolerance_db": 0.05, "target_spp": 2.0, "psnr": 30.0}
+ENTRY = {"method": "ours", "scene": "city", "target_spp": 2.0, "psnr": 30.0}
+
+
+def document(**changed: object) -> dict[str, object]:
+    head = {"schema": 2, "preset": "mini", "command": "", "tolerance_db": 0.05, "entries": [ENTRY]}
+    return {**head, **changed}
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("field", NUMBERS)
+def test_a_baseline_with_a_number_that_is_not_finite_is_refused(tmp_path, field, number):
+    text = json.dumps(document()).replace(f'"{field}": {NUMBERS[field]}', f'"{field}": {number}')
+    assert number in text
+    (tmp_path / "b.json").write_text(text)
+    with pytest.raises(BaselineError, match="--baseline|--update"):
+        load_baseline(tmp_path / "b.json")
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -0.1])
+def test_the_gate_has_no_tolerance_that_every_score_passes(number):
+    with pytest.raises(BaselineError, match="tolerance_db is .*; a finite number >= 0 is required"):
+        replace(baseline(), tolerance_db=number)
+    with pytest.raises(BaselineError, match="tolerance_db is .*; a finite number >= 0 is required"):
+        baseline(tolerance_db=number)
+
+
+@pytest.mark.parametrize("psnr", [math.nan, math.inf, -math.inf])
+def test_the_gate_has_no_expected_score_that_every_score_passes(psnr):
+    with pytest.raises(BaselineError, match="ours on city at 2 spp has psnr"):
+        baseline(psnr)
+
+
+def test_an_infinite_result_is_missing():
+    table = to_dataframe(rows(30.0))
+    report = compare(table.assign(value=math.inf), baseline())
+    assert verdicts(report) == {("ours", "city", 2.0): "missing"}
+    assert not report.passed
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"entries": ["x"]}, r"Expected `object`, got `str` - at `\$.entries\[0\]`"),
+        ({"entries": [None]}, r"Expected `object`, got `null`"),
+        ({"entries": {"a": 1}}, "Expected `array`, got `object`"),
+        ({"entries": [{**ENTRY, "psnr": "30"}]}, r"Expected `float`.*entries\[0\].psnr"),
+        ({"entries": [{**ENTRY, "method": 3}]}, r"Expected `str`.*entries\[0\].method"),
+        ({"entries": [{**ENTRY, "target_spp": -1}]}, "target_spp is -1"),
+        ({"preset": 3}, "Expected `str`, got `int`.*preset"),
+        ({"tolerance_db": None}, "Expected `float`, got `null`.*tolerance_db"),
+        ({"tolerance_db": -1}, "tolerance_db is -1"),
+        ({"colour": 1}, "unknown keys colour"),
+    ],
+)
+def test_a_baseline_of_wrong_types_says_which_field_and_what_to_do(tmp_path, changed, message):
+    (tmp_path / "b.json").write_text(json.dumps(document(**changed)))
+    with pytest.raises(BaselineError, match=f"{message}.*rlbench regress --update"):
+        load_baseline(tmp_path / "b.json")
+
+
+@pytest.mark.parametrize("content", [b"\xff", b'{"schema": 2, "preset": "\xe9"}', b"[" * 100_000])
+def test_a_baseline_that_is_not_json_in_utf_8_is_refused(tmp_path, content):
+    (tmp_path / "b.json").write_bytes(content)
+    with pytest.raises(BaselineError, match="is not JSON.*Restore the file, or pass another"):
+        load_baseline(tmp_path / "b.json")
+
+
 def test_a_baseline_of_schema_1_is_read_under_todays_names(tmp_path):
     old = {"method": "ours/A2@half", "scene": "city", "spp": 2.0, "psnr": 30.0}
     content = {"schema": 1, "preset": "mini", "command": "", "tolerance_db": 0.1, "entries": [old]}

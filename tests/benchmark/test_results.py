@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import struct
 import subprocess
 import sys
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -23,6 +27,7 @@ from rlbench.benchmark.results import (
     drop_cell,
     read,
     select_methods,
+    set_aside_damaged,
     to_dataframe,
     write_cell,
 )
@@ -87,7 +92,83 @@ def test_a_truncated_cell_is_not_finished(tmp_path):
     file = write_cell(tmp_path, B, [ROW])
     file.write_bytes(file.read_bytes()[:-20])
     assert cells(tmp_path) == {A}
+
+
+def rewrite(file: Path, table: pa.Table, checksum: bool = False) -> None:
+    """Write a changed table; by default without a checksum, as older versions wrote it."""
+    metadata = json.loads(pq.read_schema(file).metadata[b"rlbench"])
+    if not checksum:
+        del metadata["checksum"]
+    pq.write_table(table.replace_schema_metadata({b"rlbench": json.dumps(metadata)}), file)
+
+
+def with_column(table: pa.Table, name: str, values: list[object]) -> pa.Table:
+    return table.set_column(table.column_names.index(name), name, pa.array(values))
+
+
+DAMAGES = {
+    "is cut short": lambda file, table: file.write_bytes(file.read_bytes()[:-20]),
+    "is empty": lambda file, table: file.write_bytes(b""),
+    "is text": lambda file, table: file.write_text("run_id,method\n"),
+    "has a flipped byte in a number": lambda file, table: file.write_bytes(
+        file.read_bytes().replace(struct.pack("<d", 31.25), struct.pack("<d", 31.26))
+    ),
+    "has another seed in its identity": lambda file, table: pq.write_table(
+        table.replace_schema_metadata(
+            {b"rlbench": table.schema.metadata[b"rlbench"].replace(b'"seed": 0', b'"seed": 1')}
+        ),
+        file,
+    ),
+    "has another value": lambda file, table: rewrite(
+        file, with_column(table, "value", [99.0]), checksum=True
+    ),
+    "has no identity": lambda file, table: pq.write_table(table.replace_schema_metadata({}), file),
+    "has an identity that is not JSON": lambda file, table: pq.write_table(
+        table.replace_schema_metadata({b"rlbench": b"\xff{"}), file
+    ),
+    "has an identity of wrong types": lambda file, table: pq.write_table(
+        table.replace_schema_metadata({b"rlbench": b'{"schema": 2, "key": 3}'}), file
+    ),
+    "has an identity without schema": lambda file, table: pq.write_table(
+        table.replace_schema_metadata({b"rlbench": b"[]"}), file
+    ),
+    "has text for values": lambda file, table: rewrite(file, with_column(table, "value", ["x"])),
+    "has numbers for methods": lambda file, table: rewrite(file, with_column(table, "method", [3])),
+    "has fractions for frames": lambda file, table: rewrite(
+        file, with_column(table, "frame", [0.5])
+    ),
+    "has a gap in a name": lambda file, table: rewrite(
+        file, with_column(table, "clip", pa.array([None], pa.string()))
+    ),
+    "lacks a column": lambda file, table: rewrite(file, table.drop_columns(["metric"])),
+    "has no rows": lambda file, table: rewrite(file, table.slice(0, 0)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_file_is_an_error_that_names_it_and_is_set_aside_if_it(tmp_path, damage):
+    write_cell(tmp_path, A, [ROW])
+    file = write_cell(tmp_path, B, [ROW])
+    before = file.read_bytes()
+    damage(file, pq.read_table(file))
+    assert file.read_bytes() != before
+    name = re.escape(str(file))
+    with pytest.raises(TableError, match=f"{name} is damaged: .*Repeat the rlbench run"):
+        read(tmp_path)
+    damaged = file.read_bytes()
+    (renamed,) = set_aside_damaged(tmp_path)
+    assert (renamed.name, renamed.read_bytes()) == (f"{file.name}.damaged", damaged)
+    assert cells(tmp_path) == {A}
+    assert read(tmp_path).to_dict("records") == [asdict(ROW)]
+    assert set_aside_damaged(tmp_path) == []
+
+
+def test_a_parquet_file_of_other_content_is_no_cell_and_stays(tmp_path):
+    write_cell(tmp_path, A, [ROW])
+    pq.write_table(pa.table({"colour": ["red"]}), tmp_path / "notes.parquet")
+    assert set_aside_damaged(tmp_path) == []
     assert len(read(tmp_path)) == 1
+    assert cells(tmp_path) == {A}
 
 
 def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
@@ -106,8 +187,7 @@ def test_a_run_killed_while_writing_leaves_no_cell(tmp_path):
 
 def test_a_file_without_an_optional_column_is_read_with_its_default(tmp_path):
     file = write_cell(tmp_path, A, [replace(ROW, preset="mini")])
-    table = pq.read_table(file)
-    pq.write_table(table.drop_columns(["preset"]), file)
+    rewrite(file, pq.read_table(file).drop_columns(["preset"]))
     assert cells(tmp_path) == {A}
     assert list(read(tmp_path)["preset"]) == [""]
     assert list(read(tmp_path).columns) == list(COLUMNS)
@@ -126,6 +206,7 @@ def test_a_file_name_is_not_parsed(tmp_path):
 def test_the_schema_and_the_key_are_json_in_the_file(tmp_path):
     file = write_cell(tmp_path, A, [ROW])
     metadata = json.loads(pq.read_schema(file).metadata[b"rlbench"])
+    assert len(metadata.pop("checksum")) == 16
     assert metadata == {"schema": 2, "key": asdict(KEY), "content_hash": "a"}
 
 

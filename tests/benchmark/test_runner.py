@@ -98,6 +98,29 @@ def test_a_second_run_measures_nothing(clip_folder, tmp_path):
     assert _files(tmp_path / "r") == before
 
 
+@pytest.mark.parametrize("keep", [0.5, 0.0])
+def test_a_damaged_row_file_is_set_aside_and_its_cell_is_measured_again(
+    clip_folder, tmp_path, keep
+):
+    plan = run_plan(clip_folder, target_spp=(1.0, 2.0, 3.0))
+    measure(plan, tmp_path / "r")
+    before, files = scores(tmp_path / "r"), _files(tmp_path / "r")
+    damaged, *others = sorted((tmp_path / "r").glob("*.parquet"))
+    content = damaged.read_bytes()
+    middle = len(content) // 3  # inside the column chunks, which the footer does not cover
+    changed = content[: int(len(content) * keep)] or content[:middle] + b"!" + content[middle + 1 :]
+    damaged.write_bytes(changed)
+    with pytest.raises(table.TableError, match=re.escape(damaged.name)):
+        table.read(tmp_path / "r")
+
+    done = measure(plan, tmp_path / "r")
+    assert done == RunSummary(measured=1, cached=2)
+    (aside,) = done.set_aside
+    assert aside.read_bytes() == changed
+    assert scores(tmp_path / "r") == before
+    assert {f.name: files[f.name] for f in others}.items() <= _files(tmp_path / "r").items()
+
+
 def test_scores_of_two_runs_are_equal_bit_for_bit(clip_folder, tmp_path):
     for folder in ("a", "b"):
         measure(run_plan(clip_folder, target_spp=(0.5, 3.0), seeds=(0, 1)), tmp_path / folder)
@@ -188,6 +211,8 @@ def test_changed_code_that_a_method_imports_counts(clip_folder, tmp_path, monkey
             r"PluginError: 'odd' returned an image of torch.float16 \[1, 3, 20, 24\], "
             r"expected torch.float32 \[1, 3, 20, 24\]",
         ),
+        ({"body": "raise SystemExit(0)"}, {}, 1.0, r"PluginExitError: .* called sys.exit\(0\)"),
+        ({"build": "import os; os._exit(0)"}, {}, 1.0, r"PluginExitError: .* os._exit\(0\)"),
         ({"build": "raise OSError('no weights')"}, {}, 1.0, "OSError: no weights"),
         (
             {"body": "return samples.mean * float('nan'), None"},
@@ -201,7 +226,12 @@ def test_a_cell_that_cannot_run_is_one_row_with_the_reason(tmp_path, plugin, hea
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", **plugin))
     folder = write_noise(tmp_path / "clip", **header)
     done = measure(run_plan(folder, "odd", target_spp=(spp,), cost="paper-2080ti"), tmp_path / "r")
-    assert done == (RunSummary(skipped=1) if reason else RunSummary(measured=1))
+    is_error = "Error: " in (reason or "")
+    counts = {"failed": 1} if is_error else {"skipped": 1} if reason else {"measured": 1}
+    assert done == RunSummary(**counts)
+    assert [str(cell) for cell in done.failures] == ["odd on clip at 1 spp, seed 0"] * bool(
+        is_error
+    )
     (note,) = reasons(tmp_path / "r")
     assert re.search(reason or "^the profile's default, as it has no 'noise'$", note)
     if reason:
@@ -232,7 +262,7 @@ def test_a_method_without_its_code_does_not_stop_the_others(clip_folder, tmp_pat
     plugin.write_text(text.replace("learned=False", f"learned={learned}"))
     registry.use_plugin(plugin)
     done = measure(run_plan(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == RunSummary(measured=1, skipped=1)
+    assert done == RunSummary(measured=1, failed=1)
     assert "ModuleNotFoundError: No module named 'nowhere'" in reasons(tmp_path / "r")
 
 
@@ -247,7 +277,7 @@ def packaged(path: Path, package: str) -> Path:
 def test_a_missing_package_is_a_reason_with_the_command_that_installs_it(clip_folder, tmp_path):
     registry.use_plugin(packaged(tmp_path / "odd.py", "nowhere-at-all"))
     done = measure(run_plan(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == RunSummary(measured=1, skipped=1)
+    assert done == RunSummary(measured=1, failed=1)
     (reason,) = [note for note in reasons(tmp_path / "r") if "pip" in note]
     assert re.search("PluginError: 'odd' .*nowhere-at-all.*pip install nowhere-at-all", reason)
 
@@ -268,14 +298,14 @@ def test_another_version_of_a_package_that_makes_the_images_is_measured_again(
 def test_one_failing_method_does_not_stop_the_others(clip_folder, tmp_path):
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no')"))
     done = measure(run_plan(clip_folder, "odd", "mean"), tmp_path / "r")
-    assert done == RunSummary(measured=1, skipped=1)
+    assert done == RunSummary(measured=1, failed=1)
 
 
 def test_a_cell_that_failed_is_tried_again(clip_folder, tmp_path):
     body = f"open({str(tmp_path / 'file')!r}); return samples.mean, None"
     registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
     for _ in range(2):
-        assert measure(run_plan(clip_folder, "odd"), tmp_path / "r") == RunSummary(skipped=1)
+        assert measure(run_plan(clip_folder, "odd"), tmp_path / "r") == RunSummary(failed=1)
     (tmp_path / "file").touch()
     assert measure(run_plan(clip_folder, "odd"), tmp_path / "r") == RunSummary(measured=1)
     assert len(table.cells(tmp_path / "r")) == 1

@@ -90,3 +90,10 @@ def test_an_infinite_score_is_nan_with_a_note(frames, clip_folder):
 def test_a_skipped_cell_has_a_reason_and_no_value():
     row = refusal_row(TEMPLATE, "needs CUDA")
     assert (row.metric, math.isnan(row.value), row.note) == ("psnr", True, "needs CUDA")
+
+
+def test_repaired_pixels_are_counted_in_a_row(frames, clip_folder):
+    result = replace(frames[1], repairs={"depth": 2, "radiance": 1})
+    *_, row = score_frame(TEMPLATE, [Bright()], result, frames[0], read_header(clip_folder))
+    assert (row.metric, row.value) == ("repaired", 3.0)
+    assert row.convention.endswith("depth 2, radiance 1")

@@ -14,7 +14,7 @@ from tests.cli.runner import python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "render", "render-scene", "import", "lint", "check"),
+    *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress"),
     *("train", "lr-find", "replay", "crossval", "run", "report", "images", "regress"),
 ]
 HELP_SECONDS = 0.5  # of processor time

@@ -50,6 +50,15 @@ def test_the_same_run_again_does_nothing_and_says_so(run_mean):
     assert "nothing to do: all 4 cells are in" in rlbench(*run_mean)
 
 
+def test_a_damaged_row_file_is_named(run_mean, tmp_path):
+    rlbench(*run_mean)
+    file = min((tmp_path / "r").glob("*.parquet"))
+    file.write_bytes(file.read_bytes()[:-9])
+    output = rlbench(*run_mean)
+    assert f"a damaged row file was set aside as {file}.damaged" in output
+    assert "1 cells measured, 3 already in the results, 0 skipped" in output
+
+
 def test_clips_of_a_folder_are_selected_by_scene(tmp_path):
     for scene in ("foyer", "attic"):
         write_noise(tmp_path / "clips" / scene, scene)
@@ -143,8 +152,39 @@ def test_the_reason_is_printed_where_there_is_no_number(clip_folder, tmp_path):
     plugin = write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no luck')")
     words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
     output = rlbench("run", "-m", "odd", *words, code=1)  # nothing could be measured
-    assert "1 skipped" in output
+    assert "0 skipped, 1 failed" in output
     assert "odd: no psnr on noise: RuntimeError: no luck" in output
+
+
+def test_a_run_with_a_failed_cell_fails_and_names_it_in_its_last_line(clip_folder, tmp_path):
+    plugin = write_plugin(tmp_path / "odd.py", "odd", body="raise RuntimeError('no luck')")
+    words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", "1,2")
+    for _ in range(2):
+        output = rlbench("run", "-m", "odd,mean", *words, code=1)
+        assert output.endswith(
+            "FAILED: 2 cells stopped by an error (odd on noise at 1 spp, seed 0, odd on noise at "
+            "2 spp, seed 0)"
+        )
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_a_run_with_an_image_that_is_not_finite_fails_each_time(clip_folder, tmp_path, value):
+    body = f"return samples.mean * float({value!r}), None"
+    plugin = write_plugin(tmp_path / "odd.py", "odd", body=body)
+    words = ("--plugin", plugin, "--clips", clip_folder, "--out", tmp_path / "r", "--spp", 1)
+    for message in ("2 cells measured", "nothing to do"):
+        output = rlbench("run", "-m", "odd,mean", *words, code=1)
+        assert message in output
+        assert output.endswith(
+            "FAILED: 1 cell with images that are not finite (odd on noise at 1 spp, seed 0)"
+        )
+    rlbench("run", "-m", "mean", *words)  # other cells of the folder do not count
+
+
+def test_a_budget_that_a_method_does_not_support_is_no_failure(run_mean):
+    output = rlbench(*run_mean, "-m", "eaw", "--spp", "0.5,1")
+    assert "1 skipped" in output
+    assert output.endswith("passed: no cell failed, all images are finite")
 
 
 def test_a_run_without_any_number_fails_again_when_it_is_repeated(clip_folder, tmp_path):

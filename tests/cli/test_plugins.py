@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from typing import get_args
 
 import pytest
@@ -11,6 +13,7 @@ from typer.testing import CliRunner
 from rlbench.benchmark.listing import list_installed
 from rlbench.cli import plugins
 from rlbench.cli.app import app
+from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
 from tests.conftest import write_plugin
 
@@ -48,8 +51,60 @@ def test_a_plugin_file_is_listed_with_its_variants(tmp_path):
 
 def test_a_broken_plugin_is_listed_with_its_error(tmp_path):
     (tmp_path / "torn.py").write_text("1 / 0")
-    output = rlbench("list", "methods", "--plugin", tmp_path / "torn.py")
+    output = rlbench("list", "methods", "--plugin", tmp_path / "torn.py", code=1)
     assert "torn (from --plugin torn.py) cannot be imported: ZeroDivisionError" in output
+
+
+EXITS = {
+    "raise SystemExit": "plugin code called sys.exit(None)",
+    "raise SystemExit(0)": "plugin code called sys.exit(0)",
+    "import sys; sys.exit('enough')": "plugin code called sys.exit('enough')",
+    "import os; os._exit(0)": "plugin code called os._exit(0)",
+    "from os import _exit; _exit(3)": "plugin code called os._exit(3)",
+    "raise KeyboardInterrupt": "plugin code raised KeyboardInterrupt",
+}
+exits = pytest.mark.parametrize(("statement", "message"), EXITS.items())
+
+
+@exits
+def test_a_plugin_that_exits_while_it_is_imported_is_an_error(tmp_path, statement, message):
+    plugin = tmp_path / "exit.py"
+    plugin.write_text(f"\n{statement}\n")
+    output = rlbench("list", "methods", "--plugin", plugin, code=1)
+    assert f"exit (from --plugin exit.py) cannot be imported: PluginExitError: {message}" in output
+    assert "svgf" in output
+    output = rlbench("check", "exit", "--plugin", plugin, code=2)
+    assert message in output
+    assert "(line 2)" in output
+
+
+@exits
+def test_an_installed_plugin_that_exits_is_listed_as_broken(
+    tmp_path, monkeypatch, statement, message
+):
+    (tmp_path / "exits.py").write_text(statement)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv(METHODS_VARIABLE, "gone=exits:FAMILY")
+    assert f"cannot be imported: PluginExitError: {message}" in rlbench("list", "methods", code=1)
+    assert message in rlbench("run", "-m", "gone", "--out", tmp_path / "r", code=2)
+
+
+@exits
+@pytest.mark.parametrize("where", ["build", "body"])
+def test_a_method_that_exits_fails_its_check(tmp_path, statement, message, where):
+    plugin = write_plugin(tmp_path / "exit.py", "exit", **{where: statement})
+    output = rlbench("check", "exit", "--plugin", plugin, code=1)
+    assert f"raised PluginExitError: {message}" in output
+    assert "failed: exit" in output
+
+
+def test_the_process_of_a_check_ends_with_the_exit_code_of_the_check(tmp_path):
+    plugin = write_plugin(tmp_path / "exit.py", "exit", body="import os; os._exit(0)")
+    command = "from rlbench.cli.app import app; app()"
+    words = [sys.executable, "-c", command, "check", "exit", "--plugin", str(plugin)]
+    process = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert process.returncode == 1
+    assert "failed: exit" in process.stdout
 
 
 def test_check_fails_with_exit_code_1(tmp_path):

@@ -100,6 +100,18 @@ def test_a_cut_at_frame_0_or_beyond_the_end_or_in_a_static_clip_is_an_error(wron
         replace(HEADER, **wrong)
 
 
+def test_an_image_of_too_many_pixels_is_an_error():
+    with pytest.raises(ClipError, match="height x width is 900000000 pixels, expected at most"):
+        replace(HEADER, height=30_000, width=30_000)
+
+
+@pytest.mark.parametrize("key", ["buffers", "pools"])
+def test_a_word_that_is_listed_twice_is_an_error(key):
+    word = getattr(HEADER, key)[0]
+    with pytest.raises(ClipError, match=f"{key} lists {word} twice"):
+        replace(HEADER, **{key: (word, word)})
+
+
 def test_an_unknown_limitation_is_an_error():
     with pytest.raises(ClipError, match=r"limitations lists colour; .* has: halves, independence"):
         replace(HEADER, limitations=("colour",))
@@ -112,7 +124,40 @@ def test_an_unknown_buffer_is_an_error():
 
 def test_a_contradiction_in_clip_toml_is_reported_as_it_is_from_python(folder):
     _edit(folder, "exposure = 0.5", "exposure = -1")
-    with pytest.raises(ClipError, match="^clip 'street/mini': exposure is -1.0, must be above 0$"):
+    with pytest.raises(
+        ClipError,
+        match=r"^clip 'street/mini': exposure is -1\.0, expected 1e-12 to 1e\+12; correct clip",
+    ):
+        read_header(folder)
+
+
+OUT_OF_RANGE = [
+    ("exposure = 0.5", "exposure = 1e308", "exposure is 1e[+]308, expected 1e-12 to 1e[+]12"),
+    ("exposure = 0.5", "exposure = nan", "exposure is nan, expected 1e-12"),
+    ("sample_ms = nan", "sample_ms = -1.0", "sample_ms is -1.0, expected 0 to .*, or nan"),
+    ("fps = 24.0", "fps = nan", "fps is nan, expected 1e-06 to 1000000"),
+    ("fps = 24.0", "fps = inf", "fps is inf"),
+    ("pool_spp = 4", "pool_spp = 2147483648", "pool_spp is 2147483648, expected 1 to 1024"),
+    ("seed = 0", "seed = -1", "seed is -1, expected 0 to"),
+    ("height = 5", "height = 1000000", "height is 1000000, expected 1 to 65536"),
+    ("frames = 2", "frames = 100001", "frames is 100001, expected 1 to 100000"),
+    ("    32,", "    -32,", "reference_spp lists -32, expected 0 to 2147483647"),
+    ("noise_ceiling_db = []", "noise_ceiling_db = [1e9, 3.0]", "noise_ceiling_db lists 1000000000"),
+    ("pools_ms = []", "pools_ms = [1.0, 2.0]", "pools_ms lists 2 pools, the clip has 1"),
+    ('"path"', '"../../path"', "pools has '../../path', expected letters, digits"),
+    ('"path"', '"a/b"', "pools has 'a/b', expected letters, digits"),
+    ('"street/mini"', '"../street"', "name has '[.][.]', expected letters, digits"),
+    ('"street/mini"', '"/street"', "name has '', expected letters, digits"),
+    ('scene = "street"', 'scene = "a\\nb"', "scene has 'a.*b', expected letters, digits"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), OUT_OF_RANGE)
+def test_a_value_out_of_range_is_refused_with_what_is_allowed(folder, old, new, message):
+    text = (folder / "clip.toml").read_text("utf-8")
+    assert old in text, text
+    (folder / "clip.toml").write_text(text.replace(old, new, 1), "utf-8")
+    with pytest.raises(ClipError, match=message):
         read_header(folder)
 
 

@@ -234,6 +234,13 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: touch_up(f / "pool.path.0001.exr", "s3.B", math.inf),
         r"pool\.path\.0001\.exr: 1 of 105 values of s3 are not finite.*render",
     ),
+    "infinite after exposure": (
+        lambda f: (
+            touch_up(f / "referenceB.0000.exr", "R", 3e38),
+            _edit(f, "exposure = 0.5", "exposure = 2.0"),
+        ),
+        r"referenceB\.0000\.exr: rgb has 3e\+38, which exceeds float32 at exposure 2",
+    ),
     "depth of minus infinity": (
         lambda f: touch_up(f / "view.0000.exr", "depth.Z", -math.inf),
         r"view\.0000\.exr: 1 of 35 values of depth are not finite.*render",
@@ -313,6 +320,9 @@ def test_a_broken_buffer_that_is_not_read_is_ignored(folder):
         ("albedo", np.zeros((H, W)), "frame 3: albedo has shape"),
         ("a", np.full((H, W, 3), np.nan), "frame 3: 105 values of referenceA are not finite"),
         ("pool", np.zeros((STORED, H, W + 1, 3)), "frame 3: pool.path has shape"),
+        ("albedo", np.full((H, W, 3), 1e5), "105 values of albedo exceed 65504, .* float16"),
+        ("pool", np.full((STORED, H, W, 3), 1e39), "420 values of pool.path exceed 3.*float32"),
+        ("b", np.full((H, W, 3), 1e39), "105 values of referenceB exceed 3.*float32"),
     ],
 )
 def test_an_invalid_image_is_not_written(tmp_path, name, value, message):
@@ -321,6 +331,14 @@ def test_an_invalid_image_is_not_written(tmp_path, name, value, message):
     with pytest.raises(ClipError, match=message):
         write_frame(tmp_path, 3, gbuffer, {"path": images["pool"]}, images["a"], images["b"])
     assert list(tmp_path.glob("*.exr")) == []
+
+
+def test_a_depth_that_would_come_back_as_background_is_not_written(tmp_path):
+    images = content(3)
+    images["depth"][1, 1] = 1e39
+    gbuffer = {"depth": images["depth"]}
+    with pytest.raises(ClipError, match="1 values of depth exceed 3"):
+        write_frame(tmp_path, 3, gbuffer, {"path": images["pool"]}, images["a"], images["b"])
 
 
 def _interrupted(path: Path) -> None:

@@ -35,7 +35,6 @@ from methods.ours.policy import SamplerLearner
 from methods.ours.policy.appo_config import AppoSettings
 from methods.ours.policy.importance_ratio import joint_ratio, pixel_ratios
 from rlbench.checks.result import Verdict
-from rlbench.sampling import allocate_counts
 from rlbench.training.surrogate_gradient import relaxed_counts
 
 EVERY_DENOISER = pytest.mark.parametrize("denoiser", DENOISERS.values(), ids=list(DENOISERS))
@@ -59,19 +58,15 @@ def with_tile(problem: ToyProblem, tile: int, value: float) -> Tensor:
 
 @pytest.mark.parametrize("spp", [0.25, 1, 4])
 def test_the_outcomes_are_those_of_the_allocation(spp):
-    """Every allocation of the benchmark is one of the outcomes, as often as it should be."""
-    problem = problem_of(Direct(), spp)
+    """Every allocation of the problem is one of the outcomes, as often as it should be."""
+    problem = problem_of(Direct(), spp, 400)
     action = problem.act().detach()
     low = torch.zeros(action.shape, dtype=torch.int64)
     density = (1 + action.double()) / 2
     shares = relaxed_counts(density, spp, low, problem.max_samples)[0]
     outcomes = list_outcomes(shares)
     assert float(outcomes.probabilities.sum()) == pytest.approx(1)
-    seeds = tuple(range(400))
-    many = (400, 1, *action.shape[-2:])
-    drawn = allocate_counts(
-        density.expand(many), problem.total_samples, low.expand(many), problem.max_samples, seeds
-    )
+    drawn = problem.draw_counts(action.expand(400, -1, -1, -1))
     known = {tuple(c.flatten().long().tolist()): i for i, c in enumerate(outcomes.counts)}
     found = [known[tuple(c.flatten().tolist())] for c in drawn]
     # seeds are equivalent to uniform offsets: the chosen outcomes spread evenly over [0, 1]

@@ -12,7 +12,6 @@ from rlbench.ops.demodulation import (
     demodulation_albedo,
     filtered_albedo,
     reflectance,
-    sanitize_radiance,
     surface_mask,
 )
 from tests.baselines.wavelet_twins import area_albedo
@@ -53,17 +52,3 @@ def test_reflectance_is_the_mean_albedo_of_the_pixel_area():
 )
 def test_a_surface_has_finite_depth_and_non_zero_albedo(albedo, depth, expected):
     assert bool(surface_mask(pixel(*albedo), pixel(depth))) is expected
-
-
-@pytest.mark.parametrize(
-    ("radiance", "expected"),
-    [
-        ((1.0, 2.0, 3.0), (1.0, 2.0, 3.0)),
-        ((-1.0, 2.0, 1e30), (0.0, 2.0, 65504.0)),
-        ((math.nan, 2.0, 3.0), (0.0, 0.0, 0.0)),
-        ((math.inf, 2.0, 3.0), (0.0, 0.0, 0.0)),
-    ],
-    ids=["usual", "out of range", "nan", "infinite"],
-)
-def test_radiance_becomes_finite_and_nonfinite_pixels_black(radiance, expected):
-    assert torch.equal(sanitize_radiance(pixel(*radiance)), pixel(*expected))

@@ -1,4 +1,4 @@
-"""Systematic sampling: proportional to weights and even over the image; the Hilbert curve."""
+"""Dithered rounding: exact sums, no bias, even in every square, and local."""
 
 from __future__ import annotations
 
@@ -11,89 +11,134 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rlbench.ops.dither import hash_to_unit_interval, hilbert_order, systematic_sample
-
-CPU = torch.device("cpu")
+from rlbench.ops.dither import ONE_SHARE, THRESHOLD_BITS, hash_to_integer, round_to_total
 
 
-def curve(order: int) -> list[tuple[int, int]]:
-    """The Hilbert curve by its recursive definition: rows and columns of a 2^order square."""
-    if order == 0:
-        return [(0, 0)]
-    half, quarter = 2 ** (order - 1), curve(order - 1)
-    first = [(x, y) for y, x in quarter]  # mirrored at the diagonal
-    last = [(2 * half - 1 - x, half - 1 - y) for y, x in quarter]  # at the other diagonal
-    return [
-        *first,
-        *((y, half + x) for y, x in quarter),
-        *((half + y, half + x) for y, x in quarter),
-        *last,
+def round_shares(shares: Tensor, seed: int = 0) -> Tensor:
+    fixed = (shares.double() * ONE_SHARE).long()
+    return round_to_total(fixed, round(float(shares.double().sum())), seed)
+
+
+@st.composite
+def problems(draw):
+    """Shares of an image, of any size, and the two totals that they can be rounded to."""
+    h, w = draw(st.integers(1, 9)), draw(st.integers(1, 9))
+    share = st.one_of(st.integers(0, 3 * ONE_SHARE), st.sampled_from([0, ONE_SHARE, 2 * ONE_SHARE]))
+    values = draw(st.lists(share, min_size=h * w, max_size=h * w))
+    total = sum(values) // ONE_SHARE + draw(st.integers(0, sum(values) % ONE_SHARE > 0))
+    return torch.tensor(values).view(h, w), total, draw(st.integers(0, 2**40))
+
+
+def divide(shares: list[list[Fraction]], total: int, seed: int, level: int) -> list[list[int]]:
+    """One level at a time, by recursion and in exact fractions: pair up, round, divide."""
+    h, w = len(shares), len(shares[0])
+    if h * w == 1:
+        return [[total]]
+    if w < h:
+        transposed = [list(row) for row in zip(*shares, strict=True)]
+        return [
+            list(row) for row in zip(*divide_rows(transposed, total, seed, level, 1), strict=True)
+        ]
+    return divide_rows(shares, total, seed, level, 0)
+
+
+def divide_rows(
+    shares: list[list[Fraction]], total: int, seed: int, level: int, transposed: int
+) -> list[list[int]]:
+    pairs = [
+        [(row[i], row[i + 1] if i + 1 < len(row) else Fraction(0)) for i in range(0, len(row), 2)]
+        for row in shares
     ]
+    sums = [[a + b for a, b in row] for row in pairs]
+    if transposed:
+        sums = [list(row) for row in zip(*sums, strict=True)]
+    counts = divide(sums, total, seed, level + 1)
+    if transposed:
+        counts = [list(row) for row in zip(*counts, strict=True)]
+    result = []
+    for y, (row, numbers) in enumerate(zip(pairs, counts, strict=True)):
+        line: list[int] = []
+        for (first, second), count in zip(row, numbers, strict=True):
+            threshold = hash_to_integer(seed, level)
+            threshold = 2**THRESHOLD_BITS - 1 - threshold if y % 2 else threshold
+            a, b = first % 1, second % 1
+            rest = count - int(first) - int(second)
+            chance = a / (a + b) if 0 < a + b < 1 else (1 - b) / (2 - a - b) if a + b >= 1 else 0
+            up = rest > 1 or (rest == 1 and Fraction(threshold, 2**THRESHOLD_BITS) < chance)
+            line += [int(first) + up, count - int(first) - up]
+        result.append(line[: len(shares[0])])
+    return result
 
 
-@pytest.mark.parametrize("order", range(7))
-def test_the_curve_equals_its_recursive_definition(order):
-    side = 2**order
-    pixels = [(int(i) // side, int(i) % side) for i in hilbert_order(side, side, CPU)]
-    transposed = [(x, y) for y, x in curve(order)]
-    assert pixels in (curve(order), transposed)
+@settings(max_examples=200, deadline=None)
+@given(problems())
+def test_the_counts_equal_those_of_a_recursive_twin_in_exact_fractions(problem):
+    shares, total, seed = problem
+    exact = [[Fraction(v, ONE_SHARE) for v in row] for row in shares.tolist()]
+    assert round_to_total(shares, total, seed).tolist() == divide(exact, total, seed, 0)
 
 
-@pytest.mark.parametrize(("h", "w"), [(1, 1), (1, 7), (77, 123), (64, 48)])
-def test_the_curve_visits_each_pixel_of_an_odd_sized_image_once(h, w):
-    assert sorted(hilbert_order(h, w, CPU).tolist()) == list(range(h * w))
+@settings(max_examples=200, deadline=None)
+@given(problems())
+def test_counts_sum_to_the_total_and_are_shares_rounded_down_or_up(problem):
+    shares, total, seed = problem
+    counts = round_to_total(shares, total, seed)
+    assert int(counts.sum()) == total
+    assert (counts >= shares // ONE_SHARE).all()
+    assert (counts <= -(-shares // ONE_SHARE)).all()
 
 
-def place_marks(weights: list[int], count: int, shift: Fraction) -> list[bool]:
-    """Marks `sum / count` apart, one by one; the first is `1 - shift` of that from the start."""
-    chosen, ends, total = [False] * len(weights), [], 0
-    for w in weights:
-        total += w
-        ends.append(total)
-    for j in range(count):
-        at = (j + 1 - shift) * Fraction(total, count)
-        chosen[next(i for i, end in enumerate(ends) if end >= at)] = True
-    return chosen
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.integers(0, 1000), min_size=2, max_size=60), st.data(), st.integers(0, 2**40))
-def test_the_sample_equals_marks_placed_one_by_one(values, data, seed):
-    values[0] += 1
-    count = data.draw(st.integers(1, len(values)))
-    weights = torch.tensor(values).view(1, -1)
-    order = hilbert_order(1, len(values), CPU)
-    along_curve = weights.flatten()[order].tolist()
-    chosen = systematic_sample(weights, count, seed).flatten()[order].tolist()
-    assert chosen == place_marks(along_curve, count, Fraction(hash_to_unit_interval(seed)))
-
-
-def sample_density(density: Tensor, count: int, seed: int) -> Tensor:
-    return systematic_sample((density * 2**20).long(), count, seed)
-
-
-def test_each_aligned_square_gets_its_share_rounded_down_or_up():
+@pytest.mark.parametrize("seed", range(5))
+def test_each_aligned_square_gets_its_share_rounded_down_or_up(seed):
     y, x = torch.meshgrid(torch.linspace(0, 1, 64), torch.linspace(0, 1, 64), indexing="ij")
-    density = (0.05 + 0.9 * (x * y)).double()
-    count = round(float(density.sum()))
-    chosen = sample_density(density, count, seed=3).double()
+    shares = (0.05 + 0.9 * (x * y)).double()
+    shares *= round(float(shares.sum())) / shares.sum()
+    counts = round_shares(shares, seed).double()
     for side in (2, 4, 8, 16, 32):
-        shares, counts = (
-            v.unfold(0, side, side).unfold(1, side, side).sum((-1, -2)) for v in (density, chosen)
+        share, count = (
+            v.unfold(0, side, side).unfold(1, side, side).sum((-1, -2)) for v in (shares, counts)
         )
-        # a square is one segment of the curve; the sum of densities is within 0.5 of an integer
-        assert (counts - shares * count / density.sum()).abs().max() < 1 + 1e-3
+        assert (count - share).abs().max() < 1
 
 
-def test_the_first_mark_is_uniform():
-    """Over many seeds, each of eight equal pixels is chosen equally often."""
+@pytest.mark.parametrize("shape", [(1, 7), (5, 3)])
+def test_over_many_seeds_the_mean_count_is_the_share(shape):
+    generator = torch.Generator().manual_seed(0)
+    shares = torch.rand(shape, generator=generator, dtype=torch.float64)
+    shares *= 3 / shares.sum()
     runs = 4000
-    hits = torch.stack([systematic_sample(torch.ones(2, 4).long(), 1, s) for s in range(runs)])
-    frequency = hits.double().mean(0)
-    assert (frequency - 1 / 8).abs().max() < 4.5 * math.sqrt(1 / 8 * 7 / 8 / runs)
+    mean = torch.stack([round_shares(shares, seed) for seed in range(runs)]).double().mean(0)
+    # a count is one of two adjacent integers: standard deviation at most 0.5; 4.5 standard errors
+    assert (mean - shares).abs().max() < 4.5 * 0.5 / math.sqrt(runs)
 
 
-def test_a_pixel_of_zero_weight_is_never_chosen():
-    weights = torch.tensor([[0, 5, 0, 5, 5, 0]])
-    masks = [systematic_sample(weights, 3, seed) for seed in range(50)]
-    assert not any(mask[0, [0, 2, 5]].any() for mask in masks)
+@pytest.mark.parametrize("spp", [0.5, 2.0])
+def test_a_change_in_one_pixel_changes_few_counts_of_others(spp):
+    """Marks along one curve through the image changed a third of all counts."""
+    generator = torch.Generator().manual_seed(0)
+    density = torch.rand(128, 128, generator=generator, dtype=torch.float64) + 0.2
+    changed = density.clone()
+    changed[64, 64] *= 3
+    total = spp * density.numel()
+    differences = [
+        int(
+            (
+                round_shares(density / density.sum() * total, seed)
+                != round_shares(changed / changed.sum() * total, seed)
+            ).sum()
+        )
+        for seed in range(20)
+    ]
+    assert max(differences) < 0.01 * density.numel()
+
+
+def test_half_a_share_per_pixel_is_a_chequerboard():
+    counts = round_shares(torch.full((16, 16), 0.5))
+    odd = (torch.arange(16)[:, None] + torch.arange(16)) % 2
+    assert torch.equal(counts, odd) or torch.equal(counts, 1 - odd)
+
+
+def test_a_pixel_without_a_share_gets_no_sample():
+    shares = torch.tensor([[0, 0.6, 0, 0.9, 0.5, 0]])
+    counts = torch.stack([round_shares(shares, seed) for seed in range(50)])
+    assert not counts[:, 0, [0, 2, 5]].any()

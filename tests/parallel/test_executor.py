@@ -89,7 +89,7 @@ def test_a_clip_that_cannot_be_read_does_not_stop_the_others(tmp_path):
     (folders[0] / "pool.path.0000.exr").write_bytes(b"no EXR")
     plan = RunPlan(("mean",), tuple(map(StoredSource, folders)), target_spp=(1.0,), repeats=2)
     summary = measure(plan, tmp_path / "r", executor=replace(LOCAL, exclusive=False))
-    assert summary == RunSummary(measured=1, skipped=1)
+    assert summary == RunSummary(measured=1, failed=1)
     rows = results.read(tmp_path / "r")
     assert set(rows[rows["value"].isna() & (rows["metric"] == "psnr")]["clip"]) == {"aaa"}
 
@@ -202,7 +202,7 @@ def test_scores_from_ray_and_from_this_process_are_bit_identical(workers, tmp_pa
     )
     local, remote = tmp_path / "local", tmp_path / "ray"
     summaries = measure(plan, local), measure(plan, remote, executor=workers)
-    assert summaries == (RunSummary(measured=12, skipped=4),) * 2
+    assert summaries == (RunSummary(measured=12, failed=4),) * 2
     assert repr(scores(local)) == repr(scores(remote))  # as text, since nan differs from nan
     assert rows_without_values(local) == rows_without_values(remote)
     assert results.cells(local) == results.cells(remote)
@@ -216,7 +216,7 @@ def test_a_method_that_kills_its_worker_is_a_row_with_the_reason(workers, clip_f
     clips = (StoredSource(clip_folder),)
     plan = RunPlan(("deadly", "mean"), clips, target_spp=(1.0,), repeats=2, cost="paper-2080ti")
     summary = measure(plan, tmp_path / "r", executor=workers)
-    assert summary == RunSummary(measured=1, skipped=1)
+    assert summary == RunSummary(measured=1, failed=1)
     rows = results.read(tmp_path / "r")
     (reason,) = rows[rows["method"] == "deadly"]["note"]
     assert reason.startswith("ExecutorError: its worker died 2 times")

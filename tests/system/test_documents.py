@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from rlbench.system.documents import decode, read_toml, to_toml, unknown_keys, write_toml
+from rlbench.system.documents import decode, read_json, read_toml, to_toml, unknown_keys, write_toml
 
 
 @dataclass(frozen=True)
@@ -107,3 +107,15 @@ def test_a_document_that_cannot_be_written_leaves_the_old_file(tmp_path):
         write_toml(tmp_path / "a.toml", {"name": None})
     assert read_toml(tmp_path / "a.toml") == {"name": "city"}
     assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
+
+
+@pytest.mark.parametrize("content", [b"{", b"\xff", b'"\xe9"', b"[NaN]", b"1e999", b"[" * 100_000])
+def test_what_is_not_json_is_a_value_error_with_the_file(tmp_path, content):
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.json is not JSON"):
+        read_json(tmp_path / "a.json")
+
+
+def test_json_is_read(tmp_path):
+    (tmp_path / "a.json").write_text('{"a": [1, 2.5, null]}')
+    assert read_json(tmp_path / "a.json") == {"a": [1, 2.5, None]}

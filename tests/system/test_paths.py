@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
+
 import pytest
 
+from rlbench.errors import RlbenchError
 from rlbench.system import paths
+
+synchronize = paths._synchronize  # which a fixture of all tests replaces
 
 
 def test_the_cache_lies_where_the_variable_says(tmp_path, monkeypatch):
@@ -46,3 +52,76 @@ def test_an_error_leaves_the_old_file_and_no_temporary_one(tmp_path):
         write_and_fail(path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+# On the disk before it has its name
+
+
+def test_content_reaches_the_disk_before_the_name_and_the_name_before_the_return(
+    tmp_path, monkeypatch
+):
+    path, events = tmp_path / "file.txt", []
+    monkeypatch.setattr(paths, "_synchronize", synchronize)
+    monkeypatch.setattr(
+        os, "fsync", lambda fd: events.append((os.readlink(f"/proc/self/fd/{fd}"), path.exists()))
+    )
+    with paths.atomic_write(path) as temporary:
+        temporary.write_text("new")
+    assert events == [(str(temporary), False), (str(tmp_path), True)]
+
+
+def test_a_cached_file_does_not_wait_for_the_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "_synchronize", None)  # calling it would be an error
+    with paths.cache_write(tmp_path / "file.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "file.txt").read_text() == "new"
+
+
+# Full disks and read-only folders
+
+
+def write_to_a_full_disk(path):
+    with paths.atomic_write(path) as temporary:
+        temporary.write_text("half of the n")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_one_line_with_folder_free_bytes_and_remedy(tmp_path):
+    message = (
+        rf"^.*file\.txt cannot be written \(.*No space left.*\); {tmp_path} has \d+ bytes free"
+    )
+    with pytest.raises(paths.WriteError, match=message + ", free some space") as caught:
+        write_to_a_full_disk(tmp_path / "file.txt")
+    assert isinstance(caught.value, RlbenchError)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_does_not_fit_on_a_synchronized_disk_is_not_renamed(tmp_path, monkeypatch):
+    def fail(path):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(paths, "_synchronize", fail)
+    with pytest.raises(paths.WriteError), paths.atomic_write(tmp_path / "file.txt") as temporary:
+        temporary.write_text("new")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_below_a_file_is_reported(tmp_path):
+    (tmp_path / "file").write_text("old")
+    with (
+        pytest.raises(paths.WriteError, match="cannot be written .*choose another folder"),
+        paths.atomic_write(tmp_path / "file" / "below" / "new"),
+    ):
+        pass
+
+
+def test_a_read_only_folder_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
+    error = paths.write_error(tmp_path / "file", "Permission denied")
+    assert "the folder is not writable: change its permissions" in str(error)
+
+
+def test_other_errors_of_the_block_are_not_disguised(tmp_path):
+    with pytest.raises(FileNotFoundError), paths.atomic_write(tmp_path / "file"):
+        (tmp_path / "absent").read_text()

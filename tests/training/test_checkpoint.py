@@ -157,3 +157,35 @@ def test_a_checkpoint_of_the_old_code_is_resumed_as_one_with_the_present_names(c
         rtol=0,
         atol=0,
     )
+
+
+def test_a_checkpoint_with_a_flipped_bit_is_refused(tmp_path):
+    file = tmp_path / "c.safetensors"
+    checkpoint.write(file, {"weight": torch.ones(3), "bias": torch.ones(3).bfloat16()}, {"a": 1})
+    assert torch.equal(checkpoint.read(file)[1]["bias"], torch.ones(3).bfloat16())
+    content = bytearray(file.read_bytes())
+    content[-1] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(CheckpointError, match=r"c\.safetensors was changed after it was written"):
+        checkpoint.read(file)
+
+
+@pytest.mark.parametrize("progress", ["3", "[1]", "null", '"x"', "{", "[" * 100_000])
+def test_a_checkpoint_whose_progress_is_no_object_is_refused(tmp_path, progress):
+    save_file({"weight": torch.ones(3)}, tmp_path / "c.safetensors", {"progress": progress})
+    with pytest.raises(CheckpointError, match="is not a file written by a training run"):
+        checkpoint.read(tmp_path / "c.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("stored", "message"),
+    [
+        ({"frames_seen": "many"}, "Expected `int`, got `str`.*frames_seen"),
+        ({"config": 3}, "Expected `object`, got `int`.*config"),
+        ({"validation_history": [[1]]}, "validation_history"),
+        ({"colour": 1}, "unknown fields: colour"),
+    ],
+)
+def test_progress_of_wrong_types_is_refused(stored, message):
+    with pytest.raises(CheckpointError, match=f"{message}.*Choose another --out"):
+        Progress.from_dict(stored)

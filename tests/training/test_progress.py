@@ -51,7 +51,7 @@ def test_progress_with_the_old_field_names_is_read():
         "steps": 6,
         "seconds": 1.5,
         "frames_per_second": 9.0,
-        "validation_history": [[6, 20.5]],
+        "validation_history": [(6, 20.5)],
         "config": {
             "frames": 24,
             "sequence_length": 3,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.interface_checks import find_nonfinite
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.recording import is_bit_equal
+from rlbench.checks.tensors import is_bit_equal
 from rlbench.family import Traits
 
 SMALL_POOL_SPP = 2  # samples per pixel in a small pool

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from rlbench.checks.tensors import has_graph, is_bit_equal, iterate_tensors
 from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples
@@ -92,37 +93,6 @@ def find_density_error(density: Any, shape: tuple[int, ...]) -> str | None:
     if (density < 0).any():
         return f"expected values >= 0, found {float(density.min()):g}"
     return None
-
-
-def is_bit_equal(one: Tensor, other: Tensor) -> bool:
-    """Do both have the same shape, type and values, NaN counting as equal to NaN?"""
-    if one.shape != other.shape or one.dtype != other.dtype:
-        return False
-    return bool(((one == other) | ((one != one) & (other != other))).all())
-
-
-def iterate_tensors(value: Any, visited: set[int] | None = None) -> Iterator[Tensor]:
-    """Every tensor in a nested value, such as a state, in a fixed order."""
-    visited = set() if visited is None else visited
-    if isinstance(value, Tensor):
-        yield value
-    if id(value) in visited or isinstance(value, Tensor | str | bytes | type):
-        return
-    visited.add(id(value))
-    parts: list[Any] = list(getattr(value, "__dict__", {}).values())
-    if isinstance(value, Mapping):
-        parts += value.values()
-    elif isinstance(value, list | tuple):
-        parts += value
-    elif is_dataclass(value) and not hasattr(value, "__dict__"):  # with slots
-        parts += [getattr(value, each.name) for each in fields(value)]
-    for part in parts:
-        yield from iterate_tensors(part, visited)
-
-
-def has_graph(value: Any) -> bool:
-    """Does any tensor in a nested value require gradients?"""
-    return any(tensor.requires_grad for tensor in iterate_tensors(value))
 
 
 @dataclass(frozen=True)

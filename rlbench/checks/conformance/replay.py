@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
-from rlbench.checks.conformance.recording import RecordingMethod, is_bit_equal
+from rlbench.checks.conformance.recording import RecordingMethod
+from rlbench.checks.tensors import is_bit_equal
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State

@@ -13,8 +13,9 @@ from torch import Tensor
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.interface_checks import find_nonfinite
 from rlbench.checks.conformance.method_under_test import MethodUnderTest, RecordedRun
-from rlbench.checks.conformance.recording import RecordingMethod, is_bit_equal
+from rlbench.checks.conformance.recording import RecordingMethod
 from rlbench.checks.conformance.replay import ReplayCounts, ReplayFromCopy
+from rlbench.checks.tensors import is_bit_equal
 from rlbench.family import Traits
 from rlbench.frames import Frame
 from rlbench.run import run_clip

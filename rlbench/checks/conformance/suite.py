@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import torch
 
 from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS, Check
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.result import CheckResult, Verdict, failed, not_applicable, passed
+from rlbench.checks.result import (
+    CheckResult,
+    Verdict,
+    describe_exception,
+    failed,
+    not_applicable,
+    passed,
+)
 
 __all__ = ["CheckResult", "Verdict", "run_check", "run_checks"]
 
@@ -62,7 +67,8 @@ def _run(method_under_test: MethodUnderTest, check: Check) -> CheckResult:
     if reason := _skip_reason(method_under_test, check):
         return not_applicable(label, reason)
     try:
-        fault = check.find_fault(method_under_test)
+        with registry.exits_as_errors():
+            fault = check.find_fault(method_under_test)
     except Exception as error:  # whatever a method raises is reported
         return failed(label, _describe(method_under_test, error), check.remedy, error)
     return failed(label, fault, check.remedy) if fault else passed(label)
@@ -78,10 +84,6 @@ def _skip_reason(method_under_test: MethodUnderTest, check: Check) -> str | None
 
 
 def _describe(method_under_test: MethodUnderTest, error: Exception) -> str:
-    """The error, the last line of the method's folder that it passed through, and its notes."""
-    frames = traceback.extract_tb(error.__traceback__)
-    folder = registry.module_file(registry.load_family(method_under_test.name).build).parent
-    own = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
-    place = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
-    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
-    return f"raised {type(error).__name__}: {error}{place}{notes}"
+    """The error, and the last line of the method's folder that it passed through."""
+    build = registry.load_family(method_under_test.name).build
+    return describe_exception(error, registry.module_file(build).parent)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from rlbench.clips.exr import TYPES
+from rlbench.clips.exr import read_planes
+from rlbench.clips.exr_header import ExrHeader, read_exr_header
 from rlbench.clips.importers.limits import check_size
 from rlbench.clips.importers.sequence import Pixels, SourceError
 
@@ -23,7 +22,7 @@ AXES = ("X", "Y", "Z")
 def exr_size(path: Path) -> tuple[int, int]:
     """Height and width of an EXR, pixels. Raises SourceError."""
     with _convert_errors(path):
-        return _size(path, OpenEXR.InputFile(str(path)).header())
+        return _size(path, read_exr_header(path))
 
 
 def read_exr(path: Path) -> Pixels:
@@ -33,16 +32,9 @@ def read_exr(path: Path) -> Pixels:
     file is broken, too large, or has no such channels.
     """
     with _convert_errors(path):
-        file = OpenEXR.InputFile(str(path))
-        header = file.header()
-        height, width = _size(path, header)
-        names = _three_channels(path, header["channels"])
-        packed = file.channels(names)
-        dtypes = [TYPES[str(header["channels"][name].type)] for name in names]
-        planes = [
-            np.frombuffer(b, t).reshape(height, width) for b, t in zip(packed, dtypes, strict=True)
-        ]
-    return np.stack(planes, axis=-1)
+        header = read_exr_header(path)
+        _size(path, header)
+        return np.stack(read_planes(path, header, _three_channels(path, header)), axis=-1)
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:
@@ -64,28 +56,28 @@ def png_size(path: Path) -> tuple[int, int]:
         return check_size(path, image.height, image.width)
 
 
-def _size(path: Path, header: Any) -> tuple[int, int]:
-    data, display = header["dataWindow"], header["displayWindow"]
-    if str(data) != str(display):
+def _size(path: Path, header: ExrHeader) -> tuple[int, int]:
+    if header.data_window != header.display_window:
         raise SourceError(
-            f"{path} has the data window {data}, expected the whole display window {display}"
+            f"{path} has the data window {header.data_window}, expected the whole display window "
+            f"{header.display_window}"
         )
-    return check_size(path, data.max.y - data.min.y + 1, data.max.x - data.min.x + 1)
+    return check_size(path, *header.size)
 
 
-def _three_channels(path: Path, channels: Any) -> list[str]:
+def _three_channels(path: Path, header: ExrHeader) -> list[str]:
     """The names of the channels R, G, B or X, Y, Z in the file."""
     by_letter = {
         name.rpartition(".")[2].upper(): name
-        for name, channel in channels.items()
-        if str(channel.type) in TYPES and channel.xSampling == channel.ySampling == 1
+        for name, channel in header.channels.items()
+        if channel.is_readable
     }
     for letters in (COLOURS, AXES):
         if by_letter.keys() >= set(letters):
             return [by_letter[letter] for letter in letters]
     raise SourceError(
         f"{path}: expected channels R, G, B or X, Y, Z of half or float; "
-        f"it has: {', '.join(channels)}"
+        f"it has: {', '.join(header.channels)}"
     )
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from rlbench.clips.header_limits import MAX_PIXELS
 from rlbench.clips.importers.sequence import SourceError
 
 MAX_FILES = 1_000_000  # at and below one source folder
-MAX_PIXELS = 2**26  # of an image: 8192 x 8192
 MAX_SAMPLES = 64  # per pixel and frame
 MAX_ARRAY_BYTES = 2**31  # of one array, unpacked
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rlbench.clips.header_limits import LIMITS, is_plain_name
 from rlbench.errors import RlbenchError
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 Pixels = NDArray[np.floating]
+MAX_FRAMES = int(LIMITS["frames"].highest)
 
 
 class SourceError(RlbenchError, ValueError):
@@ -63,7 +65,7 @@ def parse_frame_range(text: str) -> tuple[int, int]:
     >>> parse_frame_range("0:20")
     (0, 20)
     """
-    match = re.fullmatch(r"(\d+):(\d+)", text)
+    match = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text)
     if not match or int(match[1]) >= int(match[2]):
         raise SourceError(
             f"'{text}' is not a range of frames; --frames takes FIRST:END, for example 0:20"
@@ -76,11 +78,17 @@ def select_frames(
 ) -> tuple[int, ...]:
     """The frame numbers in the range `frames`, or all of them.
 
-    Raises SourceError where a frame between first and last is missing. `label` names the sequence
-    in the message.
+    Raises SourceError where a frame between first and last is missing, or there are too many.
+    `label` names the sequence in the message.
     """
     existing = set(numbers)
     first, end = frames or (min(existing), max(existing) + 1)
+    if end - first > MAX_FRAMES:
+        raise SourceError(
+            f"{label}: frames {first} to {end - 1} are {end - first}, and a clip has at most "
+            f"{MAX_FRAMES}; there are {len(existing)} files between {min(existing)} and "
+            f"{max(existing)}. Select fewer with --frames FIRST:END, or correct the file names"
+        )
     if missing := [number for number in range(first, end) if number not in existing]:
         listed = ", ".join(map(str, missing[:8])) + (" ..." if len(missing) > 8 else "")
         raise SourceError(
@@ -94,6 +102,6 @@ def select_frames(
 def clip_name(*parts: str) -> str:
     """A clip name from names in the source, safe as a folder name. Raises SourceError."""
     name = "-".join(part for part in parts if part)
-    if not re.fullmatch(r"\w[\w .+-]*", name):
+    if not re.fullmatch(r"\w[\w .+-]*", name) or not is_plain_name(name):
         raise SourceError(f"'{name}' cannot be a clip's name; rename the files or their folder")
     return name

@@ -7,10 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 
 from rlbench.clips.compatibility import compatibility_summary
-from rlbench.clips.frame_files import file_kinds, has_frame, write_frame
+from rlbench.clips.frame_files import exceeds_float, file_kinds, has_frame, write_frame
 from rlbench.clips.header import FILE, Header, write_header
 from rlbench.clips.importers import limits
-from rlbench.clips.importers.sequence import ImportedSequence, SourceError
+from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
 from rlbench.system import paths
 
 __all__ = ["clip_header", "is_finished", "write_clip"]
@@ -68,6 +68,7 @@ def write_clip(
     for index, number in enumerate(sequence.numbers):
         if not has_frame(folder, index, header.pools):
             frame = sequence.read(number, header.pool_spp)
+            _check_exposed(header, number, frame)
             pools = {"path": frame.pool}
             write_frame(folder, index, frame.gbuffer, pools, frame.half_a, frame.half_b)
         on_frame()
@@ -81,9 +82,24 @@ def is_finished(sequence: ImportedSequence, header: Header, folder: Path) -> boo
     return complete and (folder / FILE).is_file() and _stored_key(folder) == key
 
 
+def _check_exposed(header: Header, number: int, frame: ImportedFrame) -> None:
+    """Raise SourceError where radiance is not finite once it is exposed: no clip could be read."""
+    images = (frame.pool, frame.half_a, frame.half_b)
+    if any(exceeds_float(image, header.exposure) for image in images):
+        raise SourceError(
+            f"clip '{header.name}', frame {number}: radiance times the exposure "
+            f"{header.exposure:g} exceeds float32; import with a lower --exposure"
+        )
+
+
 def _claim(sequence: ImportedSequence, header: Header, folder: Path) -> None:
     """Mark the folder as an import of this sequence. Raises SourceError if it is another's."""
     key, stored_key = _content_key(sequence, header), _stored_key(folder)
+    if folder.is_symlink():
+        raise SourceError(
+            f"{folder} is a link, to {folder.resolve()}, and no clip is written through one; "
+            "remove it, or import into another --out"
+        )
     if stored_key == key:
         return
     if stored_key or any(folder.glob("*.exr")) or (folder / FILE).exists():

@@ -27,6 +27,8 @@ from rlbench.clips.importers.sequence import SourceError
 CODECS = ("lz4", "zstd", "blosc")  # none of these writes past the buffer that it is given
 MAX_CHUNKS = 100_000
 MAX_METADATA_BYTES = 2**16  # of a .zarray
+MAX_RATIO = 256  # of an array to its archive: lz4 reaches 255, rendered noise less than 10
+SMALL_BYTES = 2**24  # that any archive may unpack to
 CHUNK_OVERHEAD_BYTES = 2**16  # by which incompressible data may grow
 
 
@@ -100,6 +102,8 @@ def read_array(archive: zipfile.ZipFile, key: str, last: int | None = None) -> N
             f"{archive.filename}, array '{key}' claims {size} bytes; "
             f"at most {MAX_ARRAY_BYTES} are read"
         )
+    size = max(size, metadata.chunk_bytes)
+    _check_unpacked(archive, f"{archive.filename}, array '{key}'", size)
     chunks = metadata.chunks
     values = np.full(shape, metadata.fill, metadata.dtype)
     for index in product(*(range(-(-n // c)) for n, c in zip(shape, chunks, strict=True))):
@@ -142,6 +146,16 @@ def _read_chunk(archive: zipfile.ZipFile, name: str, metadata: ZarrMetadata) -> 
         raise SourceError(f"{archive.filename}: {name} is {len(packed)} bytes, expected {size}")
     values = np.frombuffer(unpacked, metadata.dtype)
     return values.reshape(metadata.chunks, order="F" if metadata.order == "F" else "C")
+
+
+def _check_unpacked(archive: zipfile.ZipFile, label: str, size: int) -> None:
+    """Raise SourceError where `size` is implausible for the bytes of the whole archive."""
+    packed = Path(str(archive.filename)).stat().st_size
+    if size > max(SMALL_BYTES, MAX_RATIO * packed):
+        raise SourceError(
+            f"{label} unpacks to {size} bytes, {size // packed} times the {packed} bytes of the "
+            f"file; at most {MAX_RATIO} times are read. If it is genuine, write it uncompressed"
+        )
 
 
 def _read_entry(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:

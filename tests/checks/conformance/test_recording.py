@@ -8,9 +8,8 @@ import torch
 from rlbench.checks.conformance.recording import (
     RecordingMethod,
     find_density_error,
-    is_bit_equal,
-    iterate_tensors,
 )
+from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 
 from rlbench.clips.importers import formats
 from rlbench.clips.importers.sequence import SourceError
+from rlbench.clips.importers.zarr_v2 import open_archive, read_array
+from tests.clips.importers.sources import H, W, noisebase_arrays, zarr_zip
 
 
 def test_no_folder_is_an_error(tmp_path):
@@ -28,3 +32,52 @@ def test_a_link_that_leaves_the_source_is_not_followed(tmp_path, format_, kind):
 def test_a_link_inside_the_source_is_followed(source):
     (source / "walk_0003_seed0_0001spp.hdr.exr").symlink_to("walk_0000_seed0_0001spp.hdr.exr")
     assert formats.find_sequences(source, "oidn", (0, 3))[0].numbers == (0, 1, 2)
+
+
+# Numbers of frames
+
+
+@pytest.mark.parametrize("range_", [None, (0, 10**10)])
+def test_a_huge_range_of_frames_is_refused_at_once(source, range_):
+    huge = "walk_9999999999_0001spp.hdr.exr"
+    (source / huge).write_bytes((source / "walk_0000_seed0_0001spp.hdr.exr").read_bytes())
+    with pytest.raises(SourceError, match="a clip has at most 100000; .*--frames FIRST:END"):
+        formats.find_sequences(source, "oidn", range_)
+
+
+def test_frames_of_a_small_range_are_selected_beside_a_huge_number(source):
+    huge = "walk_9999999999_0001spp.hdr.exr"
+    (source / huge).write_bytes((source / "walk_0000_seed0_0001spp.hdr.exr").read_bytes())
+    assert formats.find_sequences(source, "oidn", (0, 2))[0].numbers == (0, 1)
+
+
+# Zips that unpack to much more than they are
+
+
+def _bomb(path, shape, chunks):
+    """A Noisebase frame whose `color` is declared large and has no chunk."""
+    metadata = {"shape": shape, "chunks": chunks, "compressor": None}
+    zarr_zip(path, noisebase_arrays(0, 2), **metadata)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("shape", "chunks"),
+    [
+        ([4, 4096, 8192, 8], [4, 4096, 8192, 1]),  # 1 GiB in absent chunks
+        ([4, H, W, 2], [4, 8192, 8192, 4]),  # 1 GiB in one chunk that exceeds the array
+    ],
+)
+def test_a_small_zip_does_not_unpack_to_a_gigabyte(tmp_path, shape, chunks):
+    path = _bomb(tmp_path / "frame0000.zip", shape, chunks)
+    assert path.stat().st_size < 2**14
+    tracemalloc.start()
+    with (
+        open_archive(path) as archive,
+        pytest.raises(
+            SourceError, match=r"unpacks to 1073741824 bytes, .* times the .* of the file"
+        ),
+    ):
+        read_array(archive, "color")
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from rlbench.benchmark import results
 from rlbench.cli.app import app
 from rlbench.clips.importers import formats, writer
 from rlbench.clips.stored import ClipError, open_clip, read_header, verify
+from rlbench.system import paths
 from tests.clips.importers.sources import exr, radiance, write_oidn, write_rl_path_tracing
 
 
@@ -171,3 +173,51 @@ def test_fireflies_are_not_clipped(tmp_path):
     rlbench("import", source, "--format", "oidn", "--out", tmp_path / "out")
     clip = open_clip(tmp_path / "out" / "walk", frozenset())
     assert np.float32(clip.frame(0).pool.radiance.max()) == 3e6
+
+
+# What would not come back, and where nothing is written
+
+
+@pytest.mark.parametrize(
+    ("image", "value", "message"),
+    [
+        ("walk_0001_seed0_0001spp.hdr.exr", 3e38, "times the exposure 2 exceeds float32"),
+        ("walk_0001_ref.hdr.exr", 3e38, "times the exposure 2 exceeds float32"),
+    ],
+)
+def test_radiance_that_could_not_be_read_back_is_not_imported(tmp_path, image, value, message):
+    source = write_oidn(tmp_path / "source")
+    pixels = radiance(1, 0)
+    pixels[2, 3, 1] = value
+    exr(source / image, pixels)
+    words = ("import", source, "--format", "oidn", "--out", tmp_path / "out", "--exposure", 2)
+    assert message in rlbench(*words, code=2)
+    assert not (tmp_path / "out" / "walk" / "view.0001.exr").exists()
+
+
+def test_a_clip_is_not_written_through_a_link(source, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "walk").symlink_to(tmp_path / "elsewhere")
+    output = rlbench("import", source, "--format", "oidn", "--out", tmp_path / "out", code=2)
+    assert "walk is a link, to" in output
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+@pytest.mark.parametrize("files", [0, 1, 5])
+def test_a_full_disk_is_one_line_and_the_import_resumes(source, tmp_path, monkeypatch, files):
+    out, remaining = tmp_path / "out", iter(range(files))
+
+    def fail_after(path) -> None:
+        if next(remaining, None) is None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full_disk:
+        full_disk.setattr(paths, "_synchronize", fail_after)
+        output = rlbench("import", source, "--format", "oidn", "--out", out, code=2)
+    assert "No space left on device" in output
+    assert "bytes free, free some space, or choose another folder" in output
+    assert [path for path in (out / "walk").iterdir() if path.name.startswith(".")] == []
+    assert not (out / "walk" / "clip.toml").exists()
+    rlbench("import", source, "--format", "oidn", "--out", out)
+    assert verify(out / "walk") == []

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from methods.ours.experiments.gradients.systematic import SystematicProblem
 from methods.ours.experiments.known_optimum import Direct, Filter, FixedFilter, Mode, ToyProblem
 from methods.ours.experiments.toy_scenes import ToyFrame, toy_frames
 
@@ -60,7 +61,7 @@ def make_problem(denoiser: Mode, spp: float, n: int, generator: torch.Generator)
     }
     stored = max(MIN_STORED, round(2 * spp) + MIN_STORED)  # more than any action asks for
     frame = replace(scene, **repeated).resample(generator, stored)
-    return ToyProblem(frame, denoiser, TileAction(n), spp)
+    return SystematicProblem(frame, denoiser, TileAction(n), spp)
 
 
 def tile_parameters(problem: ToyProblem) -> Float[Tensor, "n 1 _ _"]:

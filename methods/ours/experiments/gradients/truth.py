@@ -1,4 +1,4 @@
-"""The exact expected error of an action, and its exact gradient, through the real allocation.
+"""The exact expected error of an action, and its exact gradient, through whole sample counts.
 
 Shares of the budget are rounded to whole counts by systematic sampling with one random offset. As
 the offset passes from 0 to 1, the counts change once per pixel: these outcomes and their
@@ -15,8 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from methods.ours.experiments.gradients.problem import tile_parameters
+from methods.ours.experiments.gradients.systematic import hilbert_order, round_systematically
 from methods.ours.experiments.known_optimum import ToyProblem, toy_density
-from rlbench.ops.dither import hilbert_order
 from rlbench.training.surrogate_gradient import relaxed_counts
 
 __all__ = ["RoundingOutcomes", "expected_error", "list_outcomes", "relaxed_error", "true_gradient"]
@@ -31,7 +31,7 @@ class RoundingOutcomes(NamedTuple):
 
 
 def list_outcomes(shares: Float[Tensor, "1 h w"]) -> RoundingOutcomes:
-    """The outcomes of `allocate_counts` for shares (float64) with a whole sum.
+    """The outcomes of `SystematicProblem.draw_counts` for shares (float64) with a whole sum.
 
     Cumulative sums of the fractional parts, in the order of the Hilbert curve, are the marks at
     which an offset decides whether a pixel is rounded up.
@@ -40,19 +40,13 @@ def list_outcomes(shares: Float[Tensor, "1 h w"]) -> RoundingOutcomes:
     >>> outcomes.counts.flatten(1).tolist(), outcomes.probabilities.tolist()
     ([[0.0, 2.0], [1.0, 1.0]], [0.75, 0.25])
     """
-    order = hilbert_order(*shares.shape[-2:], shares.device)
-    lower = shares.detach().floor()
-    ends = (shares - lower).flatten()[order].cumsum(0)
+    order = hilbert_order(*shares.shape[-2:])
+    ends = (shares - shares.detach().floor()).flatten()[order].cumsum(0)
     thresholds = 1 - (ends[:-1] - ends[:-1].detach().floor())  # the last end is whole
     edges = torch.cat((ends.new_zeros(1), thresholds.sort().values, ends.new_ones(1)))
     probabilities = edges.diff()
     offsets = ((edges[1:] + edges[:-1]) / 2).detach()
-    marks = (ends.detach() + offsets[:, None]).floor()
-    marks[:, -1] = ends[-1].detach().round()
-    rounded_up = marks.diff(dim=1, prepend=marks.new_zeros(len(marks), 1))
-    counts = lower.flatten().repeat(len(marks), 1)
-    counts[:, order] += rounded_up
-    return RoundingOutcomes(counts.view(-1, *shares.shape), probabilities, offsets)
+    return RoundingOutcomes(round_systematically(shares.detach(), offsets), probabilities, offsets)
 
 
 def expected_error(

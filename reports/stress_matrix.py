@@ -1,0 +1,198 @@
+"""The stress matrix: the verdict of each method in each section, as pictures and tables.
+
+Command: python -m reports.stress_matrix results/stress docs/results --readme README.md, after
+rlbench stress. Writes stress.md, stress.png, and stress-SECTION.png for each section of methods.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from reports.layout.verdict_grid import MARKS, Cell, draw_grid
+
+__all__ = ["Matrix", "main", "read_results", "small_table", "update_readme", "write_page"]
+
+SUITE = "suite"  # row of the sections that concern no method
+ORDER = ("failed", "degraded", "passed", "skipped")  # the worst first
+BAD_PIXEL = "bad-pixel"  # section with a planted fault per test
+BEGIN, END = "<!-- stress -->", "<!-- /stress -->"  # around the table in the README
+COMMAND = "make stress"
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Results of `rlbench stress`, one row a test, methods and sections in their order."""
+
+    results: pd.DataFrame
+
+    @property
+    def methods(self) -> list[str]:
+        """Names of the methods, without `suite`."""
+        return [name for name in dict.fromkeys(self.results["method"]) if name != SUITE]
+
+    def sections(self, is_suite: bool = False) -> list[str]:
+        """The sections that run for each method, or those of the suite."""
+        rows = self.results[(self.results["method"] == SUITE) == is_suite]
+        return list(dict.fromkeys(rows["section"]))
+
+    def of_section(self, section: str) -> pd.DataFrame:
+        """The results of a section."""
+        return self.results[self.results["section"] == section]
+
+    def summary(self, method: str, section: str) -> Cell | None:
+        """The worst verdict, and how many of the tests passed; None without results."""
+        rows = self.of_section(section)
+        verdicts = rows.loc[rows["method"] == method, "verdict"]
+        if verdicts.empty:
+            return None
+        worst = next(verdict for verdict in ORDER if (verdicts == verdict).any())
+        run = verdicts[verdicts != "skipped"]
+        return Cell(worst, f"{(run == 'passed').sum()}/{len(run)}" if len(run) else "")
+
+
+def read_results(folder: Path) -> Matrix:
+    """The table that `rlbench stress --out FOLDER` wrote."""
+    texts = ("method", "section", "test", "verdict", "unit", "found", "remedy")
+    results = pd.read_csv(
+        folder / "stress.csv",
+        dtype=dict.fromkeys(texts, str),
+        keep_default_na=False,
+        na_values={name: [""] for name in ("figure", "good", "fair")},
+    )
+    return Matrix(results.replace({"method": {"": SUITE}}))
+
+
+def small_table(matrix: Matrix, methods: Sequence[str], is_suite: bool = False) -> str:
+    """Markdown table of methods by sections: the worst verdict, and how many tests passed."""
+    sections = matrix.sections(is_suite)
+    rows = [
+        [method, *(_format_cell(matrix.summary(method, section)) for section in sections)]
+        for method in methods
+    ]
+    return _format_table(["", *sections], rows)
+
+
+def write_page(matrix: Matrix, folder: Path) -> list[Path]:
+    """Write the pictures and the page with all that did not pass; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    overview, page, sections = folder / "stress.png", folder / "stress.md", matrix.sections()
+    pairs = [(method, section) for method in matrix.methods for section in sections]
+    cells = {pair: cell for pair in pairs if (cell := matrix.summary(*pair))}
+    draw_grid(cells, matrix.methods, sections, "Stress tests passed", overview)
+    pictures = [_draw_section(matrix, section, folder) for section in sections]
+    page.write_text("\n".join(_page(matrix)), encoding="utf-8")
+    return [page, overview, *pictures]
+
+
+def update_readme(matrix: Matrix, readme: Path) -> None:
+    """Replace the table between the marks in the README: rows without a variant."""
+    methods = [name for name in matrix.methods if "/" not in name]
+    table = small_table(matrix, methods)
+    text = readme.read_text(encoding="utf-8")
+    if BEGIN not in text:
+        raise ValueError(f"{readme} has no {BEGIN}; add {BEGIN} and {END} around the table's place")
+    pattern = f"{re.escape(BEGIN)}.*{re.escape(END)}"
+    replaced = re.sub(pattern, lambda _: f"{BEGIN}\n{table}{END}", text, flags=re.DOTALL)
+    readme.write_text(replaced, encoding="utf-8")
+
+
+def _draw_section(matrix: Matrix, section: str, folder: Path) -> Path:
+    """The picture of a section: methods by tests."""
+    rows = matrix.of_section(section)
+    keys = zip(rows["method"], rows["test"], strict=True)
+    cells = dict(zip(keys, map(Cell, rows["verdict"]), strict=True))
+    tests = list(dict.fromkeys(rows["test"]))
+    file = folder / _picture(section)
+    draw_grid(cells, matrix.methods, tests, f"Section {section}", file)
+    return file
+
+
+def _picture(section: str) -> str:
+    return f"stress-{section}.png"
+
+
+def _page(matrix: Matrix) -> Iterator[str]:
+    yield "# Stress tests\n"
+    yield f"Written by `{COMMAND}`. [How to read a verdict](../how-to/stress-a-method.md).\n"
+    yield "![Tests passed by each method in each section](stress.png)\n"
+    if planted := _count_contained(matrix):
+        yield f"{planted}.\n"
+    yield small_table(matrix, matrix.methods)
+    if matrix.sections(is_suite=True):
+        yield small_table(matrix, [SUITE], is_suite=True)
+    for section in matrix.sections():
+        yield f"## {section}\n"
+        yield f"![Verdict of each method in each test of {section}]({_picture(section)})\n"
+        yield _list_faults(matrix.of_section(section))
+    for section in matrix.sections(is_suite=True):
+        yield f"## {section}\n"
+        yield _list_faults(matrix.of_section(section))
+
+
+def _count_contained(matrix: Matrix) -> str:
+    """`Planted bad pixels: N of M contained`; empty where none were planted."""
+    rows = matrix.of_section(BAD_PIXEL)
+    planted = rows[rows["unit"] == "pixels"]
+    contained = (planted["verdict"] == "passed").sum()
+    return f"Planted bad pixels: {contained} of {len(planted)} contained" if len(planted) else ""
+
+
+def _list_faults(rows: pd.DataFrame) -> str:
+    """A table of the results that did not pass, the failed ones first."""
+    faults = rows[rows["verdict"].isin(["failed", "degraded"])]
+    if faults.empty:
+        return "Every test passed.\n"
+    faults = faults.sort_values("verdict", key=lambda v: v.map(ORDER.index), kind="stable")
+    cells = [
+        [
+            *(row["method"], row["test"], MARKS[row["verdict"]]),
+            *(_format_figure(row), row["found"], row["remedy"]),
+        ]
+        for row in faults.to_dict("records")
+    ]
+    head = ["method", "test", "verdict", "figure (limits)", "found", "remedy"]
+    return _format_table(head, cells)
+
+
+def _format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    escaped = ([cell.replace("|", "\\|") for cell in line] for line in lines)
+    return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
+
+
+def _format_figure(row: Mapping[Hashable, Any]) -> str:
+    """`2.1 dB (0.1, 1)`, with the limits of passed and degraded; empty without a figure."""
+    limits = ", ".join(f"{row[name]:g}" for name in ("good", "fair") if row[name] == row[name])
+    text = f"{row['figure']:.4g} {row['unit']}".strip() if row["figure"] == row["figure"] else ""
+    return f"{text} ({limits})" if limits else text
+
+
+def _format_cell(cell: Cell | None) -> str:
+    return f"{MARKS[cell.verdict]} {cell.text}".strip() if cell else ""
+
+
+def main(results: Path, folder: Path, readme: Path | None = None) -> None:
+    """Write the page and its pictures to `folder`, and the small table into the README."""
+    matrix = read_results(results)
+    write_page(matrix, folder)
+    if readme:
+        update_readme(matrix, readme)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        prog="python -m reports.stress_matrix",
+        description="Write stress.md and its pictures from the table of `rlbench stress`.",
+    )
+    parser.add_argument("results", type=Path, nargs="?", default=Path("results/stress"))
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
+    parser.add_argument("--readme", type=Path, help="a Markdown file with a <!-- stress --> table")
+    arguments = parser.parse_args()
+    main(arguments.results, arguments.folder, arguments.readme)

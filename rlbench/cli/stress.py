@@ -1,0 +1,80 @@
+"""The command stress: how methods behave when their input is wrong, extreme or very long."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.cli.plugins import load_plugins
+
+__all__ = ["stress"]
+
+
+def stress(
+    methods: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[METHODS]", help="names a,b; family/*; all; default: all pretrained rows"
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--only", metavar="SECTIONS", help="sections a,b, see below; default: all of them"
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="shorter clips and fewer tests, seconds per method")
+    ] = False,
+    plugin: options.Plugins = None,
+    device: options.Device = "cpu",
+    restart: Annotated[
+        bool,
+        typer.Option(
+            "--restart",
+            help="run again what the output folder holds",
+            rich_help_panel=options.EXECUTION,
+        ),
+    ] = False,
+    out: Annotated[
+        Path,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="folder of stress.csv, stress.json and the results that a later call reuses",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = Path("results/stress"),
+) -> None:
+    """Stress-test the numerical stability of methods, with a verdict per test.
+
+    A test passes, is degraded or fails, by a figure and two limits. Learned methods run with their
+    shipped weights; rows without any are skipped. Results are stored per method and section, and
+    reused while code and weights are the same. The exit code is 1 if a test failed.
+
+    Sections: bad-pixel, budgets, allocation, long-runs, precision, transformations, lying-buffers,
+    metrics, and those of plugins.
+
+    Examples:
+
+    \b
+      rlbench stress
+      rlbench stress ours,svgf --only bad-pixel
+      rlbench stress mine --plugin mine.py --quick
+    """
+    load_plugins(plugin)
+    from rlbench.benchmark.api import select_device
+    from rlbench.checks.stress.run import stress_methods
+
+    has_passed = stress_methods(
+        arguments.split_names(methods),
+        arguments.split_names(only),
+        quick,
+        select_device(device),
+        out,
+        restart,
+    )
+    raise typer.Exit(0 if has_passed else 1)

@@ -1,0 +1,68 @@
+"""One cached array: a .npy file that ends in its size and checksum, so damage is noticed.
+
+numpy and other readers ignore what follows the values. The checksum of a file is computed once per
+process, and again where the file changed; type, shape and size are checked on every opening.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rlbench.system.paths import cache_write
+
+__all__ = ["open_array", "write_array"]
+
+TRAILER = struct.Struct("<8sQI")  # magic, bytes before the trailer, their crc32
+MAGIC = b"rlbcrc01"
+BLOCK_BYTES = 2**22  # that are read at once
+TYPES = (np.float16, np.float32)
+
+
+def write_array(path: Path, array: NDArray[np.floating]) -> None:
+    """Write an array with its checksum atomically. Raises `rlbench.system.paths.WriteError`."""
+    with cache_write(path) as temporary, temporary.open("wb") as file:
+        np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+        size = file.tell()
+        file.flush()
+        file.write(TRAILER.pack(MAGIC, size, _checksum(temporary, size)))
+
+
+def open_array(path: Path, shape: tuple[int, ...]) -> NDArray[np.floating] | None:
+    """The array as a memory map, or None where the file is absent, damaged, or of another shape."""
+    try:
+        stat = path.stat()
+        if not _is_intact(path, stat.st_size, stat.st_mtime_ns, stat.st_ino):
+            return None
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError):
+        return None
+    return array if array.shape == shape and array.dtype in TYPES else None
+
+
+@lru_cache(maxsize=2**18)
+def _is_intact(path: Path, size: int, mtime_ns: int, inode: int) -> bool:
+    """Whether the trailer agrees with the content of a file in this state."""
+    if size < TRAILER.size:
+        return False
+    with path.open("rb") as file:
+        file.seek(-TRAILER.size, os.SEEK_END)
+        magic, stored_size, checksum = TRAILER.unpack(file.read(TRAILER.size))
+    if magic != MAGIC or stored_size != size - TRAILER.size:
+        return False
+    return bool(_checksum(path, stored_size) == checksum)
+
+
+def _checksum(path: Path, size: int) -> int:
+    """The crc32 of the first `size` bytes of a file."""
+    checksum = 0
+    with path.open("rb", buffering=0) as file:
+        while block := file.read(min(BLOCK_BYTES, size)):
+            checksum, size = zlib.crc32(block, checksum), size - len(block)
+    return checksum

@@ -1,0 +1,100 @@
+"""Sanitising in the core: a method reads valid frames alone, and what was repaired is counted.
+
+The rules are those of rlbench.ops.sanitize, the same for every method. A method may rely on the
+ranges that they guarantee; it must still keep its own state finite.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rlbench.frames import Frame, GBuffer, Pool, Samples, Size
+from rlbench.ops.sanitize import RULES, sanitize_radiance
+
+__all__ = ["FrameInput", "Repairs", "SanitizedPool", "read_unsanitized", "sanitize_frame"]
+
+Repairs = Mapping[str, int]  # repaired pixels by buffer, and repaired samples as "radiance"
+
+
+class FrameInput(NamedTuple):
+    """What a method may use of a frame: the buffers that it declares, and samples to draw."""
+
+    gbuffer: GBuffer
+    pool: Pool
+    repairs: Repairs
+
+
+def sanitize_frame(frame: Frame, inputs: frozenset[str]) -> FrameInput:
+    """Valid buffers, those named in `inputs` alone, and a pool of valid samples.
+
+    Repairs count pixels; repaired samples are added to them when they are drawn. Buffers without a
+    rule, such as object numbers, stay as they are.
+
+    >>> import torch
+    >>> from rlbench.frames import Reference, StoredPool
+    >>> depth = torch.tensor([[[[1.0, -1.0, torch.nan]]]])
+    >>> half = torch.zeros(1, 3, 1, 3)
+    >>> pool = StoredPool(torch.ones(1, 2, 3, 1, 3), rounding_seeds=(0,))
+    >>> frame = Frame(0, GBuffer({"depth": depth}), pool, Reference(half, half))
+    >>> gbuffer, pool, repairs = sanitize_frame(frame, frozenset({"depth"}))
+    >>> gbuffer.depth.tolist(), repairs["depth"]
+    ([[[[1.0, 1.0, inf]]]], 2)
+    """
+    repairs: Counter[str] = Counter()
+    buffers = {}
+    for name, buffer in frame.gbuffer.select(inputs).buffers.items():
+        rule = RULES.get(name.partition("_")[0])
+        buffers[name] = valid = rule(buffer) if rule else buffer
+        if valid is not buffer:
+            repairs[name] += int((valid != buffer).any(1).sum())
+    gbuffer = GBuffer(buffers, frame.gbuffer.static)
+    return FrameInput(gbuffer, SanitizedPool(frame.pool, repairs), repairs)
+
+
+def read_unsanitized(frame: Frame, inputs: frozenset[str]) -> FrameInput:
+    """The frame as the renderer wrote it, for tests of a method's own robustness."""
+    return FrameInput(frame.gbuffer.select(inputs), frame.pool, {})
+
+
+@dataclass(frozen=True)
+class SanitizedPool:
+    """A pool whose samples are valid radiance; repaired samples are added to `repairs`."""
+
+    pool: Pool
+    repairs: Counter[str]
+
+    @property
+    def size(self) -> Size:
+        """Number of clips in the batch, height and width."""
+        return self.pool.size
+
+    @property
+    def max_samples(self) -> int:
+        """Most samples that one pixel can have."""
+        return self.pool.max_samples
+
+    @property
+    def rounding_seeds(self) -> tuple[int, ...]:
+        """One seed per clip in the batch."""
+        return self.pool.rounding_seeds
+
+    def empty(self) -> Samples:
+        """Samples with all counts zero."""
+        return self.pool.empty()
+
+    def read(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+        """Radiance of the first `counts` samples of each pixel, sanitised."""
+        radiance = self.pool.read(before, counts)
+        valid = sanitize_radiance(radiance)
+        if valid is not radiance:
+            is_new = ~Samples(radiance, before.counts).valid_mask  # the others are counted already
+            self.repairs["radiance"] += int(
+                ((valid != radiance).any(2, keepdim=True) & is_new).sum()
+            )
+        return valid

@@ -1,0 +1,86 @@
+"""The section `budgets` finds methods that break at a budget, a density or a size."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench import registry
+from rlbench.checks.result import Verdict
+from rlbench.checks.stress import budgets
+from rlbench.checks.stress.methods import load_stressed_method
+from tests.checks.stress.toys import CPU, stressed_toy
+
+TOYS = {  # the fault: body of the denoiser, traits, the tests that find it
+    "a division by the number of samples": (
+        "return samples.radiance.sum(1) / samples.counts, None",
+        "adaptive=True",
+        {"spp-0", "density-half", "density-1e38"},
+    ),
+    "an exception without samples": (
+        "assert samples.counts.any(); return samples.mean, None",
+        "",
+        {"spp-0"},
+    ),
+    "a stencil that needs three rows": (
+        "return torch.nn.functional.pad(samples.mean, (1, 1, 1, 1), 'reflect')[..., 1:-1, 1:-1], 0",
+        "",
+        {"size-1x1", "size-17x1"},
+    ),
+    "sizes rounded down to even numbers": (
+        "h, w = (side // 2 * 2 for side in samples.mean.shape[2:]); "
+        "return samples.mean[..., :h, :w], None",
+        "",
+        {"size-1x1", "size-17x1", "size-9x7", "size-123x77"},
+    ),
+    "an image in double precision": (
+        "return samples.mean.double(), None",
+        "",
+        {f"spp-{spp:g}" for spp in budgets.QUICK_BUDGETS}
+        | {"size-1x1", "size-17x1", "size-9x7", "size-123x77"},
+    ),
+    "an image that brightens with the budget": (
+        "return samples.mean + 0.1 * samples.counts.float().mean(), None",
+        "",
+        {"more-samples"},
+    ),
+}
+
+
+def failed_tests(stressed) -> set[str]:
+    results = list(budgets.SECTION.run(stressed, True))
+    assert len({result.test for result in results}) == len(results)
+    return {result.test for result in results if result.verdict is Verdict.FAILED}
+
+
+@pytest.mark.parametrize("fault", TOYS)
+def test_a_broken_method_fails_the_tests_of_its_fault_alone(tmp_path, fault):
+    body, traits, expected = TOYS[fault]
+    assert failed_tests(stressed_toy(tmp_path, body, traits)) == expected
+
+
+@pytest.mark.parametrize("name", ["mean", "svgf"])
+def test_a_sound_method_passes(name):
+    assert not failed_tests(load_stressed_method(name, CPU))
+
+
+def test_a_budget_that_a_method_does_not_support_is_skipped_with_the_reason(tmp_path):
+    stressed = stressed_toy(tmp_path, traits="spp_range=(1.0, 8.0)")
+    (result,) = (r for r in budgets.SECTION.run(stressed, True) if r.test == "spp-0")
+    assert result.verdict is Verdict.SKIPPED
+    assert result.found == "supports 1 to 8 spp, requested 0"
+
+
+def test_a_small_loss_from_more_samples_degrades(tmp_path):
+    body = "return samples.mean + 0.028 * samples.counts.float().mean(), None"
+    results = budgets.SECTION.run(stressed_toy(tmp_path, body), True)
+    (result,) = (result for result in results if result.test == "more-samples")
+    assert result.verdict is Verdict.WARNING
+    assert result.found.startswith("largest loss from 2 to 8 spp; 2 spp: ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [n for n in registry.expand(["all/*"]) if "/" not in n])
+def test_a_shipped_method_runs_at_every_budget_and_size_in_the_full_form(name):
+    results = list(budgets.SECTION.run(load_stressed_method(name, CPU), False))
+    failed = [r for r in results if r.verdict is Verdict.FAILED and r.test != "more-samples"]
+    assert not failed

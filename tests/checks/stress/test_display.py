@@ -1,0 +1,31 @@
+import pytest
+import torch
+
+from metrics import image as metrics_image
+from rlbench.checks.stress.display import largest_difference, psnr, to_display
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_psnr_equals_the_metric(scale):
+    generator = torch.Generator().manual_seed(1)
+    image, reference = scale * torch.randn(2, 3, 3, 9, 11, generator=generator)
+    image[1, 0, 2, 3], image[2, 1, 4, 5] = torch.nan, torch.inf
+    assert torch.equal(psnr(image, reference), metrics_image.psnr(image, reference))
+
+
+def test_equal_images_score_100_db():
+    image = torch.rand(2, 3, 5, 6)
+    assert psnr(image, image).tolist() == [100.0, 100.0]
+
+
+def test_the_largest_difference_is_that_of_display_values():
+    image = torch.rand(1, 3, 5, 6)
+    other = image.clone()
+    other[0, 1, 2, 3] = 30.0
+    expected = 1.0 - float(to_display(image)[0, 1, 2, 3])
+    assert largest_difference([image, image], [image, other]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_nan_differs_by_the_whole_range():
+    image = torch.full((1, 3, 5, 6), 0.5)
+    assert largest_difference([image], [image * torch.nan]) == 1.0

@@ -1,0 +1,127 @@
+"""The section `metrics` finds metrics that take a broken image for a good one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from rlbench import registry
+from rlbench.checks.result import Verdict
+from rlbench.checks.stress import metrics
+
+
+@dataclass(frozen=True)
+class Toy:
+    """The mean squared error, as a metric of a plugin."""
+
+    score: Any
+    direction: str = "lower"
+    unit: str = ""
+    convention: str = "linear"
+    temporal: bool = False
+
+    def at(self, height, width):
+        return self
+
+
+def squared_error(image, a, b):
+    return (image - a).double().clamp(-6e4, 6e4).nan_to_num(6e4).square().mean((1, 2, 3))
+
+
+def nan_as_zero(image, a, b):
+    """Pixels that are not finite are ignored."""
+    return squared_error(image.where(image.isfinite(), a), a, b)
+
+
+def single_precision(image, a, b):
+    return (image - a).square().mean((1, 2, 3)).clamp_max(3e38).nan_to_num(1e30)
+
+
+def raising(image, a, b):
+    if not image.isfinite().all():
+        raise FloatingPointError("not finite")
+    return squared_error(image, a, b)
+
+
+def absolute_correlation(image, a, b):
+    """The sign of the correlation is lost: a negative looks as good as the image."""
+    pair = torch.stack([image.flatten(), a.flatten()]).double().nan_to_num(0.0, 0.0, 0.0)
+    return 1 - torch.corrcoef(pair)[0, 1].abs().nan_to_num(0.0).view(1)
+
+
+def verdicts(toy) -> dict[str, Verdict]:
+    return {r.test: r.verdict for r in metrics.stress_metric("toy", toy)}
+
+
+def names_with(verdict: Verdict, toy) -> set[str]:
+    return {test for test, found in verdicts(toy).items() if found is verdict}
+
+
+def test_a_sound_metric_passes():
+    assert set(verdicts(Toy(squared_error)).values()) == {Verdict.PASSED}
+
+
+def test_a_metric_that_ignores_nan_fails():
+    assert names_with(Verdict.FAILED, Toy(nan_as_zero)) == {
+        "toy-infinite",
+        "toy-nan",
+        "toy-nan-pixel",
+    }
+
+
+def test_a_metric_that_takes_a_negative_for_the_image_fails():
+    assert "toy-anti-correlated" in names_with(Verdict.FAILED, Toy(absolute_correlation))
+
+
+def test_an_exception_is_a_failure_with_its_name():
+    results = {result.test: result for result in metrics.stress_metric("toy", Toy(raising))}
+    assert results["toy-nan"].verdict is Verdict.FAILED
+    assert results["toy-nan"].found.startswith("raised FloatingPointError: not finite")
+    assert results["toy-black"].verdict is Verdict.PASSED
+
+
+def test_a_score_that_is_nan_or_infinite_degrades():
+    overflow = Toy(lambda image, a, b: (image - a).square().mean((1, 2, 3)))
+    assert names_with(Verdict.WARNING, overflow) == {
+        *("toy-overflow", "toy-infinite", "toy-nan", "toy-nan-pixel")
+    }
+
+
+def test_a_metric_whose_best_score_is_not_that_of_an_equal_image_fails():
+    assert "toy-identical" in names_with(Verdict.FAILED, Toy(lambda *x: 3 - squared_error(*x)))
+
+
+def test_a_metric_without_a_score_for_an_equal_image_has_one_failure():
+    assert verdicts(Toy(lambda image, a, b: image.new_full((1,), math.nan))) == {
+        "toy-identical": Verdict.FAILED
+    }
+
+
+def test_a_score_of_another_shape_fails():
+    toy = Toy(lambda *x: squared_error(*x).view(1, 1))
+    assert verdicts(toy) == {"toy-identical": Verdict.FAILED}
+
+
+def test_a_metric_that_is_undefined_at_a_size_says_why():
+    def at_size(image, a, b):
+        return squared_error(image, a, b) * (math.nan if image.shape[2] < 11 else 1)
+
+    toy = Toy(at_size)
+    assert verdicts(toy)["toy-tiny"] is Verdict.WARNING
+
+    class Documented(Toy):
+        def at(self, height, width):
+            return replace(self, convention="undefined below 11 pixels") if height < 11 else self
+
+    assert verdicts(Documented(at_size))["toy-tiny"] is Verdict.PASSED
+
+
+def test_every_installed_metric_passes():
+    results = list(metrics.SECTION.run(True))
+    assert {result.test.rpartition("-")[0] for result in results} > set(
+        registry.list_plugins("metrics")
+    )
+    assert [result for result in results if result.verdict is not Verdict.PASSED] == []

@@ -1,0 +1,96 @@
+"""`rlbench stress` prints a verdict per test, writes a table, and its exit code sums them up."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+from rich.console import Console
+from typer.testing import CliRunner
+
+from rlbench.checks.result import Verdict
+from rlbench.checks.stress.console import count_contained, print_summary
+from rlbench.checks.stress.result import Limits, StressResult, judge, skip
+from rlbench.checks.stress.tables import write_tables
+from rlbench.cli.app import app
+from tests.conftest import write_plugin
+
+FAULT = Limits(good=256, fair=1000, unit="pixels")
+RESULTS = (
+    judge("toy", "bad-pixel", "sample-nan", 12, FAULT),
+    judge("toy", "bad-pixel", "depth-nan", 700, FAULT, remedy="clamp depth"),
+    judge("toy", "bad-pixel", "depth-inf", float("inf"), FAULT, remedy="clamp depth"),
+    skip("toy", "bad-pixel", "run", "has no weights"),
+    judge("toy", "budgets", "size-1x1", 0, Limits(0, 0, "pixels")),
+)
+
+
+def stress(*arguments: object, code: int):
+    words = [str(word) for word in ("stress", *arguments, "--quick")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == code, result.output
+    return result.stdout.splitlines(), result.stderr.splitlines()
+
+
+def test_verdicts_are_printed_per_method_and_test_with_progress_on_the_error_stream(tmp_path):
+    lines, progress = stress("mean", "--only", "budgets", "--out", tmp_path, code=0)
+    assert lines[0] == "mean: budgets"
+    assert lines[1] == "  ✓ spp-0: 0 wrong pixels (at most 0)"
+    assert "  - density-half: the method samples uniformly" in lines
+    assert lines[-1].startswith("passed: ")
+    assert progress == ["[1/1] mean: budgets"]
+
+
+def test_a_failed_test_is_printed_with_its_remedy_and_exit_code_1(tmp_path):
+    body = "return samples.radiance.sum(1) / samples.counts, None"
+    plugin = write_plugin(tmp_path / "toy.py", "toy", body=body)
+    arguments = ("toy", "--only", "budgets", "--plugin", plugin, "--out", tmp_path)
+    lines, _ = stress(*arguments, code=1)
+    (line,) = [line for line in lines if "✗" in line]
+    assert line == (
+        "  ✗ spp-0: 3072 wrong pixels (at most 0), 3072 pixels of frame 0 are not finite -> "
+        "return a finite float32 image [n 3 h w] for any budget, density and size"
+    )
+    again, progress = stress(*arguments, code=1)
+    assert again == lines
+    assert progress == ["[1/1] toy: budgets, from an earlier run"]
+
+
+def test_a_family_that_cannot_be_imported_is_a_failure_of_all(tmp_path, monkeypatch):
+    monkeypatch.setattr("rlbench.checks.stress.run.plan_jobs", lambda *_: [])
+    monkeypatch.setenv("RLBENCH_METHODS", "torn=no_such_module:FAMILY")
+    lines, _ = stress("--only", "budgets", "--out", tmp_path, code=1)
+    assert any(line.startswith("failed: 'all' skips torn, which cannot be ") for line in lines)
+
+
+def test_an_unknown_section_ends_with_exit_code_2(tmp_path):
+    _, errors = stress("mean", "--only", "budget", "--out", tmp_path, code=2)
+    assert errors[0].startswith("error: --only budget: no such section; there are: ")
+
+
+def test_planted_bad_pixels_are_counted_in_the_last_line():
+    console = Console(record=True, width=200, quiet=False)
+    with console.capture() as capture:
+        print_summary(RESULTS, console)
+    assert capture.get().splitlines() == [
+        "passed: 2, degraded: 1, failed: 1, skipped: 1",
+        "planted bad pixels: 1 of 3 contained",
+    ]
+
+
+def test_shares_of_faults_are_no_planted_faults():
+    share = StressResult(
+        "toy", "bad-pixel", "without-sanitizing", Verdict.WARNING, 50.0, "%", good=100.0
+    )
+    assert count_contained([share]) == (0, 0)
+
+
+def test_tables_hold_every_result(tmp_path):
+    table, document = write_tables(RESULTS, tmp_path, True, "cpu")
+    rows = list(csv.DictReader(table.open()))
+    assert [row["test"] for row in rows] == [result.test for result in RESULTS]
+    assert [row["verdict"] for row in rows] == ["passed", "degraded", "failed", "skipped", "passed"]
+    assert [row["figure"] for row in rows] == ["12", "700", "inf", "", "0"]
+    content = json.loads(document.read_text(), parse_constant=lambda name: 1 / 0)  # no NaN
+    assert content["quick"] is True
+    assert [row["figure"] for row in content["results"]] == [12, 700, None, None, 0]

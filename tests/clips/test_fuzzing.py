@@ -1,0 +1,328 @@
+"""Damaged clips and sources: a clear error or the right result, never another exception.
+
+Each property runs 200 cases, and 2,000 in the slow suite.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import shutil
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from rlbench.clips import ClipError, read_header, verify, write_header
+from rlbench.clips.exr import read_exr, write_exr
+from rlbench.clips.header import FILE
+from rlbench.clips.header_limits import LIMITS, is_plain_name
+from rlbench.clips.importers import formats, writer
+from rlbench.clips.importers.sequence import SourceError
+from rlbench.clips.importers.zarr_v2 import open_archive, read_array
+from rlbench.errors import RlbenchError
+from tests.clips.clip_folders import HEADER, write_clip
+from tests.clips.importers.sources import noisebase_arrays, write_oidn, zarr_zip
+
+CASES = [200, pytest.param(2000, marks=pytest.mark.slow)]
+
+
+def fuzz(cases: int, strategy: st.SearchStrategy[Any], check: Callable[[Any], object]) -> None:
+    """Run `check` on this number of examples; none may take longer than two seconds."""
+    health = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
+    phases = (Phase.explicit, Phase.generate, Phase.shrink)
+    given(strategy)(
+        settings(
+            max_examples=cases,
+            deadline=2000,
+            suppress_health_check=health,
+            phases=phases,
+            database=None,
+            derandomize=True,
+        )(check)
+    )()
+
+
+# Bytes with damage
+
+Edit = tuple[str, float, int]  # kind, place as a share of the file, and a byte
+
+
+def edits() -> st.SearchStrategy[list[Edit]]:
+    kinds = st.sampled_from(["flip", "set", "cut", "remove", "repeat", "zero"])
+    return st.lists(st.tuples(kinds, st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6)
+
+
+def damaged(content: bytes, changes: list[Edit]) -> bytes:
+    """A file after some edits."""
+    data = bytearray(content)
+    for kind, share, byte in changes:
+        place = min(int(share * len(data)), max(len(data) - 1, 0))
+        if not data:
+            break
+        if kind == "flip":
+            data[place] ^= 1 << byte % 8
+        elif kind == "set":
+            data[place] = byte
+        elif kind == "cut":
+            del data[place:]
+        elif kind == "remove":
+            del data[place : place + 1 + byte]
+        elif kind == "repeat":
+            data[place:place] = data[place : place + 1 + byte]
+        else:
+            data[place : place + 1 + byte] = bytes(len(data[place : place + 1 + byte]))
+    return bytes(data)
+
+
+# clip.toml
+
+NUMBERS = st.one_of(
+    st.integers(-(2**70), 2**70),
+    st.floats(),
+    st.sampled_from([0, -1, 2**31, 1e308, math.nan, math.inf, 10**30]),
+)
+TEXTS = st.one_of(st.text(max_size=12), st.sampled_from(["../x", "/etc", "..", "a/../../b", "\0"]))
+SCALARS = st.one_of(NUMBERS, TEXTS, st.booleans())
+VALUES = st.one_of(SCALARS, st.lists(SCALARS, max_size=4), st.just({"a": 1}))
+KEYS = st.sampled_from(sorted([*HEADER.__dataclass_fields__, "version", "lacks"]))
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_header_with_any_values_is_refused_or_within_its_limits(cases, tmp_path):
+    write_header(tmp_path, HEADER)
+    document = read_document(tmp_path)
+
+    def check(changes: dict[str, Any]) -> None:
+        text = tomli_w.dumps({k: v for k, v in (document | changes).items() if v != {"a": 1}})
+        (tmp_path / FILE).write_bytes(text.encode("utf-8", errors="replace"))
+        try:
+            header = read_header(tmp_path)
+        except ClipError:
+            return
+        for key, limits in LIMITS.items():
+            value = getattr(header, key)
+            assert all(map(limits.allow, value if isinstance(value, tuple) else (value,)))
+        assert all(is_plain_name(part) for part in header.name.split("/"))
+        assert all("/" not in pool for pool in header.pools)
+
+    fuzz(cases, st.dictionaries(KEYS, VALUES, min_size=1, max_size=3), check)
+
+
+def read_document(folder: Path) -> dict[str, Any]:
+    import tomllib
+
+    return tomllib.loads((folder / FILE).read_text("utf-8"))
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_header_of_damaged_bytes_is_refused_or_read(cases, tmp_path):
+    write_header(tmp_path, HEADER)
+    content = (tmp_path / FILE).read_bytes()
+
+    def check(changes: list[Edit]) -> None:
+        (tmp_path / FILE).write_bytes(damaged(content, changes))
+        with suppress(ClipError):
+            read_header(tmp_path)
+
+    fuzz(cases, edits(), check)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x = " + "[" * 5000, "version = " + "9" * 5000, "frames = 0x" + "f" * 5000, "\0", "\xff"],
+)
+def test_a_header_that_strains_the_parser_is_refused(tmp_path, text):
+    write_header(tmp_path, HEADER)
+    lines = [line for line in (tmp_path / FILE).read_text("utf-8").splitlines()]
+    lines = [line for line in lines if line.split(" ")[0] != text.split(" ")[0]]
+    (tmp_path / FILE).write_bytes("\n".join([text, *lines]).encode("latin-1"))
+    with pytest.raises(ClipError):
+        read_header(tmp_path)
+
+
+# EXR files: in one child process for all cases, because the library may end it
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_damaged_exr_is_refused_or_read_without_a_crash(cases, tmp_path):
+    path, names = tmp_path / "image.exr", ["R", "G"]
+    ramp = np.linspace(0, 1, 20 * 12, dtype=np.float32).reshape(20, 12)
+    write_exr(path, {"R": ramp, "G": ramp.astype(np.float16), "B": ramp.round(1)})
+    content = path.read_bytes()
+
+    def check(changes: list[Edit]) -> None:
+        path.write_bytes(damaged(content, changes))
+        with suppress(ClipError):
+            assert read_exr(path, names, 20, 12).shape == (2, 20, 12)
+
+    errors, child_errors = os.pipe()
+    if (child := os.fork()) == 0:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # OpenEXR writes its errors there
+        try:
+            fuzz(cases, edits(), check)
+        except BaseException as error:
+            os.write(child_errors, repr(error).encode()[:4000])
+        finally:
+            os._exit(0)
+    os.close(child_errors)
+    with os.fdopen(errors, "rb") as pipe:
+        assert pipe.read() == b""
+    assert os.waitpid(child, 0)[1] == 0
+
+
+# Zips
+
+
+@cache
+def archive_bytes() -> bytes:
+    with TemporaryDirectory() as folder:
+        zarr_zip(Path(folder, "frame.zip"), {k: v for k, v in noisebase_arrays(0, 2).items()})
+        return Path(folder, "frame.zip").read_bytes()
+
+
+def read_all(path: Path) -> None:
+    with open_archive(path) as archive:
+        for key in ("color", "reference", "exposure"):
+            assert read_array(archive, key).nbytes < 2**24
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_damaged_zip_is_refused_or_read(cases, tmp_path):
+    def check(changes: list[Edit]) -> None:
+        path = tmp_path / "frame.zip"
+        path.write_bytes(damaged(archive_bytes(), changes))
+        with suppress(SourceError):
+            read_all(path)
+
+    fuzz(cases, edits(), check)
+
+
+METADATA = st.dictionaries(
+    st.sampled_from(["shape", "chunks", "dtype", "compressor", "fill_value", "order", "filters"]),
+    st.one_of(
+        st.lists(st.integers(-1, 2**40), max_size=5),
+        st.sampled_from(
+            ["<f4", "O", "|S9999999", "<M8[s]", "F", [4, 2**20, 2**10, 1], {"id": "zlib"}]
+        ),
+        NUMBERS.filter(lambda value: isinstance(value, float) or abs(value) < 2**60),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_an_array_with_any_metadata_is_refused_or_small(cases, tmp_path):
+    with zipfile.ZipFile(io.BytesIO(archive_bytes())) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    metadata = json.loads(entries["color/.zarray"])
+
+    def check(changes: dict[str, Any]) -> None:
+        path = tmp_path / "frame.zip"
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, content in entries.items():
+                is_changed = name == "color/.zarray"
+                archive.writestr(name, json.dumps(metadata | changes) if is_changed else content)
+        with suppress(SourceError):
+            read_all(path)
+
+    fuzz(cases, METADATA, check)
+
+
+# Folders
+
+NAMES = st.one_of(
+    st.sampled_from(
+        [
+            "walk_9999999999_0001spp.hdr.exr",
+            "walk_0001_ref.hdr.exr",
+            "walk_0002_seed1_0001spp.alb.exr",
+            "..._0001spp.hdr.exr",
+            "walk_0001_seed99999999999_9999999999spp.hdr.exr",
+        ]
+    ),
+    st.text(alphabet="walk_.0123456789 -é", min_size=1, max_size=20).map(
+        lambda name: f"{name}_0001spp.hdr.exr"
+    ),
+)
+STEPS = st.lists(
+    st.tuples(st.sampled_from(["add", "delete", "cut", "folder"]), NAMES, st.integers(0, 99)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_source_with_any_files_is_refused_or_becomes_a_valid_clip(cases, tmp_path):
+    template = write_oidn(tmp_path / "template", frames=2)
+
+    def check(steps: list[tuple[str, str, int]]) -> None:
+        with TemporaryDirectory(dir=tmp_path) as scratch:
+            source, out = Path(scratch, "source"), Path(scratch, "out")
+            shutil.copytree(template, source)
+            for kind, name, number in steps:
+                change_folder(source, kind, name, number)
+            try:
+                for sequence in formats.find_sequences(source, "oidn"):
+                    header = writer.clip_header(sequence, None)
+                    writer.write_clip(sequence, header, out / sequence.name)
+                    assert verify(out / sequence.name) == []
+            except RlbenchError:
+                pass
+            assert {path.name for path in Path(scratch).iterdir()} <= {"source", "out"}
+
+    fuzz(cases, STEPS, check)
+
+
+def change_folder(source: Path, kind: str, name: str, number: int) -> None:
+    files = sorted(path for path in source.iterdir() if path.is_file())
+    file = files[number % len(files)]
+    if kind == "add" and not (source / name).exists():
+        shutil.copy(file, source / name)
+    elif kind == "delete" and len(files) > 1:
+        file.unlink()
+    elif kind == "cut":
+        file.write_bytes(file.read_bytes()[: number * file.stat().st_size // 99])
+    elif kind == "folder":
+        (source / "inner" / name).mkdir(parents=True, exist_ok=True)
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_a_clip_folder_with_damaged_files_has_problems_or_is_valid(cases, tmp_path):
+    template = write_clip(tmp_path / "template")
+    names = sorted(path.name for path in template.iterdir() if path.suffix == ".exr")
+    steps = st.tuples(st.sampled_from(names), st.sampled_from(["cut", "swap", "folder", "gone"]))
+
+    def check(changes: list[tuple[str, str]]) -> None:
+        with TemporaryDirectory(dir=tmp_path) as scratch:
+            folder = Path(shutil.copytree(template, Path(scratch, "clip")))
+            for name, kind in changes:
+                change_clip(folder / name, folder / names[0], kind)
+            assert all(isinstance(problem, str) for problem in verify(folder))
+
+    fuzz(cases, st.lists(steps, min_size=1, max_size=3), check)
+
+
+def change_clip(path: Path, other: Path, kind: str) -> None:
+    if not path.is_file() or not other.is_file():
+        return
+    content = (
+        other.read_bytes() if kind == "swap" else path.read_bytes()[: path.stat().st_size // 2]
+    )
+    path.unlink()
+    if kind == "folder":
+        path.mkdir()
+    elif kind != "gone":
+        path.write_bytes(content)

@@ -1,0 +1,130 @@
+"""Fireflies: one outlier gets the mean of its window; usual light is left alone."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from rlbench.ops.color import luminance
+from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
+from rlbench.ops.fireflies import (
+    CONTRAST,
+    FALLOFF,
+    limit_fireflies,
+    mean_without_fireflies,
+    repair_radiance_history,
+)
+
+SIDE, SPP = 16, 3
+COUNTS = torch.full((1, 1, SIDE, SIDE), SPP)
+
+
+def noisy(seed: int = 0) -> Tensor:
+    """Three samples per pixel of exponential noise: no mean is 64 times its neighbours."""
+    generator = torch.Generator().manual_seed(seed)
+    return -torch.rand(1, SPP, 3, SIDE, SIDE, generator=generator).clamp_min(1e-6).log()
+
+
+def window(y: int, x: int) -> list[tuple[int, int]]:
+    rows, columns = range(max(y - 2, 0), min(y + 3, SIDE)), range(max(x - 2, 0), min(x + 3, SIDE))
+    return [(row, column) for row in rows for column in columns]
+
+
+def limit_slowly(radiance: Tensor) -> Tensor:
+    """Pixel by pixel and sample by sample."""
+    mean, result = radiance.mean(1), radiance.clone()
+    light = luminance(mean)[0, 0]
+
+    def others(y: int, x: int) -> float:
+        return max(float(light[p]) for p in window(y, x) if p != (y, x))
+
+    # the image's average, in which an outlier counts as much as its brightest neighbour
+    plausible = [min(float(light[y, x]), others(y, x)) for y in range(SIDE) for x in range(SIDE)]
+    image = torch.tensor(plausible).view(1, 1, SIDE, SIDE).expand(1, 3, SIDE, SIDE)
+    average = float(MIDDLE_GREY / autoexposure(image))
+
+    def brightest(y: int, x: int) -> float:
+        return max(average, others(y, x))
+
+    for y in range(SIDE):
+        for x in range(SIDE):
+            limited = [min(float(light[p]), brightest(*p)) for p in window(y, x)]
+            for slot in range(SPP):
+                value = float(luminance(radiance[0, slot])[0, y, x])
+                limit, mean_around = CONTRAST * brightest(y, x), sum(limited) / len(limited)
+                if value > limit:
+                    dimmed = mean_around + (limit - mean_around) * (limit / value) ** FALLOFF
+                    result[0, slot, :, y, x] *= dimmed / value
+    return result
+
+
+@pytest.mark.parametrize("pixel", [(8, 8), (0, 0), (15, 3)])
+def test_an_outlier_is_replaced_as_by_a_slow_twin(pixel):
+    radiance = noisy()
+    radiance[:, 1, :, pixel[0], pixel[1]] = torch.tensor([65504.0, 1000.0, 10.0])
+    limited = limit_fireflies(radiance, COUNTS)
+    assert not torch.equal(limited, radiance)
+    assert torch.allclose(limited, limit_slowly(radiance), rtol=1e-4)
+
+
+def test_an_outlier_just_above_the_limit_is_hardly_dimmed():
+    """Otherwise rounding decides, and float32 and float64 differ."""
+    radiance = torch.ones(1, SPP, 3, SIDE, SIDE)
+    radiance[:, 1, :, 8, 8] = CONTRAST * 1.0001
+    limited = limit_fireflies(radiance, COUNTS)
+    assert torch.allclose(limited, radiance, rtol=1e-2)
+
+
+def test_the_other_samples_of_the_pixel_stay():
+    bad = noisy()
+    bad[:, 1, :, 8, 8] = 65504.0
+    limited = limit_fireflies(bad, COUNTS)
+    limited[:, 1, :, 8, 8] = bad[:, 1, :, 8, 8] = 0
+    assert torch.equal(limited, bad)
+
+
+def test_usual_noise_and_two_bright_pixels_side_by_side_stay():
+    radiance = noisy()
+    radiance[..., 8, 8:10] = 1000.0
+    assert limit_fireflies(radiance, COUNTS) is radiance
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -10.0])
+def test_invalid_samples_become_black(value):
+    radiance = noisy()
+    radiance[:, 1, :, 3, 4] = value
+    assert (limit_fireflies(radiance, COUNTS)[:, 1, :, 3, 4] == 0).all()
+    assert mean_without_fireflies(radiance, COUNTS).isfinite().all()
+
+
+@pytest.mark.parametrize("exposure", [1e-4, 1e2])
+def test_the_limit_follows_the_exposure(exposure):
+    """With a lamp of 300 in light of 1, which a fixed cap would cut at one exposure only."""
+    radiance = noisy()
+    radiance[..., 8, 8] = 300.0
+    limited = limit_fireflies(radiance * exposure, COUNTS) / exposure
+    assert torch.allclose(limited, limit_fireflies(radiance, COUNTS), rtol=1e-4)
+
+
+def test_pixels_without_a_sample_stay_black():
+    radiance, counts = noisy(), COUNTS.clone()
+    counts[..., ::2] = 0
+    radiance[..., ::2] = 0
+    assert (mean_without_fireflies(radiance, counts)[..., ::2] == 0).all()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 65504.0])
+def test_broken_history_is_a_neighbours(value):
+    history = noisy().mean(1)
+    broken = history.clone()
+    broken[..., 8, 8] = value
+    assert torch.equal(repair_radiance_history(broken)[..., 8, 8], history[..., 8, 7])
+
+
+def test_valid_history_stays_though_a_lamp_is_a_thousand_times_brighter():
+    history = noisy().mean(1)
+    history[..., 8, 8] = 1000.0
+    assert repair_radiance_history(history) is history

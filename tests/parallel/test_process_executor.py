@@ -1,0 +1,46 @@
+"""Jobs in processes of this machine: each has one result, also if it ends its process."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+import torch
+
+from rlbench.parallel.executor import LOCAL, ExecutorError, Resources
+from rlbench.parallel.process_executor import ProcessExecutor
+from rlbench.registry import list_plugins, use_plugin
+from tests.conftest import write_plugin
+
+
+def work(job, on_progress):
+    if job == "crash":
+        os._exit(3)
+    if job == "exit":
+        sys.exit("bye")
+    if job == "error":
+        raise KeyError(job)
+    return job, "toy" in list_plugins("methods"), torch.get_num_threads()
+
+
+@pytest.mark.slow
+def test_every_job_has_a_value_or_an_error_and_sees_the_plugins(tmp_path):
+    use_plugin(write_plugin(tmp_path / "toy.py", "toy"))
+    jobs = ["crash", "exit", "error", "value"]
+    results = {r.job: r for r in ProcessExecutor(1).map(work, jobs, Resources(cpus=1))}
+    assert list(results) == jobs  # one process keeps their order
+    assert results["value"].value == ("value", True, 1)
+    assert isinstance(results["error"].error, KeyError)
+    assert isinstance(results["crash"].error, ExecutorError)
+    assert "its process ended" in str(results["crash"].error)
+    assert str(results["exit"].error) == "it raised SystemExit: bye"
+
+
+def test_no_jobs_start_no_process():
+    assert list(ProcessExecutor(2).map(work, [])) == []
+
+
+def test_measurements_of_time_stay_in_this_process():
+    assert ProcessExecutor(2).local_exclusive() is LOCAL
+    assert ProcessExecutor(2).description == "2 processes"

@@ -1,0 +1,253 @@
+"""Whatever a record on disk holds: the right content, or one error that a user can act on.
+
+Records are model cards, weights, baselines and row files. Each property runs on 200 changed
+records, and on 2,000 in `make test-all`.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pandas as pd
+import pytest
+import safetensors.torch
+import tomli_w
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+from rlbench.benchmark import results
+from rlbench.benchmark.baseline import load_baseline
+from rlbench.benchmark.results import CellId, CellKey, Row
+from rlbench.errors import RlbenchError
+from rlbench.weights import ModelCard, card_path, load_into, read_card, save, training_clips
+
+QUICK, THOROUGH = 200, 2000  # changed records of each kind
+
+
+def examples(property_: Callable[[Any], None], strategy: st.SearchStrategy[Any]) -> Any:
+    """A test of a property on many examples, and one on ten times as many for `make test-all`."""
+
+    def check(count: int) -> None:
+        checks = [HealthCheck.too_slow, HealthCheck.data_too_large]
+        limits = settings(
+            max_examples=count,
+            deadline=2000,
+            derandomize=count == QUICK,
+            suppress_health_check=checks,
+        )
+        limits(given(strategy)(property_))()
+
+    counts = [QUICK, pytest.param(THOROUGH, marks=pytest.mark.slow)]
+    return pytest.mark.parametrize("count", counts)(check)
+
+
+def result_or_error(function: Callable[..., Any], *arguments: object) -> Any:
+    """What a function returns, or its RlbenchError; any other exception fails the test."""
+    try:
+        return function(*arguments)
+    except RlbenchError as error:
+        return error
+
+
+# Changed bytes and changed documents
+
+
+@st.composite
+def changed(draw: st.DrawFn, content: bytes) -> bytes:
+    """A content with flipped bits, replaced, inserted, removed or repeated parts, or cut short."""
+    for _ in range(draw(st.integers(1, 3))):
+        start = draw(st.integers(0, max(len(content) - 1, 0)))
+        end = min(start + draw(st.sampled_from([0, 1, 2, 8, 64])), len(content))
+        new = {
+            "flip": bytes([content[start] ^ 1 << draw(st.integers(0, 7))]) if content else b"",
+            "replace": draw(st.binary(max_size=16)),
+            "repeat": content[start:end] * 3,
+            "cut": b"",
+        }[how := draw(st.sampled_from(["flip", "replace", "repeat", "cut"]))]
+        tail = {"flip": content[start + 1 :], "cut": b""}.get(how, content[end:])
+        content = content[:start] + new + tail
+    return content
+
+
+NUMBERS = st.one_of(st.integers(), st.floats(), st.sampled_from([-(2**63), 2**63, 10**40, 1e308]))
+DATES = st.sampled_from([datetime.date(2026, 1, 2), datetime.time(3, 4), datetime.datetime.max])
+LEAVES = st.one_of(NUMBERS, st.booleans(), st.text(max_size=8))
+VALUES = st.recursive(
+    LEAVES,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=4), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+NESTED = st.integers(1, 3000).map(lambda depth: f"{'[' * depth}{']' * depth}")
+
+
+@st.composite
+def with_other_values(draw: st.DrawFn, document: dict[str, Any], values: Any) -> dict[str, Any]:
+    """A document with other, missing and unknown values."""
+    document = dict(document)
+    for name in draw(st.lists(st.sampled_from(sorted(document)), min_size=1, max_size=3)):
+        document[name] = draw(values)
+    for name in draw(st.lists(st.sampled_from(sorted(document)), max_size=1)):
+        del document[name]
+    return document | draw(st.dictionaries(st.text(max_size=3), values, max_size=1))
+
+
+# Model cards and weights
+
+CARD = ModelCard(
+    "oidn/tuned", ("city 01", "hall 02"), 1200, 400, 12.5, validation_history=((1, 2.0),)
+)
+WEIGHTS = nn.Linear(3, 2)
+
+
+def card_contents() -> st.SearchStrategy[bytes]:
+    document = asdict(replace(CARD, sha256="0" * 64))
+    text = tomli_w.dumps(document).encode()
+    values = with_other_values(document, st.one_of(VALUES, DATES))
+    nested = NESTED.map(lambda value: f"name = {value}\n".encode())
+    encoded = values.map(lambda changed_: tomli_w.dumps(changed_).encode())
+    return st.one_of(changed(text), encoded, nested)
+
+
+def read_changed_card(content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "oidn.safetensors"
+        path.touch()
+        card_path(path).write_bytes(content)
+        card = result_or_error(read_card, path)
+        if isinstance(card, RlbenchError):
+            assert str(card_path(path)) in str(card)
+            assert training_clips(path) == frozenset()
+            return
+        assert msgspec.convert(asdict(card), ModelCard) == card or _has_nan(card)
+        assert all(isinstance(clip, str) for clip in training_clips(path))
+
+
+def _has_nan(card: ModelCard) -> bool:
+    return any(value != value for value in (card.seconds, *sum(card.validation_history, ())))
+
+
+test_a_changed_card_is_read_or_refused = examples(read_changed_card, card_contents())
+
+
+HALVES = {name: tensor.half() for name, tensor in WEIGHTS.state_dict().items()}
+
+
+def with_bits(bits: bytes) -> bytes:
+    """A weights file whose six weights have these bits, NaN and infinity among them."""
+    weight = torch.frombuffer(bytearray(bits), dtype=torch.float16).reshape(2, 3)
+    return safetensors.torch.save({**HALVES, "weight": weight})
+
+
+def weight_contents() -> st.SearchStrategy[tuple[bytes, bool]]:
+    """Contents of weight files, and whether the card has the hash of the changed file."""
+    bits = st.lists(st.sampled_from([b"\0\x3c", b"\0\x7c", b"\1\xfc", b"\xff\x7b"]), min_size=6)
+    values = bits.map(lambda chunks: with_bits(b"".join(chunks[:6])))
+    return st.tuples(st.one_of(changed(safetensors.torch.save(HALVES)), values), st.booleans())
+
+
+def load_changed_weights(example: tuple[bytes, bool]) -> None:
+    content, has_hash = example
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "oidn.safetensors"
+        card = save(WEIGHTS, path, CARD)
+        path.write_bytes(content)
+        if has_hash:
+            text = card_path(path).read_text()
+            new = hashlib.sha256(content).hexdigest()
+            card_path(path).write_text(text.replace(card.sha256, new))
+        module = nn.Linear(3, 2)
+        before = {name: value.clone() for name, value in module.state_dict().items()}
+        loaded = result_or_error(load_into, module, path)
+        if isinstance(loaded, RlbenchError):
+            assert str(path) in str(loaded)
+            assert all(torch.equal(v, before[k]) for k, v in module.state_dict().items())
+            return
+        for name, value in module.state_dict().items():
+            assert torch.isfinite(value).all()
+            assert has_hash or torch.equal(value, WEIGHTS.state_dict()[name].half().float())
+
+
+test_changed_weights_are_loaded_or_refused = examples(load_changed_weights, weight_contents())
+
+
+# Baselines
+
+ENTRY = {"method": "ours", "scene": "city", "target_spp": 2.0, "psnr": 30.0, "tolerance_db": 0.1}
+BASELINE = {"schema": 2, "preset": "mini", "command": "", "tolerance_db": 0.05, "entries": [ENTRY]}
+
+
+def baseline_contents() -> st.SearchStrategy[bytes]:
+    entries = with_other_values(ENTRY, VALUES).map(lambda entry: {**BASELINE, "entries": [entry]})
+    documents = st.one_of(with_other_values(BASELINE, VALUES), entries, VALUES)
+    encoded = documents.map(lambda document: json.dumps(document).encode())
+    return st.one_of(changed(json.dumps(BASELINE).encode()), encoded, NESTED.map(str.encode))
+
+
+def read_changed_baseline(content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mini.json"
+        path.write_bytes(content)
+        baseline = result_or_error(load_baseline, path)
+        if isinstance(baseline, RlbenchError):
+            assert str(path) in str(baseline)
+            return
+        assert msgspec.convert(asdict(baseline), type(baseline)) == baseline
+        numbers = [
+            (baseline.tolerance_db, entry.psnr, entry.target_spp) for entry in baseline.entries
+        ]
+        assert all(math.isfinite(number) for entry in numbers for number in entry)
+
+
+test_a_changed_baseline_is_read_or_refused = examples(read_changed_baseline, baseline_contents())
+
+
+# Row files
+
+ROW = Row("r", "ours/A1", "city-0", "city", 2.0, 1.99, 0, "psnr", 31.25, "dB", "higher", "sRGB")
+ROWS = [replace(ROW, frame=frame, value=30.0 + frame) for frame in range(4)]
+KEY = CellKey("ours/A1", "city-0", 2.0, 0, "a CPU, 2 threads")
+CELL, OTHER = CellId(KEY, "a"), CellId(replace(KEY, seed=1), "a")
+
+
+def row_file(cell: CellId, rows: list[Row]) -> tuple[str, bytes]:
+    """Name and content of the row file of a cell."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = results.write_cell(Path(folder), cell, rows)
+        return file.name, file.read_bytes()
+
+
+NAME, CONTENT = row_file(CELL, ROWS)
+OTHER_NAME, OTHER_CONTENT = row_file(OTHER, ROWS[:1])
+TABLE = results.to_dataframe([*ROWS, ROWS[0]])
+
+
+def read_changed_rows(content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / OTHER_NAME).write_bytes(OTHER_CONTENT)
+        (folder / NAME).write_bytes(content)
+        table = result_or_error(results.read, folder)
+        if not isinstance(table, RlbenchError):
+            pd.testing.assert_frame_equal(table, TABLE)
+            assert results.set_aside_damaged(folder) == []
+            return
+        assert str(folder / NAME) in str(table)
+        if "has schema" not in str(table):  # which a newer version may have written
+            assert len(results.set_aside_damaged(folder)) == 1
+            assert results.cells(folder) == {OTHER}
+
+
+test_a_changed_row_file_is_read_or_refused = examples(read_changed_rows, changed(CONTENT))
