@@ -33,6 +33,7 @@ LINE_STYLES = {  # colour and dashes; colours as in the figure of the known opti
     "score function": ("#0072B2", "-"),
     "score function, no baseline": ("#0072B2", DASHED),
 }
+REFERENCES = ("explored truth",)  # have no noise of samples
 UNDRAWN = ("relaxed truth", "reinforce+surrogate")  # nearly 1; nearly `reinforce`
 RATIO_COLOURS = {"joint": "#7A4FA3", "block": "#E69F00", "pixel": "#0072B2"}
 TABLE_BUDGETS = (0.5, 4.0, 64.0)  # samples per pixel
@@ -51,8 +52,8 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel("cosine", "cosine to the true gradient", False, 1, (-0.05, 1.05)),
-    Panel("scale", "length along it / true length", True, 1, (0.02, 12)),
-    Panel("frames", "frames until noise = signal", True, None, (0.2, 1e6)),
+    Panel("scale", "length along it / true length", True, 1, (0.02, 25)),
+    Panel("frames", "frames until noise = signal (▲: more)", True, None, (0.05, 1e6)),
 )
 
 
@@ -92,16 +93,36 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, panel: Panel) -> None:
     if panel.ideal is not None:
         axes.axhline(panel.ideal, color=GREY, linewidth=1)
     for name, (color, dash) in LINE_STYLES.items():
+        if panel.column == "frames" and name in REFERENCES:
+            continue
         curve = rows[rows["estimator"] == name]
-        values = curve[panel.column]
-        if panel.column == "scale":  # a length that noise hides is not drawn
-            is_known = curve["has_scale"] & (curve["scale"] > curve["scale_margin"])
-            values = values.where(is_known)
-        axes.plot(curve["spp"], values, "o", color=color, linestyle=dash, markersize=3, label=name)
+        spp, values = curve["spp"], curve[panel.column].where(_is_drawn(curve, panel.column))
+        axes.plot(spp, values, "o", color=color, linestyle=dash, markersize=3, label=name)
         if panel.column == "cosine":
             low = (values - curve["cosine_margin"]).clip(lower=-1)
             high = (values + curve["cosine_margin"]).clip(upper=1)
-            axes.fill_between(curve["spp"], low, high, color=color, alpha=0.12, linewidth=0)
+            axes.fill_between(spp, low, high, color=color, alpha=0.12, linewidth=0)
+        if panel.column == "frames":
+            bounds = _least_frames(curve).where(~_has_length(curve))
+            axes.plot(spp, bounds, "^", color=color, markersize=5, fillstyle="none")
+
+
+def _is_drawn(rows: pd.DataFrame, column: str) -> pd.Series[bool]:
+    """Is the value known, and does it mean anything?"""
+    if column == "cosine":
+        return rows["cosine"].notna()
+    return _has_length(rows) & (rows["has_scale"] | (column == "frames"))
+
+
+def _has_length(rows: pd.DataFrame) -> pd.Series[bool]:
+    """Is the component along the truth larger than its interval?"""
+    return rows["scale"].abs() > rows["scale_margin"]
+
+
+def _least_frames(rows: pd.DataFrame) -> pd.Series[float]:
+    """Frames until noise = signal if the component is at the upper end of its interval."""
+    scale = rows["scale"].abs()
+    return rows["frames"] * (scale / (scale + rows["scale_margin"])) ** 2
 
 
 def draw_ratios(rows: pd.DataFrame, file: Path) -> None:
@@ -142,7 +163,10 @@ def _by_ratio_and_step(rows: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd
 
 
 def gradient_table(rows: pd.DataFrame) -> str:
-    """Cosine, scale and noise of each estimator at TABLE_BUDGETS, as Markdown."""
+    """Cosine, scale and noise of each estimator at TABLE_BUDGETS, as Markdown.
+
+    "?" is hidden by noise, and ">" a lower bound for the same reason.
+    """
     budgets = " / ".join(f"{spp:g}" for spp in TABLE_BUDGETS)
     lines = [
         f"| at {budgets} spp | cosine, {PLAIN} | cosine, {WEIGHTED} | length, {PLAIN} "
@@ -160,15 +184,16 @@ def gradient_table(rows: pd.DataFrame) -> str:
 
 def _cells(rows: pd.DataFrame, denoiser: str, column: str) -> str:
     chosen = rows[rows["denoiser"] == denoiser].set_index("spp").reindex(TABLE_BUDGETS)
-    if column == "scale":
-        chosen = chosen.where(chosen["scale"].abs() > chosen["scale_margin"])
-    return " / ".join("?" if pd.isna(value) else _plain(value, column) for value in chosen[column])
-
-
-def _plain(value: float, column: str) -> str:
     if column == "frames":
-        return f"{value:,.0f}" if value >= 9.5 else f"{value:.1f}"
-    return f"{value:.2f}"
+        known, least = _has_length(chosen), _least_frames(chosen)
+        pairs = zip(known, chosen["frames"].where(known, least), strict=True)
+        return " / ".join(("" if is_known else ">") + _frames(value) for is_known, value in pairs)
+    values = chosen[column].where(_is_drawn(chosen, column))
+    return " / ".join("?" if pd.isna(value) else f"{value:.2f}" for value in values)
+
+
+def _frames(value: float) -> str:
+    return f"{value:,.0f}" if value >= 9.5 else f"{value:.1f}"
 
 
 def ratio_table(rows: pd.DataFrame) -> str:

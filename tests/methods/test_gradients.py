@@ -114,6 +114,20 @@ def test_the_true_gradient_is_that_of_finite_differences(denoiser, spp):
 
 
 @EVERY_DENOISER
+@pytest.mark.parametrize("spp", [0.5, 2])
+def test_the_expected_error_is_that_of_the_benchmarks_allocation(denoiser, spp):
+    """The benchmark rounds by a tournament; mean counts are equal, and so are errors."""
+    problem = problem_of(denoiser, spp, 500)
+    real = ToyProblem(problem.frame, problem.mode, problem.sampler, spp)
+    action = problem.act().detach()
+    errors = real.expected_error(real.draw_counts(action).float()).mean((1, 2, 3))
+    standard_error = float(errors.std()) / len(errors) ** 0.5
+    exact = float(expected_error(problem, action))
+    assert exact == pytest.approx(float(errors.mean()), abs=4 * standard_error + 5e-4 * exact)
+    assert standard_error < 1e-3 * exact
+
+
+@EVERY_DENOISER
 def test_the_true_gradient_is_that_of_simulated_errors(denoiser):
     """A long step, equal samples at both ends: the change of realised errors."""
     step, tile, spp = 0.1, 0, 2

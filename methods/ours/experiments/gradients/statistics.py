@@ -61,7 +61,7 @@ class GradientStatistics:
         has_signal = squared > MIN_SIGNAL_SHARE * float(units.mean(0).square().sum())
         return cls(
             scale=_jackknife(moments, lambda m: m.along),
-            cosine=Interval(max(-1.0, min(1.0, cosine.value)), cosine.margin),
+            cosine=Interval(min(max(cosine.value, -1.0), 1.0), cosine.margin),  # nan stays
             bias=_jackknife(moments, _bias),
             noise=noise / abs(scale) if scale else math.inf,
             is_resolved=has_signal and cosine.margin <= MAX_COSINE_MARGIN,
