@@ -100,7 +100,7 @@ seeds: .venv/dev.stamp
 # stress tests of every shipped row; resumes if it was killed; succeeds also where tests fail, since the page lists them
 stress: .venv/dev.stamp
 	$(BIN)/rlbench stress --out $(RESULTS)/stress || test $$? -eq 1
-	$(BIN)/python -m reports.stress_matrix $(RESULTS)/stress docs/results --readme README.md
+	$(BIN)/python -m reports.stress_matrix $(RESULTS)/stress docs/results
 
 # gradient estimators of the sampler against an exact gradient: 4 minutes of one core
 gradients: .venv/run.stamp

@@ -1,13 +1,12 @@
 """The stress matrix: the verdict of each method in each section, as pictures and tables.
 
-Command: python -m reports.stress_matrix results/stress docs/results --readme README.md, after
+Command: python -m reports.stress_matrix results/stress docs/results, after
 rlbench stress. Writes stress.md, stress.png, and stress-SECTION.png for each section of methods.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +16,11 @@ import pandas as pd
 
 from reports.layout.verdict_grid import MARKS, Cell, draw_grid
 
-__all__ = ["Matrix", "main", "read_results", "small_table", "update_readme", "write_page"]
+__all__ = ["Matrix", "main", "read_results", "small_table", "write_page"]
 
 SUITE = "suite"  # row of the sections that concern no method
 ORDER = ("failed", "degraded", "passed", "skipped")  # the worst first
 BAD_PIXEL = "bad-pixel"  # section with a planted fault per test
-BEGIN, END = "<!-- stress -->", "<!-- /stress -->"  # around the table in the README
 COMMAND = "make stress"
 
 
@@ -89,18 +87,6 @@ def write_page(matrix: Matrix, folder: Path) -> list[Path]:
     pictures = [_draw_section(matrix, section, folder) for section in sections]
     page.write_text("\n".join(_page(matrix)), encoding="utf-8")
     return [page, overview, *pictures]
-
-
-def update_readme(matrix: Matrix, readme: Path) -> None:
-    """Replace the table between the marks in the README: rows without a variant."""
-    methods = [name for name in matrix.methods if "/" not in name]
-    table = small_table(matrix, methods)
-    text = readme.read_text(encoding="utf-8")
-    if BEGIN not in text:
-        raise ValueError(f"{readme} has no {BEGIN}; add {BEGIN} and {END} around the table's place")
-    pattern = f"{re.escape(BEGIN)}.*{re.escape(END)}"
-    replaced = re.sub(pattern, lambda _: f"{BEGIN}\n{table}{END}", text, flags=re.DOTALL)
-    readme.write_text(replaced, encoding="utf-8")
 
 
 def _draw_section(matrix: Matrix, section: str, folder: Path) -> Path:
@@ -178,12 +164,9 @@ def _format_cell(cell: Cell | None) -> str:
     return f"{MARKS[cell.verdict]} {cell.text}".strip() if cell else ""
 
 
-def main(results: Path, folder: Path, readme: Path | None = None) -> None:
-    """Write the page and its pictures to `folder`, and the small table into the README."""
-    matrix = read_results(results)
-    write_page(matrix, folder)
-    if readme:
-        update_readme(matrix, readme)
+def main(results: Path, folder: Path) -> None:
+    """Write the page and its pictures to `folder`."""
+    write_page(read_results(results), folder)
 
 
 if __name__ == "__main__":
@@ -193,6 +176,5 @@ if __name__ == "__main__":
     )
     parser.add_argument("results", type=Path, nargs="?", default=Path("results/stress"))
     parser.add_argument("folder", type=Path, nargs="?", default=Path("docs/results"))
-    parser.add_argument("--readme", type=Path, help="a Markdown file with a <!-- stress --> table")
     arguments = parser.parse_args()
-    main(arguments.results, arguments.folder, arguments.readme)
+    main(arguments.results, arguments.folder)

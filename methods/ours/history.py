@@ -31,6 +31,7 @@ __all__ = [
 STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
 MAX_SPP = 1e4  # accumulated samples; a larger number is no count
 MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504
+MIN_WEIGHT = 1e-3  # samples; a smaller weight is that of another surface, and underflow decides
 SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
 BICUBIC_CHANNELS = [3, 1, 3]  # mean, second moment, previous image
 BILINEAR_CHANNELS = [1, GBUFFER_CHANNELS]  # accumulated spp, G-buffer features
@@ -146,7 +147,9 @@ class RadianceHistory(LatentHistory):
         features = features.where(valid, MISSING)
         mean, square, image = self._bicubic(gbuffer, state)
         similarity = feature_similarity(current, previous).where(valid, 0.0)
-        radiance = AccumulatedRadiance(mean, square, spp * similarity)
+        weight = spp * similarity
+        weight = weight.where(weight > MIN_WEIGHT, 0.0)
+        radiance = AccumulatedRadiance(mean, square, weight)
         accumulated = torch.cat((image, network_features(radiance), similarity), dim=1)
         inputs = torch.cat((current, features, accumulated.where(valid, MISSING)), dim=1)
         static = valid

@@ -49,11 +49,12 @@ def stress(
         ),
     ] = Path("results/stress"),
 ) -> None:
-    """Stress-test the numerical stability of methods, with a verdict per test.
+    """Stress-test methods, with a verdict per test.
 
-    A test passes, is degraded or fails, by a figure and two limits. Learned methods run with their
-    shipped weights; rows without any are skipped. Results are stored per method and section, and
-    reused while code and weights are the same. The exit code is 1 if a test failed.
+    It tests numerical stability: a test passes, is degraded or fails, by a figure and two limits.
+    Learned methods run with their shipped weights; rows without any are skipped. Results are stored
+    per method and section, and reused while code and weights are the same. The exit code is 1 if a
+    test failed.
 
     Sections: bad-pixel, budgets, allocation, long-runs, precision, transformations, lying-buffers,
     metrics, and those of plugins.

@@ -10,6 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from methods.ours.accumulators import TemporalRadiance
+from methods.ours.antilag import KeepHistory
 from methods.ours.method import build
 from methods.ours.state import gbuffer_features
 from rlbench.clips.procedural.clip import procedural_clip
@@ -172,6 +174,30 @@ def test_radiance_of_another_surface_has_little_weight(after_one):
     solid = frame.gbuffer.depth.isfinite()
     assert weight[solid].max() < 2 * math.exp(-2 * 2 * 0.99)  # |2n| >= 2 on surfaces
     assert (weight[~solid] == 2).all()
+
+
+def test_a_weight_that_underflow_would_decide_is_zero(after_one):
+    """exp(-500) is 0 in float32 and positive in float64; either must mean: no sample."""
+    method, frame, state = after_one
+    far = state.gbuffer_features.clone()
+    far[:, 6:] = frame.gbuffer.depth.isfinite() * 1.0  # as if the camera had touched the surfaces
+    turned = replace(state, gbuffer_features=far)
+    gbuffer = replace(frame.gbuffer, static=True)
+    solid = frame.gbuffer.depth.isfinite()
+    weight = method.reproject(gbuffer, turned).radiance.accumulated_spp
+    similarity = method.reproject(gbuffer, turned).similarity
+    assert ((similarity[solid] > 0) & (similarity[solid] < 1e-4)).any()
+    assert ((weight == 0) | (weight > 1e-3)).all()
+
+
+def test_a_static_pixel_trusts_all_its_samples(after_one):
+    """Whatever the encoder says: only then does the error of a still camera fall for good."""
+    method, frame, before = after_one
+    gbuffer = replace(frame.gbuffer, static=True)
+    samples = draw(frame, torch.full((1, 1, 32, 32), 3))
+    keep = replace(method, accumulator=TemporalRadiance(KeepHistory()))  # antilag aside
+    _, after = keep.denoise(gbuffer.select(method.traits.inputs), samples, before)
+    assert (after.radiance.accumulated_spp == 5).all()
 
 
 def test_the_first_frame_has_no_state():

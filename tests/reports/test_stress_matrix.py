@@ -69,24 +69,6 @@ def test_equal_results_give_equal_files(results, tmp_path):
     assert [file.read_bytes() for file in first] == [file.read_bytes() for file in second]
 
 
-def test_the_readme_has_the_rows_without_a_variant(results, tmp_path):
-    readme = tmp_path / "README.md"
-    readme.write_text("before\n<!-- stress -->\nold\n<!-- /stress -->\nafter\n")
-    stress_matrix.main(results, tmp_path / "made", readme)
-    assert readme.read_text() == (
-        "before\n<!-- stress -->\n|  | bad-pixel | budgets |\n| --- | --- | --- |\n"
-        "| mean | ✓ 1/1 | ✓ 1/1 |\n<!-- /stress -->\nafter\n"
-    )
-
-
-def test_a_readme_without_the_mark_is_an_error(results, tmp_path):
-    readme = tmp_path / "README.md"
-    readme.write_text("text")
-    with pytest.raises(ValueError, match="has no <!-- stress -->"):
-        stress_matrix.main(results, tmp_path / "made", readme)
-    assert readme.read_text() == "text"
-
-
 def test_every_verdict_has_a_mark_and_colours(tmp_path):
     assert set(MARKS) == set(FILLS) == set(INK) == set(VERDICT_NAMES.values())
     assert len(set(MARKS.values())) == len(MARKS)
