@@ -51,9 +51,9 @@ class Panel(NamedTuple):
 
 
 PANELS = (
-    Panel("cosine", "cosine to the true gradient", False, 1, (-0.05, 1.05)),
+    Panel("cosine", "cosine to the true gradient", False, 1, (0.2, 1.03)),
     Panel("scale", "length along it / true length", True, 1, (0.02, 25)),
-    Panel("frames", "frames until noise = signal (▲: more)", True, None, (0.05, 1e6)),
+    Panel("frames", "frames until noise = signal (▲: more)", True, None, (0.05, 2e4)),
 )
 
 
