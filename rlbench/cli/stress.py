@@ -56,6 +56,8 @@ def stress(
     per method and section, and reused while code and weights are the same. The exit code is 1 if a
     test failed.
 
+    Sections of the suite itself (allocation, metrics) run without METHODS or if --only names them.
+
     Sections: bad-pixel, budgets, allocation, long-runs, precision, transformations, lying-buffers,
     metrics, and those of plugins.
 

@@ -14,7 +14,7 @@ from rlbench.checks.result import Verdict
 from rlbench.checks.stress.console import print_job, print_summary
 from rlbench.checks.stress.job import StressJob
 from rlbench.checks.stress.result import StressResult
-from rlbench.checks.stress.runner import default_executor, plan_jobs, run_jobs
+from rlbench.checks.stress.runner import default_executor, is_for_suite, plan_jobs, run_jobs
 from rlbench.checks.stress.sections import select_sections
 from rlbench.checks.stress.tables import write_tables
 from rlbench.parallel.executor import Executor
@@ -33,14 +33,18 @@ def stress_methods(
 ) -> bool:
     """Run sections on the selected methods, print the results and write them to `out`.
 
-    No pattern selects all pretrained rows, no section all sections. Returns False if a test failed,
+    No pattern selects all pretrained rows, no section all sections; with patterns, those of the
+    suite run only if they are named. Returns False if a test failed,
     or if `all` left out a family that cannot be imported. Raises PluginError for an unknown method
     and OptionError for an unknown section.
     """
     broken: list[str] = []
     rows_of = ["all/*" if pattern == "all" else pattern for pattern in patterns or ["all"]]
     methods = registry.expand(rows_of, on_skip=broken.append)
-    jobs = plan_jobs(methods, select_sections(sections), is_quick, device)
+    selected = select_sections(sections)
+    if patterns and not sections:  # the question is about methods, not about the suite
+        selected = [name for name in selected if not is_for_suite(name)]
+    jobs = plan_jobs(methods, selected, is_quick, device)
     executor = executor or default_executor(device, len(jobs))
     console, results = Console(), dict[StressJob, tuple[StressResult, ...]]()
     for finished in run_jobs(jobs, out, executor, is_restart):

@@ -18,7 +18,7 @@ from rlbench.checks.stress.sections import load_section
 from rlbench.parallel.executor import LOCAL, Executor, JobResult
 from rlbench.parallel.process_executor import ProcessExecutor
 
-__all__ = ["FinishedJob", "default_executor", "plan_jobs", "run_jobs"]
+__all__ = ["FinishedJob", "default_executor", "is_for_suite", "plan_jobs", "run_jobs"]
 
 PROCESSES = 2  # at once; a method at 1080p takes up to 4 GB
 
@@ -36,7 +36,7 @@ def plan_jobs(
     methods: Sequence[str], sections: Sequence[str], is_quick: bool, device: torch.device
 ) -> list[StressJob]:
     """The jobs of a run: sections of the suite first, then method by method."""
-    of_suite = [name for name in sections if _is_for_suite(name)]
+    of_suite = [name for name in sections if is_for_suite(name)]
     pairs = [("", name) for name in of_suite]
     pairs += [(method, name) for method in methods for name in sections if name not in of_suite]
     return [StressJob(section, method, is_quick, str(device)) for method, section in pairs]
@@ -84,7 +84,7 @@ def _outcome(finished: JobResult[StressJob, JobOutcome]) -> JobOutcome:
     return JobOutcome((raised(job.method, job.section, RUN, finished.error),), is_complete=False)
 
 
-def _is_for_suite(section: str) -> bool:
+def is_for_suite(section: str) -> bool:
     """Is it a section of the suite? One that cannot be imported fails once, not per method."""
     try:
         return isinstance(load_section(section), SuiteSection)

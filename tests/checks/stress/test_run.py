@@ -56,6 +56,17 @@ def test_a_failed_test_is_printed_with_its_remedy_and_exit_code_1(tmp_path):
     assert progress == ["[1/1] toy: budgets, from an earlier run"]
 
 
+def test_sections_of_the_suite_run_without_methods_or_by_name_alone(tmp_path):
+    """A method's exit code does not depend on the suite's own verdicts."""
+    _, progress = stress("mean", "--out", tmp_path, code=0)
+    assert all(": " in line for line in progress)  # METHOD: SECTION
+    _, progress = stress("mean", "--only", "budgets,metrics", "--out", tmp_path, code=0)
+    assert sorted(line.split("] ")[1].split(",")[0] for line in progress) == [
+        "mean: budgets",
+        "metrics",
+    ]
+
+
 def test_a_family_that_cannot_be_imported_is_a_failure_of_all(tmp_path, monkeypatch):
     monkeypatch.setattr("rlbench.checks.stress.run.plan_jobs", lambda *_: [])
     monkeypatch.setenv("RLBENCH_METHODS", "torn=no_such_module:FAMILY")
