@@ -27,6 +27,7 @@ CORE = (
     "rlbench.sampling",
     "rlbench.ops.dither",
     "rlbench.ops.sanitize",
+    "rlbench.ops.transfer",
     "rlbench.sanitize",
     "rlbench.run",
     "rlbench.clips.stored",
