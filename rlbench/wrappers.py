@@ -64,23 +64,24 @@ class MethodWrapper(Generic[M]):
 
 @dataclass(frozen=True)
 class HalfPrecision(MethodWrapper[Method]):
-    """A method with convolutions and matrix products in bfloat16; density and image stay float32.
+    """A method with convolutions and matrix products in `dtype`; density and image stay float32.
 
     torch.autocast keeps sums, norms and other precision-critical operations in float32. The method
-    itself needs no change. Its state may hold bfloat16 tensors.
+    itself needs no change. Its state may hold tensors of `dtype`.
     """
 
     device: torch.device  # where the method computes
+    dtype: torch.dtype = HALF_DTYPE
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """The method's density, in float32."""
-        with torch.autocast(self.device.type, HALF_DTYPE):
+        with torch.autocast(self.device.type, self.dtype):
             return super().plan(gbuffer, samples, state).float()
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The method's image, in float32, and the next state."""
-        with torch.autocast(self.device.type, HALF_DTYPE):
+        with torch.autocast(self.device.type, self.dtype):
             image, state = super().denoise(gbuffer, samples, state)
         return image.float(), state

@@ -64,7 +64,7 @@ def result_or_error(function: Callable[..., Any], *arguments: object) -> Any:
 
 
 @st.composite
-def changed(draw: st.DrawFn, content: bytes) -> bytes:
+def draw_change(draw: st.DrawFn, content: bytes) -> bytes:
     """A content with flipped bits, replaced, inserted, removed or repeated parts, or cut short."""
     for _ in range(draw(st.integers(1, 3))):
         start = draw(st.integers(0, max(len(content) - 1, 0)))
@@ -118,7 +118,7 @@ def card_contents() -> st.SearchStrategy[bytes]:
     values = with_other_values(document, st.one_of(VALUES, DATES))
     nested = NESTED.map(lambda value: f"name = {value}\n".encode())
     encoded = values.map(lambda changed_: tomli_w.dumps(changed_).encode())
-    return st.one_of(changed(text), encoded, nested)
+    return st.one_of(draw_change(text), encoded, nested)
 
 
 def read_changed_card(content: bytes) -> None:
@@ -155,7 +155,7 @@ def weight_contents() -> st.SearchStrategy[tuple[bytes, bool]]:
     """Contents of weight files, and whether the card has the hash of the changed file."""
     bits = st.lists(st.sampled_from([b"\0\x3c", b"\0\x7c", b"\1\xfc", b"\xff\x7b"]), min_size=6)
     values = bits.map(lambda chunks: with_bits(b"".join(chunks[:6])))
-    return st.tuples(st.one_of(changed(safetensors.torch.save(HALVES)), values), st.booleans())
+    return st.tuples(st.one_of(draw_change(safetensors.torch.save(HALVES)), values), st.booleans())
 
 
 def load_changed_weights(example: tuple[bytes, bool]) -> None:
@@ -193,7 +193,7 @@ def baseline_contents() -> st.SearchStrategy[bytes]:
     entries = with_other_values(ENTRY, VALUES).map(lambda entry: {**BASELINE, "entries": [entry]})
     documents = st.one_of(with_other_values(BASELINE, VALUES), entries, VALUES)
     encoded = documents.map(lambda document: json.dumps(document).encode())
-    return st.one_of(changed(json.dumps(BASELINE).encode()), encoded, NESTED.map(str.encode))
+    return st.one_of(draw_change(json.dumps(BASELINE).encode()), encoded, NESTED.map(str.encode))
 
 
 def read_changed_baseline(content: bytes) -> None:
@@ -250,4 +250,4 @@ def read_changed_rows(content: bytes) -> None:
             assert results.cells(folder) == {OTHER}
 
 
-test_a_changed_row_file_is_read_or_refused = examples(read_changed_rows, changed(CONTENT))
+test_a_changed_row_file_is_read_or_refused = examples(read_changed_rows, draw_change(CONTENT))

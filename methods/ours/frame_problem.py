@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from rlbench.frames import Frame, GBuffer, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.sampling import draw_samples
+from rlbench.sanitize import sanitize_frame
 from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
 __all__ = ["FrameProblem", "FrameStep"]
@@ -46,8 +47,9 @@ class FrameProblem:
     def of_frame(
         cls, method: Ours, frame: Frame, state: RecurrentState, spp: float
     ) -> FrameProblem:
-        """The problem of a frame, with the G-buffer inputs that the method declares."""
-        return cls(method, frame, frame.gbuffer.select(method.traits.inputs), state, spp)
+        """The problem of a frame, sanitised, with the G-buffer inputs that the method declares."""
+        gbuffer, pool, _ = sanitize_frame(frame, method.traits.inputs)
+        return cls(method, replace(frame, pool=pool), gbuffer, state, spp)
 
     @property
     def multiplicative(self) -> bool:

@@ -90,7 +90,7 @@ def run(
     )
     summary = measure(plan, Path(out), on_cell, executor)
     rows = read_cells(plan, Path(out))
-    if not (verdict := judge_run(summary, rows)).passed:
+    if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)
     return rows
 

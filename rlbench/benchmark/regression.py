@@ -46,7 +46,7 @@ class RegressionReport:
     diffs: tuple[BaselineDiff, ...]
 
     @property
-    def passed(self) -> bool:
+    def has_passed(self) -> bool:
         """Was anything compared, with nothing worse and nothing missing?"""
         failed = any(diff.verdict in FAILING for diff in self.diffs)
         return not failed and not self.is_empty
@@ -68,7 +68,7 @@ class RegressionReport:
         counts = {verdict: len(self.with_verdict(verdict)) for verdict in verdicts}
         summary = [f"{count} {verdict}" for verdict, count in counts.items() if count]
         summary = ["nothing was compared"] * self.is_empty + summary
-        result = f"{'passed' if self.passed else 'FAILED'}: {', '.join(summary)}"
+        result = f"{'passed' if self.has_passed else 'FAILED'}: {', '.join(summary)}"
         return "\n".join([*_aligned([COLUMNS, *lines])] * bool(lines) + [result])
 
 

@@ -35,13 +35,13 @@ class RunVerdict:
     has_numbers: bool
 
     @property
-    def passed(self) -> bool:
+    def has_passed(self) -> bool:
         """Is there a number, no failed cell, and no image that is not finite?"""
         return self.has_numbers and not self.failed and not self.nonfinite
 
     def __str__(self) -> str:
         """The verdict in one line, with the first cells of each kind."""
-        if self.passed:
+        if self.has_passed:
             return "passed: no cell failed, all images are finite"
         faults = {
             "stopped by an error": self.failed,

@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-__all__ = ["has_graph", "is_bit_equal", "iterate_tensors"]
+__all__ = ["has_graph", "is_bit_equal", "iterate_parts", "iterate_tensors"]
 
 
 def is_bit_equal(one: Tensor, other: Tensor) -> bool:
@@ -18,23 +18,29 @@ def is_bit_equal(one: Tensor, other: Tensor) -> bool:
     return bool(((one == other) | ((one != one) & (other != other))).all())
 
 
-def iterate_tensors(value: Any, visited: set[int] | None = None) -> Iterator[Tensor]:
-    """Every tensor in a nested value, such as a state, in a fixed order."""
+def iterate_parts(value: Any, visited: set[int] | None = None) -> Iterator[Any]:
+    """A nested value, such as a state, and all of its parts, each object once, in a fixed order."""
     visited = set() if visited is None else visited
-    if isinstance(value, Tensor):
-        yield value
-    if id(value) in visited or isinstance(value, Tensor | str | bytes | type):
+    if id(value) in visited or isinstance(value, type):
         return
     visited.add(id(value))
+    yield value
+    if isinstance(value, Tensor | str | bytes):
+        return
     parts: list[Any] = list(getattr(value, "__dict__", {}).values())
     if isinstance(value, Mapping):
-        parts += value.values()
-    elif isinstance(value, list | tuple):
+        parts += [*value.keys(), *value.values()]
+    elif isinstance(value, list | tuple | set | frozenset):
         parts += value
     elif is_dataclass(value) and not hasattr(value, "__dict__"):  # with slots
-        parts += [getattr(value, each.name) for each in fields(value)]
+        parts += [getattr(value, field.name) for field in fields(value)]
     for part in parts:
-        yield from iterate_tensors(part, visited)
+        yield from iterate_parts(part, visited)
+
+
+def iterate_tensors(value: Any) -> Iterator[Tensor]:
+    """Every tensor in a nested value, each once, in a fixed order."""
+    return (part for part in iterate_parts(value) if isinstance(part, Tensor))
 
 
 def has_graph(value: Any) -> bool:

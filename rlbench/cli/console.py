@@ -126,9 +126,9 @@ def print_scores(
     console.print(table)
     _print_notes(rows, console)
     verdict = judge_run(summary, rows)
-    style = "" if verdict.passed else "red"
+    style = "" if verdict.has_passed else "red"
     console.print(str(verdict), style=style, markup=False, soft_wrap=True)
-    return verdict.passed
+    return verdict.has_passed
 
 
 def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:

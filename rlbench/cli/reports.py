@@ -121,7 +121,7 @@ def regress(
         rows, expected = select_baseline(rows, expected, names)
     comparison = compare(rows, expected, subset=bool(names))
     typer.echo(comparison.text())
-    raise typer.Exit(0 if comparison.passed else 1)
+    raise typer.Exit(0 if comparison.has_passed else 1)
 
 
 def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:

@@ -1,10 +1,11 @@
-"""A clip whose frames are tensors in memory: procedural clips and training batches."""
+"""A clip whose frames are tensors in memory, stored or computed when they are read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import overload
 
 from rlbench.frames import Frame, Size
 
@@ -30,3 +31,25 @@ class InMemoryClip:
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order."""
         return iter(self.frames)
+
+
+@dataclass(frozen=True)
+class ComputedFrames(Sequence[Frame]):
+    """`length` frames, each computed from its index whenever it is read."""
+
+    length: int
+    compute: Callable[[int], Frame]
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return self.length
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        """One frame, or the frames of a slice."""
+        if isinstance(index, slice):
+            return tuple(map(self.compute, range(self.length)[index]))
+        return self.compute(range(self.length)[index])

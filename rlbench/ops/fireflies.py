@@ -43,6 +43,11 @@ def limit_fireflies(
     >>> round(limited[0, 0, 0, 2, 2].item(), 3)
     1.0
     """
+    return _limit(radiance, counts)[0]
+
+
+def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+    """`limit_fireflies`, and the mean of each pixel's limited samples."""
     mean = _mean(radiance, counts)
     if sanitize_radiance(mean) is not mean:
         radiance = sanitize_radiance(radiance)
@@ -51,20 +56,21 @@ def limit_fireflies(
     neighbours = _max_of_neighbours(light)
     brightest = torch.maximum(neighbours, _log_average(torch.minimum(light, neighbours)))
     if not (light * counts > CONTRAST * brightest).any():  # no sample is brighter than the sum
-        return radiance
+        return radiance, mean
     limit = CONTRAST * brightest.unsqueeze(1)
     replacement = _window_mean(torch.minimum(light, brightest)).unsqueeze(1)
     value = luminance(radiance)
     excess = (value / limit).clamp_min(1)
     dimmed = replacement + (limit - replacement) * excess.pow(-FALLOFF)
-    return torch.where(excess > 1, radiance * (dimmed / value.clamp_min(1e-30)), radiance)
+    limited = torch.where(excess > 1, radiance * (dimmed / value.clamp_min(1e-30)), radiance)
+    return limited, _mean(limited, counts)
 
 
 def mean_without_fireflies(
     radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 3 h w"]:
     """The mean of each pixel's samples after `limit_fireflies`; zero without a sample."""
-    return _mean(limit_fireflies(radiance, counts), counts)
+    return _limit(radiance, counts)[1]
 
 
 def repair_radiance_history(history: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"]:
@@ -92,10 +98,10 @@ def _max_of_neighbours(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h 
     h, w = light.shape[-2:]
     padded = F.pad(light, (RADIUS,) * 4)
     offsets = range(2 * RADIUS + 1)
-    beside = [padded[..., x : x + w] for x in offsets if x != RADIUS]
-    row = _largest([*beside, padded[..., RADIUS : RADIUS + w]])
+    columns = [padded[..., x : x + w] for x in offsets if x != RADIUS]
+    row = _largest([*columns, padded[..., RADIUS : RADIUS + w]])
     others = [row[..., y : y + h, :] for y in offsets if y != RADIUS]
-    return _largest([*others, _largest(beside)[..., RADIUS : RADIUS + h, :]])
+    return _largest([*others, _largest(columns)[..., RADIUS : RADIUS + h, :]])
 
 
 def _window_mean(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:

@@ -51,21 +51,21 @@ def verdicts(report):
 )
 def test_a_result_may_fall_by_the_tolerance_and_no_more(psnr, verdict, passed):
     report = compare(to_dataframe(rows(psnr)), baseline())
-    assert (report.diffs[0].verdict, report.passed) == (verdict, passed)
+    assert (report.diffs[0].verdict, report.has_passed) == (verdict, passed)
 
 
 def test_an_entry_may_have_a_tolerance_of_its_own():
-    assert compare(to_dataframe(rows(29.8)), baseline(tolerance_db=0.2)).passed
+    assert compare(to_dataframe(rows(29.8)), baseline(tolerance_db=0.2)).has_passed
 
 
 def test_a_tolerance_of_zero_is_not_the_default():
-    assert not compare(to_dataframe(rows(29.99)), baseline(tolerance_db=0.0)).passed
+    assert not compare(to_dataframe(rows(29.99)), baseline(tolerance_db=0.0)).has_passed
 
 
 def test_a_missing_entry_fails():
     report = compare(to_dataframe(rows(30.0, scene="hall")), baseline())
     assert verdicts(report) == {("ours", "city", 2.0): "missing", ("ours", "hall", 2.0): "new"}
-    assert not report.passed
+    assert not report.has_passed
 
 
 def test_a_missing_entry_of_a_subset_is_skipped():
@@ -75,13 +75,13 @@ def test_a_missing_entry_of_a_subset_is_skipped():
     )
     report = compare(table, written, subset=True)
     assert verdicts(report)["ours", "hall", 2.0] == "skipped"
-    assert report.passed
+    assert report.has_passed
 
 
 def test_a_method_without_any_result_is_missing_even_in_a_subset():
     report = compare(to_dataframe(rows(12.0, method="mean")), baseline(), subset=True)
     assert verdicts(report)["ours", "city", 2.0] == "missing"
-    assert not report.passed
+    assert not report.has_passed
 
 
 def test_results_without_entries_are_no_comparison():
@@ -106,21 +106,21 @@ def test_an_entry_is_not_dropped_from_a_baseline_because_its_method_crashed(tmp_
 @pytest.mark.parametrize("entries", [baseline(), Baseline()])
 def test_nothing_compared_is_not_passed(entries):
     report = compare(to_dataframe(rows(30.0)).iloc[:0], entries, subset=True)
-    assert not report.passed
+    assert not report.has_passed
     assert "nothing was compared" in report.text()
 
 
 def test_a_result_without_value_is_missing_even_in_a_subset():
     hole = replace(rows(30.0)[0], value=math.nan, note="out of memory")
     report = compare(to_dataframe([*rows(30.0), hole]), baseline(), subset=True)
-    assert not report.passed
+    assert not report.has_passed
 
 
 def test_a_new_result_does_not_fail():
     table = to_dataframe(rows(30.0) + rows(12.0, method="ntas"))
     report = compare(table, baseline())
     assert verdicts(report)["ntas", "city", 2.0] == "new"
-    assert report.passed
+    assert report.has_passed
 
 
 def test_the_text_says_what_fell_by_how_much_and_what_was_allowed():
@@ -183,7 +183,7 @@ def test_an_unsupported_budget_is_left_out_of_a_rewritten_baseline(tmp_path):
     table = to_dataframe([*rows(31.0), skipped])
     written = update_baseline(table, tmp_path / "b.json")
     assert [entry.target_spp for entry in written.entries] == [2.0]
-    assert compare(table, written).passed
+    assert compare(table, written).has_passed
 
 
 def test_the_file_has_one_line_an_entry(tmp_path):
@@ -254,7 +254,7 @@ def test_an_infinite_result_is_missing():
     table = to_dataframe(rows(30.0))
     report = compare(table.assign(value=math.inf), baseline())
     assert verdicts(report) == {("ours", "city", 2.0): "missing"}
-    assert not report.passed
+    assert not report.has_passed
 
 
 @pytest.mark.parametrize(

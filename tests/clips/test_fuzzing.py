@@ -64,7 +64,7 @@ def edits() -> st.SearchStrategy[list[Edit]]:
     return st.lists(st.tuples(kinds, st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6)
 
 
-def damaged(content: bytes, changes: list[Edit]) -> bytes:
+def damage(content: bytes, changes: list[Edit]) -> bytes:
     """A file after some edits."""
     data = bytearray(content)
     for kind, share, byte in changes:
@@ -132,7 +132,7 @@ def test_a_header_of_damaged_bytes_is_refused_or_read(cases, tmp_path):
     content = (tmp_path / FILE).read_bytes()
 
     def check(changes: list[Edit]) -> None:
-        (tmp_path / FILE).write_bytes(damaged(content, changes))
+        (tmp_path / FILE).write_bytes(damage(content, changes))
         with suppress(ClipError):
             read_header(tmp_path)
 
@@ -163,7 +163,7 @@ def test_a_damaged_exr_is_refused_or_read_without_a_crash(cases, tmp_path):
     content = path.read_bytes()
 
     def check(changes: list[Edit]) -> None:
-        path.write_bytes(damaged(content, changes))
+        path.write_bytes(damage(content, changes))
         with suppress(ClipError):
             assert read_exr(path, names, 20, 12).shape == (2, 20, 12)
 
@@ -202,7 +202,7 @@ def read_all(path: Path) -> None:
 def test_a_damaged_zip_is_refused_or_read(cases, tmp_path):
     def check(changes: list[Edit]) -> None:
         path = tmp_path / "frame.zip"
-        path.write_bytes(damaged(archive_bytes(), changes))
+        path.write_bytes(damage(archive_bytes(), changes))
         with suppress(SourceError):
             read_all(path)
 

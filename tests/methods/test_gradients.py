@@ -40,12 +40,12 @@ from rlbench.training.surrogate_gradient import relaxed_counts
 EVERY_DENOISER = pytest.mark.parametrize("denoiser", DENOISERS.values(), ids=list(DENOISERS))
 
 
-def seeded(seed: int = 0) -> torch.Generator:
+def make_generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
 def problem_of(denoiser, spp: float, n: int = 1, seed: int = 0) -> ToyProblem:
-    return make_problem(denoiser, spp, n, seeded(seed))
+    return make_problem(denoiser, spp, n, make_generator(seed))
 
 
 def with_tile(problem: ToyProblem, tile: int, value: float) -> Tensor:
@@ -176,7 +176,7 @@ def noisy_draws(truth: Tensor, factor: float, turn: float, noise: float, count: 
     across = torch.zeros_like(truth)
     across[-1] = truth.norm()
     mean = factor * (math.cos(turn) * truth + math.sin(turn) * across)
-    return mean + noise * torch.randn(count, len(truth), generator=seeded(1)).double()
+    return mean + noise * torch.randn(count, len(truth), generator=make_generator(1)).double()
 
 
 TRUTH = torch.tensor([3.0, 4.0, 0.0], dtype=torch.float64)
@@ -197,14 +197,14 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     """95 % of 200 experiments, within 4 standard deviations."""
     held = 0
     for seed in range(200):
-        noise = 3 * torch.randn(64, 3, generator=seeded(seed)).double()
+        noise = 3 * torch.randn(64, 3, generator=make_generator(seed)).double()
         found = GradientStatistics.of_draws(TRUTH + noise, TRUTH)
         held += abs(found.scale.value - 1) <= found.scale.margin
     assert held >= 190 - 4 * 3.1
 
 
 def test_noise_alone_has_no_direction():
-    noise = torch.randn(256, 3, generator=seeded()).double()
+    noise = torch.randn(256, 3, generator=make_generator()).double()
     assert not GradientStatistics.of_draws(noise, TRUTH).is_resolved
 
 
@@ -321,7 +321,7 @@ def test_the_score_function_is_unbiased():
 
 
 def test_pixel_ratios_are_ratios_of_normal_densities():
-    current, previous, action = torch.randn(3, 5, generator=seeded()).double()
+    current, previous, action = torch.randn(3, 5, generator=make_generator()).double()
     densities = [
         torch.distributions.Normal(mean, 0.3).log_prob(action) for mean in (current, previous)
     ]
@@ -333,7 +333,7 @@ def test_pixel_ratios_are_ratios_of_normal_densities():
 def test_the_joint_ratio_is_that_of_rllib():
     pytest.importorskip("gymnasium")
     distributions = pytest.importorskip("ray.rllib.models.torch.torch_distributions")
-    current, previous, action = 0.1 * torch.randn(3, 4, 64, generator=seeded())
+    current, previous, action = 0.1 * torch.randn(3, 4, 64, generator=make_generator())
     deviation = torch.full_like(current, math.log(0.3))
     new, old = (
         distributions.TorchDiagGaussian.from_logits(torch.cat((mean, deviation), 1)).logp(action)
@@ -371,7 +371,7 @@ def test_the_step_is_that_of_adam():
 
     sampler = initial_sampler(0)
     problem = ToyProblem(next(toy_frames(0, 1, 16)), Direct(), sampler)
-    loss = BlockReinforce(BlockPolicyGradient(block=1, margin=0)).loss(problem, seeded())
+    loss = BlockReinforce(BlockPolicyGradient(block=1, margin=0)).loss(problem, make_generator())
     optimizer = torch.optim.Adam(sampler.parameters(), 1e-3)
     loss.backward()
     before = problem.act().detach()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.interface_checks import find_nonfinite
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.frame_edits import to_clip
 from rlbench.checks.tensors import is_bit_equal
 from rlbench.family import Traits
 
@@ -30,7 +31,7 @@ def check_leak(method_under_test: MethodUnderTest) -> str | None:
     """With NaN as the reference and as all undrawn samples, the images stay the same."""
     first = method_under_test.default_run
     frames = [clips.with_nan_reference(frame) for frame in first.frames]
-    second = method_under_test.run(clips.to_clip(frames))
+    second = method_under_test.run(to_clip(frames))
     changed = sum(not same for same in map(is_bit_equal, first.images, second.images))
     if not changed:
         return None
@@ -42,7 +43,7 @@ def check_spp_range(method_under_test: MethodUnderTest) -> str | None:
     """The lowest and the highest budget, and half a sample above the lowest."""
     low, high = method_under_test.traits.spp_range
     high = min(high, float(clips.POOL_SPP))
-    first_frame = clips.to_clip(method_under_test.small_clip().frames[:1])
+    first_frame = to_clip(method_under_test.small_clip().frames[:1])
     for spp in dict.fromkeys((max(low, LOWEST_SPP), min(low + 0.5, high), high)):
         try:
             run = method_under_test.run(first_frame, spp)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
 import torch
 
+from rlbench.checks.frame_edits import stored_radiance, to_clip
 from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
@@ -20,7 +20,6 @@ TINY_SIZE = Size(1, 9, 13)  # both sides below the 16 or 32 pixels that networks
 FRAMES = 3  # one without history, one with, and one whose history has a history
 SEED, OTHER_SEED = 3, 8  # of two different clips
 POOL_SPP = 8  # samples per pixel in the pool
-CUT_MOTION = -2.0  # image sizes, along both axes, that motion points away at a cut
 
 
 @cache
@@ -36,45 +35,13 @@ def make_clip(
     return to_clip([replace(frame, gbuffer=_add_buffers(frame.gbuffer)) for frame in clip])
 
 
-def to_clip(frames: Sequence[Frame]) -> InMemoryClip:
-    """A clip of these frames."""
-    return InMemoryClip("conformance", "procedural", "", tuple(frames))
-
-
-def start_new_shot(frame: Frame) -> Frame:
-    """The frame as the first of a new shot: all motion points outside the image."""
-    buffers = frame.gbuffer.buffers
-    _, _, h, w = buffers["motion"].shape
-    outside = buffers["motion"].new_tensor([CUT_MOTION * w, CUT_MOTION * h])
-    motion = outside.view(1, 2, 1, 1).expand_as(buffers["motion"])
-    return replace(frame, gbuffer=GBuffer({**buffers, "motion": motion}))
-
-
 def with_nan_reference(result: FrameResult) -> Frame:
     """The result's frame with NaN as its reference and in every sample that was not drawn."""
     frame, nan = result.frame, float("nan")
-    pool = _stored_pool(frame)
-    radiance = pool.radiance.where(result.samples.valid_mask, nan)
+    radiance = stored_radiance(frame).where(result.samples.valid_mask, nan)
     half = torch.full_like(frame.reference.half_a, nan)
-    reference = Reference(half, half)
-    return replace(frame, pool=StoredPool(radiance, pool.rounding_seeds), reference=reference)
-
-
-def select_batch_item(frame: Frame, i: int) -> Frame:
-    """The frame of clip `i` of a batch."""
-    item, pool = slice(i, i + 1), _stored_pool(frame)
-    buffers = {name: buffer[item] for name, buffer in frame.gbuffer.buffers.items()}
-    return Frame(
-        frame.index,
-        replace(frame.gbuffer, buffers=buffers),
-        StoredPool(pool.radiance[item], pool.rounding_seeds[item]),
-        Reference(frame.reference.half_a[item], frame.reference.half_b[item]),
-    )
-
-
-def _stored_pool(frame: Frame) -> StoredPool:
-    assert isinstance(frame.pool, StoredPool)
-    return frame.pool
+    pool = StoredPool(radiance, frame.pool.rounding_seeds)
+    return replace(frame, pool=pool, reference=Reference(half, half))
 
 
 def _add_buffers(gbuffer: GBuffer) -> GBuffer:

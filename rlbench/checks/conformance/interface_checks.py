@@ -15,6 +15,7 @@ from torch import Tensor
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.method_under_test import MethodUnderTest, RecordedRun
 from rlbench.checks.conformance.recording import RecordingMethod, find_density_error
+from rlbench.checks.frame_edits import to_clip
 from rlbench.family import Traits
 from rlbench.run import FrameResult, run_clip, unroll
 from rlbench.wrappers import HalfPrecision
@@ -110,7 +111,7 @@ def check_in_place(method_under_test: MethodUnderTest) -> str | None:
 def check_autograd(method_under_test: MethodUnderTest) -> str | None:
     """A state that requires gradients keeps all earlier frames in memory."""
     recording = RecordingMethod(method_under_test.method)
-    clip = clips.to_clip(method_under_test.small_clip().frames[:2])
+    clip = to_clip(method_under_test.small_clip().frames[:2])
     with torch.inference_mode(False), torch.enable_grad():
         list(unroll(recording, clip, method_under_test.default_spp))
     if not recording.with_graph:

@@ -15,6 +15,7 @@ from rlbench.checks.conformance.interface_checks import find_nonfinite
 from rlbench.checks.conformance.method_under_test import MethodUnderTest, RecordedRun
 from rlbench.checks.conformance.recording import RecordingMethod
 from rlbench.checks.conformance.replay import ReplayCounts, ReplayFromCopy
+from rlbench.checks.frame_edits import select_clip, start_new_shot, to_clip
 from rlbench.checks.tensors import is_bit_equal
 from rlbench.family import Traits
 from rlbench.frames import Frame
@@ -65,9 +66,9 @@ def check_static(method_under_test: MethodUnderTest) -> str | None:
 def check_cut(method_under_test: MethodUnderTest) -> str | None:
     """Where all motion points outside the image, the result equals that of a first frame."""
     *before, last = method_under_test.small_clip()
-    first = clips.start_new_shot(last)
-    after_cut = method_under_test.run(clips.to_clip([*before, first])).images[-1:]
-    alone = method_under_test.run(clips.to_clip([first])).images
+    first = start_new_shot(last)
+    after_cut = method_under_test.run(to_clip([*before, first])).images[-1:]
+    alone = method_under_test.run(to_clip([first])).images
     if is_bit_equal(after_cut[0], alone[0]):
         return None
     found = f"found differences of up to {_max_difference(after_cut, alone):g} after another shot"
@@ -77,7 +78,7 @@ def check_cut(method_under_test: MethodUnderTest) -> str | None:
 def check_temporal(method_under_test: MethodUnderTest) -> str | None:
     """Without a state, a frame does not depend on earlier frames."""
     run = method_under_test.default_run
-    alone = method_under_test.run(clips.to_clip([run.frames[-1].frame])).images
+    alone = method_under_test.run(to_clip([run.frames[-1].frame])).images
     if is_bit_equal(alone[0], run.images[-1]):
         return None
     found = f"found differences of up to {_max_difference(alone, run.images[-1:]):g}"
@@ -109,7 +110,7 @@ def _compare_to_single(
     """
     recording = RecordingMethod(method_under_test.method)
     method = ReplayCounts(recording, [counts[i : i + 1] for counts in batch.recording.counts])
-    single = clips.to_clip([clips.select_batch_item(frame, i) for frame in frames])
+    single = to_clip([select_clip(frame, i) for frame in frames])
     images = [frame.image for frame in run_clip(method, single, method_under_test.default_spp)]
     for name, batched, alone in (
         ("images", batch.images, images),

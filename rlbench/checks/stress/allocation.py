@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.stress.densities import DENSITIES
-from rlbench.checks.stress.job import raised
+from rlbench.checks.stress.job import report_exception
 from rlbench.checks.stress.result import Limits, StressResult, judge
 from rlbench.checks.stress.section import SuiteSection
 from rlbench.sampling import allocate_counts
@@ -34,7 +34,7 @@ def _run(is_quick: bool) -> Iterator[StressResult]:
             try:
                 yield _allocate(test, density, height, width)
             except Exception as error:  # the result of this test
-                yield raised("", NAME, test, error)
+                yield report_exception("", NAME, test, error)
 
 
 def _allocate(test: str, density: str, height: int, width: int) -> StressResult:

@@ -10,19 +10,13 @@ equally good rather than equal.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 
 from rlbench.checks.result import Verdict
-from rlbench.checks.stress.blast import (
-    MAX_CHANGED,
-    TOLERANCE,
-    Blast,
-)
+from rlbench.checks.stress.blast import MAX_CHANGED, TOLERANCE, Blast
 from rlbench.checks.stress.clean_run import CleanRun, Fault, run_clean
-from rlbench.checks.stress.faults import (
-    VALUES,
-)
-from rlbench.checks.stress.result import StressResult
+from rlbench.checks.stress.faults import VALUES
+from rlbench.checks.stress.result import Limits, StressResult, judge
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.frames import Size
 from rlbench.sanitize import read_unsanitized
@@ -35,6 +29,7 @@ QUICK_VALUES = ("nan", "65504")
 FREE_VALUES = ("nan", "65504", "minus-one")  # also with free counts, and without sanitising
 EQUALLY_GOOD = 0.1  # dB: other samples of the same budget move the PSNR of a frame by as much
 NOTICEABLE = 1.0  # dB
+SHARE = Limits(good=100.0, fair=0.0, unit="%")  # without the core's help: never a failure
 VISIBLE = 1 / 255  # a residue below one step of an 8-bit display is degraded, not failed
 REMEDIES = {
     "sample": "limit outliers before they are accumulated, exposed or filtered "
@@ -50,21 +45,16 @@ def run(stressed: StressedMethod, quick: bool) -> Iterator[StressResult]:
     """One result per planted fault, and one for all of them without the core's sanitising."""
     clean = run_clean(stressed, QUICK_SIZE if quick else SIZE)
     is_adaptive = stressed.traits.adaptive
+    legal = {target: clean.repeat_legal(target, is_adaptive) for target in clean.targets}
     for target in clean.targets:
-        yield from _compare_values(clean, target, QUICK_VALUES if quick else VALUES, is_adaptive)
+        for value in QUICK_VALUES if quick else VALUES:
+            yield _judge(clean, clean.plant(target, value), legal[target], is_adaptive)
         if is_adaptive:
-            values = QUICK_VALUES if quick else FREE_VALUES
-            yield from _compare_values(clean, target, values, holds_counts=False)
+            moving = clean.repeat_legal(target, holds_counts=False)
+            for value in QUICK_VALUES if quick else FREE_VALUES:
+                yield _judge(clean, clean.plant(target, value), moving, holds_counts=False)
     if not quick:
-        yield _judge_unsanitized(clean)
-
-
-def _compare_values(
-    clean: CleanRun, target: str, values: Iterable[str], holds_counts: bool
-) -> Iterator[StressResult]:
-    legal = clean.repeat_legal(target, holds_counts)
-    for value in values:
-        yield _judge(clean, clean.plant(target, value), legal, holds_counts)
+        yield _judge_unsanitized(clean, legal)
 
 
 def _judge(clean: CleanRun, fault: Fault, legal: Blast, holds_counts: bool) -> StressResult:
@@ -85,7 +75,7 @@ def _judge(clean: CleanRun, fault: Fault, legal: Blast, holds_counts: bool) -> S
     if not blast.is_contained():
         found += f"; a legal change: {legal}"
     remedy = "" if verdict is Verdict.PASSED else remedy
-    figure, limit = float(blast.changed), float(MAX_CHANGED)
+    figure, limit = float(blast.changed_pixels), float(MAX_CHANGED)
     return StressResult(
         stressed.name, NAME, test, verdict, figure, "pixels", limit, found=found, remedy=remedy
     )
@@ -106,32 +96,18 @@ def _verdict_of_loss(blast: Blast, legal: Blast) -> Verdict:
     return Verdict.WARNING if blast.loss <= NOTICEABLE else Verdict.FAILED
 
 
-def _judge_unsanitized(clean: CleanRun) -> StressResult:
+def _judge_unsanitized(clean: CleanRun, legal: Mapping[str, Blast]) -> StressResult:
     """How many faults of samples and buffers the method contains without the core's help."""
-    names = [(t, v) for t in clean.targets for v in FREE_VALUES if t != "state"]
-    contained = sum(_is_contained_unsanitized(clean, *name) for name in names)
-    share = 100 * contained / len(names)
-    verdict = Verdict.PASSED if contained == len(names) else Verdict.WARNING
-    found = f"{contained} of {len(names)} faults are contained if the suite repairs nothing"
-    remedy = "" if verdict is Verdict.PASSED else REMEDIES["raw"]
-    return StressResult(
-        clean.stressed.name,
-        NAME,
-        "unsanitized",
-        verdict,
-        share,
-        "%",
-        100.0,
-        found=found,
-        remedy=remedy,
-    )
+    faults = [clean.plant(t, v) for t in clean.targets for v in FREE_VALUES if t != "state"]
+    contained = sum(_is_contained_unsanitized(clean, f, legal[f.target]) for f in faults)
+    found = f"{contained} of {len(faults)} faults are contained if the suite repairs nothing"
+    figure = 100 * contained / len(faults)
+    return judge(clean.stressed.name, NAME, "unsanitized", figure, SHARE, found, REMEDIES["raw"])
 
 
-def _is_contained_unsanitized(clean: CleanRun, target: str, value: str) -> bool:
-    holds_counts = clean.stressed.traits.adaptive
-    legal = clean.repeat_legal(target, holds_counts)
+def _is_contained_unsanitized(clean: CleanRun, fault: Fault, legal: Blast) -> bool:
     try:
-        blast = clean.repeat(clean.plant(target, value), holds_counts, read_unsanitized)
+        blast = clean.repeat(fault, clean.stressed.traits.adaptive, read_unsanitized)
     except Exception:  # e.g. a density that is not finite
         return False
     return blast.is_contained(legal)

@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.checks.stress.display import psnr
-from rlbench.ops.color import encode_srgb
+from rlbench.checks.stress.display import psnr, to_display
 
 __all__ = ["Blast", "FrameBlast", "compare_frames"]
 
@@ -29,7 +28,7 @@ PSNR_TOLERANCE = 3.0  # dB below a legal change that count as about as much
 class FrameBlast:
     """What a fault changed in one frame."""
 
-    changed: int  # pixels
+    changed_pixels: int
     distance: float  # pixels, from the fault to the farthest changed pixel
     psnr_outside: float  # dB, of the pixels farther than 8 pixels away
     nonfinite: int  # pixels
@@ -45,9 +44,9 @@ class Blast:
     frames: Sequence[FrameBlast]
 
     @property
-    def changed(self) -> int:
+    def changed_pixels(self) -> int:
         """Pixels changed in the frame that has most of them."""
-        return max(frame.changed for frame in self.frames)
+        return max(frame.changed_pixels for frame in self.frames)
 
     @property
     def nonfinite(self) -> int:
@@ -57,7 +56,7 @@ class Blast:
     @property
     def frames_until_clean(self) -> float:
         """Frames with changed pixels, from the fault on; inf if the last frame still has some."""
-        dirty = [index for index, frame in enumerate(self.frames) if frame.changed]
+        dirty = [index for index, frame in enumerate(self.frames) if frame.changed_pixels]
         if not dirty:
             return 0
         return dirty[-1] + 1 if dirty[-1] + 1 < len(self.frames) else math.inf
@@ -86,12 +85,12 @@ class Blast:
         """
         most, residue, least_psnr = MAX_CHANGED, THRESHOLD, MIN_PSNR_OUTSIDE
         if legal:
-            most = max(most, round(TOLERANCE * legal.changed))
+            most = max(most, round(TOLERANCE * legal.changed_pixels))
             residue = max(residue, TOLERANCE * legal.residue)
             least_psnr = min(least_psnr, legal.psnr_outside - PSNR_TOLERANCE)
         return (
             not self.nonfinite
-            and self.changed <= most
+            and self.changed_pixels <= most
             and self.psnr_outside >= least_psnr
             and self.residue <= residue
         )
@@ -104,7 +103,7 @@ class Blast:
         clean = self.frames_until_clean
         trace = f"{clean} frames until clean" if clean < math.inf else "never clean again"
         return (
-            f"{self.changed} pixels changed, {nonfinite}up to {farthest:.0f} pixels away; "
+            f"{self.changed_pixels} pixels changed, {nonfinite}up to {farthest:.0f} pixels away; "
             f"{self.psnr_outside:.1f} dB outside {RADIUS} pixels; "
             f"largest value {largest:.3g}; {trace}"
         )
@@ -119,7 +118,7 @@ def compare_frames(
 ) -> FrameBlast:
     """Compare a frame with the same frame of a run without the fault, which lies at (y, x)."""
     finite = image.isfinite().all(1)[0]
-    error = (_display(image) - _display(clean)).abs()[0].masked_fill(~finite, 1.0)
+    error = (to_display(image) - to_display(clean)).abs()[0].masked_fill(~finite, 1.0)
     changed = error.amax(0) > THRESHOLD
     rows, columns = torch.meshgrid(*map(torch.arange, changed.shape), indexing="ij")
     distance = torch.hypot((rows - y).float(), (columns - x).float()).to(changed.device)
@@ -134,7 +133,3 @@ def compare_frames(
         float(psnr(clean, reference) - psnr(image, reference)),
         float(image.where(image.isfinite(), 0.0).amax()),
     )
-
-
-def _display(image: Tensor) -> Tensor:
-    return encode_srgb(image.nan_to_num(0.0).clamp(0, 1))

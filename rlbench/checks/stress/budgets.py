@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rlbench.checks.result import Verdict
 from rlbench.checks.stress.densities import DENSITIES
-from rlbench.checks.stress.job import raised
+from rlbench.checks.stress.job import report_exception
 from rlbench.checks.stress.result import Limits, StressResult, judge, skip
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.clips.procedural.clip import procedural_clip
@@ -83,7 +83,7 @@ def _stress_budgets(stressed: StressedMethod, is_quick: bool) -> Iterator[Stress
         try:
             frames = _frames(stressed, stressed.method, SMALL, FRAMES[is_quick], spp)
         except Exception as error:  # whatever a method raises is its result
-            yield raised(stressed.name, NAME, test, error)
+            yield report_exception(stressed.name, NAME, test, error)
             continue
         if spp >= RISING_FROM:
             scores[spp] = _psnr(frames)
@@ -100,7 +100,7 @@ def _exceed_pool(stressed: StressedMethod) -> StressResult:
     except BudgetError as error:
         return StressResult(stressed.name, NAME, test, Verdict.PASSED, found=f"refused: {error}")
     except Exception as error:  # whatever a method raises is its result
-        return raised(stressed.name, NAME, test, error)
+        return report_exception(stressed.name, NAME, test, error)
     found = f"{ABOVE_POOL} spp ran with a pool of {POOL_SPP}"
     remedy = "leave the budget to rlbench.sampling"
     return StressResult(stressed.name, NAME, test, Verdict.FAILED, found=found, remedy=remedy)
@@ -138,7 +138,7 @@ def _run_test(
     try:
         results = _frames(stressed, method or stressed.method, size, frames, spp)
     except Exception as error:  # whatever a method raises is its result
-        return raised(stressed.name, NAME, test, error)
+        return report_exception(stressed.name, NAME, test, error)
     return _judge_frames(stressed, test, results, size, spp)
 
 

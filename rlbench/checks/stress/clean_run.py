@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rlbench.checks.frame_edits import to_clip
 from rlbench.checks.stress.blast import MAX_FRAMES, Blast, compare_frames
 from rlbench.checks.stress.faults import (
     BACKGROUND,
@@ -21,7 +22,6 @@ from rlbench.checks.stress.faults import (
 )
 from rlbench.checks.stress.held_density import ReplayDensity
 from rlbench.checks.stress.section import StressedMethod
-from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Size
 from rlbench.method import Method, State
@@ -71,7 +71,7 @@ class CleanRun:
     def repeat_legal(self, target: str, holds_counts: bool) -> Blast:
         """What a legal change at the same place does; of several the one with most pixels."""
         blasts = [self.repeat(change, holds_counts) for change in self._legal_changes(target)]
-        return max(blasts, key=lambda blast: blast.changed)
+        return max(blasts, key=lambda blast: blast.changed_pixels)
 
     def _legal_changes(self, target: str) -> list[Fault]:
         frame, pixel = self.frames[0], self.pixels[0]
@@ -101,13 +101,16 @@ class CleanRun:
         method: Method = self.stressed.method
         if holds_counts:
             method = ReplayDensity.of(method, self.densities)
-        clip = InMemoryClip("stress", "procedural", "", (fault.frame, *self.frames[1:]))
+        clip = to_clip([fault.frame, *self.frames[1:]])
         results = run_clip(ResumeRun(method, fault.state), clip, self.stressed.default_spp, read)
         blasts = []
         for result, clean, pixel in zip(results, self.images, self.pixels, strict=True):
             reference = result.frame.reference.mean
             blasts.append(compare_frames(result.image, clean, reference, *pixel))
-            if not any(blast.changed for blast in blasts[-CLEAN_FRAMES:]) and len(blasts) > 1:
+            if (
+                not any(blast.changed_pixels for blast in blasts[-CLEAN_FRAMES:])
+                and len(blasts) > 1
+            ):
                 break
         return Blast(blasts)
 
@@ -118,7 +121,7 @@ def run_clean(stressed: StressedMethod, size: Size) -> CleanRun:
     recorded = RecordRun(stressed.method)
     images = [result.image for result in run_clip(recorded, clip, stressed.default_spp)]
     frames = list(clip)[FAULT_FRAME:]
-    densities = [d for frame in recorded.densities[FAULT_FRAME:] for d in frame]
+    densities = recorded.densities[FAULT_FRAME * len(stressed.traits.passes) :]
     pixels = _follow(frames, size.h // 2, size.w // 2)
     state = recorded.states[FAULT_FRAME]
     return CleanRun(stressed, frames, images[FAULT_FRAME:], state, densities, pixels)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from rlbench.checks.stress.frame_edits import edit_tensors, to_clip
+from rlbench.checks.frame_edits import edit_tensors, to_clip
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.method import Method
 

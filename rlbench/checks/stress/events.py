@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from jaxtyping import Float
 from torch import Tensor
 
+from rlbench.checks.frame_edits import edit_radiance, join_clips, start_new_shot, to_clip
 from rlbench.checks.stress.display import psnr_of_frames
-from rlbench.checks.stress.frame_edits import edit_radiance, end_history, join_clips, to_clip
 from rlbench.checks.stress.result import Limits, StressResult, judge, skip
 from rlbench.checks.stress.section import StressedMethod
 from rlbench.clips.procedural.clip import procedural_clip
@@ -68,7 +68,7 @@ def _judge_teleports(
     """dB lost after a cut, against a clip that begins there: marked by motion, and unmarked."""
     length = BEFORE + after
     clip = procedural_clip(SEED, size, length, cut=BEFORE, device=stressed_method.device).frames
-    marked = [end_history(frame) if i == BEFORE else frame for i, frame in enumerate(clip)]
+    marked = [start_new_shot(frame) if i == BEFORE else frame for i, frame in enumerate(clip)]
     results = stressed_method.run(join_clips([clip, marked]))
     unmarked_scores, marked_scores = psnr_of_frames(results)[BEFORE:].chunk(2, dim=1)
     fresh = psnr_of_frames(stressed_method.run(to_clip(marked[BEFORE:])))

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 
 from torch import Tensor
 
+from rlbench.checks.frame_edits import stored_radiance, with_buffers
+from rlbench.checks.stress.held_density import RecordDensity
 from rlbench.checks.tensors import iterate_tensors
 from rlbench.frames import Frame, GBuffer, Samples, Size, StoredPool
 from rlbench.method import Method, State
@@ -33,21 +35,19 @@ VALUES = {
     "minus-one": -1.0,
     "denormal": 1e-40,
 }
-
-
 BACKGROUND = {"albedo": 0.0, "normal": 0.0, "depth": math.inf, "motion": 1e4}  # legal values
 
 
 def plant_in_samples(frame: Frame, value: float | Tensor, y: int, x: int) -> Frame:
     """The frame with `value`, a number or a colour [n 3], as one pixel's first sample."""
-    radiance = _pool(frame).radiance.clone()
+    radiance = stored_radiance(frame).clone()
     radiance[:, 0, :, y, x] = value
     return replace(frame, pool=StoredPool(radiance, frame.pool.rounding_seeds))
 
 
 def brightest_sample(frame: Frame, y: int, x: int) -> Tensor:
     """The brightest stored sample of a pixel [n 3], for a clip without a batch."""
-    samples = _pool(frame).radiance[0, :, :, y, x]
+    samples = stored_radiance(frame)[0, :, :, y, x]
     return samples[samples.sum(1).argmax()][None]
 
 
@@ -55,8 +55,7 @@ def plant_in_buffer(frame: Frame, name: str, value: float | Tensor, y: int, x: i
     """The frame with `value`, a number or one per channel [n c], in one pixel of a buffer."""
     buffer = frame.gbuffer.buffers[name].clone()
     buffer[..., y, x] = value
-    buffers = {**frame.gbuffer.buffers, name: buffer}
-    return replace(frame, gbuffer=GBuffer(buffers, frame.gbuffer.static))
+    return with_buffers(frame, **{name: buffer})
 
 
 def plant_in_state(
@@ -82,19 +81,10 @@ def plant_in_state(
 
 
 @dataclass(frozen=True)
-class RecordRun(MethodWrapper[Method]):
+class RecordRun(RecordDensity):
     """A method that records its densities, and its state before each frame."""
 
-    densities: list[list[Tensor]] = field(default_factory=list)  # by frame and pass
     states: list[State] = field(default_factory=list)
-
-    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Tensor:
-        """The method's density."""
-        if len(self.densities) == len(self.states):
-            self.densities.append([])
-        density = super().plan(gbuffer, samples, state)
-        self.densities[-1].append(density)
-        return density
 
     def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
         """The method's image and next state."""
@@ -111,8 +101,3 @@ class ResumeRun(MethodWrapper[Method]):
     def start(self, size: Size) -> State:
         """The given state."""
         return self.state
-
-
-def _pool(frame: Frame) -> StoredPool:
-    assert isinstance(frame.pool, StoredPool)
-    return frame.pool

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -13,7 +12,7 @@ from rlbench.frames import GBuffer, Samples
 from rlbench.method import Method, State
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["Autocast", "RecordDensity", "ReplayDensity"]
+__all__ = ["RecordDensity", "ReplayDensity"]
 
 
 @dataclass(frozen=True)
@@ -46,24 +45,3 @@ class ReplayDensity(MethodWrapper[Method]):
         """The next recorded density. The method's own `plan` runs as well, as in a benchmark."""
         super().plan(gbuffer, samples, state)
         return next(self.densities).to(samples.counts.device)
-
-
-@dataclass(frozen=True)
-class Autocast(MethodWrapper[Method]):
-    """A method whose convolutions and matrix products run in `dtype`; the image is float32."""
-
-    device: torch.device
-    dtype: torch.dtype
-
-    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
-        """The method's density, in float32."""
-        with torch.autocast(self.device.type, self.dtype):
-            return super().plan(gbuffer, samples, state).float()
-
-    def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: State
-    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The method's image, in float32, and the next state."""
-        with torch.autocast(self.device.type, self.dtype):
-            image, state = super().denoise(gbuffer, samples, state)
-        return image.float(), state

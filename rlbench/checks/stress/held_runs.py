@@ -27,7 +27,7 @@ class HeldRuns:
     clip: InMemoryClip
 
     @cached_property
-    def recorded(self) -> tuple[list[Tensor], list[Tensor]]:
+    def recording(self) -> tuple[list[Tensor], list[Tensor]]:
         """The images in float32, and the densities."""
         method = RecordDensity(self.stressed_method.method)
         return self.images(method, self.clip), method.densities
@@ -38,7 +38,7 @@ class HeldRuns:
 
     def replay(self, method: Method, clip: InMemoryClip | None = None) -> list[Tensor]:
         """The images of the clip, or of the same clip converted, with the recorded densities."""
-        held = ReplayDensity.of(method, self.recorded[1])
+        held = ReplayDensity.of(method, self.recording[1])
         return self.images(held, self.clip if clip is None else clip)
 
     @cached_property
@@ -46,7 +46,9 @@ class HeldRuns:
         """The images in float64, or the exception that a method raises there."""
         try:
             method = convert_method(self.stressed_method.method, torch.float64)
-            held = ReplayDensity.of(method, self.recorded[1])  # recorded in the usual default dtype
+            held = ReplayDensity.of(
+                method, self.recording[1]
+            )  # recorded in the usual default dtype
             with default_dtype(torch.float64):
                 images = self.images(held, convert_clip(self.clip, torch.float64))
         except Exception as error:  # a method may raise anything in a precision it was not made for

@@ -17,7 +17,7 @@ from rlbench.checks.stress.section import StressedMethod, SuiteSection
 from rlbench.checks.stress.sections import load_section
 from rlbench.parallel.executor import ProgressCallback
 
-__all__ = ["RUN", "JobOutcome", "SectionWork", "StressJob", "raised"]
+__all__ = ["RUN", "JobOutcome", "SectionWork", "StressJob", "report_exception"]
 
 RUN = "run"  # name of the test that a section could not finish, or could not begin
 
@@ -57,7 +57,7 @@ class SectionWork:
         try:
             results.extend(map(_with_float, self._run(job)))
         except (Exception, SystemExit) as error:  # whatever a method raises is reported
-            results.append(raised(job.method, job.section, RUN, error))
+            results.append(report_exception(job.method, job.section, RUN, error))
             return JobOutcome(tuple(results), is_complete=False)
         return JobOutcome(tuple(results))
 
@@ -83,7 +83,7 @@ def _with_float(result: StressResult) -> StressResult:
     return replace(result, figure=float(result.figure))
 
 
-def raised(method: str, section: str, test: str, error: BaseException) -> StressResult:
+def report_exception(method: str, section: str, test: str, error: BaseException) -> StressResult:
     """The failure of a test that raised an exception; names the line that raised it.
 
     This is the method's own line, if the exception passed through one.

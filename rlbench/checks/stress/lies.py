@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from rlbench.checks.stress.frame_edits import with_buffers
+from rlbench.checks.frame_edits import with_buffers
 from rlbench.frames import Frame
 
 __all__ = ["CONSTANTS", "LIES", "tell_lie"]

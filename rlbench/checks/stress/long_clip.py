@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
 
 import torch
 
-from rlbench.checks.stress.frame_edits import join_clips
-from rlbench.clips.in_memory import InMemoryClip
+from rlbench.checks.frame_edits import join_clips
+from rlbench.clips.in_memory import ComputedFrames, InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Size, StoredPool
 
@@ -30,25 +29,19 @@ def long_clip(frames: int, device: torch.device) -> InMemoryClip:
     All frames of both have new noise. Differs from a clip of one static shot, whose motion is None,
     so that both can run as one batch.
     """
-    return InMemoryClip("long", "procedural", "", _LongFrames(frames, device))
+    computed = ComputedFrames(frames, _LongFrames(frames, device).join)
+    return InMemoryClip("long", "procedural", "", computed)
 
 
 @dataclass(frozen=True)
-class _LongFrames(Sequence[Frame]):
+class _LongFrames:
+    """Computes the frames of both clips of the batch."""
+
     length: int
     device: torch.device
 
-    def __len__(self) -> int:
-        return self.length
-
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        """One frame, or the frames of a slice."""
-        if isinstance(index, slice):
-            return tuple(self[i] for i in range(self.length)[index])
+    def join(self, index: int) -> Frame:
+        """One frame of the static and of the moving clip, as a batch."""
         moving = self._moving[index]
         return join_clips([[self._static_frame(index, moving)], [moving]]).frames[0]
 

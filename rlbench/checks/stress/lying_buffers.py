@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import product
 
+from rlbench.checks.frame_edits import join_clips
 from rlbench.checks.stress.display import psnr_of_frames
-from rlbench.checks.stress.frame_edits import join_clips
 from rlbench.checks.stress.lies import CONSTANTS, LIES, tell_lie
 from rlbench.checks.stress.result import Limits, StressResult, judge, skip
 from rlbench.checks.stress.section import MethodSection, StressedMethod

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rlbench import registry
 from rlbench.checks.result import Verdict
-from rlbench.checks.stress.job import raised
+from rlbench.checks.stress.job import report_exception
 from rlbench.checks.stress.result import StressResult
 from rlbench.checks.stress.section import SuiteSection
 
@@ -84,7 +84,7 @@ def _run(is_quick: bool) -> Iterator[StressResult]:
         try:
             metric = registry.load_plugin("metrics", name)
         except Exception as error:  # third-party code may raise anything
-            yield raised("", NAME, f"{name}-import", error)
+            yield report_exception("", NAME, f"{name}-import", error)
         else:
             yield from stress_metric(name, metric)
 
@@ -96,7 +96,7 @@ def stress_metric(name: str, metric: Any) -> Iterator[StressResult]:
         equal, noisy = stressed.score(torch.clone), stressed.score(_add_noise)
         tiny = stressed.score(torch.clone, TINY)
     except Exception as error:  # third-party code may raise anything
-        yield raised("", NAME, f"{name}-identical", error)
+        yield report_exception("", NAME, f"{name}-identical", error)
         return
     stressed = StressedMetric(name, metric, equal, noisy)
     yield _judge_equal(stressed)
@@ -108,7 +108,7 @@ def stress_metric(name: str, metric: Any) -> Iterator[StressResult]:
         try:
             scores[test] = stressed.score(broken)
         except Exception as error:  # third-party code may raise anything
-            yield raised("", NAME, f"{name}-{test}", error)
+            yield report_exception("", NAME, f"{name}-{test}", error)
     counts_nonfinite = all(stressed.error(scores.get(test, math.nan)) == 0 for test in FINITE)
     for test, score in scores.items():
         yield _judge_broken(stressed, test, score, counts_nonfinite and test in FINITE)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import torch
 
-from rlbench.checks.stress.frame_edits import edit_radiance, with_buffers
+from rlbench.checks.frame_edits import edit_radiance, with_buffers
 from rlbench.frames import Frame
 
 __all__ = ["PLAIN_CLIPS", "black", "constant", "sky"]

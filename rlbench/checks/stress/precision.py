@@ -7,20 +7,17 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from rlbench.checks.stress.conversion import (
-    convert_clip,
-    convert_method,
-    thread_count,
-)
+from rlbench.checks.frame_edits import select_clip, to_clip
+from rlbench.checks.stress.conversion import convert_clip, convert_method, thread_count
 from rlbench.checks.stress.display import largest_difference
-from rlbench.checks.stress.frame_edits import select_clip, to_clip
-from rlbench.checks.stress.held_density import Autocast, RecordDensity, ReplayDensity
+from rlbench.checks.stress.held_density import RecordDensity, ReplayDensity
 from rlbench.checks.stress.held_runs import HeldRuns
 from rlbench.checks.stress.result import Limits, StressResult, judge, skip
 from rlbench.checks.stress.section import MethodSection, StressedMethod
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
+from rlbench.wrappers import HalfPrecision
 
 __all__ = ["SECTION", "run"]
 
@@ -67,7 +64,7 @@ def _judge_float32(runs: HeldRuns) -> Iterator[StressResult]:
         for test in ("float32", "float32-worst-pixel"):
             yield skip(runs.stressed_method.name, NAME, test, reason)
         return
-    images, _ = runs.recorded
+    images, _ = runs.recording
     yield from _judge_pair(runs, "float32", images, (FLOAT32_LOSS, FLOAT32_PIXEL))
 
 
@@ -75,7 +72,7 @@ def _judge_reduced(runs: HeldRuns, label: str, dtype: torch.dtype) -> Iterator[S
     """A reduced precision against float64, or against float32 where there is no float64."""
     device = runs.stressed_method.device
     try:
-        images = runs.replay(Autocast(runs.stressed_method.method, device, dtype))
+        images = runs.replay(HalfPrecision(runs.stressed_method.method, device, dtype))
     except Exception as error:  # a method may raise anything in a precision it was not made for
         reason = f"does not run in {label}: {_first_line(error)}"
         for test in (label, f"{label}-worst-pixel"):
@@ -89,7 +86,7 @@ def _judge_pair(
 ) -> Iterator[StressResult]:
     """dB lost and worst pixel of images of a lower precision."""
     has_truth = not isinstance(runs.truth, Exception)
-    truth = runs.recorded[0] if isinstance(runs.truth, Exception) else runs.truth
+    truth = runs.recording[0] if isinstance(runs.truth, Exception) else runs.truth
     against = f"against {'float64' if has_truth else 'float32'}, {_describe(runs.clip)}"
     name = runs.stressed_method.name
     yield judge(name, NAME, label, runs.loss(truth, images), limits[0], against, KEEP_FLOAT32)
@@ -101,9 +98,9 @@ def _judge_rerun(runs: HeldRuns) -> StressResult:
     """A second run with free densities must be equal in every bit."""
     again = RecordDensity(runs.stressed_method.method)
     images = runs.images(again, runs.clip)
-    pairs = zip((*images, *again.densities), (*runs.recorded[0], *runs.recorded[1]), strict=True)
+    pairs = zip((*images, *again.densities), (*runs.recording[0], *runs.recording[1]), strict=True)
     changed = sum(not torch.equal(one, other) for one, other in pairs)
-    worst = largest_difference(images, runs.recorded[0]) if changed else 0.0
+    worst = largest_difference(images, runs.recording[0]) if changed else 0.0
     found = f"{changed} images and densities differ, {_describe(runs.clip)}"
     remedy = "seed every random number from arguments, and keep no state in the method"
     limits = BIT_EQUAL if worst or not changed else Limits(0.0, -1.0)  # densities alone differ
@@ -124,7 +121,7 @@ def _judge_threads(runs: HeldRuns) -> StressResult:
 def _judge_batch(stressed_method: StressedMethod, batch: InMemoryClip) -> StressResult:
     """Each clip alone against its part of the batch, with the densities of the batch."""
     together = HeldRuns(stressed_method, batch)
-    images, densities = together.recorded
+    images, densities = together.recording
     worst = 0.0
     for i in range(CLIPS):
         single = to_clip(select_clip(frame, i) for frame in batch)
@@ -145,7 +142,7 @@ def _judge_device(runs: HeldRuns) -> StressResult:
     images = runs.replay(method, convert_clip(runs.clip, device=other))
     remedy = "avoid TF32 and operations whose result depends on the device"
     images = [image.to(stressed_method.device) for image in images]
-    worst = largest_difference(images, runs.recorded[0])
+    worst = largest_difference(images, runs.recording[0])
     return _judge_difference(stressed_method, "device", worst, remedy)
 
 

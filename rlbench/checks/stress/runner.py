@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from rlbench.checks.stress.job import RUN, JobOutcome, SectionWork, StressJob, raised
+from rlbench.checks.stress.job import RUN, JobOutcome, SectionWork, StressJob, report_exception
 from rlbench.checks.stress.job_hash import content_hash
 from rlbench.checks.stress.result import StressResult
 from rlbench.checks.stress.result_store import ResultStore
@@ -81,7 +81,9 @@ def _outcome(finished: JobResult[StressJob, JobOutcome]) -> JobOutcome:
     job = finished.job
     if finished.error is None:
         return finished.result()
-    return JobOutcome((raised(job.method, job.section, RUN, finished.error),), is_complete=False)
+    return JobOutcome(
+        (report_exception(job.method, job.section, RUN, finished.error),), is_complete=False
+    )
 
 
 def is_for_suite(section: str) -> bool:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any
 
 from torch import Tensor, nn
 
+from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.method import State
 
 __all__ = ["largest_value", "live_tensor_bytes", "state_bytes"]
@@ -24,7 +22,7 @@ def state_bytes(state: State) -> int:
     """
     return sum(
         part.numel() * part.element_size() if isinstance(part, Tensor) else sys.getsizeof(part)
-        for part in _iterate_parts(state, set())
+        for part in iterate_parts(state)
     )
 
 
@@ -37,8 +35,7 @@ def largest_value(state: State) -> float:
     >>> largest_value({"a": torch.tensor([-3.0, torch.inf]), "b": torch.tensor([2.0])})
     3.0
     """
-    tensors = [part for part in _iterate_parts(state, set()) if isinstance(part, Tensor)]
-    floats = [tensor.float() for tensor in tensors if tensor.is_floating_point()]
+    floats = [part.float() for part in iterate_tensors(state) if part.is_floating_point()]
     if any(bool(tensor.isnan().any()) for tensor in floats):
         return float("nan")
     values = (tensor.where(tensor.isfinite(), 0.0).abs() for tensor in floats if tensor.numel())
@@ -51,22 +48,3 @@ def live_tensor_bytes() -> int:
     tensors = [thing for thing in gc.get_objects() if type(thing) in (Tensor, nn.Parameter)]
     storages = (tensor.untyped_storage() for tensor in tensors)
     return sum({storage.data_ptr(): storage.nbytes() for storage in storages}.values())
-
-
-def _iterate_parts(value: Any, visited: set[int]) -> Iterator[Any]:
-    """A nested value and all of its parts, each object once."""
-    if id(value) in visited or isinstance(value, type):
-        return
-    visited.add(id(value))
-    yield value
-    if isinstance(value, Tensor | str | bytes):
-        return
-    parts: list[Any] = list(getattr(value, "__dict__", {}).values())
-    if isinstance(value, Mapping):
-        parts += [*value.keys(), *value.values()]
-    elif isinstance(value, list | tuple | set | frozenset):
-        parts += value
-    elif is_dataclass(value) and not hasattr(value, "__dict__"):  # with slots
-        parts += [getattr(value, field.name) for field in fields(value)]
-    for part in parts:
-        yield from _iterate_parts(part, visited)

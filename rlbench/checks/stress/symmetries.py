@@ -9,7 +9,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from rlbench.checks.stress.frame_edits import edit_radiance, edit_tensors, with_buffers
+from rlbench.checks.frame_edits import edit_radiance, edit_tensors, with_buffers
 from rlbench.frames import Frame
 
 __all__ = ["IDENTITY", "SYMMETRIES", "Symmetry"]

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import torch
 
+from rlbench.checks.frame_edits import edit_tensors, join_clips, select_clip, to_clip
 from rlbench.checks.stress.display import psnr, psnr_of_frames
 from rlbench.checks.stress.events import judge_events
-from rlbench.checks.stress.frame_edits import edit_tensors, join_clips, select_clip, to_clip
 from rlbench.checks.stress.held_density import RecordDensity, ReplayDensity
 from rlbench.checks.stress.plain_clips import PLAIN_CLIPS
 from rlbench.checks.stress.result import Limits, StressResult, judge

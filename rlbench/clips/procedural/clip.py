@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import overload
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rlbench.clips.in_memory import InMemoryClip
+from rlbench.clips.in_memory import ComputedFrames, InMemoryClip
 from rlbench.clips.procedural import raycast, world
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 
@@ -67,40 +65,26 @@ def procedural_clip(
     content = f"{seed} {tuple(size)} {frames} {pool_spp} {speed} {cut} {static}".encode()
     for module in (raycast.__file__, world.__file__, __file__):
         content += Path(module).read_bytes()
+    speed = 0.0 if static else speed
+    renderer = _Renderer(seed, size, pool_spp, speed, cut, torch.device(device))
     return InMemoryClip(
         name=f"procedural-{seed}",
         scene="procedural",
         digest=hashlib.sha256(content).hexdigest()[:32],
-        frames=_Frames(
-            seed, size, frames, pool_spp, 0.0 if static else speed, cut, torch.device(device)
-        ),
+        frames=ComputedFrames(frames, renderer.render),
     )
 
 
 @dataclass(frozen=True)
-class _Frames(Sequence[Frame]):
-    """Frames that are computed when they are indexed."""
+class _Renderer:
+    """Computes the frames of procedural clips."""
 
     seed: int
     size: Size
-    length: int
     pool_spp: int
     speed: float  # 0 for a static clip
     cut: int | None
     device: torch.device
-
-    def __len__(self) -> int:
-        return self.length
-
-    @overload
-    def __getitem__(self, index: int) -> Frame: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
-    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
-        """One frame, or the frames of a slice."""
-        if isinstance(index, slice):
-            return tuple(self[i] for i in range(self.length)[index])
-        return self._frame(range(self.length)[index])
 
     @cached_property
     def worlds(self) -> tuple[world.World, world.World]:
@@ -114,7 +98,7 @@ class _Frames(Sequence[Frame]):
     def _seeds(self) -> range:
         return range(self.seed, self.seed + self.size.n)
 
-    def _frame(self, index: int) -> Frame:
+    def render(self, index: int) -> Frame:
         shot = self.cut is not None and index >= self.cut
         time = index * self.speed
         h, w = self.size.h, self.size.w

@@ -241,6 +241,6 @@ class IgnoresAlbedo(CopiesAlbedo):
         return samples.mean + 0 * gbuffer.albedo, None
 
 
-def stressed(method) -> StressedMethod:
+def make_stressed_method(method) -> StressedMethod:
     """The method under the name of its class."""
     return StressedMethod(type(method).__name__, method, torch.device("cpu"))

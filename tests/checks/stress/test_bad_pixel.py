@@ -162,7 +162,7 @@ def test_the_figures_of_a_blast_are_those_of_a_planted_change():
     image[..., 20, 25] = image[..., 20, 37] = 0.6
     image[..., 0, 0] = math.nan
     blast = compare_frames(image, clean, clean, 20, 25)
-    assert (blast.changed, blast.nonfinite) == (3, 1)
+    assert (blast.changed_pixels, blast.nonfinite) == (3, 1)
     assert blast.distance == pytest.approx(math.hypot(20, 25))
     assert blast.largest == pytest.approx(0.6)
     # outside 8 pixels: 0.060 in one pixel and 1 in another, of about 2000 - 197

@@ -9,7 +9,7 @@ from tests.checks.stress import broken_methods as broken
 
 
 def verdicts(method, quick=True):
-    results = long_runs.run(broken.stressed(method), quick)
+    results = long_runs.run(broken.make_stressed_method(method), quick)
     return {result.test: result.verdict for result in results}
 
 

@@ -10,7 +10,7 @@ from tests.checks.stress import broken_methods as broken
 
 
 def results(method, quick=True):
-    return {r.test: r for r in lying_buffers.run(broken.stressed(method), quick)}
+    return {r.test: r for r in lying_buffers.run(broken.make_stressed_method(method), quick)}
 
 
 def test_a_method_without_buffers_is_skipped():

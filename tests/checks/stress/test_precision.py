@@ -9,7 +9,7 @@ from tests.checks.stress import broken_methods as broken
 
 
 def verdicts(method, quick=True):
-    results = precision.run(broken.stressed(method), quick)
+    results = precision.run(broken.make_stressed_method(method), quick)
     return {result.test: result.verdict for result in results}
 
 
@@ -42,7 +42,8 @@ def test_the_full_form_finds_a_dependence_on_threads():
 
 
 def test_a_method_that_fails_in_float64_is_skipped_with_the_reason():
-    results = {r.test: r for r in precision.run(broken.stressed(broken.NeedsFloat32()), True)}
+    method = broken.make_stressed_method(broken.NeedsFloat32())
+    results = {r.test: r for r in precision.run(method, True)}
     assert results["float32"].verdict is Verdict.SKIPPED
     assert "RuntimeError" in results["float32"].found
     assert "against float32" in results["bf16"].found
@@ -50,7 +51,7 @@ def test_a_method_that_fails_in_float64_is_skipped_with_the_reason():
 
 def test_threads_and_default_dtype_are_restored():
     before = torch.get_num_threads(), torch.get_default_dtype()
-    list(precision.run(broken.stressed(broken.NeedsFloat32()), True))
+    list(precision.run(broken.make_stressed_method(broken.NeedsFloat32()), True))
     assert (torch.get_num_threads(), torch.get_default_dtype()) == before
 
 

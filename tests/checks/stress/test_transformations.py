@@ -1,9 +1,9 @@
 import pytest
 import torch
 
+from rlbench.checks.frame_edits import to_clip
 from rlbench.checks.result import Verdict
 from rlbench.checks.stress import transformations
-from rlbench.checks.stress.frame_edits import to_clip
 from rlbench.checks.stress.sample_order import reverse_samples
 from rlbench.checks.stress.symmetries import SYMMETRIES
 from rlbench.clips.procedural.clip import procedural_clip
@@ -13,7 +13,7 @@ from tests.checks.stress import broken_methods as broken
 
 
 def verdicts(method, quick=True):
-    results = transformations.run(broken.stressed(method), quick)
+    results = transformations.run(broken.make_stressed_method(method), quick)
     return {result.test: result.verdict for result in results}
 
 

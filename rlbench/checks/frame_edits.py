@@ -1,4 +1,4 @@
-"""Edits of frames: other radiance, other buffers, and several clips joined to one batch.
+"""Edits of frames: other radiance, other buffers, a new shot; clips of a batch, apart or joined.
 
 Every edit returns new frames; the tensors of the original are not changed.
 """
@@ -18,9 +18,9 @@ from rlbench.frames import Frame, GBuffer, Reference, StoredPool
 __all__ = [
     "edit_radiance",
     "edit_tensors",
-    "end_history",
     "join_clips",
     "select_clip",
+    "start_new_shot",
     "stored_radiance",
     "to_clip",
     "with_buffers",
@@ -33,7 +33,7 @@ Edit = Callable[[Tensor], Tensor]
 
 def to_clip(frames: Iterable[Frame]) -> InMemoryClip:
     """A clip of these frames."""
-    return InMemoryClip("stress", "procedural", "", tuple(frames))
+    return InMemoryClip("edited", "procedural", "", tuple(frames))
 
 
 def stored_radiance(frame: Frame) -> Tensor:
@@ -61,8 +61,8 @@ def with_buffers(frame: Frame, **buffers: Tensor) -> Frame:
     return replace(frame, gbuffer=gbuffer)
 
 
-def end_history(frame: Frame) -> Frame:
-    """The frame as the first of a shot: all motion points outside the image."""
+def start_new_shot(frame: Frame) -> Frame:
+    """The frame as the first of a new shot: all motion points outside the image."""
     motion = frame.gbuffer.buffers["motion"]
     h, w = motion.shape[-2:]
     outside = motion.new_tensor([OUTSIDE * w, OUTSIDE * h]).view(1, 2, 1, 1)
