@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -47,9 +47,9 @@ class FrameProblem:
     def of_frame(
         cls, method: Ours, frame: Frame, state: RecurrentState, spp: float
     ) -> FrameProblem:
-        """The problem of a frame, sanitised, with the G-buffer inputs that the method declares."""
-        gbuffer, pool, _ = sanitize_frame(frame, method.traits.inputs)
-        return cls(method, replace(frame, pool=pool), gbuffer, state, spp)
+        """The problem of a frame, with the inputs that the method declares, sanitised."""
+        gbuffer = sanitize_frame(frame, method.traits.inputs).gbuffer
+        return cls(method, frame, gbuffer, state, spp)
 
     @property
     def multiplicative(self) -> bool:
@@ -115,7 +115,8 @@ class FrameProblem:
         return log_forward(self.frame.reference.mean).clamp(0, 1)
 
     def _draw_samples(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
-        pool, density = self.frame.pool, self.method.action_density(action)
+        pool = sanitize_frame(self.frame, self.method.traits.inputs).pool
+        density = self.method.action_density(action)
         bounds = (self.method.traits.min_samples, self._max_samples)
         return draw_samples(pool, pool.empty(), density, self.spp, *bounds)
 

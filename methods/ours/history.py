@@ -14,10 +14,10 @@ from methods.ours.networks import GBUFFER_CHANNELS
 from methods.ours.sample_encoding import MISSING
 from methods.ours.state import RecurrentState, ReprojectedHistory, detach, gbuffer_features
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.fireflies import repair_radiance_history
+from rlbench.ops.fireflies import repair_moments, repair_radiance_history
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import HALF_MAX, log_forward
+from rlbench.ops.transfer import log_forward
 
 __all__ = [
     "DenoisedFrame",
@@ -193,8 +193,7 @@ class RadianceHistory(LatentHistory):
         dominated by rounding errors.
         """
         stacked = (
-            repair_radiance_history(state.radiance.mean),
-            repair_history(state.radiance.second_moment, 0.0, HALF_MAX**2),
+            *repair_moments(state.radiance.mean, state.radiance.second_moment),
             log_forward(repair_radiance_history(state.image.clamp_min(0))),
         )
         moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), gbuffer.motion)

@@ -15,7 +15,12 @@ from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
 from rlbench.ops.sanitize import repair_history, sanitize_radiance
 from rlbench.ops.transfer import HALF_MAX
 
-__all__ = ["limit_fireflies", "mean_without_fireflies", "repair_radiance_history"]
+__all__ = [
+    "limit_fireflies",
+    "mean_without_fireflies",
+    "repair_moments",
+    "repair_radiance_history",
+]
 
 RADIUS = 2  # pixels around a pixel that vouch for its brightness
 CONTRAST = 64.0  # times the brightest of them, above which a sample is taken for an outlier
@@ -78,10 +83,30 @@ def repair_radiance_history(history: Float[Tensor, "n 3 h w"]) -> Float[Tensor, 
 
     A pixel is broken if it is not finite, negative, or above 4096 times the log-average luminance.
     """
+    return _repair_radiance(history)[0]
+
+
+def repair_moments(
+    mean: Float[Tensor, "n 3 h w"], second_moment: Float[Tensor, "n 1 h w"]
+) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 h w"]]:
+    """Mean and second moment of earlier frames, in which a broken pixel equals a neighbour.
+
+    The mean is repaired by `repair_radiance_history`. Samples in [0, x] have a second moment of
+    luminance of at most x times their mean. A second moment is broken if it is not finite,
+    negative, or above this limit, where x is 4096 times the log-average luminance. The average is
+    added to the mean, because reprojection mixes pixels.
+    """
+    mean, average = _repair_radiance(mean)
+    most = HISTORY_CONTRAST * average * (luminance(mean) + average)
+    return mean, repair_history(second_moment, 0.0, most)
+
+
+def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
+    """`repair_radiance_history`, and the log-average luminance of each image [n 1 1 1]."""
     history = repair_history(history, 0.0, HALF_MAX)
     light = luminance(history)
     average = _log_average(torch.minimum(light, _max_of_neighbours(light)))
-    return repair_history(history, 0.0, HISTORY_CONTRAST * average)
+    return repair_history(history, 0.0, HISTORY_CONTRAST * average), average
 
 
 def _log_average(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 1 1"]:

@@ -69,8 +69,11 @@ def sanitize_normal(normal: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 3 h w"
 
 
 def sanitize_depth(depth: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Depth; a pixel that is NaN or not above 0 gets a neighbour's depth. +inf is background."""
-    valid = depth > 0  # False for NaN
+    """Depth; a pixel that is NaN or no normal positive float gets a neighbour's depth.
+
+    +inf is background. Denormal numbers are not valid: no surface is that close to a camera.
+    """
+    valid = depth >= torch.finfo(depth.dtype).tiny  # False for NaN
     return depth if bool(valid.all()) else _fill_from_neighbours(depth, valid, torch.inf)
 
 
@@ -98,7 +101,7 @@ def _fill_from_neighbours(
 
 
 def repair_history(
-    history: Float[Tensor, "n c h w"], least: float, most: float | Float[Tensor, "n 1 1 1"]
+    history: Float[Tensor, "n c h w"], least: float, most: float | Float[Tensor, "n 1 _ _"]
 ) -> Float[Tensor, "n c h w"]:
     """History in which a pixel that is not finite, or outside [least, most], equals a neighbour.
 

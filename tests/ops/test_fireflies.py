@@ -15,6 +15,7 @@ from rlbench.ops.fireflies import (
     FALLOFF,
     limit_fireflies,
     mean_without_fireflies,
+    repair_moments,
     repair_radiance_history,
 )
 
@@ -128,3 +129,19 @@ def test_valid_history_stays_though_a_lamp_is_a_thousand_times_brighter():
     history = noisy().mean(1)
     history[..., 8, 8] = 1000.0
     assert repair_radiance_history(history) is history
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 65504.0])
+def test_a_second_moment_that_no_samples_have_is_a_neighbours(value):
+    mean, second_moment = noisy().mean(1), luminance(noisy()).square().mean(1)
+    broken = second_moment.clone()
+    broken[..., 8, 8] = value
+    _, repaired = repair_moments(mean, broken)
+    assert torch.equal(repaired[..., 8, 8], second_moment[..., 8, 7])
+
+
+def test_the_second_moment_of_a_lamp_a_thousand_times_brighter_stays():
+    samples = noisy()
+    samples[:, 0, :, 8, 8] = 1000.0
+    mean, second_moment = samples.mean(1), luminance(samples).square().mean(1)
+    assert repair_moments(mean, second_moment)[1] is second_moment

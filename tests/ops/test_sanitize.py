@@ -90,7 +90,7 @@ def test_a_long_normal_keeps_its_direction_and_a_short_one_its_length():
     assert torch.equal(sanitize_normal(pixel(0.0, 0.3, 0.4)), pixel(0.0, 0.3, 0.4))
 
 
-@pytest.mark.parametrize("value", [NAN, -1.0, 0.0, -INF])
+@pytest.mark.parametrize("value", [NAN, -1.0, 0.0, -INF, 1e-40])
 def test_invalid_depth_is_a_neighbours_and_background_stays(value):
     assert sanitize_depth(row(INF, 2.0, value)).flatten().tolist() == [INF, 2.0, 2.0]
 
