@@ -44,12 +44,12 @@ FAMILY = Family(
         "flat": Variant(
             "What does the density map itself give? (weights of ours, sampled uniformly)",
             UNIFORM,
-            weights_from="",
+            weights_from="ours",
         ),
         "lag": Variant(
             "Does antilag pay? (weights of ours, history is never rejected)",
             TRAITS,
-            weights_from="",
+            weights_from="ours",
         ),
         "sampler-small": Variant("Is a sampler of one level enough?", TRAITS, pretrained=False),
         "sampler-large": Variant(

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from methods.ours import FAMILY
 from methods.ours.accumulators import Accumulator, FrameRadiance, StateOnly, TemporalRadiance
-from methods.ours.antilag import AntiLag, KeepHistory
 from methods.ours.density import DENSITIES, ActionDensity
 from methods.ours.history import (
     DenoisedFrame,
@@ -22,11 +21,11 @@ from methods.ours.history import (
     SampleHistory,
 )
 from methods.ours.networks import Networks, Sampler
+from methods.ours.rejection import AntiLag, KeepHistory
 from methods.ours.sample_encoding import SAMPLE_ENCODINGS, SampleEncoding
 from methods.ours.state import (
     RecurrentState,
     ReprojectedHistory,
-    ReprojectionMemo,
     gbuffer_features,
 )
 from methods.ours.variants import VARIANTS, Config
@@ -36,6 +35,7 @@ from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
+from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.weights import load_for_inference
 
 __all__ = ["CARDS", "Ours", "assemble", "build"]
@@ -73,7 +73,9 @@ class Ours:
     sample_encoding: SampleEncoding
     history: HistoryModel
     accumulator: Accumulator
-    memo: ReprojectionMemo = field(default_factory=ReprojectionMemo, repr=False, compare=False)
+    memo: ReprojectionMemo[ReprojectedHistory] = field(
+        default_factory=ReprojectionMemo, repr=False, compare=False
+    )
 
     def start(self, size: Size) -> RecurrentState:
         """The state before the first frame."""
@@ -110,13 +112,7 @@ class Ours:
         return crop(action, h, w).float()
 
     def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
-        """The history at the pixels of the current frame.
-
-        Computed once for `plan` and `denoise` of one frame, but anew with gradients enabled, where
-        each call needs a graph of its own.
-        """
-        if torch.is_grad_enabled():
-            return self.history.reproject(gbuffer, state)
+        """The history at the pixels of the current frame."""
         return self.memo.get(gbuffer, state, self.history.reproject)
 
     def _encode(
