@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import torch
 from jaxtyping import Bool, Float
@@ -25,7 +26,15 @@ DEVIATION_SIDE = 7  # pixels, side of the window that variances are averaged ove
 DensityRule = Callable[[History], Tensor]
 
 
-def contrast(history: History) -> Float[Tensor, "n 1 h w"]:
+class HasImage(Protocol):
+    """A history with the last image."""
+
+    @property
+    def image(self) -> Float[Tensor, "n 3 h w"]:
+        """The last image at the current pixels, log transfer."""
+
+
+def contrast(history: HasImage) -> Float[Tensor, "n 1 h w"]:
     """Roughness of the last image: its distance from its 3x3 mean in log transfer, blurred."""
     image = history.image
     return _blur((image - _blur(image, 3)).abs().mean(1, keepdim=True), 3)

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from baselines.accumulate.density import contrast, mix_with_uniform
 from methods.ours import FAMILY
 from methods.ours.accumulators import Accumulator, FrameRadiance, StateOnly, TemporalRadiance
 from methods.ours.density import DENSITIES, ActionDensity
@@ -20,6 +21,7 @@ from methods.ours.history import (
     RadianceHistory,
     SampleHistory,
 )
+from methods.ours.initialization import initialize
 from methods.ours.networks import Networks, Sampler
 from methods.ours.rejection import AntiLag, KeepHistory
 from methods.ours.sample_encoding import SAMPLE_ENCODINGS, SampleEncoding
@@ -84,7 +86,10 @@ class Ours:
     def plan(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> Float[Tensor, "n 1 h w"]:
-        """The density of the sampler's action, or a constant without a sampler."""
+        """The density of the sampler's action or of a rule, or a constant without a sampler."""
+        if self.config.contrast_density and state.age > 0:
+            history = self.reproject(gbuffer, state)
+            return mix_with_uniform(contrast(history), history.similarity)
         if self.sampler is None:
             return torch.ones_like(gbuffer.depth)
         return self.action_density(self.act(gbuffer, state))
@@ -163,7 +168,7 @@ def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
         config=config,
         traits=traits,
         networks=networks,
-        sampler=None if config.ignore_density else networks.sampler,
+        sampler=None if config.ignore_density or config.contrast_density else networks.sampler,
         action_density=DENSITIES[config.density],
         sample_encoding=sample_encoding,
         history=histories[config.history_mode],
@@ -178,7 +183,10 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
     """
     config = VARIANTS[variant]
     networks = Networks(config)
-    if weights == "random":
+    if variant == "initial":
+        initialize(networks, config, seed=0)
+        weights = "random"  # loads none
+    elif weights == "random":
         kaiming_init(networks)
     load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
     return assemble(config, FAMILY.variants[variant].traits, networks)
