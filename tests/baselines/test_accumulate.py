@@ -116,8 +116,11 @@ def test_a_still_camera_averages_all_samples():
         g = frame.gbuffer
         surface = surface_features(g.normal, g.albedo, g.depth)
         memory = Memory(light, light.mean, memory.change, surface, memory.age + 1)
-    torch.testing.assert_close(memory.radiance.accumulated_spp, torch.full_like(light[2], 48.0))
-    torch.testing.assert_close(memory.radiance.mean, torch.cat(samples, 1).mean(1))
+    # antilag takes up to a two-thousandth of the noise for a change
+    full = torch.full_like(memory.radiance.accumulated_spp, 48.0)
+    torch.testing.assert_close(memory.radiance.accumulated_spp, full, rtol=2e-3, atol=0)
+    mean = torch.cat(samples, 1).mean(1)
+    torch.testing.assert_close(memory.radiance.mean, mean, rtol=1e-4, atol=1e-6)
 
 
 def test_the_weight_of_moving_surfaces_is_a_geometric_series():
