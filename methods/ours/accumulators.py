@@ -10,9 +10,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from baselines.accumulate.memory import TRUST
 from baselines.oidn.method import encode_inputs as oidn_inputs
 from methods.ours.rejection import HistoryRejection
-from methods.ours.state import ReprojectedHistory
+from methods.ours.sample_encoding import MISSING
+from methods.ours.state import ReprojectedHistory, network_features
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.accumulation import (
     AccumulatedRadiance,
@@ -23,7 +25,7 @@ from rlbench.ops.accumulation import (
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import LOG_SCALE, log_forward, log_inverse, pu_inverse
 
-__all__ = ["Accumulator", "FrameRadiance", "StateOnly", "TemporalRadiance"]
+__all__ = ["Accumulator", "FrameRadiance", "RuleRadiance", "StateOnly", "TemporalRadiance"]
 
 MIN_RADIANCE = -0.5 / LOG_SCALE  # while training; log transfer is defined above twice this
 
@@ -180,6 +182,41 @@ class TemporalRadiance:
         image, blend = _denoise_exposed(denoiser, gbuffer, latent, radiance)
         weight = blend.sigmoid() * history.similarity
         return log_inverse(torch.lerp(log_forward(image), history.image, weight))
+
+
+@dataclass(frozen=True)
+class RuleRadiance(TemporalRadiance):
+    """Radiance accumulated by rule; the denoiser reads its statistics in place of a latent.
+
+    These are the previous image, relative deviation and weight of the radiance, and similarity.
+    """
+
+    def accumulate(
+        self,
+        gbuffer: GBuffer,
+        samples: Samples,
+        trust: Float[Tensor, "n _ h w"],
+        history: ReprojectedHistory,
+    ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
+        """Samples of this frame and history that fades by a fifth, with holes filled."""
+        by_rule = torch.full_like(history.similarity, TRUST)
+        by_rule = by_rule.masked_fill(history.static_mask, 1.0)
+        return super().accumulate(gbuffer, samples, by_rule, history)
+
+    def reconstruct(
+        self,
+        denoiser: Denoiser,
+        gbuffer: GBuffer,
+        latent: Float[Tensor, "n s h w"],
+        radiance: AccumulatedRadiance,
+        history: ReprojectedHistory,
+    ) -> Float[Tensor, "n 3 h w"]:
+        """The denoiser's colour and the previous image, mixed in log transfer."""
+        known = history.similarity > 0
+        statistics = network_features(radiance)[:, 3:]  # without the mean, which is an input
+        previous = history.image.where(known, MISSING)
+        features = torch.cat((previous, statistics, history.similarity), dim=1)
+        return super().reconstruct(denoiser, gbuffer, features, radiance, history)
 
 
 def _denoise_exposed(

@@ -68,7 +68,7 @@ class FrameProblem:
 
     def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples per pixel before rounding."""
-        density = self.method.action_density(action)
+        density = self._density(action)
         low = torch.full_like(density, self.method.traits.min_samples)
         return relaxed_counts(
             density / density.detach().amax((2, 3), keepdim=True), self.spp, low, self._max_samples
@@ -116,9 +116,12 @@ class FrameProblem:
 
     def _draw_samples(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
         pool = sanitize_frame(self.frame, self.method.traits.inputs).pool
-        density = self.method.action_density(action)
+        density = self._density(action)
         bounds = (self.method.traits.min_samples, self._max_samples)
         return draw_samples(pool, pool.empty(), density, self.spp, *bounds)
+
+    def _density(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+        return self.method.to_density(action, self.gbuffer, self.state)
 
     @property
     def _max_samples(self) -> int:

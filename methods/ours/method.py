@@ -11,7 +11,13 @@ from torch import Tensor
 
 from baselines.accumulate.density import contrast, mix_with_uniform
 from methods.ours import FAMILY
-from methods.ours.accumulators import Accumulator, FrameRadiance, StateOnly, TemporalRadiance
+from methods.ours.accumulators import (
+    Accumulator,
+    FrameRadiance,
+    RuleRadiance,
+    StateOnly,
+    TemporalRadiance,
+)
 from methods.ours.density import DENSITIES, ActionDensity
 from methods.ours.history import (
     DenoisedFrame,
@@ -86,13 +92,22 @@ class Ours:
     def plan(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> Float[Tensor, "n 1 h w"]:
-        """The density of the sampler's action or of a rule, or a constant without a sampler."""
-        if self.config.contrast_density and state.age > 0:
-            history = self.reproject(gbuffer, state)
-            return mix_with_uniform(contrast(history), history.similarity)
+        """The density of the sampler's action; that of action 0 without a sampler."""
         if self.sampler is None:
-            return torch.ones_like(gbuffer.depth)
-        return self.action_density(self.act(gbuffer, state))
+            return self.to_density(torch.zeros_like(gbuffer.depth), gbuffer, state)
+        return self.to_density(self.act(gbuffer, state), gbuffer, state)
+
+    def to_density(
+        self, action: Float[Tensor, "*k n 1 h w"], gbuffer: GBuffer, state: RecurrentState
+    ) -> Float[Tensor, "*k n 1 h w"]:
+        """The density of an action, on top of the contrast rule's if the variant has one."""
+        density = self.action_density(action)
+        if not self.config.contrast_density or state.age == 0:
+            return density
+        with torch.no_grad():
+            history = self.reproject(gbuffer, state)
+            rule = mix_with_uniform(contrast(history), history.similarity)
+        return density * rule
 
     def denoise(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
@@ -131,6 +146,8 @@ class Ours:
 
         Without an encoder the latent is its input: samples and G-buffer features.
         """
+        if self.networks.encoder is None and self.config.latent == 0:
+            return encoded[:, :0], encoded[:, :0]
         if self.networks.encoder is None:
             latent = torch.cat((encoded, gbuffer_features(gbuffer)), dim=1)
             return latent, latent[:, :0]
@@ -156,6 +173,7 @@ def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
         "none": StateOnly(),
         "frame": FrameRadiance(),
         "temporal": TemporalRadiance(rejection),
+        "rule": RuleRadiance(rejection),
     }
     latent_history = RadianceHistory if config.accumulates else LatentHistory
     sample_encoding = SAMPLE_ENCODINGS[config.sample_encoding]
@@ -168,7 +186,7 @@ def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
         config=config,
         traits=traits,
         networks=networks,
-        sampler=None if config.ignore_density or config.contrast_density else networks.sampler,
+        sampler=None if config.ignore_density else networks.sampler,
         action_density=DENSITIES[config.density],
         sample_encoding=sample_encoding,
         history=histories[config.history_mode],

@@ -19,6 +19,7 @@ GBUFFER_CHANNELS = 7  # normal 3, albedo 3, depth 1
 DENOISER_INPUTS = 9  # of Open Image Denoise: colour 3, albedo 3, normal 3
 # of accumulated radiance: previous image 3, mean 3, relative deviation 1, weight 1, similarity 1
 HISTORY_INPUTS = 9
+RADIANCE_FEATURES = 6  # previous image 3, relative deviation 1, weight 1, similarity 1
 DEVIATION_INPUT = 6  # index of the relative deviation in these
 
 
@@ -102,6 +103,8 @@ class Networks(nn.Module):
         if config.sampler:
             self.sampler = Sampler(self.sampler_channels, config.sampler, paced=config.accumulates)
         self.encoder, latent = None, GBUFFER_CHANNELS + samples
+        if config.accumulation == "rule":
+            latent = RADIANCE_FEATURES
         if config.encoder:
             # one channel more: how far accumulated radiance is trusted
             outputs = config.latent + config.accumulates

@@ -66,8 +66,21 @@ class MeanAndCount(MeanSample):
         return torch.cat((super().encode(samples), samples.counts / SLOTS), dim=1)
 
 
+@dataclass(frozen=True)
+class NoEncoding:
+    """Nothing: the variant has no encoder."""
+
+    channels: int = 0
+
+    def encode(self, samples: Samples) -> Float[Tensor, "n 0 h w"]:
+        """A tensor of zero channels."""
+        n, _, _, h, w = samples.radiance.shape
+        return samples.radiance.new_empty(n, 0, h, w)
+
+
 SAMPLE_ENCODINGS: Mapping[str, SampleEncoding] = {
     "single": SingleSamples(),
     "mean": MeanSample(),
     "mean and count": MeanAndCount(),
+    "none": NoEncoding(),
 }

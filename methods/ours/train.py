@@ -74,7 +74,7 @@ class ExploringMethod(MethodWrapper[Ours]):
         if self.sequence.noisy:
             corner = self.policy.draw_corner(self.generator)
             action = self.policy.explore(action, corner, self.generator)
-        return self.method.action_density(action)
+        return self.method.to_density(action, gbuffer, state)
 
     def last_problem(self, frame: Frame, spp: float) -> FrameProblem:
         """The allocation problem of the frame that was planned last."""

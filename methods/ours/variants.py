@@ -13,9 +13,9 @@ __all__ = ["BASE", "SLOTS", "VARIANTS", "Config"]
 DOUBLE = UNetWidths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
 SLOTS = 8  # samples per pixel that the encoder can read one by one
 
-EncodingName = Literal["single", "mean", "mean and count"]
+EncodingName = Literal["single", "mean", "mean and count", "none"]
 HistoryMode = Literal["state", "samples", "nothing"]
-Accumulation = Literal["temporal", "frame", "none"]
+Accumulation = Literal["temporal", "rule", "frame", "none"]
 DensityName = Literal["exponential", "linear"]
 
 
@@ -39,13 +39,13 @@ class Config:
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
     ignore_density: bool = False  # sample uniformly in place of the sampler's density?
-    contrast_density: bool = False  # sample by the last image's contrast in place of it?
+    contrast_density: bool = False  # multiply the density by that of the contrast rule?
     antilag: bool = True  # reduce history where new samples contradict it?
 
     @property
     def accumulates(self) -> bool:
         """Does the variant accumulate radiance over frames?"""
-        return self.accumulation == "temporal"
+        return self.accumulation in ("temporal", "rule")
 
     @property
     def for_training(self) -> Config:
@@ -73,9 +73,18 @@ VARIANTS = {
     # what does training give? the networks before their first step, which sample uniformly
     "initial": replace(BASE, sampler=()),
     # what does the learned density give over a rule of three lines?
-    "by-rule": replace(BASE, contrast_density=True),
+    "by-rule": replace(BASE, ignore_density=True, contrast_density=True),
     # what does the latent give beside accumulated radiance and the last image?
     "stateless": replace(BASE, latent=0),
+    # do rules suffice where they are as good: for accumulation, and as a start of the density?
+    "lean": replace(
+        BASE,
+        sample_encoding="none",
+        latent=0,
+        encoder=(),
+        accumulation="rule",
+        contrast_density=True,
+    ),
     "flat": replace(BASE, ignore_density=True),  # what does the density give, all else equal?
     "lag": replace(BASE, antilag=False),  # what does antilag give?
     "sampler-small": replace(BASE, sampler=(1, 2)),  # is one level enough?
