@@ -47,8 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _extract(variant: str, name: str, file: Path) -> Path:
-    card = ModelCard(name, command=COMMAND, origin=weights_origin(), note=NOTE)
-    save(load_network(VARIANTS[variant].widths), file, card)
+    network = load_network(VARIANTS[variant].widths)
+    save(network, file, ModelCard(name, command=COMMAND, origin=weights_origin(), note=NOTE))
     return file
 
 
