@@ -219,7 +219,9 @@ def test_exposure_in_training_comes_from_the_reference():
 
 
 def test_the_training_seed_changes_the_weights():
-    first, second = (training_task("retrained", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
+    first, second = (
+        training_task("retrained", CPU, seed).networks.enc_conv0.weight for seed in (0, 1)
+    )
     assert not torch.equal(first, second)
 
 

@@ -151,7 +151,9 @@ def test_a_checkpoint_with_another_config_is_refused(tmp_path):
     train_oidn(tmp_path / "run", clip)
     message = r"changed: batch 2 -> 1; eval_interval 12 -> 1000; frames 24 -> 48; sequence_length 3"
     with pytest.raises(TrainingError, match=message):
-        train("oidn/retrained", [clip], [clip], tmp_path / "run", TrainingConfig(frames=48, crop=16))
+        train(
+            "oidn/retrained", [clip], [clip], tmp_path / "run", TrainingConfig(frames=48, crop=16)
+        )
 
 
 def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
