@@ -27,7 +27,7 @@ FAMILY = Family(
             trained_by="Intel",
         ),
         "retrained": Variant("How far does the network get when trained on our clips?", TRAITS),
-        "retrained-small": Variant("Is a third of the parameters enough, trained so?", TRAITS),
+        "retrained-small": Variant("Is a third of the parameters enough on our clips?", TRAITS),
         "tuned": Variant("What does fine-tuning Intel's weights on our clips add?", TRAITS),
     },
     build="baselines.oidn.method:build",
