@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from rlbench.frames import Samples
 from rlbench.ops.color import luminance
 from rlbench.ops.demodulation import demodulation_albedo
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.transfer import squash_depth
 
 __all__ = [
     "AccumulatedRadiance",
@@ -21,13 +20,12 @@ __all__ = [
     "feature_similarity",
     "fill_holes",
     "frame_radiance",
-    "network_features",
+    "surface_features",
 ]
 
 PYRAMID_LEVELS = 5  # of the pyramid that holes are filled from: 1/2 to 1/32
 SURFACE_FALLOFF = 2.0  # of similarity, per difference of normal and albedo, summed over channels
 DEPTH_FALLOFF = 5.0  # of similarity, per relative difference of depth
-MANY_SPP = 16.0  # accumulated samples that networks read as 1/2
 
 
 class AccumulatedRadiance(NamedTuple):
@@ -43,11 +41,15 @@ class AccumulatedRadiance(NamedTuple):
         return (self.second_moment - luminance(self.mean).square()).clamp_min(0)
 
 
-def frame_radiance(samples: Samples) -> AccumulatedRadiance:
-    """The radiance of one frame. Samples must be finite."""
-    spp = samples.counts.to(samples.radiance.dtype)
-    square = luminance(samples.radiance).square().sum(1) / spp.clamp_min(1)
-    return AccumulatedRadiance(samples.mean, square, spp)
+def frame_radiance(
+    radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]
+) -> AccumulatedRadiance:
+    """The radiance of one frame. Samples must be finite, and zero in slots without a sample."""
+    spp = counts.to(radiance.dtype)
+    mean, square = (
+        values.sum(1) / spp.clamp_min(1) for values in (radiance, luminance(radiance).square())
+    )
+    return AccumulatedRadiance(mean, square, spp)
 
 
 def accumulate(
@@ -61,24 +63,25 @@ def accumulate(
     return AccumulatedRadiance(mean, square, spp)
 
 
+def surface_features(
+    normal: Float[Tensor, "n 3 h w"],
+    albedo: Float[Tensor, "n 3 h w"],
+    depth: Float[Tensor, "n 1 h w"],
+) -> Float[Tensor, "n 7 h w"]:
+    """What identifies a surface: normal, albedo, 1 / (1 + depth)."""
+    return torch.cat((normal, albedo, squash_depth(depth)), dim=1)
+
+
 def feature_similarity(
     current: Float[Tensor, "n 7 h w"], previous: Float[Tensor, "n 7 h w"]
 ) -> Float[Tensor, "n 1 h w"]:
     """Similarity of two G-buffers, in [0, 1]: 1 where normal, albedo and depth are the same.
 
-    Channels are those of `methods.ours.state.gbuffer_features`; depth is 1 / (1 + z).
+    Channels are those of `surface_features`.
     """
     surface = (current[:, :6] - previous[:, :6]).abs().sum(1, keepdim=True)
     depth = (current[:, 6:] - previous[:, 6:]).abs() / (current[:, 6:] + 1e-3)
     return torch.exp(-SURFACE_FALLOFF * surface - DEPTH_FALLOFF * depth)
-
-
-def network_features(radiance: AccumulatedRadiance) -> Float[Tensor, "n 5 h w"]:
-    """Network inputs: mean in log transfer, relative deviation and weight, both in [0, 1)."""
-    deviation = radiance.variance.clamp_min(1e-8).sqrt()
-    relative = deviation / (deviation + luminance(radiance.mean) + 1e-3)
-    weight = radiance.accumulated_spp / (radiance.accumulated_spp + MANY_SPP)
-    return torch.cat((log_forward(radiance.mean), relative, weight), 1)
 
 
 def fill_holes(
