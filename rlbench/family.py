@@ -65,6 +65,7 @@ class Variant:
     learned: bool = True  # True if it needs trained weights
     pretrained: bool = True  # True if its weights are shipped; if not, `FAMILY/*` leaves it out
     weights_from: str | None = None  # method whose weights it uses, "oidn/tuned"; None: its own
+    trained_by: str = ""  # who published its weights; empty if `rlbench train` makes them
     requires: tuple[str, ...] = ()  # PyPI distributions whose versions can change its images
 
 

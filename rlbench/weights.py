@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -43,7 +44,8 @@ class WeightsError(RlbenchError, ValueError):
 class ModelCard:
     """Model card: what weights were trained on, for how long, and with what result.
 
-    `save` fills in `sha256`, `dtype` and `parameters`.
+    `save` fills in `sha256`, `dtype` and `parameters`. Published weights that were not trained here
+    have `origin` and no fields of a training.
     """
 
     name: str  # of the method, as on the command line
@@ -57,7 +59,7 @@ class ModelCard:
     commit: str = ""  # of the training code
     training_config: str = ""  # the training configuration, JSON
     method_config: str = ""  # the configuration of the method, JSON
-    origin: str = ""  # the weights that training started from; empty for random ones
+    origin: str = ""  # published weights: these, or where training started; empty for random ones
     validation_history: tuple[tuple[int, float], ...] = ()  # (frames seen, PSNR in dB)
     note: str = ""
     licence: str = "Apache-2.0"
@@ -97,7 +99,7 @@ def save(module: nn.Module, path: Path, card: ModelCard) -> ModelCard:
     )
     with paths.atomic_write(path) as temporary:
         temporary.write_bytes(content)
-    documents.write_toml(card_path(path), asdict(card))
+    documents.write_toml(card_path(path), _fields(card))
     return card
 
 
@@ -130,7 +132,7 @@ def load_into(module: nn.Module, path: Path) -> ModelCard:
     if (sha256 := hashlib.sha256(content).hexdigest()) != card.sha256:
         raise WeightsError(
             f"{path} has hash {sha256[:12]}, but its card says {card.sha256[:12]}: one of the two "
-            f"files was changed. Train again with 'rlbench train --methods {card.name}'"
+            f"files was changed. {_remedy(card)}"
         )
     try:
         tensors = safetensors.load(content)
@@ -176,6 +178,18 @@ def training_clips(path: Path | None) -> frozenset[str]:
     except WeightsError:
         return frozenset()
     return frozenset(clip.rpartition(" ")[0] or clip for clip in data)
+
+
+def _fields(card: ModelCard) -> dict[str, Any]:
+    """What the file of a card holds: empty fields are left out if nothing was trained."""
+    document = asdict(card)
+    return document if card.steps else {key: value for key, value in document.items() if value}
+
+
+def _remedy(card: ModelCard) -> str:
+    is_published = card.origin and not card.steps
+    train_again = f"Train again with 'rlbench train --methods {card.name}'"
+    return f"Restore both files, or repeat '{card.command}'" if is_published else train_again
 
 
 def _shapes(tensors: Mapping[str, Tensor]) -> dict[str, list[int]]:

@@ -1,8 +1,13 @@
-"""Shipped weights were trained fairly: on the same clips, none of which is scored."""
+"""Shipped weights were trained fairly: on the same clips, none of which is scored.
+
+Weights that others published are named as theirs, and their cards claim no training.
+"""
 
 from __future__ import annotations
 
 import math
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,14 +15,16 @@ import pytest
 from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.run import run_clip
-from rlbench.weights import ModelCard, digest, read_card
+from rlbench.weights import ModelCard, card_path, digest, read_card
 
 ROOT = Path(__file__).parent.parent
 SHIPPED = sorted(ROOT.glob("*/*/cards/*.safetensors"))
-NAMES = [path.stem for path in SHIPPED]
+PUBLISHED = [ROOT / "baselines" / "oidn" / "cards" / f"{n}.safetensors" for n in ("fast", "oidn")]
+TRAINED = [path for path in SHIPPED if path not in PUBLISHED]
 SCORED_SCENES = ("city", "temple", "hall", "ripples")
 
-shipped = pytest.mark.parametrize("path", SHIPPED, ids=NAMES)
+shipped = pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+trained = pytest.mark.parametrize("path", TRAINED, ids=lambda path: path.stem)
 
 
 def test_every_pretrained_method_has_shipped_weights():
@@ -31,7 +38,7 @@ def test_every_pretrained_method_has_shipped_weights():
         for name in names
         if registry.is_trainable(name) and registry.get_variant(name).pretrained
     ]
-    assert {name.rpartition("/")[2] for name in learned} == set(NAMES)
+    assert sorted(registry.shipped_weights(name) for name in learned) == TRAINED
 
 
 def test_weights_shared_between_variants_exist():
@@ -51,26 +58,53 @@ def test_weights_match_their_card(path):
     assert card.sha256 == digest(path)
     assert card.name.rpartition("/")[2] == path.stem
     assert math.isfinite(card.seconds)
-    assert card.command.startswith("rlbench train")
 
 
-@shipped
+@trained
+def test_a_card_states_the_command_that_trained(path):
+    assert read_card(path).command.startswith("rlbench train")
+
+
+@pytest.mark.parametrize("path", PUBLISHED, ids=lambda path: path.stem)
+def test_a_card_of_published_weights_states_their_origin_and_no_training(path):
+    card = read_card(path)
+    assert registry.get_variant(card.name).trained_by == "Intel"
+    assert card.origin.startswith("Intel's weights of Open Image Denoise")
+    assert card.licence == "Apache-2.0"
+    stated = set(tomllib.loads(card_path(path).read_text()))
+    assert stated == {
+        *("name", "command", "origin", "note", "licence", "sha256", "dtype", "parameters")
+    }
+
+
+def test_the_notice_names_every_row_with_weights_by_intel():
+    notice = (ROOT / "NOTICE").read_text()
+    cards = [read_card(path) for path in SHIPPED]
+    from_intel = [card.name for card in cards if card.origin.startswith("Intel's weights")]
+    assert [
+        name
+        for name in from_intel
+        if not re.search(rf"(?<![\w+]){re.escape(name)}(?![\w/])", notice)
+    ] == []
+
+
+@trained
 def test_no_scored_scene_was_trained_on(path):
     trained = {clip.split()[0] for clip in read_card(path).data}
     assert trained
     assert not [name for name in trained for scored in SCORED_SCENES if scored in name]
 
 
-@shipped
-def test_every_learned_method_was_trained_on_the_same_frames(path):
-    card, first = read_card(path), read_card(SHIPPED[0])
+@trained
+def test_every_trained_method_saw_the_same_frames(path):
+    card, first = read_card(path), read_card(TRAINED[0])
     assert (card.frames_seen, card.seed) == (first.frames_seen, first.seed)
     assert _clips(card) == _clips(first)
     if path.stem != "restir+oidn":  # trained on another pool
         assert card.data == first.data
 
 
-@shipped
+@trained
 def test_a_card_states_when_training_started_from_intel_weights(path):
     family = path.parent.parent.name
     fine_tuned = path.stem in ("tuned", "restir+oidn")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -78,6 +78,35 @@ def test_the_card_is_plain_toml_beside_the_weights(path):
     document = tomllib.loads(card_path(path).read_text())
     assert (document["name"], document["seed"], document["seconds"]) == ("oidn", 3, 12.5)
     assert card_path(path) == path.parent / "oidn.toml"
+
+
+def test_the_card_of_published_weights_has_no_fields_of_a_training(path):
+    card = save(net(), path, ModelCard("oidn", origin="Intel's weights", note="not trained here"))
+    document = tomllib.loads(card_path(path).read_text())
+    assert list(document) == ["name", "origin", "note", "licence", "sha256", "dtype", "parameters"]
+    assert read_card(path) == card
+
+
+def test_the_card_of_a_training_has_all_fields(path):
+    save(net(), path, replace(CARD, seed=0, seconds=0.0))
+    assert tomllib.loads(card_path(path).read_text()).keys() == asdict(CARD).keys()
+
+
+@pytest.mark.parametrize(
+    ("card", "remedy"),
+    [
+        (CARD, "Train again with 'rlbench train --methods oidn'"),
+        (
+            ModelCard("oidn", origin="Intel's weights", command="python -m extract"),
+            "Restore both files, or repeat 'python -m extract'",
+        ),
+    ],
+)
+def test_changed_weights_are_an_error_with_a_remedy_that_fits_their_card(path, card, remedy):
+    save(net(), path, card)
+    path.write_bytes(path.read_bytes() + b" ")
+    with pytest.raises(WeightsError, match=remedy):
+        load_into(net(), path)
 
 
 def test_equal_weights_are_saved_as_equal_files(path, tmp_path):

@@ -1,4 +1,7 @@
-"""OIDN: Open Image Denoise, a U-Net on single frames with uniform sampling, retrained by us."""
+"""OIDN: Open Image Denoise, a U-Net on single frames with uniform sampling.
+
+The rows `oidn` and `oidn/fast` have the weights that Intel published; the others are trained here.
+"""
 
 from rlbench.family import Family, Traits, Variant
 
@@ -8,14 +11,26 @@ TRAITS = Traits(inputs=frozenset({"albedo", "normal"}), spp_range=(1.0, 8.0))
 
 FAMILY = Family(
     name="oidn",
-    title="Open Image Denoise, retrained",
+    title="Open Image Denoise",
     paper="Áfra 2019, Intel Open Image Denoise",
-    licence="Apache-2.0 (reimplemented; our weights, those of `tuned` started from Intel's)",
+    licence="Apache-2.0 (reimplemented; weights by Intel, or trained here)",
     variants={
-        "": Variant("How far does a plain U-Net get on uniform samples, without history?", TRAITS),
-        "small": Variant("Is a third of the parameters enough?", TRAITS),
+        "": Variant(
+            "How far does a plain U-Net with Intel's weights get on uniform samples, without "
+            "history?",
+            TRAITS,
+            trained_by="Intel",
+        ),
+        "fast": Variant(
+            "What does Intel's small network, a third of the parameters, cost?",
+            TRAITS,
+            trained_by="Intel",
+        ),
+        "retrained": Variant("How far does the network get when trained on our clips?", TRAITS),
+        "retrained-small": Variant("Is a third of the parameters enough on our clips?", TRAITS),
         "tuned": Variant("What does fine-tuning Intel's weights on our clips add?", TRAITS),
     },
     build="baselines.oidn.method:build",
     train="baselines.oidn.train:training_task",
+    aliases={"small": "retrained-small"},
 )

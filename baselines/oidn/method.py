@@ -39,7 +39,9 @@ class Config:
 
 VARIANTS = {
     "": Config(),
-    "small": Config(widths=FAST_WIDTHS),  # is a third of the parameters enough?
+    "fast": Config(widths=FAST_WIDTHS),  # what does Intel's small network cost?
+    "retrained": Config(),  # how far does the network get with our training?
+    "retrained-small": Config(widths=FAST_WIDTHS),  # is a third of the parameters enough?
     "tuned": Config(starts_from_intel=True),  # what does fine-tuning Intel's weights add?
 }
 
@@ -64,10 +66,12 @@ def to_radiance(
 class Oidn:
     """Open Image Denoise (Afra 2019): its ray-tracing filter for HDR with albedo and normal.
 
-    U-Net, transfer function and exposure are those of its training toolkit. The weights are ours,
-    trained on the same frames as every other method here; those of `oidn/tuned` start from Intel's.
-    Uniform sampling, frames are independent. Differs from OIDN: images are padded to a multiple of
-    16 by repeating the border, not with zeros, and fireflies are limited
+    U-Net, transfer function and exposure are those of its training toolkit. The weights of `oidn`
+    and `oidn/fast` are Intel's; `oidn/retrained` and `oidn/retrained-small` are trained on the same
+    frames as every other method here, and `oidn/tuned` too, from Intel's weights. Uniform sampling,
+    frames are independent. With Intel's weights the image equals the library's within 1e-4 of each
+    value if the sides are multiples of 16. Differs from OIDN: images are padded to a multiple of 16
+    by repeating the border, not with zeros, and fireflies are limited
     (rlbench.ops.limit_fireflies), which OIDN leaves to the renderer.
     """
 

@@ -32,7 +32,8 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
     from it in what all methods here share: crops, schedule, averaged weights; normals are not
     permuted; and crops below 176 pixels use the scales that fit. The variant `tuned` starts from
     Intel's weights and is fine-tuned as `ours` is, with its learning rate and the logarithm of the
-    loss. Raises LibraryError for `tuned` if the extra `oidn` is not installed.
+    loss. Raises LibraryError for `tuned` if the extra `oidn` is not installed. Variants with
+    Intel's weights are not trained: `rlbench.registry.training_task` refuses them.
     """
     config = VARIANTS[variant]
     network = UNet(INPUT_CHANNELS, widths=config.widths, seed=seed).to(device)

@@ -1,7 +1,7 @@
-"""Export our weights as a tensor archive (TZA) for Intel's library, and read such files.
+"""Export weights as a tensor archive (TZA) for Intel's library, and read such files.
 
-    python -m baselines.oidn.tza oidn.tza
-    python -m baselines.oidn.tza small.tza --weights runs/oidn-small/small.safetensors
+    python -m baselines.oidn.tza tuned.tza
+    python -m baselines.oidn.tza mine.tza --weights runs/oidn-retrained/retrained.safetensors
 
 A TZA file is little-endian and consists of a header of 12 bytes (0x41D7, version 2.0, offset of the
 table); each tensor's values, aligned to 64 bytes; and the table with one entry per tensor: name,
@@ -79,11 +79,12 @@ def decode(content: bytes) -> dict[str, Array]:
 
 
 def export(weights: Path) -> bytes:
-    """The TZA file of a weights file of `oidn` or `oidn/small`, with its half floats unchanged.
+    """The TZA file of a weights file of a row `oidn` or `oidn/...`, with its half floats unchanged.
 
     Raises WeightsError if the file is missing, changed, or belongs to another network.
     """
     variant = read_card(weights).name.partition("/")[2]
+    variant = FAMILY.aliases.get(variant, variant)
     config = VARIANTS.get(variant, VARIANTS[""])  # `load_into` rejects weights of other methods
     network = UNet(INPUT_CHANNELS, widths=config.widths)
     load_into(network, weights)
@@ -92,12 +93,12 @@ def export(weights: Path) -> bytes:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write a TZA file as given on the command line."""
-    pretrained = Path(__file__).parent / "cards" / FAMILY.weights_file("")
+    pretrained = Path(__file__).parent / "cards" / FAMILY.weights_file("tuned")
     description = "Export weights as a TZA file for oidnDenoise -w or the filter data 'weights'."
     parser = argparse.ArgumentParser("baselines.oidn.tza", description=description)
     parser.add_argument("out", type=Path, help="TZA file to write")
     parser.add_argument(
-        "--weights", type=Path, default=pretrained, help="weights file; default: pretrained weights"
+        "--weights", type=Path, default=pretrained, help="weights file; default: oidn/tuned"
     )
     options = parser.parse_args(arguments)
     try:

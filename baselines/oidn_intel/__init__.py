@@ -1,4 +1,4 @@
-"""OIDN by Intel: the library with Intel's weights, for comparison with our retrained network."""
+"""OIDN by Intel: the library with Intel's weights, which `baselines.oidn` is compared with."""
 
 from __future__ import annotations
 

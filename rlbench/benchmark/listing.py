@@ -59,7 +59,6 @@ def _list_methods() -> list[dict[str, Any]]:
 
 def _describe(variant: Variant) -> dict[str, Any]:
     traits = variant.traits
-    weights = "shipped" if variant.pretrained else "to be trained"
     return {
         "question": variant.question,
         "spp": list(traits.spp_range),
@@ -69,8 +68,16 @@ def _describe(variant: Variant) -> dict[str, Any]:
         "temporal": traits.temporal,
         "learned": variant.learned,
         "pretrained": variant.pretrained,
-        "weights": weights if variant.learned else "",
+        "weights": _describe_weights(variant),
     }
+
+
+def _describe_weights(variant: Variant) -> str:
+    if not variant.learned:
+        return ""
+    if not variant.pretrained:
+        return "to be trained"
+    return f"shipped, by {variant.trained_by}" if variant.trained_by else "shipped"
 
 
 def _list_plugins(group: str, attributes: tuple[str, ...] = ()) -> list[dict[str, Any]]:

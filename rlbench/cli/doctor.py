@@ -18,7 +18,7 @@ from rlbench.system import paths, provenance
 
 MIN_FREE_GIB = 2  # of disk space, below which a warning is shown
 EXTRAS = {  # extra: what it adds, and a module of each of its packages
-    "oidn": ("Intel's own Open Image Denoise beside our retrained network", ("pyoidn",)),
+    "oidn": ("Intel's own Open Image Denoise library beside our network", ("pyoidn",)),
     "train": ("reinforcement learning with Ray RLlib", ("ray", "gymnasium")),
     "ray": ("parallel workers for render and run", ("ray",)),
     "noisebase": ("clips of Noisebase", ("numcodecs",)),

@@ -13,6 +13,7 @@ import typer
 from rlbench.cli import arguments, options, training_options
 from rlbench.cli.arguments import Budgets, Seeds
 from rlbench.cli.plugins import load_plugins
+from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
     from rlbench.training.config import TrainingConfig
@@ -192,14 +193,22 @@ def training_runs(
 
 
 def _trainable(patterns: list[str]) -> list[str]:
-    """The selected methods that can be trained; reports the others."""
+    """The selected methods that can be trained; reports the others.
+
+    Raises OptionError for a method with published weights that is selected by its name.
+    """
+    from rlbench import registry
     from rlbench.training.runs import select_trainable
 
     names = arguments.expand_methods(patterns, pretrained_only=False)
     trainable = select_trainable(names)
+    by_name = arguments.split_names(patterns)
     for name in names:
-        if name not in trainable:
-            typer.echo(f"{name} has nothing to train")
+        reason = registry.untrainable_reason(name)
+        if name in by_name and registry.get_variant(name).trained_by:
+            raise OptionError(f"{name} {reason}")
+        if reason:
+            typer.echo(f"{name} {reason}")
     return trainable
 
 

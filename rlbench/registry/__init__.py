@@ -26,6 +26,7 @@ from rlbench.registry.methods import (
     load_method,
     shipped_weights,
     training_task,
+    untrainable_reason,
 )
 from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
 from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
@@ -55,6 +56,7 @@ __all__ = [
     "resolve",
     "shipped_weights",
     "training_task",
+    "untrainable_reason",
     "use_plugin",
     "get_variant",
 ]

@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 
     from rlbench.method import Method
 
-__all__ = ["expand", "is_trainable", "load_method", "shipped_weights", "training_task"]
+__all__ = [
+    "expand",
+    "is_trainable",
+    "load_method",
+    "shipped_weights",
+    "training_task",
+    "untrainable_reason",
+]
 
 
 def load_method(
@@ -69,8 +76,8 @@ def shipped_weights(name: str) -> Path:
     It lies in the folder `cards` beside the module that builds the method, or the method whose
     weights it uses.
 
-    >>> shipped_weights("oidn/small").name
-    'small.safetensors'
+    >>> shipped_weights("oidn/tuned").name
+    'tuned.safetensors'
 
     Raises PluginError if there is no such module.
     """
@@ -82,21 +89,37 @@ def shipped_weights(name: str) -> Path:
 def training_task(name: str, device: torch.device | str = "cpu", seed: int = 0) -> Any:
     """The `rlbench.training.task.TrainingTask` of a method.
 
-    Raises PluginError for a method without trainable weights.
+    Raises PluginError for a method that cannot be trained.
     """
     import torch
 
     name = current_name(name)
-    if not is_trainable(name):
-        raise PluginError(f"'{name}' has nothing to train")
+    if reason := untrainable_reason(name):
+        raise PluginError(f"'{name}' {reason}")
     with exits_as_errors():
         return resolve(load_family(name).train)(name.partition("/")[2], torch.device(device), seed)
 
 
 def is_trainable(name: str) -> bool:
-    """Whether a method has weights of its own and a function that trains them."""
+    """Whether a method has weights of its own, not published ones, and a function to train them."""
     declared = get_variant(name)
-    return declared.learned and declared.weights_from is None and bool(load_family(name).train)
+    has_own_weights = declared.learned and declared.weights_from is None
+    return has_own_weights and not declared.trained_by and bool(load_family(name).train)
+
+
+def untrainable_reason(name: str) -> str | None:
+    """Why a method cannot be trained, or None if it can.
+
+    >>> untrainable_reason("mean")
+    'has nothing to train'
+    """
+    if is_trainable(name):
+        return None
+    if not (author := get_variant(name).trained_by):
+        return "has nothing to train"
+    reason = f"has weights that {author} trained and published, so rlbench does not train it"
+    trainable = ", ".join(filter(is_trainable, load_family(name).method_names()))
+    return f"{reason}. Rows of its family to train: {trainable}" if trainable else reason
 
 
 def expand(

@@ -12,6 +12,7 @@ import torch
 from baselines.oidn import FAMILY
 from baselines.oidn.method import VARIANTS, Oidn, build, to_radiance
 from baselines.oidn.train import _frame_loss, training_task
+from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Frame, GBuffer, Reference, Samples, StoredPool
 from rlbench.method import Method
@@ -50,14 +51,25 @@ def test_the_method_has_the_traits_of_its_family():
     assert method.traits == FAMILY.variants[""].traits
 
 
-@pytest.mark.parametrize(("variant", "parameters"), [("", 919_811), ("small", 320_035)])
+@pytest.mark.parametrize(
+    ("variant", "parameters"),
+    [("", 919_811), ("fast", 320_035), ("retrained", 919_811), ("retrained-small", 320_035)],
+)
 def test_the_network_has_oidns_size(variant, parameters):
     network = build(variant, CPU, "random").network
     assert sum(p.numel() for p in network.parameters()) == parameters
 
 
-def test_small_differs_in_its_widths_only():
-    assert replace(VARIANTS["small"], widths=VARIANTS[""].widths) == VARIANTS[""]
+@pytest.mark.parametrize("variant", ["fast", "retrained-small"])
+def test_the_small_networks_differ_in_their_widths_only(variant):
+    assert VARIANTS[variant].widths != VARIANTS[""].widths
+    assert replace(VARIANTS[variant], widths=VARIANTS[""].widths) == VARIANTS[""]
+
+
+def test_the_former_name_of_retrained_small_is_an_alias():
+    assert registry.expand(["oidn/small", "oidn/retrained-small"]) == ["oidn/retrained-small"]
+    assert "oidn/small" not in FAMILY.method_names()
+    assert registry.shipped_weights("oidn/small").name == "retrained-small.safetensors"
 
 
 def test_every_variant_of_the_family_can_be_built():
@@ -175,7 +187,7 @@ def test_random_weights_are_reproducible():
 
 
 def test_each_frame_gives_one_loss_with_a_gradient_for_every_parameter():
-    task = training_task("", CPU, seed=0)
+    task = training_task("retrained", CPU, seed=0)
     losses = list(task.losses(clip(32, 32, frames=3), BUDGETS_FROM_1_SPP[0]))
     assert len(losses) == 3
     losses[0].backward()
@@ -207,12 +219,14 @@ def test_exposure_in_training_comes_from_the_reference():
 
 
 def test_the_training_seed_changes_the_weights():
-    first, second = (training_task("", CPU, seed).networks.enc_conv0.weight for seed in (0, 1))
+    first, second = (
+        training_task("retrained", CPU, seed).networks.enc_conv0.weight for seed in (0, 1)
+    )
     assert not torch.equal(first, second)
 
 
 def test_a_few_steps_of_training_lower_the_loss():
-    task, scene = training_task("small", CPU, seed=0), clip(32, 32)
+    task, scene = training_task("retrained-small", CPU, seed=0), clip(32, 32)
     optimizer = torch.optim.Adam(task.networks.parameters(), 1e-3)
     history = []
     for _ in range(25):
@@ -225,7 +239,7 @@ def test_a_few_steps_of_training_lower_the_loss():
 
 
 def test_the_trained_network_is_the_network_that_runs():
-    task = training_task("", CPU, seed=0)
+    task = training_task("retrained", CPU, seed=0)
     assert isinstance(task.method, Oidn)
     assert task.method.network is task.networks
     (result,) = run_clip(task.method, clip(), 1.0)
@@ -238,4 +252,4 @@ def test_tuning_starts_from_intels_weights():
 
     theirs, ours = load_network().state_dict(), training_task("tuned", CPU, 0).networks.state_dict()
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
-    assert training_task("tuned", CPU, 0).max_lr < training_task("", CPU, 0).max_lr
+    assert training_task("tuned", CPU, 0).max_lr < training_task("retrained", CPU, 0).max_lr

@@ -18,12 +18,12 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Samples, Size
 from rlbench.ops.unet import UNet
 from rlbench.run import FrameResult, run_clip
-from rlbench.weights import load_into
+from rlbench.weights import ModelCard, load_into, read_card, save
 
 CPU = torch.device("cpu")
 CARDS = sorted((Path(tza.__file__).parent / "cards").glob("*.safetensors"))
 SHIPPED = Path(tza.__file__).parent / "cards" / "oidn.safetensors"
-PARAMETERS = {"": 919_811, "small": 320_035}
+PARAMETERS = {"": 919_811, "fast": 320_035}
 UNPADDED = Size(1, 64, 96)  # multiples of 16 need no padding
 CPU_INFO = Path("/proc/cpuinfo")
 
@@ -59,6 +59,10 @@ def run_intel(result: FrameResult, quality: str = "high", weights: bytes = b"") 
     return run_filter(result.samples.mean[0], gbuffer.albedo[0], gbuffer.normal[0]).unsqueeze(0)
 
 
+def variant_of(weights: Path) -> str:
+    return read_card(weights).name.partition("/")[2]
+
+
 def count_weights(tensors: dict[str, np.ndarray]) -> int:
     return sum(tensor.size for tensor in tensors.values())
 
@@ -66,9 +70,8 @@ def count_weights(tensors: dict[str, np.ndarray]) -> int:
 @cards
 @pytest.mark.parametrize("quality", ["high", "balanced", "fast"])
 @float32_library
-def test_intels_library_with_our_weights_gives_our_image(weights, quality):
-    variant = weights.stem if weights.stem in VARIANTS else ""
-    result = run_ours(build(variant, CPU, None))
+def test_intels_library_with_weights_of_a_row_gives_the_image_of_that_row(weights, quality):
+    result = run_ours(build(variant_of(weights), CPU, None))
     image = run_intel(result, quality, tza.export(weights))
     torch.testing.assert_close(image, result.image, **CLOSE)
 
@@ -109,7 +112,7 @@ def test_at_odd_sizes_only_the_padding_differs(monkeypatch):
     )
 
 
-@pytest.mark.parametrize(("variant", "quality"), [("", "high"), ("small", "fast")])
+@pytest.mark.parametrize(("variant", "quality"), [("", "high"), ("fast", "fast")])
 @float32_library
 def test_our_network_with_intels_weights_gives_intels_image(variant, quality):
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
@@ -142,9 +145,7 @@ def test_only_one_network_of_that_size_gives_the_librarys_image():
 
 @cards
 def test_decoding_returns_the_encoded_tensors_bit_for_bit(weights):
-    network = UNet(
-        INPUT_CHANNELS, widths=VARIANTS[weights.stem if weights.stem in VARIANTS else ""].widths
-    )
+    network = UNet(INPUT_CHANNELS, widths=VARIANTS[variant_of(weights)].widths)
     load_into(network, weights)
     decoded = tza.decode(tza.export(weights))
     assert list(decoded) == list(network.state_dict())
@@ -208,8 +209,15 @@ def test_another_file_format_is_rejected():
 
 
 def test_the_command_writes_the_file(tmp_path):
-    tza.main([str(tmp_path / "ours.tza")])
-    assert count_weights(tza.decode((tmp_path / "ours.tza").read_bytes())) == PARAMETERS[""]
+    tza.main([str(tmp_path / "tuned.tza")])
+    assert count_weights(tza.decode((tmp_path / "tuned.tza").read_bytes())) == PARAMETERS[""]
+
+
+def test_weights_under_a_former_name_of_their_row_are_exported(tmp_path):
+    network = build("retrained-small", CPU, None).network
+    save(network, tmp_path / "small.safetensors", ModelCard("oidn/small"))
+    content = tza.export(tmp_path / "small.safetensors")
+    assert count_weights(tza.decode(content)) == PARAMETERS["fast"]
 
 
 def test_the_command_reports_a_missing_weights_file(tmp_path, capsys):

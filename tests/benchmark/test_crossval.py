@@ -78,15 +78,23 @@ def test_progress_is_reported_for_each_method_of_each_fold(folds, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "trained"), [("ours", "ours"), ("ours/flat", "ours"), ("mean", ""), ("oidn-intel", "")]
+    ("name", "trained"),
+    [
+        ("ours", "ours"),
+        ("ours/flat", "ours"),
+        ("oidn/tuned", "oidn/tuned"),
+        ("mean", ""),
+        ("oidn", ""),
+        ("oidn-intel", ""),
+    ],
 )
 def test_weights_of_another_variant_are_trained_as_that_variant(name, trained):
     assert variant_to_train(name) == trained
 
 
 def test_only_trained_methods_have_the_label_crossval():
-    plan = RunPlan(("mean", "ntas"), ())
-    assert row_names(plan) == ["mean", "ntas@crossval"]
+    plan = RunPlan(("mean", "oidn", "ntas"), ())
+    assert row_names(plan) == ["mean", "oidn", "ntas@crossval"]
     assert row_names(replace(plan, methods=("ntas",))) == ["ntas@crossval"]
 
 

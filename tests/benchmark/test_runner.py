@@ -25,6 +25,7 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip
 from rlbench.system import code_hash, provenance
+from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
 
 MS = "_ms"  # end of the names of times, which differ between runs
@@ -379,6 +380,25 @@ def test_weights_without_a_label_never_replace_scores_of_shipped_weights(clip_fo
     assert resolve_method(plan, "ours/ppo").row_name == "ours/ppo"
 
 
+def test_a_row_whose_shipped_weights_changed_is_measured_again(clip_folder, tmp_path, monkeypatch):
+    """`oidn` once had the weights of today's `oidn/retrained`: scores of the two never mix."""
+    retrained, former = registry.shipped_weights("oidn/retrained"), tmp_path / "oidn.safetensors"
+    shutil.copy(retrained, former)
+    shutil.copy(card_path(retrained), card_path(former))
+    plan = run_plan(clip_folder, "oidn", limit_frames=1)
+    with monkeypatch.context() as patch:
+        patch.setattr(registry, "shipped_weights", lambda name: former)
+        patch.setattr("baselines.oidn.method.CARDS", tmp_path)
+        assert measure(plan, tmp_path / "r") == RunSummary(measured=1)
+    old = table.read(tmp_path / "r")
+    assert measure(plan, tmp_path / "r") == RunSummary(measured=1, replaced=1)
+    new = table.read(tmp_path / "r")
+    assert len(set(new["weights_hash"])) == 1
+    assert not set(old["weights_hash"]) & set(new["weights_hash"])
+    psnr = [rows[rows["metric"] == "psnr"]["value"].item() for rows in (old, new)]
+    assert psnr[0] != psnr[1]
+
+
 def test_an_older_cell_that_a_kill_left_is_removed_by_the_next_run(clip_folder, tmp_path):
     plan = run_plan(clip_folder)
     measure(plan, tmp_path / "r")
@@ -499,11 +519,11 @@ def test_a_clip_with_another_sample_time_is_measured_again(tmp_path):
 
 @pytest.mark.parametrize(("name", "trained"), [("generated-001", True), ("generated-x", False)])
 def test_a_score_on_a_training_clip_has_a_note_that_it_is_no_test(tmp_path, name, trained):
-    plan = run_plan(write_noise(tmp_path / name), "oidn/small", "mean", limit_frames=1)
+    plan = run_plan(write_noise(tmp_path / name), "oidn/retrained-small", "mean", limit_frames=1)
     measure(plan, tmp_path / "r")
     rows = table.read(tmp_path / "r")
     remark = "no test: its weights were trained on generated-001"
-    learned = rows[(rows["metric"] == "psnr") & (rows["method"] == "oidn/small")]
+    learned = rows[(rows["metric"] == "psnr") & (rows["method"] == "oidn/retrained-small")]
     assert set(learned["note"]) == ({remark} if trained else {""})
     assert remark not in set(rows[rows["method"] == "mean"]["note"])
 

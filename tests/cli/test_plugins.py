@@ -38,6 +38,13 @@ def test_a_narrow_terminal_shows_every_word_of_a_list(monkeypatch):
     assert "…" not in rlbench("list", "methods")
 
 
+def test_list_shows_where_the_weights_of_a_method_come_from():
+    weights = {row["name"]: row["weights"] for row in list_json("methods")["methods"]}
+    names = ("mean", "oidn", "oidn/tuned", "ours/reinforce")
+    expected = ["", "shipped, by Intel", "shipped", "to be trained"]
+    assert [weights[name] for name in names] == expected
+
+
 def test_list_shows_the_properties_of_methods():
     (row, *_) = list_json("methods")["methods"]
     assert {"name", "paper", "licence", "inputs", "spp", "adaptive", "question"} <= set(row)

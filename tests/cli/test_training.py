@@ -38,12 +38,12 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
     ],
 )
 def test_clips_that_cannot_be_trained_on_are_refused(command, words, message):
-    assert message in rlbench(command, "-m", "oidn", *words, code=2)
+    assert message in rlbench(command, "-m", "oidn/retrained", *words, code=2)
 
 
 @pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
 def test_no_test_set_is_trained_on(preset):
-    output = rlbench("train", "-m", "oidn", "--preset", preset, code=2)
+    output = rlbench("train", "-m", "oidn/retrained", "--preset", preset, code=2)
     assert f"error: preset '{preset}' is a test set" in output
     assert output.endswith("Choose: train")
 
@@ -70,7 +70,7 @@ def test_an_impossible_training_budget_is_refused_before_rendering(command, budg
     "words", [("--max-grad-norm", "-1"), ("--max-grad-norm", "0"), ("--minutes", "0")]
 )
 def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
-    output = rlbench(command, "-m", "oidn", "--out", tmp_path / "runs", *words, code=2)
+    output = rlbench(command, "-m", "oidn/retrained", "--out", tmp_path / "runs", *words, code=2)
     assert f"Invalid value for '{words[0]}': '{words[1]}' is no number above 0" in output
     assert not (tmp_path / "runs").exists()
 
@@ -78,6 +78,15 @@ def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
 @pytest.mark.parametrize("command", ["train", "lr-find"])
 def test_a_method_with_nothing_to_train_is_reported(command):
     assert "mean has nothing to train" in rlbench(command, "-m", "mean")
+
+
+@pytest.mark.parametrize("command", ["train", "lr-find"])
+@pytest.mark.parametrize("name", ["oidn", "oidn/fast"])
+def test_training_a_row_with_published_weights_by_its_name_is_refused(command, name, tmp_path):
+    output = rlbench(command, "-m", f"mean,{name}", "--out", tmp_path / "runs", code=2)
+    assert f"error: {name} has weights that Intel trained and published, so rlbench" in output
+    assert output.endswith("to train: oidn/retrained, oidn/retrained-small, oidn/tuned")
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.fixture
@@ -97,9 +106,9 @@ def test_train_hands_over_its_options(calls, tmp_path):
     words = ("--frames", 60, "--batch", 2, "--crop", 32, "--train-spp", "1,4", "--bf16")
     words += ("--max-grad-norm", 0.5, "--seed", 3, "--minutes", 2, "--allow-config-change")
     words += ("--device", "cpu", "--out", tmp_path, "--seeds", "0:3", "--preset", "train")
-    output = rlbench("train", "-m", "oidn,oidn/small,mean", *words)
+    output = rlbench("train", "-m", "oidn/retrained,oidn/small,mean", *words)
     assert "mean has nothing to train" in output
-    assert [name for _, name, _, _ in calls] == ["oidn", "oidn/small"]
+    assert [name for _, name, _, _ in calls] == ["oidn/retrained", "oidn/retrained-small"]
     runs, _, split, held_out_scene = calls[0]
     config = runs.config
     assert (config.frames, config.batch, config.crop, config.spp) == (60, 2, 32, (1, 4))
@@ -110,8 +119,16 @@ def test_train_hands_over_its_options(calls, tmp_path):
     assert held_out_scene is None
 
 
+def test_a_pattern_leaves_out_rows_with_published_weights_and_says_so(calls):
+    output = rlbench("train", "-m", "oidn/*")
+    assert "oidn has weights that Intel trained and published" in output
+    assert "oidn/fast has weights that Intel trained and published" in output
+    trained = ["oidn/retrained", "oidn/retrained-small", "oidn/tuned"]
+    assert [name for _, name, _, _ in calls] == trained
+
+
 def test_the_defaults_of_train_are_those_of_the_config(calls):
-    rlbench("train", "-m", "oidn")
+    rlbench("train", "-m", "oidn/retrained")
     ((runs, _, split, _),) = calls
     assert runs.config == type(runs.config)()
     assert runs.minutes == math.inf
@@ -120,12 +137,12 @@ def test_the_defaults_of_train_are_those_of_the_config(calls):
 
 
 def test_restart_archives_the_old_run(calls, tmp_path):
-    (tmp_path / "oidn").mkdir()
-    words = ("train", "-m", "oidn", "--out", tmp_path)
+    (tmp_path / "oidn-retrained").mkdir()
+    words = ("train", "-m", "oidn/retrained", "--out", tmp_path)
     assert "old" not in rlbench(*words, "--resume").replace(str(tmp_path), "")
     output = rlbench(*words, "--restart")
-    assert f"oidn: the old run is now in {tmp_path}/oidn.old-1" in output
-    assert (tmp_path / "oidn.old-1").is_dir()
+    assert f"oidn/retrained: the old run is now in {tmp_path}/oidn-retrained.old-1" in output
+    assert (tmp_path / "oidn-retrained.old-1").is_dir()
 
 
 @pytest.mark.parametrize("content", [None, b"junk"])

@@ -73,6 +73,23 @@ def test_a_method_whose_package_is_missing_says_what_to_install(tmp_path):
         registry.load_method("odd")
 
 
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("oidn/tuned", None),
+        ("mean", "has nothing to train"),
+        ("ours/flat", "has nothing to train"),
+        ("oidn", "has weights that Intel trained and published"),
+    ],
+)
+def test_a_method_that_cannot_be_trained_has_a_reason(name, reason):
+    assert registry.is_trainable(name) == (reason is None)
+    assert (registry.untrainable_reason(name) or "").startswith(reason or "")
+    if reason:
+        with pytest.raises(PluginError, match=f"'{name}' {reason}"):
+            registry.training_task(name)
+
+
 def test_the_shipped_weights_of_every_pretrained_method_exist():
     names = [name for name in registry.expand(["all/*"]) if registry.get_variant(name).learned]
     assert names

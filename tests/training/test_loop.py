@@ -40,8 +40,8 @@ def kill_after(sequences: int | None):
 
 def train_oidn(out: Path, clip: Path, sequences: int | None = None) -> tuple[ModelCard, str]:
     """OIDN trained on four sequences of a tiny clip; its card and the hash of its weights."""
-    train("oidn", [clip], [clip], out, OIDN, on_progress=kill_after(sequences))
-    return read_card(out / "oidn.safetensors"), digest(out / "oidn.safetensors")
+    train("oidn/retrained", [clip], [clip], out, OIDN, on_progress=kill_after(sequences))
+    return read_card(out / "retrained.safetensors"), digest(out / "retrained.safetensors")
 
 
 def test_a_killed_run_ends_as_an_undisturbed_one(tmp_path):
@@ -66,7 +66,7 @@ def on_progress(progress, loss):
     if progress.sequences == kill:
         os.kill(os.getpid(), signal.SIGKILL)
 config = TrainingConfig(frames=24, batch=2, crop=16, sequence_length=3, eval_interval=12)
-train("oidn", [clip], [clip], out, config, on_progress=on_progress)
+train("oidn/retrained", [clip], [clip], out, config, on_progress=on_progress)
 """
 
 
@@ -78,7 +78,7 @@ def test_kill_9_does_not_change_the_weights(tmp_path):
     for kill in (1, 3):
         command = [sys.executable, "-c", CHILD, tmp_path / "killed", clip, str(kill)]
         assert subprocess.run(command, env=environment).returncode == -signal.SIGKILL
-    assert not (tmp_path / "killed" / "oidn.safetensors").exists()
+    assert not (tmp_path / "killed" / "retrained.safetensors").exists()
     resumed, resumed_hash = train_oidn(tmp_path / "killed", clip)
     card, expected_hash = train_oidn(tmp_path / "undisturbed", clip)
     assert resumed_hash == expected_hash
@@ -151,7 +151,9 @@ def test_a_checkpoint_with_another_config_is_refused(tmp_path):
     train_oidn(tmp_path / "run", clip)
     message = r"changed: batch 2 -> 1; eval_interval 12 -> 1000; frames 24 -> 48; sequence_length 3"
     with pytest.raises(TrainingError, match=message):
-        train("oidn", [clip], [clip], tmp_path / "run", TrainingConfig(frames=48, crop=16))
+        train(
+            "oidn/retrained", [clip], [clip], tmp_path / "run", TrainingConfig(frames=48, crop=16)
+        )
 
 
 def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
@@ -165,17 +167,17 @@ def test_a_checkpoint_of_other_clips_is_refused(tmp_path):
 def test_a_checkpoint_of_another_method_is_refused(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
     config = TrainingConfig(frames=12, batch=2, crop=16, sequence_length=3, eval_interval=12)
-    train("oidn", [clip], [clip], tmp_path, config)
-    message = "belongs to method 'oidn', but 'oidn/small' was requested"
+    train("oidn/retrained", [clip], [clip], tmp_path, config)
+    message = "belongs to method 'oidn/retrained', but 'oidn/retrained-small' was requested"
     with pytest.raises(TrainingError, match=message):
-        train("oidn/small", [clip], [clip], tmp_path, config, allow_config_change=True)
+        train("oidn/retrained-small", [clip], [clip], tmp_path, config, allow_config_change=True)
 
 
 def test_a_finished_run_keeps_its_card(tmp_path):
     clip = write_noise(tmp_path / "clips" / "noise", h=32, w=32)
-    first = train("oidn", [clip], [clip], tmp_path, OIDN, command="first")
-    second = train("oidn", [clip], [clip], tmp_path, OIDN, command="second")
-    assert first.weights == second.weights == tmp_path / "oidn.safetensors"
+    first = train("oidn/retrained", [clip], [clip], tmp_path, OIDN, command="first")
+    second = train("oidn/retrained", [clip], [clip], tmp_path, OIDN, command="second")
+    assert first.weights == second.weights == tmp_path / "retrained.safetensors"
     assert second.progress.frames_seen == 24
     assert read_card(first.weights).command == "first"
 
@@ -184,16 +186,16 @@ def test_a_finished_run_keeps_its_card(tmp_path):
 def test_a_run_that_was_killed_while_it_wrote_its_weights_writes_them(tmp_path, left):
     clip, out = write_noise(tmp_path / "clips" / "noise", h=32, w=32), tmp_path / "run"
     if left == "older weights":  # a run with little time saves the weights that it has
-        train("oidn", [clip], [clip], out, OIDN, minutes=1e-9)
-    older = [(file, file.read_bytes()) for file in out.glob("oidn.*")]
-    train("oidn", [clip], [clip], out, OIDN)
-    expected, card = digest(out / "oidn.safetensors"), out / "oidn.toml"
+        train("oidn/retrained", [clip], [clip], out, OIDN, minutes=1e-9)
+    older = [(file, file.read_bytes()) for file in out.glob("retrained.*")]
+    train("oidn/retrained", [clip], [clip], out, OIDN)
+    expected, card = digest(out / "retrained.safetensors"), out / "retrained.toml"
     if left == "no card":
         card.unlink()
     if left == "another card":
         card.write_text(card.read_text().replace(expected, "0" * 64))
     for file, content in older:
         file.write_bytes(content)
-    train("oidn", [clip], [clip], out, OIDN)
-    assert read_card(out / "oidn.safetensors").sha256 == expected
-    assert digest(out / "oidn.safetensors") == expected
+    train("oidn/retrained", [clip], [clip], out, OIDN)
+    assert read_card(out / "retrained.safetensors").sha256 == expected
+    assert digest(out / "retrained.safetensors") == expected

@@ -1,0 +1,83 @@
+"""Rows `oidn` and `oidn/fast` run Intel's published weights and give the library's image."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.oidn.method import build
+from baselines.oidn_intel import extract, method, networks
+from rlbench import registry
+from rlbench.frames import GBuffer, Samples
+from rlbench.ops.fireflies import mean_without_fireflies
+from rlbench.system import provenance
+from rlbench.weights import card_path
+from tests.baselines.test_tza import float32_library
+
+pytestmark = pytest.mark.skipif(
+    bool(provenance.missing_packages(["pyoidn"])), reason="the extra oidn is not installed"
+)
+CPU = torch.device("cpu")
+ROWS = [("", "high"), ("fast", "fast")]  # a row's variant and the library's quality
+# Relative, in radiance. Both compute in float32 and add in another order; the largest difference
+# measured on such images is 9e-6. No padding: the sides are multiples of 16.
+TOLERANCE = 1e-4
+
+
+def random_frame(h: int, w: int, spread: float) -> tuple[GBuffer, Samples]:
+    """Log-normal radiance, uniform albedo and normals, without any structure to agree upon."""
+    generator = torch.Generator().manual_seed(h + w)
+    albedo, normal = torch.rand(2, 1, 3, h, w, generator=generator)
+    radiance = (spread * torch.randn(1, 2, 3, h, w, generator=generator)).exp()
+    counts = torch.full((1, 1, h, w), 2)
+    return GBuffer({"albedo": albedo, "normal": 2 * normal - 1}), Samples(radiance, counts)
+
+
+def largest_relative_difference(image: Tensor, expected: Tensor) -> float:
+    assert expected.min() > 1e-3  # else a relative difference means nothing
+    return float(((image - expected).abs() / expected).max())
+
+
+@pytest.mark.parametrize(("variant", "quality"), ROWS)
+@pytest.mark.parametrize("size", [(16, 16), (64, 96), (208, 160)])
+@pytest.mark.parametrize("spread", [0.5, 2.0])
+@float32_library
+def test_the_image_is_the_librarys_on_random_input(variant, quality, size, spread):
+    gbuffer, samples = random_frame(*size, spread)
+    image, _ = build(variant, CPU, None).denoise(gbuffer, samples, None)
+    library = method.build(variant, CPU, None)  # its variants have the same names
+    assert library.config.quality == quality
+    expected, _ = library.denoise(gbuffer, samples, None)
+    assert largest_relative_difference(image, expected) < TOLERANCE
+    noisy = mean_without_fireflies(samples.radiance, samples.counts)
+    assert largest_relative_difference(noisy, expected) > 0.1  # the image was denoised
+
+
+@float32_library
+def test_other_weights_are_told_apart_by_far():
+    gbuffer, samples = random_frame(64, 96, 0.5)
+    image, _ = build("tuned", CPU, None).denoise(gbuffer, samples, None)
+    expected, _ = method.build("", CPU, None).denoise(gbuffer, samples, None)
+    assert largest_relative_difference(image, expected) > 100 * TOLERANCE
+
+
+def test_the_command_makes_the_shipped_files(tmp_path, capsys):
+    extract.main([str(tmp_path)])
+    written = [line.rpartition("/")[2] for line in capsys.readouterr().out.split()]
+    assert written == ["oidn.safetensors", "fast.safetensors"]
+    for name in written:
+        shipped = registry.shipped_weights("oidn").parent / name
+        assert (tmp_path / name).read_bytes() == shipped.read_bytes()
+        assert card_path(tmp_path / name).read_text() == card_path(shipped).read_text()
+
+
+def test_the_command_without_the_library_says_what_to_install(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyoidn", None)  # as if it could not be imported
+    networks.load_network.cache_clear()
+    with pytest.raises(SystemExit, match="2"):
+        extract.main([str(tmp_path)])
+    assert "pip install pyoidn" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
