@@ -121,11 +121,11 @@ ADAPTIVE = [
 
 
 @pytest.mark.parametrize("name", ADAPTIVE)
-def test_a_trained_sampling_map_has_not_collapsed(name):
+def test_a_sampling_map_has_not_collapsed(name):
     """A collapsed map is constant but for a few pixels: in one case 36859 of 36864 were equal."""
-    for result in run_clip(registry.load_method(name), procedural_clip(frames=2), 4.0):
-        counts = result.samples.counts
-        assert float((counts == counts.median()).float().mean()) < 0.99
+    *_, result = run_clip(registry.load_method(name), procedural_clip(frames=3), 4.0)
+    counts = result.samples.counts
+    assert float((counts == counts.median()).float().mean()) < 0.99
 
 
 def _clips(card: ModelCard) -> list[str]:
