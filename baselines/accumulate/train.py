@@ -12,11 +12,10 @@ from torch import Tensor
 from baselines.accumulate import FAMILY
 from baselines.accumulate.memory import Memory
 from baselines.accumulate.method import VARIANTS, Accumulate
-from baselines.oidn.method import INPUT_CHANNELS
+from baselines.oidn.method import published_network
 from rlbench.frames import Clip, GBuffer, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import LOG_SCALE, log_forward, pu_inverse
-from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
@@ -43,13 +42,9 @@ class DetachedMemory(MethodWrapper[Accumulate]):
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """Intel's network, and the loss of its image after accumulation and blending.
 
-    Loss, learning rate, budgets and start are those of `ours`. Raises LibraryError if the extra
-    `oidn` is not installed.
+    Loss, learning rate, budgets and start are those of `ours`.
     """
-    from baselines.oidn_intel import networks
-
-    network = UNet(INPUT_CHANNELS, seed=seed)
-    network.load_state_dict(networks.load_network().state_dict())
+    network, origin = published_network()
     traits = FAMILY.variants[variant].traits
     method = Accumulate(VARIANTS[variant], traits, network.to(device), decode=decode_signed)
     detached = DetachedMemory(method)
@@ -59,7 +54,6 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
             reference = log_forward(result.frame.reference.mean)
             yield log_loss(l1_ms_ssim_loss(log_forward(result.image), reference))
 
-    origin = networks.weights_origin()
     return TrainingTask(method, network, losses, BUDGETS, MAX_LR, origin=origin)
 
 

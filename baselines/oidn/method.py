@@ -18,9 +18,18 @@ from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
-from rlbench.weights import load_for_inference
+from rlbench.weights import load_for_inference, load_into
 
-__all__ = ["INPUT_CHANNELS", "VARIANTS", "Config", "Oidn", "build", "encode_inputs", "to_radiance"]
+__all__ = [
+    "INPUT_CHANNELS",
+    "VARIANTS",
+    "Config",
+    "Oidn",
+    "build",
+    "encode_inputs",
+    "published_network",
+    "to_radiance",
+]
 
 CARDS = Path(__file__).parent / "cards"
 INPUT_CHANNELS = 9  # colour, albedo, normal
@@ -103,3 +112,14 @@ def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
     network = UNet(INPUT_CHANNELS, widths=VARIANTS[variant].widths)
     load_for_inference(network, weights, CARDS / FAMILY.weights_file(variant), device)
     return Oidn(network)
+
+
+def published_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
+    """A network with Intel's published weights, for training to start from, and their origin.
+
+    Raises KeyError unless Intel publishes a network of these widths.
+    """
+    variant = {BASE_WIDTHS: "", FAST_WIDTHS: "fast"}[widths]
+    network = UNet(INPUT_CHANNELS, widths=widths)
+    card = load_into(network, CARDS / FAMILY.weights_file(variant))
+    return network, card.origin

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn
+from baselines.oidn.method import INPUT_CHANNELS, VARIANTS, Oidn, published_network
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.frames import Clip
 from rlbench.ops.exposure import autoexposure
@@ -32,8 +32,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
     from it in what all methods here share: crops, schedule, averaged weights; normals are not
     permuted; and crops below 176 pixels use the scales that fit. The variant `tuned` starts from
     Intel's weights and is fine-tuned as `ours` is, with its learning rate and the logarithm of the
-    loss. Raises LibraryError for `tuned` if the extra `oidn` is not installed. Variants with
-    Intel's weights are not trained: `rlbench.registry.training_task` refuses them.
+    loss. `rlbench.registry.training_task` refuses the variants with Intel's weights.
     """
     config = VARIANTS[variant]
     network = UNet(INPUT_CHANNELS, widths=config.widths, seed=seed).to(device)
@@ -44,13 +43,12 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
 def fine_tuning_task(method: Oidn) -> TrainingTask:
     """Fine-tuning of `method` from Intel's weights, on the pool that the method's traits name.
 
-    Loads Intel's weights into the method's network. Raises LibraryError without the extra `oidn`.
+    Loads Intel's weights into the method's network.
     """
-    from baselines.oidn_intel import networks
-
-    intel_weights = networks.load_network(method.network.widths).state_dict()
-    method.network.load_state_dict(intel_weights)
-    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=networks.weights_origin())
+    assert isinstance(method.network, UNet)
+    intel, origin = published_network(method.network.widths)
+    method.network.load_state_dict(intel.state_dict())
+    return replace(_task(method, FINE_TUNING_MAX_LR, log_loss), origin=origin)
 
 
 def _task(

@@ -45,7 +45,6 @@ FAMILY = Family(
             "What does training give? (before the first step, sampled uniformly)",
             UNIFORM,
             learned=False,
-            requires=("pyoidn",),
         ),
         "by-rule": Variant(
             "What does the learned density give over a rule? (density by contrast)",

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from baselines.oidn.method import published_network
 from methods.ours.networks import (
     DEVIATION_INPUT,
     GBUFFER_CHANNELS,
@@ -47,8 +48,6 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
     denoiser reads radiance and Intel has a network of its size, it starts from Intel's weights with
     zeros for the state: the first image is that of Open Image Denoise. If it reads the state alone,
     its last three layers are wired to the first slot, averaged over 3x3 pixels twice.
-
-    Raises LibraryError if Intel's weights are needed and the extra `oidn` is not installed.
     """
     kaiming_init(networks, seed)
     if networks.sampler is not None:
@@ -110,18 +109,14 @@ def _wire_blur(denoiser: UNet) -> None:
 
 def _load_intel(denoiser: UNet) -> str:
     """Intel's weights, and zeros for the state's input channels and the blend's output channel."""
-    from baselines.oidn_intel.networks import (  # an extra; only training needs it
-        load_network,
-        weights_origin,
-    )
-
-    intel = load_network(denoiser.widths).state_dict()
+    network, origin = published_network(denoiser.widths)
+    intel = network.state_dict()
     for name, weight in denoiser.state_dict().items():
         weight.zero_()
         shared = weight[: len(intel[name])]  # the blend is the last output
         shared = shared if weight.dim() == 1 else shared[:, : intel[name].shape[1]]
         shared.copy_(intel[name])  # the state is the last input
-    return weights_origin()
+    return origin
 
 
 @torch.no_grad()

@@ -83,11 +83,7 @@ class ExploringMethod(MethodWrapper[Ours]):
 
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
-    """Networks with seeded weights and a uniform sampler, and the losses that train them.
-
-    Raises LibraryError if training starts from Intel's weights and the extra `oidn` is not
-    installed.
-    """
+    """Networks with seeded weights and a uniform sampler, and the losses that train them."""
     config, traits = VARIANTS[variant].for_training, FAMILY.variants[variant].traits
     networks = Networks(config)
     origin = initialize(networks, config, seed)

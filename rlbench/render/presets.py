@@ -150,6 +150,15 @@ PRESETS = {
             pools=PATH_AND_RESTIR,
         ),
         Preset(
+            "development",
+            "decisions while developing: generated scenes, neither trained on nor reported",
+            (160, 160),
+            5,
+            64,
+            (),
+            tuple(range(40, 56)),
+        ),
+        Preset(
             "unseen",
             "many clips, so that small differences show: generated scenes kept from training",
             (160, 160),

@@ -41,7 +41,7 @@ def test_clips_that_cannot_be_trained_on_are_refused(command, words, message):
     assert message in rlbench(command, "-m", "oidn/retrained", *words, code=2)
 
 
-@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "unseen"])
+@pytest.mark.parametrize("preset", ["tiny", "mini", "standard", "paper", "development", "unseen"])
 def test_no_test_set_is_trained_on(preset):
     output = rlbench("train", "-m", "oidn/retrained", "--preset", preset, code=2)
     assert f"error: preset '{preset}' is a test set" in output
