@@ -12,7 +12,7 @@ from .dither import round_to_total
 from .exposure import autoexposure
 from .fireflies import limit_fireflies, mean_without_fireflies, repair_radiance_history
 from .init import kaiming_init
-from .kernels import apply_kernels
+from .kernels import apply_kernels, splat_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
 from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
@@ -75,6 +75,7 @@ __all__ = [
     "sanitize_normal",
     "sanitize_radiance",
     "smape",
+    "splat_kernels",
     "squash_depth",
     "surface_mask",
     "temporal_l1",
