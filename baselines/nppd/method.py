@@ -107,7 +107,7 @@ class Nppd:
         embedding = self._embed(gbuffer, light, mean)
 
         # predict weights
-        colours = (torch.cat((history.irradiance, noisy), 1) / mean).log1p()
+        colours = _compress(torch.cat((history.irradiance, noisy), 1) / mean)
         inputs = torch.cat((colours, history.embedding, embedding), 1)
         weights = self.networks.predict_weights(pad(inputs, STRIDE))
 
@@ -118,16 +118,23 @@ class Nppd:
 
         # filter and modulate
         previous = history.denoised.where(valid, irradiance)
-        denoised = apply_partitioning_pyramid(pad(irradiance, STRIDE), pad(previous, STRIDE), weights)
+        denoised = apply_partitioning_pyramid(
+            pad(irradiance, STRIDE), pad(previous, STRIDE), weights
+        )
         denoised = crop(denoised, h, w)
         return denoised * albedo, State(irradiance, denoised, embedding, state.age + 1)
 
     def _embed(self, gbuffer: GBuffer, light: Samples, mean: Tensor) -> Float[Tensor, "n 32 h w"]:
         """The mean embedding of a pixel's samples of irradiance."""
-        colours = (light.radiance / mean[:, None]).log1p()
+        colours = _compress(light.radiance / mean[:, None])
         features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
         embedding: Tensor = self.networks.encoder(colours, features, light.valid_mask)
         return embedding
+
+
+def _compress(colour: Tensor) -> Tensor:
+    """log(1 + x) of colours x over the mean, as the networks see them; 0 for negative samples."""
+    return colour.clamp_min(0).log1p()
 
 
 def _sample_irradiance(

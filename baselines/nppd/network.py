@@ -46,8 +46,8 @@ class Networks(nn.Module):
     def init_weights(self, seed: int) -> None:
         """Draw seeded weights; small last layers start kernels and partition near uniform."""
         kaiming_init(self, seed)
-        for head in self.unet.heads:
-            head.weight.data.mul_(HEAD_GAIN)
+        for weight in self.unet.heads.parameters():
+            weight.data.mul_(HEAD_GAIN)
 
     def predict_weights(self, inputs: Float[Tensor, "n 70 h w"]) -> FilterWeights:
         """The U-Net's outputs, mapped to weights in float32; h and w must be multiples of 32."""
@@ -111,45 +111,50 @@ class WeightUNet(nn.Module):
     def __init__(self, widths: Widths) -> None:
         """Create all layers; `widths` has one entry more than there are filtered levels."""
         super().__init__()
-        self.encoders, self.decoders = nn.ModuleList(), nn.ModuleList()
-        channels = INPUTS
-        for level in widths:
-            self.encoders.append(_convolutions(channels, level))
-            channels = level[-1]
-        for level in reversed(widths[:-1]):
-            join = UpsampleConcatConv(channels, level[-1], level[-1])
-            self.decoders.append(nn.ModuleList([join, *_convolutions(level[-1], level[-2::-1])]))
-            channels = level[0]
+        inputs = (INPUTS, *(level[-1] for level in widths))
+        self.encoders = nn.ModuleList(map(_convolutions, inputs, widths))
+        coarser = (*(level[0] for level in widths[1:-1]), widths[-1][-1])
+        self.decoders = nn.ModuleList(map(DecoderLevel, coarser, widths[:-1]))
         outputs = [sum(FINEST_OUTPUTS)] + [sum(COARSE_OUTPUTS)] * (LEVELS - 1)
         self.heads = nn.ModuleList(
-            nn.Conv2d(level[0], count, 1)
-            for level, count in zip(widths[:-1], outputs, strict=True)
+            nn.Conv2d(level[0], count, 1) for level, count in zip(widths[:-1], outputs, strict=True)
         )
 
     def forward(self, x: Float[Tensor, "n 70 h w"]) -> list[Float[Tensor, "n _ _ _"]]:
         """Outputs of the levels, fine to coarse: 57 channels, then 41 each."""
-        x, skips = to_channels_last(x), []
-        for encoder in self.encoders:
-            x = _activate(encoder, F.max_pool2d(x, 2) if skips else x)
+        x, skips = self.encoders[0](to_channels_last(x)), []
+        for encoder in self.encoders[1:]:
             skips.append(x)
-        skips.pop()
+            x = encoder(F.max_pool2d(x, 2))
         outputs = []
-        for (join, *rest), head in zip(self.decoders, reversed(self.heads), strict=True):
-            x = _activate(rest, F.leaky_relu_(join(x, skips.pop()), NEGATIVE_SLOPE))
+        for decoder, head in zip(reversed(self.decoders), reversed(self.heads), strict=True):
+            x = decoder(x, skips.pop())
             outputs.append(head(x))
         return outputs[::-1]
 
 
-def _convolutions(channels: int, widths: tuple[int, ...]) -> nn.ModuleList:
-    """3 x 3 convolutions in a row, from `channels` on."""
-    sizes = (channels, *widths)
-    return nn.ModuleList(
-        nn.Conv2d(a, b, 3, padding=1) for a, b in zip(sizes, widths, strict=False)
-    )
+class DecoderLevel(nn.Module):
+    """Joins a coarser level with the skip, then runs through the widths of a level in reverse."""
+
+    def __init__(self, coarse_channels: int, widths: tuple[int, ...]) -> None:
+        """`widths` are those of the encoder at the same level."""
+        super().__init__()
+        self.join = UpsampleConcatConv(coarse_channels, widths[-1], widths[-1])
+        self.rest = _convolutions(widths[-1], widths[-2::-1])
+
+    def forward(
+        self, coarse: Float[Tensor, "n c h w"], skip: Float[Tensor, "n c2 2*h 2*w"]
+    ) -> Float[Tensor, "n c3 2*h 2*w"]:
+        """Features at the resolution of the skip."""
+        features: Tensor = self.rest(F.leaky_relu_(self.join(coarse, skip), NEGATIVE_SLOPE))
+        return features
 
 
-def _activate(layers: nn.ModuleList | list[nn.Module], x: Tensor) -> Tensor:
-    """The layers in a row, each followed by LeakyReLU."""
-    for layer in layers:
-        x = F.leaky_relu_(layer(x), NEGATIVE_SLOPE)
-    return x
+def _convolutions(channels: int, widths: tuple[int, ...]) -> nn.Sequential:
+    """3 x 3 convolutions in a row, from `channels` on, each followed by LeakyReLU."""
+    layers: list[nn.Module] = []
+    for width in widths:
+        layers += [nn.Conv2d(channels, width, 3, padding=1)]
+        layers += [nn.LeakyReLU(NEGATIVE_SLOPE, inplace=True)]
+        channels = width
+    return nn.Sequential(*layers)

@@ -109,9 +109,7 @@ class _SplatKernels(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         kernels, image = ctx.saved_tensors
         needs_kernels, needs_image, _ = ctx.needs_input_grad
-        grad_kernels = (
-            _kernel_gradient(kernels, image, grad, ctx.stride) if needs_kernels else None
-        )
+        grad_kernels = _kernel_gradient(kernels, image, grad, ctx.stride) if needs_kernels else None
         grad_image = _gather(kernels, grad, ctx.stride) if needs_image else None
         return grad_kernels, grad_image, None
 
