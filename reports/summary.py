@@ -1,4 +1,4 @@
-"""The summary: every score and time by method and budget, intervals, ties, and what was not run."""
+"""The summary: every score and time by method and budget, intervals, and what was not run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TIME_COLUMNS = {
 RULES = {"higher": "Higher is better. ", "lower": "Lower is better. "}
 OVERALL_CAPTION = (
     f"Bold is best at its budget. Brackets: {INTERVAL_NOTE} of the paired difference to the best. "
-    "A tie is a difference whose interval includes zero."
+    "Not resolved: the interval includes zero. Tie: it lies within +-0.1 dB."
 )
 
 
@@ -101,7 +101,7 @@ def _format_score(row: Mapping[Hashable, Any], number: Callable[[float], str]) -
         return Bold(text)
     if low == low:
         text += f" [{number(low)}, {number(high)}]"
-    return f"{text} tie" if row["tie"] else text
+    return f"{text} {row['verdict']}".strip()
 
 
 def _number_format(unit: str) -> Callable[[float], str]:

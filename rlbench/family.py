@@ -64,7 +64,7 @@ class Variant:
     traits: Traits
     learned: bool = True  # True if it needs trained weights
     pretrained: bool = True  # True if its weights are shipped; if not, `FAMILY/*` leaves it out
-    weights_from: str | None = None  # variant whose weights it uses; None: its own
+    weights_from: str | None = None  # method whose weights it uses, "oidn/tuned"; None: its own
     requires: tuple[str, ...] = ()  # PyPI distributions whose versions can change its images
 
 
@@ -97,6 +97,6 @@ class Family:
         return [f"{self.name}/{key}" if key else self.name for key in self.variants]
 
     def weights_file(self, variant: str) -> str:
-        """File name of the shipped weights of `variant`, or of the variant in `weights_from`."""
+        """File name of the shipped weights of `variant`, or of the method in `weights_from`."""
         source = self.variants[variant].weights_from
-        return f"{(variant if source is None else source) or self.name}.safetensors"
+        return f"{(source or variant or self.name).rpartition('/')[2]}.safetensors"

@@ -41,15 +41,31 @@ FAMILY = Family(
             "Is it the samples, or their number? (their mean and count)", TRAITS, pretrained=False
         ),
         "small": Variant("Are smaller networks enough? (all three)", TRAITS),
+        "initial": Variant(
+            "What does training give? (before the first step, sampled uniformly)",
+            UNIFORM,
+            learned=False,
+            requires=("pyoidn",),
+        ),
+        "by-rule": Variant(
+            "What does the learned density give over a rule? (density by contrast)",
+            TRAITS,
+            weights_from="ours",
+        ),
+        "stateless": Variant(
+            "What does the latent give beside accumulated radiance? (no latent)",
+            TRAITS,
+            pretrained=False,
+        ),
         "flat": Variant(
             "What does the density map itself give? (weights of ours, sampled uniformly)",
             UNIFORM,
-            weights_from="",
+            weights_from="ours",
         ),
         "lag": Variant(
             "Does antilag pay? (weights of ours, history is never rejected)",
             TRAITS,
-            weights_from="",
+            weights_from="ours",
         ),
         "sampler-small": Variant("Is a sampler of one level enough?", TRAITS, pretrained=False),
         "sampler-large": Variant(

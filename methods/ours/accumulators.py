@@ -11,15 +11,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from baselines.oidn.method import encode_inputs as oidn_inputs
-from methods.ours.accumulation import (
+from methods.ours.rejection import HistoryRejection
+from methods.ours.state import ReprojectedHistory
+from rlbench.frames import GBuffer, Samples
+from rlbench.ops.accumulation import (
     AccumulatedRadiance,
     accumulate,
     fill_holes,
     frame_radiance,
 )
-from methods.ours.antilag import HistoryRejection
-from methods.ours.state import ReprojectedHistory
-from rlbench.frames import GBuffer, Samples
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.transfer import LOG_SCALE, log_forward, log_inverse, pu_inverse
 
@@ -114,7 +114,7 @@ class FrameRadiance(StateOnly):
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """The mean of this frame's samples, with holes filled."""
-        return fill_holes(frame_radiance(samples), gbuffer.albedo), history
+        return fill_holes(frame_radiance(samples.radiance, samples.counts), gbuffer.albedo), history
 
     def reconstruct(
         self,
@@ -160,7 +160,7 @@ class TemporalRadiance:
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """Samples of this frame and trusted history, with holes filled."""
-        current = frame_radiance(samples)
+        current = frame_radiance(samples.radiance, samples.counts)
         history = self.rejection.apply(history, current)
         radiance = accumulate(history.radiance, current, trust)
         return fill_holes(radiance, gbuffer.albedo), history

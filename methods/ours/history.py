@@ -9,11 +9,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from methods.ours.accumulation import AccumulatedRadiance, feature_similarity, network_features
 from methods.ours.networks import GBUFFER_CHANNELS
 from methods.ours.sample_encoding import MISSING
-from methods.ours.state import RecurrentState, ReprojectedHistory, detach, gbuffer_features
+from methods.ours.state import (
+    RecurrentState,
+    ReprojectedHistory,
+    detach,
+    gbuffer_features,
+    network_features,
+)
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.accumulation import AccumulatedRadiance, feature_similarity
 from rlbench.ops.fireflies import repair_moments, repair_radiance_history
 from rlbench.ops.reprojection import reproject, reproject_bicubic
 from rlbench.ops.sanitize import repair_history

@@ -78,12 +78,13 @@ def _wire_identity(encoder: Encoder, config: Config) -> None:
         for layer in between:
             _wire(layer, channel, {channel: 1.0})
     _bias(first)[samples : samples + 3] = 1  # normals are signed, hidden units are not
-    _wire_slots(last, samples)
-    for channel in range(GBUFFER_CHANNELS):
-        _wire(last, GBUFFER_OUTPUT + channel, {samples + channel: TANH_LINEAR})
-    _bias(last)[GBUFFER_OUTPUT : GBUFFER_OUTPUT + 3] = -TANH_LINEAR
-    for channel in range(history):
-        _wire(last, HISTORY_OUTPUT + channel, {current + channel: TANH_LINEAR})
+    if config.latent:
+        _wire_slots(last, samples)
+        for channel in range(GBUFFER_CHANNELS):
+            _wire(last, GBUFFER_OUTPUT + channel, {samples + channel: TANH_LINEAR})
+        _bias(last)[GBUFFER_OUTPUT : GBUFFER_OUTPUT + 3] = -TANH_LINEAR
+        for channel in range(history):
+            _wire(last, HISTORY_OUTPUT + channel, {current + channel: TANH_LINEAR})
     if config.accumulates:
         last.weight[config.latent :] *= RANDOM_SHARE
         _bias(last)[config.latent :] = math.atanh(2 * INITIAL_TRUST - 1)

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from baselines.accumulate.density import contrast, mix_with_uniform
 from methods.ours import FAMILY
 from methods.ours.accumulators import Accumulator, FrameRadiance, StateOnly, TemporalRadiance
-from methods.ours.antilag import AntiLag, KeepHistory
 from methods.ours.density import DENSITIES, ActionDensity
 from methods.ours.history import (
     DenoisedFrame,
@@ -21,12 +21,13 @@ from methods.ours.history import (
     RadianceHistory,
     SampleHistory,
 )
+from methods.ours.initialization import initialize
 from methods.ours.networks import Networks, Sampler
+from methods.ours.rejection import AntiLag, KeepHistory
 from methods.ours.sample_encoding import SAMPLE_ENCODINGS, SampleEncoding
 from methods.ours.state import (
     RecurrentState,
     ReprojectedHistory,
-    ReprojectionMemo,
     gbuffer_features,
 )
 from methods.ours.variants import VARIANTS, Config
@@ -36,6 +37,7 @@ from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_contiguous_float32
 from rlbench.ops.padding import crop, pad
+from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.weights import load_for_inference
 
 __all__ = ["CARDS", "Ours", "assemble", "build"]
@@ -73,7 +75,9 @@ class Ours:
     sample_encoding: SampleEncoding
     history: HistoryModel
     accumulator: Accumulator
-    memo: ReprojectionMemo = field(default_factory=ReprojectionMemo, repr=False, compare=False)
+    memo: ReprojectionMemo[ReprojectedHistory] = field(
+        default_factory=ReprojectionMemo, repr=False, compare=False
+    )
 
     def start(self, size: Size) -> RecurrentState:
         """The state before the first frame."""
@@ -82,7 +86,10 @@ class Ours:
     def plan(
         self, gbuffer: GBuffer, samples: Samples, state: RecurrentState
     ) -> Float[Tensor, "n 1 h w"]:
-        """The density of the sampler's action, or a constant without a sampler."""
+        """The density of the sampler's action or of a rule, or a constant without a sampler."""
+        if self.config.contrast_density and state.age > 0:
+            history = self.reproject(gbuffer, state)
+            return mix_with_uniform(contrast(history), history.similarity)
         if self.sampler is None:
             return torch.ones_like(gbuffer.depth)
         return self.action_density(self.act(gbuffer, state))
@@ -110,13 +117,7 @@ class Ours:
         return crop(action, h, w).float()
 
     def reproject(self, gbuffer: GBuffer, state: RecurrentState) -> ReprojectedHistory:
-        """The history at the pixels of the current frame.
-
-        Computed once for `plan` and `denoise` of one frame, but anew with gradients enabled, where
-        each call needs a graph of its own.
-        """
-        if torch.is_grad_enabled():
-            return self.history.reproject(gbuffer, state)
+        """The history at the pixels of the current frame."""
         return self.memo.get(gbuffer, state, self.history.reproject)
 
     def _encode(
@@ -167,7 +168,7 @@ def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
         config=config,
         traits=traits,
         networks=networks,
-        sampler=None if config.ignore_density else networks.sampler,
+        sampler=None if config.ignore_density or config.contrast_density else networks.sampler,
         action_density=DENSITIES[config.density],
         sample_encoding=sample_encoding,
         history=histories[config.history_mode],
@@ -182,7 +183,10 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
     """
     config = VARIANTS[variant]
     networks = Networks(config)
-    if weights == "random":
+    if variant == "initial":
+        initialize(networks, config, seed=0)
+        weights = "random"  # loads none
+    elif weights == "random":
         kaiming_init(networks)
     load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
     return assemble(config, FAMILY.variants[variant].traits, networks)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -11,18 +9,20 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from methods.ours.accumulation import AccumulatedRadiance
 from rlbench.frames import GBuffer
-from rlbench.ops.transfer import squash_depth
+from rlbench.ops.accumulation import AccumulatedRadiance, surface_features
+from rlbench.ops.color import luminance
+from rlbench.ops.transfer import log_forward
 
 __all__ = [
     "RecurrentState",
     "ReprojectedHistory",
-    "ReprojectionMemo",
     "detach",
     "gbuffer_features",
+    "network_features",
 ]
 
+MANY_SPP = 16.0  # accumulated samples that networks read as 1/2
 MIN_SPP = 0.01  # a previous budget below this is read as this
 
 
@@ -90,31 +90,6 @@ class ReprojectedHistory(NamedTuple):
         return cls(inputs, features, radiance, none, none, none.bool(), spp)
 
 
-class ReprojectionMemo:
-    """The most recent reprojection, so that `plan` and `denoise` of one frame share it.
-
-    The key is the identity of G-buffer and state. Both are referenced weakly, so the memo keeps no
-    input alive; it holds one history at most, until the next frame. It changes no result, only the
-    time: reprojection takes about a tenth of a frame.
-    """
-
-    def __init__(self) -> None:
-        """An empty memo."""
-        self._last: tuple[weakref.ref[GBuffer], weakref.ref[RecurrentState]] | None = None
-
-    def get(
-        self,
-        gbuffer: GBuffer,
-        state: RecurrentState,
-        compute: Callable[[GBuffer, RecurrentState], ReprojectedHistory],
-    ) -> ReprojectedHistory:
-        """compute(gbuffer, state), or its last result if both arguments are the same objects."""
-        if self._last is None or self._last[0]() is not gbuffer or self._last[1]() is not state:
-            self._history = compute(gbuffer, state)
-            self._last = (weakref.ref(gbuffer), weakref.ref(state))
-        return self._history
-
-
 def detach(state: RecurrentState) -> RecurrentState:
     """The same state, cut from the autograd graph."""
     return replace(
@@ -128,4 +103,12 @@ def detach(state: RecurrentState) -> RecurrentState:
 
 def gbuffer_features(gbuffer: GBuffer) -> Float[Tensor, "n 7 h w"]:
     """The G-buffer as networks read it: normal, albedo, 1 / (1 + depth)."""
-    return torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), dim=1)
+    return surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
+
+
+def network_features(radiance: AccumulatedRadiance) -> Float[Tensor, "n 5 h w"]:
+    """Network inputs: mean in log transfer, relative deviation and weight, both in [0, 1)."""
+    deviation = radiance.variance.clamp_min(1e-8).sqrt()
+    relative = deviation / (deviation + luminance(radiance.mean) + 1e-3)
+    weight = radiance.accumulated_spp / (radiance.accumulated_spp + MANY_SPP)
+    return torch.cat((log_forward(radiance.mean), relative, weight), 1)

@@ -39,6 +39,7 @@ class Config:
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
     ignore_density: bool = False  # sample uniformly in place of the sampler's density?
+    contrast_density: bool = False  # sample by the last image's contrast in place of it?
     antilag: bool = True  # reduce history where new samples contradict it?
 
     @property
@@ -69,6 +70,12 @@ VARIANTS = {
     "C": replace(BASE, sample_encoding="mean"),  # do individual samples pay?
     "C+count": replace(BASE, sample_encoding="mean and count"),  # or is it their number?
     "small": replace(BASE, sampler=(1, 2), encoder_kernel=1, denoiser=FAST_WIDTHS),  # three at once
+    # what does training give? the networks before their first step, which sample uniformly
+    "initial": replace(BASE, sampler=()),
+    # what does the learned density give over a rule of three lines?
+    "by-rule": replace(BASE, contrast_density=True),
+    # what does the latent give beside accumulated radiance and the last image?
+    "stateless": replace(BASE, latent=0),
     "flat": replace(BASE, ignore_density=True),  # what does the density give, all else equal?
     "lag": replace(BASE, antilag=False),  # what does antilag give?
     "sampler-small": replace(BASE, sampler=(1, 2)),  # is one level enough?

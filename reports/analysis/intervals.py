@@ -41,9 +41,13 @@ class Interval:
     units: int  # scenes, or clips of the only scene
 
     @property
-    def is_tie(self) -> bool:
-        """Whether the interval includes zero; false where the interval is unknown."""
-        return self.low <= 0 <= self.high
+    def is_resolved(self) -> bool:
+        """Whether the interval excludes zero; true where the interval is unknown."""
+        return not self.low <= 0 <= self.high
+
+    def is_tie(self, margin: float) -> bool:
+        """Whether the interval lies within +-margin; false where the interval is unknown."""
+        return -margin <= self.low and self.high <= margin
 
 
 UNKNOWN = Interval(math.nan, math.nan, math.nan, 0)

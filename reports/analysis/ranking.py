@@ -1,4 +1,4 @@
-"""The best method at each budget, the distance of the others to it, and ties."""
+"""The best method at each budget, the distance of the others to it, and what is not resolved."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import math
 import pandas as pd
 
 from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, mean_with_interval, pair
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, mean_with_interval, pair
 
 __all__ = ["ALL_SCENES", "rank_methods"]
 
+TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 ALL_SCENES = "all"  # in the column `scene` of means over scenes
 COLUMNS = (
-    "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best", "tie",
-    "clips", "frames",
+    "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best",
+    "verdict", "clips", "frames",
 )  # fmt: skip
 
 
@@ -22,8 +23,9 @@ def rank_methods(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES) 
     """A row for each method, budget and scene; scene "all" is the mean over scenes.
 
     `difference` is the mean of the paired differences to the best method at that budget, `low` and
-    `high` its interval (nan with one scene and clip), `tie` whether the interval includes zero. No
-    method is best if the metric has no direction. In "all", methods that lack a scene are left out.
+    `high` its interval (nan with one scene and clip). `verdict` is "tie" where the interval lies
+    within +-0.1 dB, else "not resolved" where it includes zero, else "". No method is best if the
+    metric has no direction. In "all", methods that lack a scene are left out.
     """
     frames = scores.per_frame
     complete = mean_over_scenes(scores.scene_means)[["method", "target_spp"]]
@@ -33,29 +35,36 @@ def rank_methods(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES) 
     for scene, rows in parts:
         for spp, methods in rows.groupby("target_spp"):
             keys = {"metric": scores.metric, "scene": scene, "target_spp": spp}
-            records += [keys | row for row in _rank(methods, scores.direction, seed, draws)]
+            records += [keys | row for row in _rank(methods, scores, seed, draws)]
     return pd.DataFrame(records, columns=list(COLUMNS))
 
 
-def _rank(rows: pd.DataFrame, direction: str, seed: int, draws: int) -> list[dict[str, object]]:
+def _rank(rows: pd.DataFrame, scores: Scores, seed: int, draws: int) -> list[dict[str, object]]:
     frames = {str(method): part for method, part in rows.groupby("method")}
     means = {method: _mean(part) for method, part in frames.items()}
-    sign = {"higher": 1, "lower": -1}.get(direction, 0)
+    sign = {"higher": 1, "lower": -1}.get(scores.direction, 0)
     best = max(means, key=lambda method: sign * means[method]) if sign else ""
+    unit = scores.column_text("unit")
     ranked = []
     for method, part in frames.items():
         difference = dict.fromkeys(("difference", "low", "high"), math.nan)
-        is_tie = False
+        verdict = ""
         if best and method != best:
             gap = mean_with_interval(pair(part, frames[best]), seed, draws)
             difference = {"difference": gap.mean, "low": gap.low, "high": gap.high}
-            is_tie = gap.is_tie
+            verdict = _verdict(gap, unit)
         ranked.append(
-            {"method": method, "mean": means[method], **difference, "tie": is_tie}
+            {"method": method, "mean": means[method], **difference, "verdict": verdict}
             | {"best": bool(best) and means[method] == means[best]}
             | {"clips": part["clip"].nunique(), "frames": len(part)}
         )
     return ranked
+
+
+def _verdict(gap: Interval, unit: str) -> str:
+    if unit == "dB" and gap.is_tie(TIE_DB):
+        return "tie"
+    return "" if gap.is_resolved else "not resolved"
 
 
 def _mean(frames: pd.DataFrame) -> float:

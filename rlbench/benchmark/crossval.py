@@ -93,10 +93,7 @@ def folds(preset: str, scenes: Sequence[str], names: Sequence[str]) -> list[Fold
 
 def variant_to_train(name: str) -> str:
     """The method whose training makes the weights of `name`: often itself; empty if none."""
-    variant = registry.get_variant(name)
-    family = name.partition("/")[0]
-    source = f"{family}/{variant.weights_from}" if variant.weights_from else family
-    method = name if variant.weights_from is None else source
+    method = registry.get_variant(name).weights_from or name
     return method if registry.is_trainable(method) else ""
 
 

@@ -1,5 +1,14 @@
 # ruff: noqa: TID252 (lazy_loader reads relative imports only)
+from .accumulation import (
+    AccumulatedRadiance,
+    accumulate,
+    feature_similarity,
+    fill_holes,
+    frame_radiance,
+    surface_features,
+)
 from .affinity import affinity_sum, cross_affinity_sum
+from .antilag import history_confidence
 from .color import OIDN_LUMINANCE, REC709_LUMINANCE, decode_srgb, encode_srgb, luminance
 from .demodulation import (
     demodulation_albedo,
@@ -10,7 +19,12 @@ from .demodulation import (
 from .density import bounded_exp_density
 from .dither import round_to_total
 from .exposure import autoexposure
-from .fireflies import limit_fireflies, mean_without_fireflies, repair_radiance_history
+from .fireflies import (
+    limit_fireflies,
+    mean_without_fireflies,
+    repair_moments,
+    repair_radiance_history,
+)
 from .init import kaiming_init
 from .kernels import apply_kernels, splat_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
@@ -34,10 +48,12 @@ from .upsample import UpsampleConcatConv
 __all__ = [
     "OIDN_LUMINANCE",
     "REC709_LUMINANCE",
+    "AccumulatedRadiance",
     "PaddedRows",
     "Tap",
     "UNet",
     "UpsampleConcatConv",
+    "accumulate",
     "affinity_sum",
     "apply_kernels",
     "atrous_taps",
@@ -48,7 +64,11 @@ __all__ = [
     "decode_srgb",
     "demodulation_albedo",
     "encode_srgb",
+    "feature_similarity",
+    "fill_holes",
     "filtered_albedo",
+    "frame_radiance",
+    "history_confidence",
     "kaiming_init",
     "l1",
     "l1_ms_ssim_loss",
@@ -64,6 +84,7 @@ __all__ = [
     "pu_inverse",
     "reflectance",
     "repair_history",
+    "repair_moments",
     "repair_radiance_history",
     "reproject",
     "reproject_bicubic",
@@ -77,6 +98,7 @@ __all__ = [
     "smape",
     "splat_kernels",
     "squash_depth",
+    "surface_features",
     "surface_mask",
     "temporal_l1",
     "to_channels_last",

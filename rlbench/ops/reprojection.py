@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-__all__ = ["reproject", "reproject_bicubic", "reproject_or_fill"]
+__all__ = ["ReprojectionMemo", "reproject", "reproject_bicubic", "reproject_or_fill"]
+
+G = TypeVar("G")  # G-buffer
+S = TypeVar("S")  # state
+H = TypeVar("H")  # history
 
 
 def reproject(
@@ -92,3 +98,26 @@ def _sample(history: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     values, grid = history.to(dtype), grid.to(dtype)
     warped = F.grid_sample(values, grid, mode, padding_mode="border", align_corners=False)
     return warped.to(history.dtype)
+
+
+class ReprojectionMemo(Generic[H]):
+    """The most recent reprojection, so that `plan` and `denoise` of one frame share it.
+
+    The key is the identity of G-buffer and state. Both are referenced weakly, so the memo keeps no
+    input alive; it holds one history at most, until the next frame. It changes no result, only the
+    time: reprojection takes about a tenth of a frame. With gradients enabled every call computes,
+    because it needs a graph of its own.
+    """
+
+    def __init__(self) -> None:
+        """An empty memo."""
+        self._key: tuple[weakref.ref[object], weakref.ref[object]] | None = None
+
+    def get(self, gbuffer: G, state: S, compute: Callable[[G, S], H]) -> H:
+        """compute(gbuffer, state), or its last result if both arguments are the same objects."""
+        if torch.is_grad_enabled():
+            return compute(gbuffer, state)
+        if self._key is None or self._key[0]() is not gbuffer or self._key[1]() is not state:
+            self._history = compute(gbuffer, state)
+            self._key = (weakref.ref(gbuffer), weakref.ref(state))
+        return self._history

@@ -66,14 +66,16 @@ def load_method(
 def shipped_weights(name: str) -> Path:
     """The file of a method's pretrained weights, whether or not it exists.
 
-    It lies in the folder `cards` beside the module that builds the method.
+    It lies in the folder `cards` beside the module that builds the method, or the method whose
+    weights it uses.
 
     >>> shipped_weights("oidn/small").name
     'small.safetensors'
 
     Raises PluginError if there is no such module.
     """
-    parent, name = load_family(name), current_name(name)
+    name = get_variant(name).weights_from or current_name(name)
+    parent = load_family(name)
     return module_file(parent.build).parent / "cards" / parent.weights_file(name.partition("/")[2])
 
 

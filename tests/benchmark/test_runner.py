@@ -509,7 +509,7 @@ def test_a_score_on_a_training_clip_has_a_note_that_it_is_no_test(tmp_path, name
 
 
 @pytest.mark.parametrize(
-    "part", ["rlbench.ops.dither", "baselines.oidn.method", "methods.ours.accumulation"]
+    "part", ["rlbench.ops.dither", "baselines.oidn.method", "methods.ours.accumulators"]
 )
 def test_the_code_of_ours_decides_its_content_hash(clip_folder, monkeypatch, part):
     plan = run_plan(clip_folder, "ours")

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from methods.ours.accumulators import TemporalRadiance
-from methods.ours.antilag import KeepHistory
 from methods.ours.method import build
+from methods.ours.rejection import KeepHistory
 from methods.ours.state import gbuffer_features
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size

@@ -17,11 +17,11 @@ def test_the_interval_of_one_scene_is_over_its_clips(results):
     assert (row["low"], row["high"]) == pytest.approx((-1.3 - half, -1.3 + half), rel=1e-4)
 
 
-def test_a_single_clip_has_no_interval_and_no_tie():
+def test_a_single_clip_has_no_interval_and_no_verdict():
     one = to_dataframe([r for r in rows(["ours", "ntas"]) if r.clip == "city-0"])
     ranks = rank_methods(Scores(one))
     assert ranks["low"].isna().all()
-    assert not ranks["tie"].any()
+    assert (ranks["verdict"] == "").all()
 
 
 def test_the_lowest_error_is_best(results):

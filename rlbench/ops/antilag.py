@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from methods.ours.accumulation import AccumulatedRadiance
-from methods.ours.state import ReprojectedHistory
+from rlbench.ops.accumulation import AccumulatedRadiance
 from rlbench.ops.color import luminance
 from rlbench.ops.padding import crop
 from rlbench.ops.transfer import log_inverse
 
-__all__ = [
-    "AntiLag",
-    "HistoryRejection",
-    "KeepHistory",
-    "history_confidence",
-    "relative_change",
-]
+__all__ = ["history_confidence", "relative_change"]
 
 CELL = 4  # pixels, side of the cells that windows are summed from
 WINDOWS = (3, 5, 13)  # cells, sides of windows: small changes, and dim ones that need many pixels
@@ -30,38 +20,6 @@ NOISE_ERRORS = 2.0  # standard errors of a change that count as noise
 REJECTION_SLOPE = 3.0  # a certain relative change of 1/3 rejects the whole history
 MIN_PIXELS = 3.0  # a window with fewer sampled pixels says nothing
 DARK_RADIANCE = 0.1  # added to a pixel's radiance before its weight in the window is taken
-
-
-class HistoryRejection(Protocol):
-    """Decides how far the history is kept, given the radiance of the current frame."""
-
-    def apply(
-        self, history: ReprojectedHistory, current: AccumulatedRadiance
-    ) -> ReprojectedHistory:
-        """The history, with less weight where it is rejected."""
-
-
-@dataclass(frozen=True)
-class KeepHistory:
-    """Rejects nothing."""
-
-    def apply(
-        self, history: ReprojectedHistory, current: AccumulatedRadiance
-    ) -> ReprojectedHistory:
-        """The history, unchanged."""
-        return history
-
-
-@dataclass(frozen=True)
-class AntiLag:
-    """Rejects history by `history_confidence`."""
-
-    def apply(
-        self, history: ReprojectedHistory, current: AccumulatedRadiance
-    ) -> ReprojectedHistory:
-        """The history, its weight and similarity multiplied by the confidence."""
-        confidence = history_confidence(history.radiance, current, history.image)
-        return history.with_confidence(confidence)
 
 
 @torch.no_grad()

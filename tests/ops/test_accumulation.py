@@ -6,17 +6,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.accumulation import (
+from methods.ours.method import build
+from methods.ours.state import network_features
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.accumulation import (
     AccumulatedRadiance,
     accumulate,
     feature_similarity,
     fill_holes,
     frame_radiance,
-    network_features,
 )
-from methods.ours.method import build
-from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import GBuffer, Samples, Size
 
 SIZE = (1, 40, 56)
 
@@ -31,6 +31,11 @@ def random_samples(seed: int, most: int = 4) -> Samples:
     return Samples(radiance.where(samples.valid_mask, 0.0), counts)
 
 
+def random_radiance(seed: int) -> AccumulatedRadiance:
+    samples = random_samples(seed)
+    return frame_radiance(samples.radiance, samples.counts)
+
+
 def luminance(radiance: Tensor) -> Tensor:
     red, green, blue = radiance.unbind(-3)
     return (0.212671 * red + 0.715160 * green + 0.072169 * blue).unsqueeze(-3)
@@ -38,11 +43,10 @@ def luminance(radiance: Tensor) -> Tensor:
 
 def test_with_full_trust_it_is_the_mean_of_the_samples_of_all_frames():
     frames = [random_samples(seed) for seed in range(5)]
-    radiance = frame_radiance(frames[0])
+    radiance = frame_radiance(frames[0].radiance, frames[0].counts)
     for samples in frames[1:]:
-        radiance = accumulate(
-            radiance, frame_radiance(samples), torch.ones_like(radiance.accumulated_spp)
-        )
+        new = frame_radiance(samples.radiance, samples.counts)
+        radiance = accumulate(radiance, new, torch.ones_like(radiance.accumulated_spp))
     counts = sum(samples.counts for samples in frames)
     total = sum(samples.radiance.sum(1) for samples in frames)
     squares = sum(luminance(samples.radiance).square().sum(1) for samples in frames)
@@ -55,7 +59,7 @@ def test_with_full_trust_it_is_the_mean_of_the_samples_of_all_frames():
 
 @pytest.mark.parametrize("trust", [0.0, 0.25, 0.7])
 def test_the_weight_of_equal_frames_is_a_geometric_series(trust):
-    new = frame_radiance(Samples(torch.ones(1, 8, 3, 2, 2), torch.full((1, 1, 2, 2), 8)))
+    new = frame_radiance(torch.ones(1, 8, 3, 2, 2), torch.full((1, 1, 2, 2), 8))
     radiance = new
     for _ in range(60):
         radiance = accumulate(radiance, new, torch.full_like(radiance.accumulated_spp, trust))
@@ -66,7 +70,7 @@ def test_the_weight_of_equal_frames_is_a_geometric_series(trust):
 
 
 def test_without_trust_it_is_the_new_frame():
-    old, new = frame_radiance(random_samples(0)), frame_radiance(random_samples(1))
+    old, new = random_radiance(0), random_radiance(1)
     total = accumulate(old, new, torch.zeros_like(old.accumulated_spp))
     sampled = new.accumulated_spp > 0
     torch.testing.assert_close(total.mean.where(sampled, 0.0), new.mean.where(sampled, 0.0))
@@ -74,17 +78,15 @@ def test_without_trust_it_is_the_new_frame():
 
 
 def test_a_pixel_without_new_samples_keeps_its_radiance():
-    old = frame_radiance(random_samples(0))
-    none = frame_radiance(
-        Samples(torch.zeros(1, 8, 3, *SIZE[1:]), torch.zeros(1, 1, *SIZE[1:]).long())
-    )
+    old = random_radiance(0)
+    none = frame_radiance(torch.zeros(1, 8, 3, *SIZE[1:]), torch.zeros(1, 1, *SIZE[1:]).long())
     total = accumulate(old, none, torch.ones_like(old.accumulated_spp))
     for before, after in zip(old, total, strict=True):
         assert torch.equal(before, after)
 
 
 def test_filling_holes_leaves_sampled_pixels_unchanged():
-    radiance = frame_radiance(random_samples(3))
+    radiance = random_radiance(3)
     albedo = torch.rand(1, 3, *SIZE[1:], generator=torch.Generator().manual_seed(1))
     sampled = (radiance.accumulated_spp > 0).expand(-1, 3, -1, -1)
     filled = fill_holes(radiance, albedo)
@@ -157,7 +159,7 @@ def test_networks_read_the_relative_deviation_of_the_samples():
     generator = torch.Generator().manual_seed(0)
     radiance = 4.0 * torch.randint(0, 2, (1, 4096, 1, 2, 2), generator=generator).float()
     samples = Samples(radiance.expand(-1, -1, 3, -1, -1), torch.full((1, 1, 2, 2), 4096))
-    features = network_features(frame_radiance(samples))
+    features = network_features(frame_radiance(samples.radiance, samples.counts))
     torch.testing.assert_close(features[:, 3:4], torch.full((1, 1, 2, 2), 0.5), rtol=0.03, atol=0)
     assert (features >= 0).all()
     assert (features[:, 3:] < 1).all()

@@ -9,24 +9,23 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.accumulation import AccumulatedRadiance
-from methods.ours.antilag import (
-    CELL,
-    DARK_RADIANCE,
-    MIN_PIXELS,
-    NOISE_ERRORS,
-    WINDOWS,
-    AntiLag,
-    KeepHistory,
-    history_confidence,
-    relative_change,
-)
 from methods.ours.method import build
+from methods.ours.rejection import AntiLag, KeepHistory
 from methods.ours.train import training_task
 from methods.ours.variants import VARIANTS
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, Reference, Size, StoredPool
+from rlbench.ops.accumulation import AccumulatedRadiance
+from rlbench.ops.antilag import (
+    CELL,
+    DARK_RADIANCE,
+    MIN_PIXELS,
+    NOISE_ERRORS,
+    WINDOWS,
+    history_confidence,
+    relative_change,
+)
 from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_forward
 from rlbench.run import run_clip
