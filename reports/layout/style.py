@@ -40,6 +40,7 @@ FAMILY_COLOURS = {
     "oidn-intel": "#1A1A1A",
     "restir+oidn": "#4B8B3B",
     "eaw": "#8C564B",
+    "nppd": "#20808D",
 }
 SPARE_COLOURS = (  # of families that are not listed above
     "#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050",

@@ -26,7 +26,7 @@ from .fireflies import (
     repair_radiance_history,
 )
 from .init import kaiming_init
-from .kernels import apply_kernels
+from .kernels import apply_kernels, splat_kernels
 from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
 from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
@@ -96,6 +96,7 @@ __all__ = [
     "sanitize_normal",
     "sanitize_radiance",
     "smape",
+    "splat_kernels",
     "squash_depth",
     "surface_features",
     "surface_mask",

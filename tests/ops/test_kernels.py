@@ -1,4 +1,4 @@
-"""Per-pixel kernels against a loop, known answers and finite differences; memory use."""
+"""Per-pixel kernels, gathered and splatted: loops, known answers, differences, memory use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from rlbench.ops.kernels import apply_kernels
+from rlbench.ops.kernels import apply_kernels, splat_kernels
 
 
 def slow_apply_kernels(kernels: Tensor, image: Tensor) -> Tensor:
@@ -101,3 +101,78 @@ def test_no_tensor_is_larger_than_the_inputs() -> None:
 def test_a_number_of_taps_that_is_no_odd_square_is_an_error(taps: int) -> None:
     with pytest.raises(ValueError, match=f"not {taps}"):
         apply_kernels(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3))
+
+
+def slow_splat(kernels: Tensor, image: Tensor, stride: int) -> Tensor:
+    """Source pixel by source pixel, tap by tap, in double precision."""
+    n, c, h, w = image.shape
+    side = int(kernels.shape[1] ** 0.5)
+    reach = (side - stride) // 2
+    total = torch.zeros(n, c, stride * h, stride * w, dtype=torch.float64)
+    for i in range(n):
+        for y in range(h):
+            for x in range(w):
+                for tap in range(side * side):
+                    v = mirror(stride * y + tap // side - reach, stride * h)
+                    u = mirror(stride * x + tap % side - reach, stride * w)
+                    weight = kernels[i, tap, y, x].double()
+                    total[i, :, v, u] += weight * image[i, :, y, x].double()
+    return total
+
+
+def mirror(position: int, side: int) -> int:
+    if position < 0:
+        return -1 - position
+    return position if position < side else 2 * side - 1 - position
+
+
+@pytest.mark.parametrize(("side", "stride"), [(1, 1), (3, 1), (5, 1), (2, 2), (4, 2), (3, 3)])
+@pytest.mark.parametrize(("h", "w"), [(2, 7), (6, 5)])
+def test_splatting_equals_a_loop(side: int, stride: int, h: int, w: int) -> None:
+    kernels, image = randn(2, side * side, h, w), randn(2, 3, h, w, seed=1)
+    # float32 sums of at most 25 terms of order one
+    torch.testing.assert_close(
+        splat_kernels(kernels, image, stride).double(),
+        slow_splat(kernels, image, stride),
+        atol=1e-5,
+        rtol=0,
+    )
+
+
+@pytest.mark.parametrize(("taps", "stride"), [(25, 1), (16, 2)])
+def test_splatting_with_normalized_kernels_keeps_the_sum(taps: int, stride: int) -> None:
+    kernels, image = (5 * randn(1, taps, 6, 9)).softmax(1), randn(1, 3, 6, 9, seed=1).abs()
+    splatted = splat_kernels(kernels, image, stride)
+    torch.testing.assert_close(splatted.sum((2, 3)), image.sum((2, 3)))
+
+
+def test_a_splat_goes_where_its_tap_points() -> None:
+    kernels = torch.zeros(1, 9, 3, 3)
+    kernels[:, 5] = 1  # to the right
+    image = torch.arange(1, 10.0).view(1, 1, 3, 3)
+    assert splat_kernels(kernels, image)[0, 0].tolist() == [[0, 1, 5], [0, 4, 11], [0, 7, 17]]
+
+
+def test_splatting_is_the_transpose_of_gathering_inside_the_image() -> None:
+    kernels, a, b = randn(1, 25, 9, 9), torch.zeros(1, 1, 9, 9), torch.zeros(1, 1, 9, 9)
+    a[..., 2:7, 2:7], b[..., 2:7, 2:7] = randn(5, 5, seed=1), randn(5, 5, seed=2)
+    gathered = (a * apply_kernels(kernels, b)).sum()
+    torch.testing.assert_close(gathered, (splat_kernels(kernels, a) * b).sum())
+
+
+@pytest.mark.parametrize(("taps", "stride"), [(9, 1), (16, 2)])
+def test_gradients_of_splatting_agree_with_finite_differences(taps: int, stride: int) -> None:
+    kernels = randn(2, taps, 3, 4).double().requires_grad_()
+    image = randn(2, 2, 3, 4, seed=1).double().requires_grad_()
+    assert torch.autograd.gradcheck(lambda k, i: splat_kernels(k, i, stride), (kernels, image))
+
+
+@pytest.mark.parametrize(("taps", "stride"), [(0, 1), (16, 1), (24, 1), (25, 2), (1, 2)])
+def test_taps_that_do_not_fit_the_stride_are_an_error(taps: int, stride: int) -> None:
+    with pytest.raises(ValueError, match=f"at stride {stride} .*, not {taps}"):
+        splat_kernels(torch.ones(1, taps, 3, 3), torch.ones(1, 1, 3, 3), stride)
+
+
+def test_an_image_smaller_than_the_reach_is_an_error() -> None:
+    with pytest.raises(ValueError, match="reach 2 pixels beyond the border.*pad the image"):
+        splat_kernels(torch.ones(1, 25, 1, 4), torch.ones(1, 1, 1, 4))

@@ -1,0 +1,177 @@
+"""One frame through NPPD: embed samples, reproject, predict weights, blend, filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from baselines.nppd import FAMILY
+from baselines.nppd.filter import apply_partitioning_pyramid
+from baselines.nppd.network import EMBEDDING, LARGE_WIDTHS, STRIDE, WIDTHS, Networks
+from rlbench.family import Traits
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.accumulation import fill_holes, frame_radiance
+from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
+from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
+from rlbench.ops.padding import crop, pad
+from rlbench.ops.reprojection import reproject
+from rlbench.ops.sanitize import repair_history
+from rlbench.ops.transfer import squash_depth
+from rlbench.weights import load_for_inference
+
+__all__ = ["VARIANTS", "Config", "Nppd", "State", "build"]
+
+CARDS = Path(__file__).parent / "cards"
+MAX_FEATURE = 1e4  # in magnitude, of embeddings; usual ones are below 100
+MEAN_OFFSET = 1e-8  # added to the mean irradiance before division
+CHANNELS = (3, 3, EMBEDDING)  # of the state's images, in their order
+
+
+@dataclass(frozen=True)
+class Config:
+    """The size of the U-Net."""
+
+    widths: tuple[tuple[int, ...], ...] = WIDTHS  # channels at each level, fine to coarse
+
+
+BASE = Config()
+VARIANTS = {
+    "": BASE,
+    "large": replace(BASE, widths=LARGE_WIDTHS),  # do the published widths pay?
+}
+
+
+class State(NamedTuple):
+    """What the next frame needs of the frames so far."""
+
+    irradiance: Float[Tensor, "n 3 h w"]  # noisy, demodulated, accumulated over frames
+    denoised: Float[Tensor, "n 3 h w"]  # the previous image, demodulated, linear
+    embedding: Float[Tensor, "n 32 h w"]  # accumulated over frames
+    age: int  # frames so far; at 0 the images are meaningless
+
+    def detach(self) -> State:
+        """The same state without the autograd graph."""
+        return State._make((*(image.detach() for image in self[:3]), self.age))
+
+
+@dataclass(frozen=True)
+class Nppd:
+    """Neural partitioning pyramids (Balint et al. 2023).
+
+    Every sample is embedded, and the embeddings of a pixel are averaged. A U-Net maps light and
+    embedding of the history and of this frame to the weights of a filter (see `filter`) and to
+    lambda, the weight of history by which light and embedding are accumulated. Uniform sampling.
+
+    Networks, inputs, filter and recurrence are those of the authors' release. Ours: the widths of
+    the variant ""; light is radiance over (albedo of 3 x 3 pixels + 0.01), or over 1.01 where
+    albedo is black, as for emitters and sky, while theirs is radiance; depth enters as
+    1 / (1 + depth); one mean irradiance, of this frame, divides all inputs; light that a kernel
+    spreads beyond the border is mirrored back, and is lost in the release. Where there is no
+    history the U-Net reads zeros, as in the release, but lambda and mu blend the current values
+    with themselves, so that no light is lost. A pixel without a sample gets one: the history, or
+    else the mean of its neighbourhood. Fireflies are limited (rlbench.ops.limit_fireflies), and a
+    pixel of broken history is replaced by a neighbour.
+    """
+
+    networks: Networks
+    config: Config = BASE
+    traits: Traits = FAMILY.variants[""].traits
+
+    def start(self, size: Size) -> State:
+        """A state without history."""
+        weight = next(self.networks.parameters())
+        images = [torch.zeros(size.n, c, size.h, size.w, device=weight.device) for c in CHANNELS]
+        return State._make((*images, 0))
+
+    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
+        """Uniform density."""
+        return torch.ones_like(gbuffer.depth)
+
+    def denoise(
+        self, gbuffer: GBuffer, samples: Samples, state: State
+    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
+        """The image in linear radiance, and the state with its autograd graph."""
+        h, w = gbuffer.depth.shape[-2:]
+
+        # demodulate, reproject and embed
+        albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
+        history, valid = _reproject_state(gbuffer, state)
+        light = _sample_irradiance(gbuffer, samples, albedo, history.irradiance, valid)
+        noisy = light.mean
+        mean = noisy.mean((1, 2, 3), keepdim=True) + MEAN_OFFSET
+        embedding = self._embed(gbuffer, light, mean)
+
+        # predict weights
+        colours = _compress(torch.cat((history.irradiance, noisy), 1) / mean)
+        inputs = torch.cat((colours, history.embedding, embedding), 1)
+        weights = self.networks.predict_weights(pad(inputs, STRIDE))
+
+        # accumulate; without history, the current values take its place
+        keep = crop(weights.input_history_weight, h, w) * valid
+        irradiance = torch.lerp(noisy, history.irradiance, keep)
+        embedding = torch.lerp(embedding, history.embedding, keep)
+
+        # filter and modulate
+        previous = history.denoised.where(valid, irradiance)
+        denoised = apply_partitioning_pyramid(
+            pad(irradiance, STRIDE), pad(previous, STRIDE), weights
+        )
+        denoised = crop(denoised, h, w)
+        return denoised * albedo, State(irradiance, denoised, embedding, state.age + 1)
+
+    def _embed(self, gbuffer: GBuffer, light: Samples, mean: Tensor) -> Float[Tensor, "n 32 h w"]:
+        """The mean embedding of a pixel's samples of irradiance."""
+        colours = _compress(light.radiance / mean[:, None])
+        features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
+        embedding: Tensor = self.networks.encoder(colours, features, light.valid_mask)
+        return embedding
+
+
+def _compress(colour: Tensor) -> Tensor:
+    """log(1 + x) of colours x over the mean, as the networks see them; 0 for negative samples."""
+    return colour.clamp_min(0).log1p()
+
+
+def _sample_irradiance(
+    gbuffer: GBuffer, samples: Samples, albedo: Tensor, history: Tensor, valid: Tensor
+) -> Samples:
+    """Samples of irradiance, at least one per pixel.
+
+    A pixel without a sample gets its history, or where that is invalid its neighbourhood's mean.
+    """
+    radiance = limit_fireflies(samples.radiance, samples.counts)
+    irradiance, is_empty = radiance / albedo[:, None], samples.counts == 0
+    if not is_empty.any():
+        return Samples(irradiance, samples.counts)
+    filled = fill_holes(frame_radiance(radiance, samples.counts), gbuffer.albedo).mean / albedo
+    first = torch.where(is_empty, torch.where(valid, history, filled), irradiance[:, 0])
+    irradiance = torch.cat((first[:, None], irradiance[:, 1:]), 1)
+    return Samples(irradiance, samples.counts.clamp_min(1))
+
+
+def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
+    """The state as seen from this frame, zero where it is invalid, and the validity mask."""
+    repaired = (
+        repair_radiance_history(state.irradiance),
+        repair_radiance_history(state.denoised),
+        repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE),
+    )
+    images, valid = reproject(torch.cat(repaired, 1), gbuffer.motion)
+    valid = valid & (state.age > 0)
+    parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
+    return State._make((*parts, state.age)), valid
+
+
+def build(variant: str, device: torch.device, weights: str | None) -> Nppd:
+    """NPPD with pretrained weights (None), those of a file (its path), or "random" ones."""
+    config = VARIANTS[variant]
+    networks = Networks(config.widths)
+    if weights == "random":
+        networks.init_weights(seed=0)
+    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
+    return Nppd(networks, config, FAMILY.variants[variant].traits)
