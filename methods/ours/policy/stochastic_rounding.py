@@ -13,7 +13,8 @@ from methods.ours.policy.interface import AllocationProblem
 
 __all__ = ["StochasticLearner", "SwitchedBlocks"]
 
-TINY = 1e-12  # avoids a division by zero where nothing is switched, or no error is left
+TINY = 1e-12  # avoids a division by zero where nothing is switched, or nothing changes
+IMAGE = (0, 2, 3, 4)  # dimensions of [k n 1 h w] that belong to one image
 
 
 class SwitchedBlocks(NamedTuple):
@@ -52,8 +53,9 @@ class StochasticLearner:
     within the margin. Each pixel is switched with equal probability, and weighted by its inverse.
     The gradient of mu, with its normalisation to the budget, takes D to the action.
 
-    The estimate is unbiased for sum(D dmu), with block 1, no price and counts below 4, if no sample
-    changes the image beyond the margin. What is biased, and by how much:
+    The estimate is unbiased for the mean over pixels of D dmu, with block 1, counts below 4 and no
+    price, if it is not standardised and no sample changes the image beyond the margin. What is
+    biased, and by how much:
 
     - Rounding at an exact budget is not independent from pixel to pixel. D is taken with the other
       pixels' counts as drawn, which is exact where the errors of pixels add up (no filter, or a
@@ -70,6 +72,9 @@ class StochasticLearner:
     - The price, the mean D weighted by mu, is subtracted. The budget would subtract it in any case,
       from the pixels that were not switched too, with more noise. It is estimated from the same
       blocks: too short by one part in their number.
+    - Standardised, as in training, it has no length, so that hard scenes and high budgets do not
+      dominate; and it is clipped, which ignores a part of rare, large effects. Without clipping one
+      outlier can drive the map to where tanh is flat, and it stays there.
     - At a whole count the expected error has a kink; D is then the slope above it.
 
     Differs from Bálint et al. 2026 (Forget Superresolution, Sample Adaptively), whose estimator is
@@ -81,7 +86,9 @@ class StochasticLearner:
     pairs: int = 2  # pairs of images for one gradient, with different offsets of the lattice
     stride: float = 0.25  # of the count, by which a difference extends to both sides
     price_weight: float = 1.0  # share of the price that is subtracted; 0 is an ablation
-    is_relative: bool = True  # to the image's error? else low budgets and hard scenes dominate
+    is_standardized: bool = True  # divide by the mean |D|, clip, and take shares of the budget?
+    clip: float = 3.0  # times the mean |D| of the image, if standardised
+    drift_weight: float = 5.0  # of the squared mean action
     min_samples: int = 0
     network: None = None
 
@@ -95,11 +102,17 @@ class StochasticLearner:
         mean = problem.act()
         counts = problem.relaxed_counts(mean)
         blocks = self.draw_blocks(mean, generator)
-        gain, error = self._gains(problem, mean.detach(), counts.detach(), blocks)
-        if self.is_relative:
-            gain = gain / error.clamp_min(TINY)
+        slope = self._slope(problem, mean.detach(), counts.detach(), blocks)
+        change = counts - counts.detach()  # zero, with a gradient
+        if self.is_standardized:
+            size = _mean(slope.abs(), blocks.is_block).clamp_min(TINY)
+            slope = (slope / size).clamp(-self.clip, self.clip)
+            change = change / max(problem.spp, TINY)
+        else:
+            change = change * (self.spacing / self.block) ** 2
+        gain = (slope * blocks.is_block).mean(0)
         drift = mean.mean((1, 2, 3)).square().mean()  # the budget cancels it, and tanh flattens
-        return (gain * (counts - counts.detach())).mean() + drift
+        return (gain * change).mean() + self.drift_weight * drift
 
     def draw_blocks(
         self, images: Float[Tensor, "n 1 h w"], generator: torch.Generator
@@ -122,10 +135,10 @@ class StochasticLearner:
         parts = (cell, inside[0] & inside[1], sign)
         return SwitchedBlocks(*(part.to(images.device) for part in parts))
 
-    def _gains(
+    def _slope(
         self, problem: AllocationProblem, action: Tensor, planned: Tensor, blocks: SwitchedBlocks
-    ) -> tuple[Tensor, Tensor]:
-        """[n 1 h w] Derivative of each image's error sum by planned counts; [n 1 1 1] mean error."""
+    ) -> Tensor:
+        """[k n 1 h w] D of each cell, less the price."""
         lower, upper = self.bracket(planned, problem.min_samples, problem.max_samples)
         drawn, is_up = problem.draw_counts(action), blocks.sign > 0
         first = torch.where(is_up, upper, lower).where(blocks.is_block, drawn)
@@ -135,13 +148,7 @@ class StochasticLearner:
         samples = blocks.sum_cells(((upper - lower) * blocks.is_block).to(change))
         slope = blocks.sum_cells(change) / samples.clamp_min(1)
         is_free = (planned > problem.min_samples) & (planned < problem.max_samples)
-        weight = planned * (is_free & blocks.is_block)
-        image = (0, 2, 3, 4)  # each image has a price of its own
-        total = weight.sum(image, keepdim=True).clamp_min(TINY)
-        price = (weight * slope).sum(image, keepdim=True) / total
-        gain = (slope - self.price_weight * price) * blocks.is_block
-        gain = gain.mean(0) * (self.spacing / self.block) ** 2
-        return gain, errors.mean((0, 2, 3, 4))[:, None, None, None]
+        return slope - self.price_weight * _mean(slope, planned * (is_free & blocks.is_block))
 
     def bracket(
         self, planned: Float[Tensor, "n 1 h w"], least: int, most: int
@@ -156,3 +163,9 @@ class StochasticLearner:
         counts = (below - aside, below + 1 + aside)
         lower, upper = (count.clamp(least, most).long() for count in counts)
         return lower, upper
+
+
+def _mean(values: Tensor, weight: Tensor) -> Tensor:
+    """[1 n 1 1 1] Weighted mean of each image over its pairs."""
+    total = weight.sum(IMAGE, keepdim=True).clamp_min(TINY)
+    return (weight * values).sum(IMAGE, keepdim=True) / total

@@ -128,7 +128,7 @@ def reinforce(denoiser: Mode, price_weight: float = 1.0) -> BlockReinforce:
 def stochastic(denoiser: Mode, block: int | None = None) -> StochasticLearner:
     """Differences over the next sample at their own length, with the blocks of `reinforce`."""
     side = block or max(1, 2 * denoiser.reach)
-    return StochasticLearner(side, denoiser.reach, is_relative=False)
+    return StochasticLearner(side, denoiser.reach, is_standardized=False)
 
 
 def _not_for_training(
