@@ -65,12 +65,9 @@ def make_problem(
 
 
 def gradients(learner: SamplerLearner, problem: AllocationProblem, action: Tensor) -> Tensor:
-    """[n 1 h w] The gradient of each image, less the penalty on its mean action."""
+    """[n 1 h w] The gradient of each image."""
     (gradient,) = torch.autograd.grad(learner.loss(problem, make_generator()), action)
-    mean = action.mean((1, 2, 3), keepdim=True).detach()
-    weight = learner.drift_weight if isinstance(learner, StochasticLearner) else 0
-    drift = weight * 2 * mean / action[0].numel()
-    return gradient * len(action) - drift
+    return gradient * len(action)
 
 
 def closed_form(problem: ToyProblem, action: Tensor) -> Tensor:

@@ -51,7 +51,8 @@ class StochasticLearner:
     are blocks on a lattice with a random offset, one block in the centre of each square cell of
     block + 2 margin pixels. A cell's error is credited to its block, so effects do not overlap
     within the margin. Each pixel is switched with equal probability, and weighted by its inverse.
-    The gradient of mu, with its normalisation to the budget, takes D to the action.
+    The gradient of mu, with its normalisation to the budget, takes D to the action,
+    and removes what the budget cancels, so that the mean action needs no penalty against drift.
 
     The estimate is unbiased for the mean over pixels of D dmu, with block 1, counts below 4 and no
     price, if it is not standardised and no sample changes the image beyond the margin. What is
@@ -88,7 +89,6 @@ class StochasticLearner:
     price_weight: float = 1.0  # share of the price that is subtracted; 0 is an ablation
     is_standardized: bool = True  # divide by the mean |D|, clip, and take shares of the budget?
     clip: float = 3.0  # times the mean |D| of the image, if standardised
-    drift_weight: float = 5.0  # of the squared mean action
     min_samples: int = 0
     network: None = None
 
@@ -98,7 +98,7 @@ class StochasticLearner:
         return self.block + 2 * self.margin
 
     def loss(self, problem: AllocationProblem, generator: torch.Generator) -> Float[Tensor, ""]:
-        """A scalar with the estimated gradient; its value is the penalty on the mean action."""
+        """A scalar with the estimated gradient; its value is zero."""
         mean = problem.act()
         counts = problem.relaxed_counts(mean)
         blocks = self.draw_blocks(mean, generator)
@@ -111,8 +111,7 @@ class StochasticLearner:
         else:
             change = change * (self.spacing / self.block) ** 2
         gain = (slope * blocks.is_block).mean(0)
-        drift = mean.mean((1, 2, 3)).square().mean()  # the budget cancels it, and tanh flattens
-        return (gain * change).mean() + self.drift_weight * drift
+        return (gain * change).mean()
 
     def draw_blocks(
         self, images: Float[Tensor, "n 1 h w"], generator: torch.Generator
