@@ -62,8 +62,8 @@ class StochasticLearner:
       pixels' counts as drawn, which is exact where the errors of pixels add up (no filter, or a
       filter with constant weights), and ignores how one pixel's rounding changes the others' where
       the denoiser reads counts.
-    - A change beyond the margin is not credited to its block. What reaches other cells is noise of
-      mean zero, because signs are independent.
+    - A change beyond the margin is not credited to its block; behind the U-Net of `ours` that is a
+      large part. What reaches other cells is noise of mean zero, because signs are independent.
     - From 4 samples on, D is a secant over 1 + 2 floor(m * stride) samples, because one of many
       samples changes less than noise hides. For an error of variance / n it is too long by a factor
       of 1 / (1 - stride^2) at most, 7 % at 0.25.
@@ -82,7 +82,7 @@ class StochasticLearner:
     not published in what could be read: "the gradient goes through the rounding in expectation".
     """
 
-    block: int = 4  # pixels, side of a block; 1 is free of the block's bias, with more noise
+    block: int = 8  # pixels, side of a block; 1 is free of the block's bias, with more noise
     margin: int = 4  # pixels around a block whose error is credited to it
     pairs: int = 2  # pairs of images for one gradient, with different offsets of the lattice
     stride: float = 0.25  # of the count, by which a difference extends to both sides
