@@ -30,6 +30,8 @@ LINE_STYLES = {  # colour and dashes; colours as in the figure of the known opti
     "gamma": ("#CC79A7", "-"),
     "reinforce": ("#E69F00", "-"),
     "reinforce, no price": ("#E69F00", DASHED),
+    "stochastic": ("#56B4E9", "-"),
+    "stochastic, single pixels": ("#56B4E9", DASHED),
     "score function": ("#0072B2", "-"),
     "score function, no baseline": ("#0072B2", DASHED),
 }

@@ -31,9 +31,11 @@ LINE_STYLES = {  # colour and dashes; the proposed default has the most salient 
     "critic": ("#0072B2", "-"),
     "surrogate": ("#009E73", "-"),
     "gamma": ("#CC79A7", "-"),
+    "stochastic": ("#56B4E9", "-"),
     "rllib-appo": ("#7A4FA3", "-"),
     "reinforce, no price": ("#E69F00", (0, (4, 2))),
     "reinforce, single pixels": ("#E69F00", (0, (1, 1))),
+    "stochastic, single pixels": ("#56B4E9", (0, (1, 1))),
     "rllib-appo, joint ratio": ("#7A4FA3", (0, (4, 2))),
 }
 OLD_LEARNER_NAMES = {  # in tables of earlier versions

@@ -32,6 +32,9 @@ FAMILY = Family(
         "reinforce": Variant(
             "Is REINFORCE enough, without the surrogate gradient?", TRAITS, pretrained=False
         ),
+        "stochastic": Variant(
+            "Is the gradient through stochastic rounding as good?", TRAITS, pretrained=False
+        ),
         "B1": Variant(
             "Does the state pay? (history for the sampler only: the last samples)", TRAITS
         ),

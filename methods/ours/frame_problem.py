@@ -9,13 +9,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from methods.ours.method import Ours
 from methods.ours.policy import Rollout
 from methods.ours.state import RecurrentState
-from rlbench.frames import Frame, GBuffer, Samples
+from rlbench.frames import Frame, GBuffer, Pool, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.sampling import draw_samples
@@ -52,6 +52,17 @@ class FrameProblem:
         return cls(method, frame, gbuffer, state, spp)
 
     @property
+    def min_samples(self) -> int:
+        """Fewest samples of a pixel."""
+        return self.method.traits.min_samples
+
+    @property
+    def max_samples(self) -> int:
+        """Most samples of a pixel: a limit of the method, or what the pool holds."""
+        limit, stored = self.method.traits.max_samples, self.frame.pool.max_samples
+        return stored if limit is None else min(limit, stored)
+
+    @property
     def multiplicative(self) -> bool:
         """Does a step of the action multiply the density by a factor, or add to it?"""
         return self.method.action_density.multiplicative
@@ -69,10 +80,20 @@ class FrameProblem:
     def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples per pixel before rounding."""
         density = self._density(action)
-        low = torch.full_like(density, self.method.traits.min_samples)
+        low = torch.full_like(density, self.min_samples)
         return relaxed_counts(
-            density / density.detach().amax((2, 3), keepdim=True), self.spp, low, self._max_samples
+            density / density.detach().amax((2, 3), keepdim=True), self.spp, low, self.max_samples
         )
+
+    def draw_counts(self, action: Float[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 h w"]:
+        """Relaxed counts rounded at random, at the exact budget."""
+        return self._draw_samples(action).counts
+
+    @torch.no_grad()
+    def evaluate_counts(self, counts: Int[Tensor, "k n 1 h w"]) -> Float[Tensor, "k n 1 h w"]:
+        """Squared errors in log transfer of k sets of counts."""
+        samples = (Samples(self._pool.read(self._pool.empty(), each), each) for each in counts)
+        return torch.stack([self._denoise(each).errors for each in samples])
 
     @torch.no_grad()
     def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
@@ -86,7 +107,9 @@ class FrameProblem:
     @torch.no_grad()
     def step(self, action: Float[Tensor, "n 1 h w"]) -> FrameStep:
         """Draw samples by an action, denoise them, and compare the image with the reference."""
-        samples = self._draw_samples(action)
+        return self._denoise(self._draw_samples(action))
+
+    def _denoise(self, samples: Samples) -> FrameStep:
         image, state = self.method.denoise(self.gbuffer, samples, self.state)
         error = (log_forward(image).clamp(0, 1) - self._truth).square().mean(1, keepdim=True)
         return FrameStep(error, samples.counts.float(), state)
@@ -114,19 +137,18 @@ class FrameProblem:
     def _truth(self) -> Float[Tensor, "n 3 h w"]:
         return log_forward(self.frame.reference.mean).clamp(0, 1)
 
+    @cached_property
+    def _pool(self) -> Pool:
+        return sanitize_frame(self.frame, self.method.traits.inputs).pool
+
     def _draw_samples(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
-        pool = sanitize_frame(self.frame, self.method.traits.inputs).pool
-        density = self._density(action)
-        bounds = (self.method.traits.min_samples, self._max_samples)
-        return draw_samples(pool, pool.empty(), density, self.spp, *bounds)
+        pool, density = self._pool, self._density(action)
+        return draw_samples(
+            pool, pool.empty(), density, self.spp, self.min_samples, self.max_samples
+        )
 
     def _density(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         return self.method.to_density(action, self.gbuffer, self.state)
-
-    @property
-    def _max_samples(self) -> int:
-        limit, stored = self.method.traits.max_samples, self.frame.pool.max_samples
-        return stored if limit is None else min(limit, stored)
 
 
 @contextmanager

@@ -63,6 +63,8 @@ VARIANTS = {
     "A1": replace(BASE, learner="surrogate"),  # is the surrogate gradient alone as good?
     "A2": replace(BASE, sampler=()),  # is adaptive sampling worth its time?
     "reinforce": replace(BASE, learner="reinforce"),  # is REINFORCE alone enough?
+    # does a difference over the next sample train as well as trials of whole maps?
+    "stochastic": replace(BASE, learner="stochastic"),
     # does the recurrent state pay? the sampler still reads the last frame's samples
     "B1": replace(BASE, encoder=(), history_mode="samples", accumulation="frame"),
     # does any history pay?

@@ -36,6 +36,7 @@ from methods.ours.policy import (
     LearnerError,
     RolloutBatch,
     SamplerLearner,
+    StochasticLearner,
     appo,
     make_learner,
 )
@@ -53,6 +54,7 @@ LEAST_SCORE = {  # after 200 steps
     "critic": 0.35,
     "surrogate": 0.8,
     "gamma": 0.7,
+    "stochastic": 0.7,
 }
 
 
@@ -105,6 +107,7 @@ def test_every_learner_finds_a_known_optimum(name):
     without_blocks = {
         "reinforce": single_pixels(),
         "reinforce+surrogate": CombinedLearner(single_pixels()),
+        "stochastic": StochasticLearner(block=1, margin=0),
     }
     learner = without_blocks.get(name) or make_learner(name, CHANNELS)
     assert trained_score(learner) > LEAST_SCORE[name]
@@ -381,7 +384,16 @@ def test_rllib_learns_by_single_pixels():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["true gradient", "reinforce", "reinforce+surrogate", "critic", "surrogate", "gamma"]
+    "name",
+    [
+        "true gradient",
+        "reinforce",
+        "reinforce+surrogate",
+        "critic",
+        "surrogate",
+        "gamma",
+        "stochastic",
+    ],
 )
 def test_every_learner_trains_the_real_sampler(name):
     """On unseen moving scenes it clearly beats uniform sampling."""

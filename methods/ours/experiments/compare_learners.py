@@ -28,6 +28,7 @@ from methods.ours.policy import (
     BlockReinforce,
     CombinedLearner,
     SamplerLearner,
+    StochasticLearner,
     appo,
     make_learner,
 )
@@ -65,6 +66,11 @@ def reinforce(mode: Mode, price_weight: float = 1.0, block: int | None = None) -
     return BlockReinforce(policy)
 
 
+def stochastic(mode: Mode, block: int | None = None) -> StochasticLearner:
+    """Differences over the next sample, with the margin and blocks of `reinforce`."""
+    return StochasticLearner(block or max(1, 2 * mode.reach), mode.reach)
+
+
 TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
     "true gradient": lambda mode: TrueGradient(),
     "reinforce": reinforce,
@@ -72,8 +78,10 @@ TORCH: Mapping[str, Callable[[Mode], SamplerLearner]] = {
     "critic": lambda mode: make_learner("critic", CHANNELS),
     "surrogate": lambda mode: make_learner("surrogate", CHANNELS),
     "gamma": lambda mode: make_learner("gamma", CHANNELS),
+    "stochastic": stochastic,
     "reinforce, no price": partial(reinforce, price_weight=0.0),
     "reinforce, single pixels": partial(reinforce, block=1),
+    "stochastic, single pixels": partial(stochastic, block=1),
 }
 RLLIB: Mapping[str, Callable[[Mode], AppoSettings]] = {
     "rllib-appo": lambda mode: AppoSettings(reach=mode.reach),

@@ -149,14 +149,17 @@ class ToyProblem:
     def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
         """Realised errors, from the same stored samples for every action."""
         counts = self.draw_counts(actions.flatten(0, 1)).view(actions.shape)
+        return Rollout(self.evaluate_counts(counts), counts.float())
+
+    def evaluate_counts(self, counts: Int[Tensor, "k n 1 h w"]) -> Float[Tensor, "k n 1 h w"]:
+        """Realised errors of whole counts at any cost, from the same stored samples."""
         sums = F.pad(self.frame.stored.cumsum(1), (0, 0, 0, 0, 0, 0, 1, 0))  # n 1+s 1 h w
-        total = sums.expand(len(actions), *sums.shape).gather(2, counts.unsqueeze(2)).squeeze(2)
-        real_counts = counts.float()
+        total = sums.expand(len(counts), *sums.shape).gather(2, counts.unsqueeze(2)).squeeze(2)
         errors = [
             (self.image(t, n) - self.frame.truth).square()
-            for t, n in zip(total, real_counts, strict=True)
+            for t, n in zip(total, counts.float(), strict=True)
         ]
-        return Rollout(torch.stack(errors), real_counts)
+        return torch.stack(errors)
 
     def surrogate_loss(self, sample_gradient: SampleGradient) -> Float[Tensor, ""]:
         """The image's squared error; the three colours of the samples are equal."""

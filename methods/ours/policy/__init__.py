@@ -10,6 +10,7 @@ from methods.ours.policy.combined import CombinedLearner
 from methods.ours.policy.critic import CriticLearner, make_critic_learner
 from methods.ours.policy.gamma_gradient import make_gamma_learner
 from methods.ours.policy.interface import AllocationProblem, Rollout, SamplerLearner
+from methods.ours.policy.stochastic_rounding import StochasticLearner
 from methods.ours.policy.surrogate_gradient import SurrogateLearner
 from rlbench.errors import RlbenchError
 
@@ -26,6 +27,7 @@ __all__ = [
     "Rollout",
     "RolloutBatch",
     "SamplerLearner",
+    "StochasticLearner",
     "SurrogateLearner",
     "make_learner",
 ]
@@ -36,6 +38,7 @@ LEARNERS: Mapping[str, Callable[[int], SamplerLearner]] = {  # by channels of th
     "critic": make_critic_learner,
     "surrogate": lambda channels: SurrogateLearner(),
     "gamma": lambda channels: make_gamma_learner(),
+    "stochastic": lambda channels: StochasticLearner(),
 }
 FORMER_NAMES = {"ppo-pixel": "reinforce", "ppo-pixel+surrogate": "reinforce+surrogate"}
 RLLIB_APPO = "rllib-appo"  # trains by its own loop, see methods.ours.policy.appo

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from rlbench.training.surrogate_gradient import SampleGradient
@@ -28,6 +28,14 @@ class AllocationProblem(Protocol):
         """The budget, samples per pixel."""
 
     @property
+    def min_samples(self) -> int:
+        """Fewest samples of a pixel."""
+
+    @property
+    def max_samples(self) -> int:
+        """Most samples of a pixel, at most what is stored."""
+
+    @property
     def multiplicative(self) -> bool:
         """Does a step of the action multiply the density by a factor, or add to it?"""
 
@@ -40,6 +48,15 @@ class AllocationProblem(Protocol):
 
     def relaxed_counts(self, action: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
         """Samples per pixel before rounding: differentiable, at the exact budget."""
+
+    def draw_counts(self, action: Float[Tensor, "n 1 h w"]) -> Int[Tensor, "n 1 h w"]:
+        """Relaxed counts rounded at random, at the exact budget; the same in every call."""
+
+    def evaluate_counts(self, counts: Int[Tensor, "k n 1 h w"]) -> Float[Tensor, "k n 1 h w"]:
+        """Errors, as in a Rollout, of k sets of counts at any cost, without gradient.
+
+        All sets read the same stored samples: n samples are the first n of the pixel.
+        """
 
     def rollout(self, actions: Float[Tensor, "k n 1 h w"]) -> Rollout:
         """Draw samples and denoise for each of k actions, without gradient."""

@@ -18,6 +18,7 @@ from methods.ours.policy import (
     BlockReinforce,
     CombinedLearner,
     SamplerLearner,
+    StochasticLearner,
     SurrogateLearner,
 )
 from methods.ours.policy.gamma_gradient import gamma_gradient_per_sample
@@ -27,6 +28,7 @@ from rlbench.training.surrogate_gradient import SampleGradient, kuznetsov_gradie
 __all__ = ["ESTIMATORS", "Estimator", "ScoreFunction"]
 
 BATCH = 32  # images of one backward pass
+SMALLER_BLOCKS = "use smaller blocks, at the price of more noise"
 LOCAL = BlockPolicyGradient(block=1, margin=0)  # an action per pixel
 
 
@@ -123,6 +125,12 @@ def reinforce(denoiser: Mode, price_weight: float = 1.0) -> BlockReinforce:
     return BlockReinforce(policy)
 
 
+def stochastic(denoiser: Mode, block: int | None = None) -> StochasticLearner:
+    """Differences over the next sample at their own length, with the blocks of `reinforce`."""
+    side = block or max(1, 2 * denoiser.reach)
+    return StochasticLearner(side, denoiser.reach, is_standardized=False)
+
+
 def _not_for_training(
     make_learner: Callable[[Mode], SamplerLearner], has_scale: bool = True
 ) -> Estimator:
@@ -135,7 +143,7 @@ def _by_samples(sample_gradient: SampleGradient) -> Estimator:
 
 
 def _by_trial(make_learner: Callable[[Mode], SamplerLearner]) -> Estimator:
-    remedy = "explore with a smaller action_std or smaller blocks, at the price of more noise"
+    remedy = f"explore with a smaller action_std; {SMALLER_BLOCKS}"
     return Estimator(make_learner, has_scale=False, noise_factor=3, remedy=remedy)
 
 
@@ -147,6 +155,8 @@ ESTIMATORS: Mapping[str, Estimator] = {
     "gamma": _by_samples(gamma_gradient_per_sample),
     "reinforce": _by_trial(reinforce),
     "reinforce+surrogate": _by_trial(lambda denoiser: CombinedLearner(reinforce(denoiser))),
+    "stochastic": Estimator(stochastic, noise_factor=3, remedy=SMALLER_BLOCKS),
+    "stochastic, single pixels": _not_for_training(lambda d: stochastic(d, block=1)),
     "reinforce, no price": _not_for_training(lambda d: reinforce(d, 0.0), has_scale=False),
     "score function": _not_for_training(lambda denoiser: ScoreFunction(baseline=True)),
     "score function, no baseline": _not_for_training(lambda d: ScoreFunction(baseline=False)),
