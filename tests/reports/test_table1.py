@@ -95,6 +95,14 @@ def test_the_orders_are_compared_at_the_papers_budget(results):
     assert (result.rows, result.tau, result.p_value) == pytest.approx((5, 0.8, 10 / 120))
 
 
+def test_the_orders_of_strong_rows_are_compared_apart(results, page):
+    """Three of five rows lie within 2 dB of the paper's best; one of their pairs is reversed."""
+    records = table1.compare_with_paper(Scores(results), draws=10)
+    strong = table1.rank_correlation(records, within_db=2.0)
+    assert (strong.rows, strong.tau) == (3, pytest.approx(1 / 3))
+    assert "of the 3 that the paper places within 2 dB of its best: Kendall's tau-b 0.33" in page
+
+
 def test_rows_are_in_the_papers_order_and_other_methods_follow(tmp_path):
     other = [replace(r, method="eaw") for r in rows(["ours"])]
     page = write_and_read(to_dataframe([*other, *rows(["mean", "ours"])]), tmp_path)[0]
