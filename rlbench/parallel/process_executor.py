@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -91,10 +93,18 @@ def _start(arguments: tuple[Any, tuple[Path, ...], int]) -> ProcessPoolExecutor:
 
 
 def _set_up(work: Any, plugins: tuple[Path, ...], threads: int) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(threads)
     for file in plugins:
         use_plugin(file)
     _work[:] = [work]
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is killed; it would wait for jobs for ever."""
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _run(job: Any) -> Any:

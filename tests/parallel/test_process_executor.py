@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -44,3 +47,43 @@ def test_no_jobs_start_no_process():
 def test_measurements_of_time_stay_in_this_process():
     assert ProcessExecutor(2).local_exclusive() is LOCAL
     assert ProcessExecutor(2).description == "2 processes"
+
+
+@pytest.mark.slow
+def test_workers_end_when_their_parent_is_killed(tmp_path):
+    """Each job writes its process number and waits; the parent is killed when both have."""
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, str(tmp_path)])
+    wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
+    parent.kill()
+    parent.wait()
+    workers = [int(file.name) for file in tmp_path.iterdir()]
+    wait_for(lambda: not any(is_running(worker) for worker in workers))
+
+
+PARENT = """
+import sys
+from rlbench.parallel.process_executor import ProcessExecutor
+from tests.parallel.test_process_executor import write_process_number
+if __name__ == "__main__":
+    list(ProcessExecutor(2).map(write_process_number, [sys.argv[1]] * 2))
+"""
+
+
+def write_process_number(folder, on_progress):
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(600)
+
+
+def is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def wait_for(condition, seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.1)
