@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines.oidn import FAMILY, TRAITS
+from baselines.oidn.sparse import FilledHoles, HalfResolution
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
@@ -44,6 +45,7 @@ class Config:
 
     widths: UNetWidths = BASE_WIDTHS  # channels of each convolution
     starts_from_intel: bool = False  # training starts from Intel's weights
+    below_one_spp: type[FilledHoles] | None = None  # how pixels without samples are handled
 
 
 VARIANTS = {
@@ -52,6 +54,8 @@ VARIANTS = {
     "retrained": Config(),  # how far does the network get with our training?
     "retrained-small": Config(widths=FAST_WIDTHS),  # is a third of the parameters enough?
     "tuned": Config(starts_from_intel=True),  # what does fine-tuning Intel's weights add?
+    "filled": Config(below_one_spp=FilledHoles),
+    "half": Config(below_one_spp=HalfResolution),
 }
 
 
@@ -107,11 +111,14 @@ class Oidn:
         return self.decode(output, exposure), None
 
 
-def build(variant: str, device: torch.device, weights: str | None) -> Oidn:
+def build(variant: str, device: torch.device, weights: str | None) -> Oidn | FilledHoles:
     """OIDN with pretrained weights (None), those of a file (its path), or "random" ones."""
-    network = UNet(INPUT_CHANNELS, widths=VARIANTS[variant].widths)
+    config = VARIANTS[variant]
+    network = UNet(INPUT_CHANNELS, widths=config.widths)
     load_for_inference(network, weights, CARDS / FAMILY.weights_file(variant), device)
-    return Oidn(network)
+    if config.below_one_spp is None:
+        return Oidn(network)
+    return config.below_one_spp(Oidn(network), FAMILY.variants[variant].traits)
 
 
 def published_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:

@@ -25,6 +25,11 @@ FAMILY = Family(
         "": INTEL,
         "balanced": replace(INTEL, question="Does quality 'balanced' cost accuracy?"),
         "fast": replace(INTEL, question="Does quality 'fast', a smaller network, cost accuracy?"),
+        "filled": replace(
+            INTEL,
+            question="Does it work below 1 spp if holes are filled before it?",
+            traits=replace(TRAITS, spp_range=(0.0, 8.0)),
+        ),
         "clean": replace(INTEL, question="Does declaring albedo and normal noise-free help?"),
     },
     build="baselines.oidn_intel.method:build",

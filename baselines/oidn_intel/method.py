@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.oidn_intel import TRAITS
+from baselines.oidn.sparse import FilledHoles
+from baselines.oidn_intel import FAMILY, TRAITS
 from baselines.oidn_intel.library import Filter, FilterSettings, library_version
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
@@ -26,6 +27,7 @@ class Config:
 
     quality: str = "high"  # the library's default
     clean_aux: bool = False  # OIDN's cleanAux: albedo and normal are free of noise
+    fills_holes: bool = False  # light of the neighbourhood where no sample is
     library_version: str = ""  # its version, which the results record
 
 
@@ -34,6 +36,7 @@ VARIANTS = {
     "": BASE,
     "balanced": replace(BASE, quality="balanced"),  # does it cost accuracy?
     "fast": replace(BASE, quality="fast"),  # does a smaller network cost accuracy?
+    "filled": replace(BASE, fills_holes=True),  # does it work below 1 spp?
     "clean": replace(BASE, clean_aux=True),  # does declaring clean features help?
 }
 
@@ -70,6 +73,9 @@ class OidnIntel:
         return torch.stack([run_filter(*clip_inputs) for clip_inputs in inputs]), None
 
 
-def build(variant: str, device: torch.device, weights: str | None) -> OidnIntel:
+def build(variant: str, device: torch.device, weights: str | None) -> OidnIntel | FilledHoles:
     """The library with the settings of `variant` and its own weights."""
-    return OidnIntel(replace(VARIANTS[variant], library_version=library_version()))
+    method = OidnIntel(replace(VARIANTS[variant], library_version=library_version()))
+    if method.config.fills_holes:
+        return FilledHoles(method, FAMILY.variants[variant].traits)
+    return method

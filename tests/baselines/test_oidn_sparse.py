@@ -1,0 +1,131 @@
+"""Sparse samples before OIDN: filled holes and joint upsampling, against loops and closed forms."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.oidn.method import Oidn
+from baselines.oidn.sparse import (
+    FAR,
+    MIN_SIMILARITY,
+    NEAR,
+    FilledHoles,
+    HalfResolution,
+    upsample_jointly,
+)
+from rlbench import registry
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.accumulation import feature_similarity
+from rlbench.run import run_clip
+
+
+class Identity:
+    """A denoiser that shows the mean of its samples."""
+
+    traits = Oidn.traits
+
+    def start(self, size):
+        return None
+
+    def plan(self, gbuffer, samples, state):
+        return torch.ones_like(samples.mean[:, :1])
+
+    def denoise(self, gbuffer, samples, state):
+        return samples.mean, state
+
+
+def noise(*size: int, seed: int = 0) -> Tensor:
+    return torch.rand(size, generator=torch.Generator().manual_seed(seed))
+
+
+def wall(h: int, w: int, albedo: Tensor | None = None) -> GBuffer:
+    """A grey wall that faces the camera, or one with another albedo."""
+    grey = torch.full((1, 3, h, w), 0.5)
+    normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).repeat(1, 1, h, w)
+    buffers = {"albedo": grey if albedo is None else albedo, "normal": normal}
+    return GBuffer({**buffers, "depth": torch.full((1, 1, h, w), 5.0)})
+
+
+def sparse(radiance: Tensor, seed: int = 1) -> Samples:
+    """One sample in about half of the pixels, none in the others."""
+    counts = (noise(1, 1, *radiance.shape[-2:], seed=seed) < 0.5).long()
+    return Samples((radiance * counts)[:, None], counts)
+
+
+def test_joint_upsampling_equals_a_loop():
+    h, w = 7, 10
+    image, coarse, fine = noise(1, 2, 4, 5), noise(1, 7, 4, 5, seed=1), noise(1, 7, h, w, seed=2)
+    expected = torch.zeros(1, 2, h, w)
+    for y, x in product(range(h), range(w)):
+        total, weights = torch.zeros(2), 0.0
+        for (row, of_row), (column, of_column) in product(taps(y, 4), taps(x, 5)):
+            similar = feature_similarity(
+                fine[..., y : y + 1, x : x + 1], coarse[..., row : row + 1, column : column + 1]
+            )
+            weight = of_row * of_column * (float(similar) + MIN_SIMILARITY)
+            total, weights = total + weight * image[0, :, row, column], weights + weight
+        expected[0, :, y, x] = total / weights
+    torch.testing.assert_close(upsample_jointly(image, coarse, fine), expected)
+
+
+def taps(index: int, count: int) -> list[tuple[int, float]]:
+    """The coarse pixels whose centres lie around that of a fine pixel."""
+    centre = (index + 0.5) / 2 - 0.5
+    below = int(centre // 1)
+    near_below = centre - below < 0.5
+    pairs = [(below, NEAR if near_below else FAR), (below + 1, FAR if near_below else NEAR)]
+    return [(min(max(tap, 0), count - 1), weight) for tap, weight in pairs]
+
+
+@pytest.mark.parametrize("wrapper", [FilledHoles, HalfResolution])
+def test_constant_light_on_a_texture_is_exact_from_half_of_the_samples(wrapper):
+    """Radiance in proportion to albedo + 0.01, the factor of demodulation, in odd sizes."""
+    albedo = noise(1, 3, 33, 47).clamp_min(0.05)
+    truth = 2.0 * (albedo + 0.01)
+    method = wrapper(Identity(), Oidn.traits)
+    image, _ = method.denoise(wall(33, 47, albedo), sparse(truth), None)
+    if wrapper is FilledHoles:
+        torch.testing.assert_close(image, truth, rtol=1e-4, atol=1e-5)
+    else:  # a coarse pixel has the mean texture of four, but samples of some of them only
+        light = image / (albedo + 0.01)
+        assert abs(float(light.mean()) - 2.0) < 0.1
+
+
+def test_light_does_not_leak_over_the_edge_of_a_surface():
+    gbuffer = wall(16, 16)
+    gbuffer.buffers["normal"][..., 8:] = torch.tensor([1.0, 0.0, 0.0]).view(1, 3, 1, 1)
+    radiance = torch.ones(1, 3, 16, 16)
+    radiance[..., 8:] = 0.0
+    samples = Samples(radiance[:, None], torch.ones(1, 1, 16, 16, dtype=torch.int64))
+    image, _ = HalfResolution(Identity(), Oidn.traits).denoise(gbuffer, samples, None)
+    torch.testing.assert_close(image, radiance, rtol=0.02, atol=0.02)  # e^-4 is the similarity
+
+
+@pytest.mark.parametrize("name", ["oidn/filled", "oidn/half", "oidn-intel/filled"])
+def test_below_one_sample_the_image_is_far_better_than_with_black_holes(name):
+    if name.startswith("oidn-intel"):
+        pytest.importorskip("pyoidn")
+    clip = procedural_clip(11, Size(1, 48, 64), 1)
+    truth = clip.frames[0].reference.mean
+    black_holes = registry.load_method("oidn/tuned")
+    (result,) = run_clip(registry.load_method(name), clip, 0.25)
+    (full,) = run_clip(registry.load_method("mean"), clip, 0.25)
+    image, _ = black_holes.denoise(clip.frames[0].gbuffer, full.samples, None)
+    error, baseline = (
+        (x.clamp(0, 1) - truth.clamp(0, 1)).square().mean() for x in (result.image, image)
+    )
+    assert error < baseline / 4
+
+
+def test_from_one_sample_on_filling_changes_nothing():
+    clip = procedural_clip(11, Size(1, 48, 64), 1)
+    images = [
+        next(run_clip(registry.load_method(name), clip, 2.0)).image
+        for name in ("oidn/filled", "oidn/tuned")
+    ]
+    torch.testing.assert_close(images[0], images[1], rtol=1e-4, atol=1e-5)
