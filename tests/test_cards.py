@@ -100,8 +100,6 @@ def test_every_trained_method_saw_the_same_frames(path):
     card, first = read_card(path), read_card(TRAINED[0])
     assert (card.frames_seen, card.seed) == (first.frames_seen, first.seed)
     assert _clips(card) == _clips(first)
-    if path.stem != "restir+oidn":  # trained on another pool
-        assert card.data == first.data
 
 
 @trained
@@ -129,5 +127,5 @@ def test_a_sampling_map_has_not_collapsed(name):
 
 
 def _clips(card: ModelCard) -> list[str]:
-    """Names of the clips on a card, without their hashes, which depend on the pool read too."""
+    """Names of the clips on a card, without hashes, which depend on pool and processor too."""
     return [entry.split()[0] for entry in card.data]

@@ -33,7 +33,6 @@ FAMILY = Family(
         "tuned": Variant(
             "Does the network gain by training on accumulated light? (contrast)",
             ADAPTIVE,
-            pretrained=False,
         ),
         "intel": Variant(
             "What do rules give if nothing is trained here? (contrast)",

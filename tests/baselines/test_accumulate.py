@@ -168,8 +168,6 @@ def test_the_previous_image_has_the_weight_of_the_rule():
 def test_adaptive_variants_change_the_counts_and_the_base_does_not():
     clip = procedural_clip(5, SIZE, 3)
     for name in VARIANTS:
-        if name in ("tuned", "intel"):
-            continue
         method = registry.load_method(f"accumulate/{name}".rstrip("/"))
         counts = list(run_clip(method, clip, 2.0))[-1].samples.counts
         assert bool(counts.max() > counts.min()) == method.traits.adaptive
