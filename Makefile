@@ -6,12 +6,16 @@ RESULTS := results
 REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn,oidn/tuned,mean
 
+# what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule, or untrained
+RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule,ours/initial
+CONTROLS := ours,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
+
 # the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
-TABLE1 := ours,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,ntas,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel
+TABLE1 := ours,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,ntas,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
 # the nearest rivals, on many clips
-RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel
+RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
 
 APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
@@ -27,7 +31,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen equal takes crossval appendix seeds gradients stress contact site test test-all format clean
+.PHONY: demo docs table1 unseen controls equal takes crossval appendix seeds gradients stress contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -56,6 +60,11 @@ table1: .venv/dev.stamp
 unseen: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RIVALS)' --preset unseen --spp 1,2,4 --out $(RESULTS)/unseen
 	$(call page,clips,$(RESULTS)/unseen,unseen)
+
+# what learned memory and learned sampling give over rules, on the same scenes: 20 minutes of scoring
+controls: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(CONTROLS)' --preset unseen --spp 0.5,1,2,4 --out $(RESULTS)/controls
+	$(call page,clips,$(RESULTS)/controls,controls)
 
 # ours and its nearest rivals, all trained from 1 spp on, because ours/A1 cannot be trained below: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
@@ -97,7 +106,7 @@ seeds: .venv/dev.stamp
 	done
 	$(BIN)/rlbench report seeds --results $(RESULTS)/seeds --out docs/results
 
-# stress tests of every shipped row; resumes if it was killed; succeeds also where tests fail, since the page lists them
+# stress tests of every shipped row with weights of its own; resumes if it was killed; succeeds also where tests fail, since the page lists them
 stress: .venv/dev.stamp
 	$(BIN)/rlbench stress --out $(RESULTS)/stress || test $$? -eq 1
 	$(BIN)/python -m reports.stress_matrix $(RESULTS)/stress docs/results

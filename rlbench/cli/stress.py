@@ -17,7 +17,8 @@ def stress(
     methods: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[METHODS]", help="names a,b; family/*; all; default: all pretrained rows"
+            metavar="[METHODS]",
+            help="names a,b; family/*; all; default: all pretrained rows with weights of their own",
         ),
     ] = None,
     only: Annotated[

@@ -24,7 +24,7 @@ from rlbench.sanitize import read_unsanitized
 __all__ = ["NAME", "SECTION", "run"]
 
 NAME = "bad-pixel"
-SIZE, QUICK_SIZE = Size(1, 80, 80), Size(1, 48, 48)
+SIZE, QUICK_SIZE = Size(1, 64, 64), Size(1, 48, 48)
 QUICK_VALUES = ("nan", "65504")
 FREE_VALUES = ("nan", "65504", "minus-one")  # also with free counts, and without sanitising
 EQUALLY_GOOD = 0.1  # dB: other samples of the same budget move the PSNR of a frame by as much

@@ -33,14 +33,16 @@ def stress_methods(
 ) -> bool:
     """Run sections on the selected methods, print the results and write them to `out`.
 
-    No pattern selects all pretrained rows, no section all sections; with patterns, those of the
-    suite run only if they are named. Returns False if a test failed,
-    or if `all` left out a family that cannot be imported. Raises PluginError for an unknown method
-    and OptionError for an unknown section.
+    No pattern selects all pretrained rows that have weights of their own or none, no section all
+    sections; with patterns, those of the suite run only if they are named. Returns False if a test
+    failed, or if `all` left out a family that cannot be imported. Raises PluginError for an unknown
+    method and OptionError for an unknown section.
     """
     broken: list[str] = []
     rows_of = ["all/*" if pattern == "all" else pattern for pattern in patterns or ["all"]]
     methods = registry.expand(rows_of, on_skip=broken.append)
+    if not patterns:  # rows that share weights behave alike, and a full run has ten minutes
+        methods = [name for name in methods if registry.get_variant(name).weights_from is None]
     selected = select_sections(sections)
     if patterns and not sections:  # the question is about methods, not about the suite
         selected = [name for name in selected if not is_for_suite(name)]

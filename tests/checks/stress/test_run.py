@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import json
 
+import torch
 from rich.console import Console
 from typer.testing import CliRunner
 
 from rlbench.checks.result import Verdict
+from rlbench.checks.stress import run
 from rlbench.checks.stress.console import count_contained, print_summary
 from rlbench.checks.stress.result import Limits, StressResult, judge, skip
 from rlbench.checks.stress.tables import write_tables
@@ -105,3 +107,16 @@ def test_tables_hold_every_result(tmp_path):
     content = json.loads(document.read_text(), parse_constant=lambda name: 1 / 0)  # no NaN
     assert content["quick"] is True
     assert [row["figure"] for row in content["results"]] == [12, 700, None, None, 0]
+
+
+def test_a_run_without_methods_leaves_out_rows_that_borrow_their_weights(tmp_path, monkeypatch):
+    planned = []
+
+    def plan(methods, *rest):
+        planned.extend(methods)
+        return []
+
+    monkeypatch.setattr(run, "plan_jobs", plan)
+    run.stress_methods([], ["budgets"], True, torch.device("cpu"), tmp_path)
+    assert "oidn/tuned" in planned
+    assert "accumulate/contrast" not in planned
