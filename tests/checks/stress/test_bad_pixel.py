@@ -120,7 +120,7 @@ def test_a_fault_that_spreads_for_one_frame_is_degraded_and_not_failed():
 def test_a_state_that_keeps_bad_values_fails():
     found = verdicts(Accumulating())
     assert found["state-nan"] is found["state-inf"] is FAILED
-    assert found["state-1e30"] is found["sample-65504"] is WARNING  # off the surface, and visible
+    assert PASSED not in (found["state-1e30"], found["sample-65504"])  # visible
 
 
 def test_a_buffer_that_moves_the_whole_image_is_caught():
