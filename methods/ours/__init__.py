@@ -62,7 +62,6 @@ FAMILY = Family(
         "lean": Variant(
             "Do a memory by rule and a learned correction of the contrast rule suffice?",
             TRAITS,
-            pretrained=False,
         ),
         "flat": Variant(
             "What does the density map itself give? (weights of ours, sampled uniformly)",
