@@ -130,7 +130,7 @@ def expand(
     """Method names for patterns, without repeats.
 
     `all` stands for every family, `family/*` for all variants of one, `all/*` for all variants of
-    every family. By default a pattern with `*` leaves out variants without pretrained weights.
+    every family. By default `all` and `*` leave out rows without pretrained weights.
     With `on_skip`, `all` skips families that cannot be imported and passes a message for each.
 
     >>> expand(["mean", "svgf", "mean"])
@@ -146,7 +146,8 @@ def expand(
             for name in (
                 load_family(parent).method_names() if rest == "*" else [current_name(exact)]
             ):
-                if get_variant(name).pretrained or not pretrained_only or rest != "*":
+                is_named = key != "all" and rest != "*"
+                if is_named or get_variant(name).pretrained or not pretrained_only:
                     selected[name] = None
     return list(selected)
 

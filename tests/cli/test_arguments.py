@@ -113,9 +113,9 @@ def test_values_that_are_no_text_are_unchanged():
 
 def test_all_skips_a_broken_family_and_says_so(monkeypatch, capsys):
     monkeypatch.setenv(registry.METHODS_VARIABLE, "torn=nowhere_at_all:FAMILY")
-    assert arguments.expand_methods(["all"]) == tuple(
-        name for name in registry.list_plugins("methods") if name != "torn"
-    )
+    names = arguments.expand_methods(["all"])
+    assert "mean" in names
+    assert "torn" not in names
     assert "'all' skips torn, which cannot be imported: ModuleNotFound" in capsys.readouterr().err
     with pytest.raises(ModuleNotFoundError):
         arguments.expand_methods(["mean,torn"])

@@ -43,8 +43,18 @@ def test_a_pattern_leaves_out_variants_without_pretrained_weights(patterns, trai
     assert ("ours/denoiser-large" in registry.expand(patterns, trained)) == expected
 
 
-def test_all_selects_every_family_once():
-    assert registry.expand(["all"]) == registry.list_plugins("methods")
+def test_all_selects_every_family_with_weights_once():
+    families = registry.list_plugins("methods")
+    expected = [name for name in families if registry.get_variant(name).pretrained]
+    assert registry.expand(["all"]) == expected
+    assert registry.expand(["all"], pretrained_only=False) == families
+
+
+def test_a_name_selects_a_row_without_weights_too():
+    assert registry.expand(["ours/denoiser-large", "nppd/large"]) == [
+        "ours/denoiser-large",
+        "nppd/large",
+    ]
 
 
 def test_a_method_without_weights_has_no_training_task():
@@ -56,7 +66,7 @@ def test_all_skips_a_family_that_cannot_be_imported_and_says_so(tmp_path):
     (tmp_path / "torn.py").write_text("1 / 0")
     registry.use_plugin(tmp_path / "torn.py")
     messages = []
-    names = registry.expand(["all"], on_skip=messages.append)
+    names = registry.expand(["all"], pretrained_only=False, on_skip=messages.append)
     assert names == [name for name in registry.list_plugins("methods") if name != "torn"]
     assert messages == [
         "'all' skips torn, which cannot be imported: ZeroDivisionError: division by zero"
