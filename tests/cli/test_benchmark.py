@@ -93,7 +93,7 @@ def test_seeds_may_be_a_range(run_mean, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--methods", "foo"), "error: 'foo' is not a method; there are: dasr, eaw, imcd, mean"),
+        (("--methods", "foo"), "error: 'foo' is not a method; there are: accumulate, dasr"),
         (("--methods", "mean/A9"), "error: 'mean' has no variant 'A9'; it has: mean"),
         (("--spp", "one"), "Error: Invalid value for '--spp': 'one' is no list of budgets"),
         (("--spp", "-1"), "Error: Invalid value for '--spp': '-1' is no list of budgets"),
