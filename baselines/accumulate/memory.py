@@ -17,19 +17,26 @@ from rlbench.ops.accumulation import (
     surface_features,
 )
 from rlbench.ops.antilag import history_confidence
-from rlbench.ops.fireflies import repair_moments, repair_radiance_history
-from rlbench.ops.reprojection import reproject, reproject_bicubic
+from rlbench.ops.radiance_history import (
+    find_static_pixels,
+    repair_spp,
+    reproject_radiance,
+    weigh_by_similarity,
+)
+from rlbench.ops.reprojection import reproject
 from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import log_forward
 
-__all__ = ["History", "Memory", "accumulate_frame", "empty_memory", "reproject_memory"]
+__all__ = [
+    "History",
+    "Memory",
+    "accumulate_frame",
+    "empty_memory",
+    "reproject_memory",
+    "trust_by_rule",
+]
 
 TRUST = 0.8  # share of the old weight that is kept: alpha of 0.2 (Schied et al. 2017)
-SPARSE_WEIGHT = 1e-3  # samples; a smaller weight is that of another surface
-MAX_SPP = 1e4  # accumulated samples; a larger number is no count
 MAX_CHANGE = 4.0  # of an image in log transfer, squared; a larger number is no change
-STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
-SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +66,7 @@ class History(NamedTuple):
 
     def with_confidence(self, confidence: Float[Tensor, "n 1 h w"]) -> History:
         """The history with its weight and similarity multiplied by a confidence in [0, 1]."""
-        spp = self.radiance.accumulated_spp * confidence
-        radiance = self.radiance._replace(accumulated_spp=spp)
+        radiance = self.radiance.scale_weight(confidence)
         return self._replace(radiance=radiance, similarity=self.similarity * confidence)
 
 
@@ -75,38 +81,34 @@ def empty_memory(size: Size, device: torch.device) -> Memory:
 def reproject_memory(gbuffer: GBuffer, memory: Memory) -> History:
     """The memory at the current pixels: radiance and image by bicubic taps, weights by bilinear."""
     bilinear = (
-        repair_history(memory.radiance.accumulated_spp, 0.0, MAX_SPP),
+        repair_spp(memory.radiance.accumulated_spp),
         repair_history(memory.change, 0.0, MAX_CHANGE),
         repair_history(memory.surface, -1.1, 1.1),
     )
     moved, valid = reproject(torch.cat(bilinear, dim=1), gbuffer.motion)
     spp, change, surface = moved.split_with_sizes([1, 1, 7], dim=1)
-    bicubic = (
-        *repair_moments(memory.radiance.mean, memory.radiance.second_moment),
-        log_forward(repair_radiance_history(memory.image)),
-    )
-    sharp, _ = reproject_bicubic(torch.cat(bicubic, dim=1), gbuffer.motion)
-    mean, square, image = sharp.split_with_sizes([3, 1, 3], dim=1)
+    mean, square, image = reproject_radiance(memory.radiance, memory.image, gbuffer.motion)
 
     current = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
     valid = valid & (memory.age > 0)
     similarity = feature_similarity(current, surface).where(valid, 0.0)
-    weight = spp * similarity
-    radiance = AccumulatedRadiance(mean, square, weight.where(weight > SPARSE_WEIGHT, 0.0))
-    static = similarity > SAME_SURFACE
-    if gbuffer.motion is not None:
-        static = static & (gbuffer.motion.abs().amax(1, keepdim=True) < STATIC_MOTION)
+    radiance = AccumulatedRadiance(mean, square, weigh_by_similarity(spp, similarity))
+    static = find_static_pixels(similarity, gbuffer.motion)
     return History(radiance, image, change, similarity, static)
 
 
 def accumulate_frame(
     history: History, current: AccumulatedRadiance
 ) -> tuple[AccumulatedRadiance, History]:
-    """The radiance up to this frame, and the history that new samples do not contradict.
-
-    The old weight is multiplied by 0.8, so that old light fades; where nothing moves it is kept, so
-    that a still camera converges.
-    """
+    """The radiance up to this frame, and the history that new samples do not contradict."""
     history = history.with_confidence(history_confidence(history.radiance, current, history.image))
-    trust = torch.full_like(history.similarity, TRUST).masked_fill(history.static_mask, 1.0)
+    trust = trust_by_rule(history.static_mask)
     return accumulate(history.radiance, current, trust), history
+
+
+def trust_by_rule(static_mask: Bool[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """The factor on the weight of old radiance: 0.8, so that old light fades.
+
+    It is 1 where nothing moves, so that a still camera converges.
+    """
+    return torch.where(static_mask, 1.0, TRUST)

@@ -20,7 +20,7 @@ from baselines.accumulate.memory import (
     reproject_memory,
 )
 from baselines.oidn.method import CARDS as OIDN_CARDS
-from baselines.oidn.method import INPUT_CHANNELS, encode_inputs, to_radiance
+from baselines.oidn.method import INPUT_CHANNELS, run_network, to_radiance
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import (
@@ -31,10 +31,9 @@ from rlbench.ops.accumulation import (
 )
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import limit_fireflies
-from rlbench.ops.padding import crop, pad
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.ops.transfer import log_forward, log_inverse
-from rlbench.ops.unet import BASE_WIDTHS, STRIDE, UNet
+from rlbench.ops.unet import BASE_WIDTHS, UNet
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Accumulate", "Config", "build"]
@@ -113,9 +112,8 @@ class Accumulate:
     ) -> Float[Tensor, "n 3 h w"]:
         """The denoised radiance of one frame, linear."""
         exposure = autoexposure(accumulated.mean.detach())
-        features = encode_inputs(accumulated.mean * exposure, gbuffer)
-        output = crop(self.network(pad(features, STRIDE)).float(), *features.shape[-2:])
-        return self.decode(output, exposure)
+        output = run_network(self.network, accumulated.mean * exposure, gbuffer)
+        return self.decode(output.float(), exposure)
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Accumulate:

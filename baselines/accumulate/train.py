@@ -12,19 +12,16 @@ from torch import Tensor
 from baselines.accumulate import FAMILY
 from baselines.accumulate.memory import Memory
 from baselines.accumulate.method import VARIANTS, Accumulate
-from baselines.oidn.method import published_network
+from baselines.oidn.method import published_network, to_signed_radiance
+from baselines.oidn.train import FINE_TUNING_MAX_LR
 from rlbench.frames import Clip, GBuffer, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
-from rlbench.ops.transfer import LOG_SCALE, log_forward, pu_inverse
+from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
+from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["BUDGETS", "training_task"]
-
-MAX_LR = 4e-5  # as all training here that starts from Intel's weights
-BUDGETS = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # spp, one drawn for each sequence; as for `ours`
-MIN_RADIANCE = -0.5 / LOG_SCALE  # log transfer is defined above twice this
+__all__ = ["training_task"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
     """
     network, origin = published_network()
     traits = FAMILY.variants[variant].traits
-    method = Accumulate(VARIANTS[variant], traits, network.to(device), decode=decode_signed)
+    method = Accumulate(VARIANTS[variant], traits, network.to(device), decode=to_signed_radiance)
     detached = DetachedMemory(method)
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
@@ -54,11 +51,6 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
             reference = log_forward(result.frame.reference.mean)
             yield log_loss(l1_ms_ssim_loss(log_forward(result.image), reference))
 
-    return TrainingTask(method, network, losses, BUDGETS, MAX_LR, origin=origin)
-
-
-def decode_signed(
-    value: Float[Tensor, "n 3 h w"], exposure: Float[Tensor, "n 1 1 1"]
-) -> Float[Tensor, "n 3 h w"]:
-    """Linear radiance from the network's output, not clamped at 0, where gradients would end."""
-    return (pu_inverse(value.clamp_max(1)) / exposure).clamp_min(MIN_RADIANCE)
+    return TrainingTask(
+        method, network, losses, BUDGETS_FROM_0_05_SPP, FINE_TUNING_MAX_LR, origin=origin
+    )

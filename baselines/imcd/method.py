@@ -15,11 +15,11 @@ from baselines.imcd.filter import KernelSizes, PreviousFrame, apply_affinity_ker
 from baselines.imcd.network import EMBEDDING, FEATURES, Kernels, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
+from rlbench.ops.accumulation import surface_features
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["Config", "Imcd", "State", "build"]
@@ -126,7 +126,7 @@ class Imcd:
         """Mean irradiance of the samples, and the mean of their embeddings e_t."""
         radiance = limit_fireflies(samples.radiance, samples.counts)
         irradiance = radiance / albedo[:, None]
-        features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
+        features = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
         embedding = self.networks.encoder(irradiance.log1p(), features, samples.valid_mask)
         return irradiance.sum(1) / samples.counts.clamp_min(1), embedding
 

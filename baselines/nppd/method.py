@@ -15,13 +15,12 @@ from baselines.nppd.filter import apply_partitioning_pyramid
 from baselines.nppd.network import EMBEDDING, LARGE_WIDTHS, STRIDE, WIDTHS, Networks
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples, Size
-from rlbench.ops.accumulation import fill_holes, frame_radiance
+from rlbench.ops.accumulation import fill_holes, frame_radiance, surface_features
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.fireflies import limit_fireflies, repair_radiance_history
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.reprojection import reproject
 from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Config", "Nppd", "State", "build"]
@@ -127,7 +126,7 @@ class Nppd:
     def _embed(self, gbuffer: GBuffer, light: Samples, mean: Tensor) -> Float[Tensor, "n 32 h w"]:
         """The mean embedding of a pixel's samples of irradiance."""
         colours = _compress(light.radiance / mean[:, None])
-        features = torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth)), 1)
+        features = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
         embedding: Tensor = self.networks.encoder(colours, features, light.valid_mask)
         return embedding
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from baselines.imcd.network import EMBEDDING
+from baselines.imcd.network import Encoder as SampleEncoder
 from baselines.nppd.filter import DENOISING_TAPS, LEVELS, UPSAMPLING_TAPS, FilterWeights
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_channels_last, to_contiguous_float32
@@ -17,8 +18,6 @@ __all__ = ["EMBEDDING", "LARGE_WIDTHS", "STRIDE", "WIDTHS", "Encoder", "Networks
 Widths = tuple[tuple[int, ...], ...]  # channels of the convolutions of each level, fine to coarse
 
 COLOUR_CHANNELS = 3
-GBUFFER_CHANNELS = 7  # normal, albedo, depth
-EMBEDDING = 32  # channels of the embedding and of its accumulated history
 INPUTS = 2 * (COLOUR_CHANNELS + EMBEDDING)  # of the U-Net: history and current frame
 STRIDE = 32  # sides are padded to a multiple of this: five poolings
 NEGATIVE_SLOPE = 0.3  # of LeakyReLU
@@ -66,18 +65,12 @@ class Networks(nn.Module):
         )
 
 
-class Encoder(nn.Module):
+class Encoder(SampleEncoder):
     """Three 1 x 1 convolutions on every sample, and the mean over a pixel's samples.
 
     LeakyReLU follows the first two. The last is linear, so it is applied once, to the mean.
+    2,464 parameters.
     """
-
-    def __init__(self) -> None:
-        """From 10 to 32 channels; 2,464 parameters."""
-        super().__init__()
-        self.first = nn.Conv2d(COLOUR_CHANNELS + GBUFFER_CHANNELS, EMBEDDING, 1)
-        self.second = nn.Conv2d(EMBEDDING, EMBEDDING, 1)
-        self.third = nn.Conv2d(EMBEDDING, EMBEDDING, 1)
 
     def forward(
         self,
@@ -85,15 +78,11 @@ class Encoder(nn.Module):
         gbuffer: Float[Tensor, "n 7 h w"],
         valid_mask: Bool[Tensor, "n s 1 h w"],
     ) -> Float[Tensor, "n 32 h w"]:
-        """The mean embedding in float32; every pixel needs a sample. Slots are read in turn."""
-        total = gbuffer.new_zeros(gbuffer.shape[0], EMBEDDING, *gbuffer.shape[2:])
-        for colour, valid in zip(colours.unbind(1), valid_mask.unbind(1), strict=True):
-            if valid.any():
-                total = total + self._hidden(torch.cat((colour, gbuffer), 1)).float() * valid
-        mean: Tensor = self.third(total / valid_mask.sum(1))
+        """The mean embedding in float32; every pixel needs a sample."""
+        mean: Tensor = self.third(super().forward(colours, gbuffer, valid_mask))
         return mean.float()
 
-    def _hidden(self, sample: Tensor) -> Tensor:
+    def embed(self, sample: Float[Tensor, "n 10 h w"]) -> Float[Tensor, "n 32 h w"]:
         """Features of one sample per pixel before the last layer."""
         for layer in (self.first, self.second):
             sample = F.leaky_relu(layer(sample), NEGATIVE_SLOPE, inplace=True)

@@ -17,7 +17,7 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.exposure import autoexposure
 from rlbench.ops.fireflies import mean_without_fireflies
 from rlbench.ops.padding import crop, pad
-from rlbench.ops.transfer import pu_forward, pu_inverse
+from rlbench.ops.transfer import LOG_SCALE, pu_forward, pu_inverse
 from rlbench.ops.unet import BASE_WIDTHS, FAST_WIDTHS, STRIDE, UNet, UNetWidths
 from rlbench.weights import load_for_inference, load_into
 
@@ -29,11 +29,14 @@ __all__ = [
     "build",
     "encode_inputs",
     "published_network",
+    "run_network",
     "to_radiance",
+    "to_signed_radiance",
 ]
 
 CARDS = Path(__file__).parent / "cards"
 INPUT_CHANNELS = 9  # colour, albedo, normal
+MIN_RADIANCE = -0.5 / LOG_SCALE  # while training; log transfer is defined above twice this
 
 EstimateExposure = Callable[[Float[Tensor, "n 3 h w"]], Float[Tensor, "n 1 1 1"]]
 Decode = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 1 1"]], Float[Tensor, "n 3 h w"]]
@@ -75,6 +78,21 @@ def to_radiance(
     return pu_inverse(value.clamp(0, 1)) / exposure
 
 
+def to_signed_radiance(
+    value: Float[Tensor, "n 3 h w"], exposure: Float[Tensor, "n 1 1 1"]
+) -> Float[Tensor, "n 3 h w"]:
+    """`to_radiance` for training: not clamped at 0, where gradients would end."""
+    return (pu_inverse(value.clamp_max(1)) / exposure).clamp_min(MIN_RADIANCE)
+
+
+def run_network(
+    network: nn.Module, exposed: Float[Tensor, "n 3 h w"], gbuffer: GBuffer
+) -> Float[Tensor, "n 3 h w"]:
+    """The network's output, in transfer space, for exposed radiance, albedo and normal."""
+    features = encode_inputs(exposed, gbuffer)
+    return crop(network(pad(features, multiple=STRIDE)), *features.shape[-2:])
+
+
 @dataclass(frozen=True)
 class Oidn:
     """Open Image Denoise (Afra 2019): its ray-tracing filter for HDR with albedo and normal.
@@ -106,9 +124,7 @@ class Oidn:
         """The image in linear radiance, from the mean of the samples, albedo and normal."""
         noisy = mean_without_fireflies(samples.radiance, samples.counts)
         exposure = self.estimate_exposure(noisy)
-        features = encode_inputs(noisy * exposure, gbuffer)
-        output = crop(self.network(pad(features, multiple=STRIDE)), *features.shape[-2:])
-        return self.decode(output, exposure), None
+        return self.decode(run_network(self.network, noisy * exposure, gbuffer), exposure), None
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Oidn | FilledHoles:

@@ -64,7 +64,7 @@ class HalfResolution(FilledHoles):
         self, gbuffer: GBuffer, samples: Samples, state: State
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The upsampled image."""
-        radiance, h, w = _limited_radiance(samples), *gbuffer.albedo.shape[-2:]
+        radiance = _limited_radiance(samples)
         spp = _pool(radiance.accumulated_spp)
         mean = _pool(radiance.mean * radiance.accumulated_spp) / spp.clamp_min(1e-6)
         coarse = GBuffer({name: _pool(b) for name, b in gbuffer.buffers.items()}, gbuffer.static)
@@ -74,7 +74,7 @@ class HalfResolution(FilledHoles):
         light = image / demodulation_albedo(coarse.albedo.clamp(0, 1))
         fine = surface_features(gbuffer.normal, gbuffer.albedo, gbuffer.depth)
         light = upsample_jointly(light, _pool(fine), fine)
-        return light[..., :h, :w] * demodulation_albedo(gbuffer.albedo.clamp(0, 1)), state
+        return light * demodulation_albedo(gbuffer.albedo.clamp(0, 1)), state
 
 
 def upsample_jointly(

@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from baselines.accumulate.memory import TRUST
+from baselines.accumulate.memory import trust_by_rule
 from baselines.oidn.method import encode_inputs as oidn_inputs
+from baselines.oidn.method import to_signed_radiance
 from methods.ours.rejection import HistoryRejection
 from methods.ours.sample_encoding import MISSING
 from methods.ours.state import ReprojectedHistory, network_features
@@ -23,11 +24,9 @@ from rlbench.ops.accumulation import (
     frame_radiance,
 )
 from rlbench.ops.exposure import autoexposure
-from rlbench.ops.transfer import LOG_SCALE, log_forward, log_inverse, pu_inverse
+from rlbench.ops.transfer import log_forward, log_inverse
 
 __all__ = ["Accumulator", "FrameRadiance", "RuleRadiance", "StateOnly", "TemporalRadiance"]
-
-MIN_RADIANCE = -0.5 / LOG_SCALE  # while training; log transfer is defined above twice this
 
 Denoiser = Callable[[Float[Tensor, "n c h w"]], Float[Tensor, "n c2 h w"]]
 
@@ -199,9 +198,7 @@ class RuleRadiance(TemporalRadiance):
         history: ReprojectedHistory,
     ) -> tuple[AccumulatedRadiance, ReprojectedHistory]:
         """Samples of this frame and history that fades by a fifth, with holes filled."""
-        by_rule = torch.full_like(history.similarity, TRUST)
-        by_rule = by_rule.masked_fill(history.static_mask, 1.0)
-        return super().accumulate(gbuffer, samples, by_rule, history)
+        return super().accumulate(gbuffer, samples, trust_by_rule(history.static_mask), history)
 
     def reconstruct(
         self,
@@ -228,5 +225,4 @@ def _denoise_exposed(
     """Linear radiance from exposed radiance, G-buffer and latent, and the other outputs."""
     exposure = autoexposure(radiance.mean.detach())
     value = denoiser(torch.cat((oidn_inputs(radiance.mean * exposure, gbuffer), latent), dim=1))
-    image = (pu_inverse(value[:, :3].clamp_max(1)) / exposure).clamp_min(MIN_RADIANCE)
-    return image, value[:, 3:]
+    return to_signed_radiance(value[:, :3], exposure), value[:, 3:]

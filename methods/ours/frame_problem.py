@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from rlbench.frames import Frame, GBuffer, Pool, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.sampling import draw_samples
-from rlbench.sanitize import sanitize_frame
+from rlbench.sanitize import SanitizedPool, sanitize_frame
 from rlbench.training.surrogate_gradient import SampleGradient, relaxed_counts
 
 __all__ = ["FrameProblem", "FrameStep"]
@@ -139,7 +140,7 @@ class FrameProblem:
 
     @cached_property
     def _pool(self) -> Pool:
-        return sanitize_frame(self.frame, self.method.traits.inputs).pool
+        return SanitizedPool(self.frame.pool, Counter())
 
     def _draw_samples(self, action: Float[Tensor, "n 1 h w"]) -> Samples:
         pool, density = self._pool, self._density(action)

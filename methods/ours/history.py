@@ -20,10 +20,14 @@ from methods.ours.state import (
 )
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.accumulation import AccumulatedRadiance, feature_similarity
-from rlbench.ops.fireflies import repair_moments, repair_radiance_history
-from rlbench.ops.reprojection import reproject, reproject_bicubic
+from rlbench.ops.radiance_history import (
+    find_static_pixels,
+    repair_spp,
+    reproject_radiance,
+    weigh_by_similarity,
+)
+from rlbench.ops.reprojection import reproject
 from rlbench.ops.sanitize import repair_history
-from rlbench.ops.transfer import log_forward
 
 __all__ = [
     "DenoisedFrame",
@@ -34,12 +38,7 @@ __all__ = [
     "SampleHistory",
 ]
 
-STATIC_MOTION = 1e-3  # pixels; a smaller motion counts as none
-MAX_SPP = 1e4  # accumulated samples; a larger number is no count
 MAX_FEATURE = 4.0  # latents lie in [-1, 1]; encoded samples reach 3.7 at radiance 65504
-MIN_WEIGHT = 1e-3  # samples; a smaller weight is that of another surface, and underflow decides
-SAME_SURFACE = 0.5  # least similarity, in [0, 1], of one surface in two frames
-BICUBIC_CHANNELS = [3, 1, 3]  # mean, second moment, previous image
 BILINEAR_CHANNELS = [1, GBUFFER_CHANNELS]  # accumulated spp, G-buffer features
 
 
@@ -151,17 +150,13 @@ class RadianceHistory(LatentHistory):
         current = gbuffer_features(gbuffer)
         features, spp, previous, valid = self._bilinear(gbuffer, state)
         features = features.where(valid, MISSING)
-        mean, square, image = self._bicubic(gbuffer, state)
+        previous_image = state.image.clamp_min(0)
+        mean, square, image = reproject_radiance(state.radiance, previous_image, gbuffer.motion)
         similarity = feature_similarity(current, previous).where(valid, 0.0)
-        weight = spp * similarity
-        weight = weight.where(weight > MIN_WEIGHT, 0.0)
-        radiance = AccumulatedRadiance(mean, square, weight)
+        radiance = AccumulatedRadiance(mean, square, weigh_by_similarity(spp, similarity))
         accumulated = torch.cat((image, network_features(radiance), similarity), dim=1)
         inputs = torch.cat((current, features, accumulated.where(valid, MISSING)), dim=1)
-        static = valid
-        if gbuffer.motion is not None:
-            static = static & (gbuffer.motion.abs().amax(1, keepdim=True) < STATIC_MOTION)
-        static = static & (similarity > SAME_SURFACE)
+        static = find_static_pixels(similarity, gbuffer.motion)
         same_shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)
         previous_spp = state.previous_spp.where(same_shot, 1.0)
         return ReprojectedHistory(
@@ -185,26 +180,12 @@ class RadianceHistory(LatentHistory):
         """Features, accumulated spp, G-buffer features, and the mask of valid history."""
         stacked = (
             repair_history(state.features, -1.0, MAX_FEATURE),
-            repair_history(state.radiance.accumulated_spp, 0.0, MAX_SPP),
+            repair_spp(state.radiance.accumulated_spp),
             repair_history(state.gbuffer_features, -1.1, 1.1),
         )
         moved, valid = reproject(torch.cat(stacked, dim=1), gbuffer.motion)
         features, spp, previous = moved.split_with_sizes([self.channels, *BILINEAR_CHANNELS], 1)
         return features, spp, previous, valid & (state.age > 0)
-
-    def _bicubic(self, gbuffer: GBuffer, state: RecurrentState) -> tuple[Tensor, Tensor, Tensor]:
-        """Mean radiance, second moment, and the previous image in log transfer.
-
-        The image is reprojected in log transfer, since linear bicubic taps beside a lamp are
-        dominated by rounding errors.
-        """
-        stacked = (
-            *repair_moments(state.radiance.mean, state.radiance.second_moment),
-            log_forward(repair_radiance_history(state.image.clamp_min(0))),
-        )
-        moved, _ = reproject_bicubic(torch.cat(stacked, dim=1), gbuffer.motion)
-        mean, square, image = moved.split_with_sizes(BICUBIC_CHANNELS, 1)
-        return mean, square, image
 
 
 def _missing(channels: int, size: Size, device: torch.device) -> Tensor:

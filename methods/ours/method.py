@@ -144,13 +144,12 @@ class Ours:
     ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
         """The new latent, and the trust in accumulated radiance, in [0, 1].
 
-        Without an encoder the latent is its input: samples and G-buffer features.
+        Without an encoder the latent is its input: samples and G-buffer features. A variant with a
+        latent of zero channels has none.
         """
-        if self.networks.encoder is None and self.config.latent == 0:
-            return encoded[:, :0], encoded[:, :0]
         if self.networks.encoder is None:
             latent = torch.cat((encoded, gbuffer_features(gbuffer)), dim=1)
-            return latent, latent[:, :0]
+            return latent if self.config.latent else latent[:, :0], latent[:, :0]
         inputs = torch.cat((encoded, history.inputs), dim=1)
         h, w = inputs.shape[-2:]
         output = crop(to_contiguous_float32(self.networks.encoder(pad(inputs, MULTIPLE))), h, w)
@@ -199,12 +198,12 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
 
     `weights` is None for shipped ones, the path of a file, or "random".
     """
-    config = VARIANTS[variant]
+    config, declared = VARIANTS[variant], FAMILY.variants[variant]
     networks = Networks(config)
-    if variant == "initial":
+    if not declared.learned:
         initialize(networks, config, seed=0)
         weights = "random"  # loads none
     elif weights == "random":
         kaiming_init(networks)
     load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
-    return assemble(config, FAMILY.variants[variant].traits, networks)
+    return assemble(config, declared.traits, networks)

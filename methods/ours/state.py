@@ -76,8 +76,7 @@ class ReprojectedHistory(NamedTuple):
 
     def with_confidence(self, confidence: Float[Tensor, "n 1 h w"]) -> ReprojectedHistory:
         """The history with its weight and similarity multiplied by a confidence in [0, 1]."""
-        spp = self.radiance.accumulated_spp * confidence
-        radiance = self.radiance._replace(accumulated_spp=spp)
+        radiance = self.radiance.scale_weight(confidence)
         return self._replace(radiance=radiance, similarity=self.similarity * confidence)
 
     @classmethod

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from baselines.oidn.train import FINE_TUNING_MAX_LR
 from methods.ours import FAMILY
 from methods.ours.frame_problem import FrameProblem
 from methods.ours.initialization import initialize
@@ -24,16 +25,14 @@ from rlbench.frames import Clip, Frame, GBuffer, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
-from rlbench.training.task import BUDGETS_FROM_1_SPP, TrainingTask
+from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["BUDGETS", "ExploringMethod", "training_task"]
+__all__ = ["ExploringMethod", "training_task"]
 
 MAX_LR = 3e-4  # from random weights
 LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh saturates
-FINETUNING_LR = 4e-5  # where the denoiser starts from Intel's weights
 FINETUNING_MULTIPLIERS = {"encoder": 2.0, "sampler": 6.0, "auxiliary_network": 25.0}
-BUDGETS = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # spp, one drawn for each sequence
 SAMPLER_INTERVAL = 2  # frames between steps of the sampler
 SAMPLER_WEIGHT = 0.1  # of the learner's loss; only the sampler gets it, so it matters for clipping
 
@@ -110,9 +109,9 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
                 yield total / config.bptt
                 total = torch.zeros_like(total)
 
-    budgets = tuple(spp for spp in BUDGETS if traits.unsupported_reason(spp) is None)
+    budgets = tuple(spp for spp in BUDGETS_FROM_0_05_SPP if traits.unsupported_reason(spp) is None)
     max_lr, multipliers = (
-        (FINETUNING_LR, FINETUNING_MULTIPLIERS) if origin else (MAX_LR, LR_MULTIPLIERS)
+        (FINE_TUNING_MAX_LR, FINETUNING_MULTIPLIERS) if origin else (MAX_LR, LR_MULTIPLIERS)
     )
     sampler_multiplier = multipliers["sampler"] * width_multiplier(config.sampler)
     multipliers = {**multipliers, "sampler": sampler_multiplier}

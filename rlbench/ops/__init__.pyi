@@ -31,6 +31,12 @@ from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
 from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
 from .padding import crop, pad
+from .radiance_history import (
+    find_static_pixels,
+    repair_spp,
+    reproject_radiance,
+    weigh_by_similarity,
+)
 from .reprojection import reproject, reproject_bicubic, reproject_or_fill
 from .sanitize import (
     repair_history,
@@ -103,4 +109,8 @@ __all__ = [
     "temporal_l1",
     "to_channels_last",
     "to_contiguous_float32",
+    "find_static_pixels",
+    "repair_spp",
+    "reproject_radiance",
+    "weigh_by_similarity",
 ]

@@ -40,6 +40,10 @@ class AccumulatedRadiance(NamedTuple):
         """Variance of the luminance of one sample."""
         return (self.second_moment - luminance(self.mean).square()).clamp_min(0)
 
+    def scale_weight(self, factor: Float[Tensor, "n 1 h w"]) -> AccumulatedRadiance:
+        """The same radiance, as if it came from `factor` times as many samples."""
+        return self._replace(accumulated_spp=self.accumulated_spp * factor)
+
 
 def frame_radiance(
     radiance: Float[Tensor, "n s 3 h w"], counts: Int[Tensor, "n 1 h w"]

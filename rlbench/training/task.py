@@ -63,11 +63,12 @@ from rlbench.errors import RlbenchError
 from rlbench.frames import Clip
 from rlbench.method import Method
 
-__all__ = ["BUDGETS_FROM_1_SPP", "TrainingError", "TrainingTask"]
+__all__ = ["BUDGETS_FROM_0_05_SPP", "BUDGETS_FROM_1_SPP", "TrainingError", "TrainingTask"]
 
 # training budgets in samples per pixel, for methods that need a sample in every pixel; repeated
 # values are drawn more often
 BUDGETS_FROM_1_SPP = (1.0, 1.0, 2.0, 2.0, 4.0, 4.0, 6.0)
+BUDGETS_FROM_0_05_SPP = (0.05, 0.25, 0.5, *BUDGETS_FROM_1_SPP)  # for methods that need none
 
 
 class TrainingError(RlbenchError, RuntimeError):

@@ -66,7 +66,7 @@ def with_bias(channel: int, bias: float) -> Nppd:
     return method
 
 
-def demodulated(frame: Frame, samples: Samples) -> Tensor:
+def demodulate(frame: Frame, samples: Samples) -> Tensor:
     """The mean of limited samples without albedo."""
     albedo = demodulation_albedo(filtered_albedo(frame.gbuffer.albedo))
     return Samples(limit_fireflies(samples.radiance, samples.counts), samples.counts).mean / albedo
@@ -112,7 +112,7 @@ def test_any_image_size_is_denoised(method: Nppd, size: Size) -> None:
         assert torch.isfinite(result.image).all()
 
 
-def mirrored(position: int, side: int) -> int:
+def mirror(position: int, side: int) -> int:
     """The pixel inside the image that a pixel beyond its border is mirrored to."""
     if position < 0:
         return -1 - position
@@ -126,8 +126,8 @@ def splat_in_loops(image: np.ndarray, kernels: np.ndarray, stride: int) -> np.nd
     reach = (side - stride) // 2
     total = np.zeros((3, stride * h, stride * w))
     for y, x, tap in np.ndindex(h, w, side * side):
-        v = mirrored(stride * y + tap // side - reach, stride * h)
-        u = mirrored(stride * x + tap % side - reach, stride * w)
+        v = mirror(stride * y + tap // side - reach, stride * h)
+        u = mirror(stride * x + tap % side - reach, stride * w)
         total[:, v, u] += kernels[tap, y, x] * image[:, y, x]
     return total
 
@@ -249,7 +249,7 @@ def test_lambda_selects_the_light_of_history_or_frame(bias: float, expected: str
     frame, samples = first_frame()
     static = replace(frame.gbuffer, static=True)
     _, state = with_bias(LAMBDA, bias).denoise(static, samples, constant_state(0.25))
-    light = {"frame": demodulated(frame, samples), "history": torch.full((1, 3, 32, 32), 0.25)}
+    light = {"frame": demodulate(frame, samples), "history": torch.full((1, 3, 32, 32), 0.25)}
     # the first convolution of the network leaves the sigmoid at 0 or 1 up to rounding
     torch.testing.assert_close(state.irradiance, light[expected], rtol=1e-5, atol=1e-6)
     is_history = bool((state.embedding - 0.25).abs().max() < 1e-5)
@@ -261,7 +261,7 @@ def test_without_history_lambda_and_mu_have_no_history_to_select() -> None:
     method = with_bias(LAMBDA, 80.0)
     method.networks.unet.heads[0].bias.data[MU] = 80.0
     image, state = method.denoise(frame.gbuffer, samples, method.start(SIZE))
-    torch.testing.assert_close(state.irradiance, demodulated(frame, samples), rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(state.irradiance, demodulate(frame, samples), rtol=1e-5, atol=1e-6)
     # mu is 1, so the image is this frame's light, spread by the kernels of the previous image
     torch.testing.assert_close(
         state.denoised.sum((2, 3)), state.irradiance.sum((2, 3)), rtol=1e-4, atol=0
@@ -301,7 +301,7 @@ def test_a_pixel_without_a_sample_takes_its_history() -> None:
     _, state = with_bias(LAMBDA, -80.0).denoise(static, partial, constant_state(0.25))
     assert (state.irradiance[..., :16] - 0.25).abs().max() < 1e-5
     torch.testing.assert_close(
-        state.irradiance[..., 16:], demodulated(frame, samples)[..., 16:], rtol=1e-4, atol=1e-6
+        state.irradiance[..., 16:], demodulate(frame, samples)[..., 16:], rtol=1e-4, atol=1e-6
     )
 
 

@@ -31,12 +31,12 @@ from methods.ours.policy import (
     make_learner,
 )
 from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.train import BUDGETS
 from methods.ours.variants import BASE
 from rlbench.ops.init import kaiming_init
 from rlbench.system import paths
 from rlbench.training import validation
 from rlbench.training.batches import Batches
+from rlbench.training.task import BUDGETS_FROM_0_05_SPP
 from rlbench.weights import ModelCard, load_for_inference, read_card, save
 
 __all__ = ["SamplerTask", "retrain", "train_by_learner"]
@@ -84,7 +84,7 @@ class SamplerTask:
 
     def make_env(self) -> SamplingEnv:
         """Episodes of crops, at the budgets that `ours` is trained at."""
-        budgets = [spp for spp in BUDGETS if spp >= self.min_samples]
+        budgets = [spp for spp in BUDGETS_FROM_0_05_SPP if spp >= self.min_samples]
         return SamplingEnv(self.make_method(), self.make_batches(), budgets)
 
 
@@ -147,7 +147,7 @@ def retrain(
             sampler = train_by_learner(name, task, frames, on_progress)
     method = task.make_method()
     networks = method.networks
-    spp = validation.validation_budgets(method, BUDGETS, ())
+    spp = validation.validation_budgets(method, BUDGETS_FROM_0_05_SPP, ())
     assert networks.sampler is not None
     psnr = {"uniform": validation.validate(method, networks, networks, validate, spp, "cpu").psnr}
     networks.sampler.load_state_dict(sampler.state_dict())
