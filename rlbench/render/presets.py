@@ -11,7 +11,7 @@ from rlbench.clips.header import OPTIONAL_BUFFERS
 from rlbench.errors import RlbenchError
 
 __all__ = [
-    "GENERATED",
+    "GENERATORS",
     "PRESETS",
     "TEST_SCENES",
     "Preset",
@@ -23,7 +23,7 @@ __all__ = [
 
 TEST_SCENES = ("city", "temple", "hall", "ripples")
 PATH_AND_RESTIR = ("path", "restir")  # entry points in the group rlbench.pools
-GENERATED = "generated"  # scene entry point that takes a seed; its clips are generated-<seed>
+GENERATORS = ("generated", "eventful")  # scene entry points that take a seed; clips <name>-<seed>
 TakeSelection = Literal["main", "all"]
 
 
@@ -49,6 +49,7 @@ class Preset:
     reference_spp: int  # samples per pixel of each half of the reference, in each round
     scenes: tuple[str, ...] = TEST_SCENES  # entry points in the group rlbench.scenes
     seeds: tuple[int, ...] = ()  # of generated scenes
+    generator: str = GENERATORS[0]  # entry point that generates them
     is_test_set: bool = True  # scored clips, which must not be trained on?
     takes: TakeSelection = "main"  # clips per scene: the main one, or one for each take as well
     pool_spp: int = 8  # stored 1-spp images per frame
@@ -148,6 +149,18 @@ PRESETS = {
             tuple(range(28)),
             is_test_set=False,
             pools=PATH_AND_RESTIR,
+        ),
+        # halves of 32 spp: a noise ceiling of 33 dB, for 150 scenes in the time of 50
+        Preset(
+            "train-eventful",
+            "training: many generated scenes with switched lights, cuts and fast motion",
+            (128, 128),
+            12,
+            32,
+            (),
+            tuple(range(128, 278)),
+            generator="eventful",
+            is_test_set=False,
         ),
         Preset(
             "development",

@@ -29,7 +29,7 @@ from rlbench.render.jobs.frame_worker import (
 from rlbench.render.jobs.job import Job
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
-from rlbench.render.presets import GENERATED, Preset
+from rlbench.render.presets import GENERATORS, Preset
 from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
 
@@ -59,7 +59,7 @@ def ensure(
     folder = folder or paths.clips_folder() / preset.name
     if scenes is None and seeds is None:
         scenes, seeds = preset.scenes, preset.seeds
-    names = [*(scenes or ()), *(f"{GENERATED}-{seed:03d}" for seed in seeds or ())]
+    names = [*(scenes or ()), *(f"{preset.generator}-{seed:03d}" for seed in seeds or ())]
     scene_of: dict[str, Scene] = {}
     for name in names:
         scene_of |= _select_takes(name, preset)
@@ -91,12 +91,13 @@ def scene_of_clip(clip: str) -> Scene:
     LookupError for an unknown scene, and SceneError for an unknown take or a missing seed.
     """
     name, _, suffix = clip.rpartition("-")
-    if GENERATED in (clip, name):
-        if not suffix.isdecimal() or clip == GENERATED:
+    if clip in GENERATORS or name in GENERATORS:
+        generator = clip if clip in GENERATORS else name
+        if not suffix.isdecimal() or clip == generator:
             raise SceneError(
-                f"'{clip}' is not a generated scene; give a seed, for example {GENERATED}-007"
+                f"'{clip}' is not a generated scene; give a seed, for example {generator}-007"
             )
-        generated: Scene = registry.load_plugin("scenes", GENERATED)(int(suffix))
+        generated: Scene = registry.load_plugin("scenes", generator)(int(suffix))
         return generated
     installed = registry.list_plugins("scenes")
     is_main = clip in installed or name not in installed

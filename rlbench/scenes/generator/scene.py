@@ -22,7 +22,7 @@ from rlbench.scenes.generator.waves import draw_waving_parts
 from rlbench.scenes.parts.primitives import boxes
 from rlbench.scenes.parts.shape import Shape
 
-__all__ = ["FAMILIES", "scene"]
+__all__ = ["FAMILIES", "deal", "scene"]
 
 FAMILIES = ("room", "hall", "open", "water")
 DISPLAY_GREY = 0.22  # display value to which the exposure maps the estimated mean radiance
@@ -40,7 +40,7 @@ def scene(seed: int) -> Scene:
     """
     rng = np.random.default_rng([0x5CE4E, seed])
     family, light_kind, move = (
-        _deal(seed, pack, salt) for salt, pack in enumerate((FAMILIES, LIGHT_KINDS, CAMERA_MOVES))
+        deal(seed, pack, salt) for salt, pack in enumerate((FAMILIES, LIGHT_KINDS, CAMERA_MOVES))
     )
     if family == "water":  # few light paths reach a small source through a water surface
         light_kind = {"bulbs": "lamps", "sunsky": "sky"}.get(light_kind, light_kind)
@@ -74,7 +74,7 @@ def scene(seed: int) -> Scene:
     )
 
 
-def _deal(seed: int, pack: Sequence[str], salt: int) -> str:
+def deal(seed: int, pack: Sequence[str], salt: int) -> str:
     """The card for a seed: each run of len(pack) seeds is dealt one shuffled pack."""
     shuffle, card = divmod(seed, len(pack))
     order = np.random.default_rng([0xDEA1, salt, shuffle]).permutation(len(pack))
