@@ -29,7 +29,7 @@ def ensured(monkeypatch):
     ("words", "message"),
     [
         (("--preset", "huge"), "error: no preset 'huge'; available: tiny, mini"),
-        (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, generated"),
+        (("--scenes", "cellar"), "error: no scene 'cellar'; available: city, eventful, generated"),
         (
             ("--scenes", "city-crane"),
             "error: scene 'city' has no take 'crane'; available takes: static, cut",

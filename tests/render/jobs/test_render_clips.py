@@ -156,7 +156,7 @@ def test_a_generated_scene_comes_from_the_registry_with_its_seed():
     assert scene_of_clip("generated-007").name == scene.name == "generated-7"
 
 
-@pytest.mark.parametrize("name", ["generated", "generated-cut"])
+@pytest.mark.parametrize("name", ["generated", "generated-cut", "eventful"])
 def test_a_generated_scene_without_a_seed_is_an_error(name):
     with pytest.raises(SceneError, match=f"'{name}' is not a generated scene; give a seed"):
         scene_of_clip(name)
