@@ -63,8 +63,8 @@ class Accumulator(Protocol):
         latent: Float[Tensor, "n s h w"],
         radiance: AccumulatedRadiance,
         history: ReprojectedHistory,
-    ) -> Float[Tensor, "n 3 h w"]:
-        """The image, linear radiance."""
+    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
+        """The image in linear radiance, and the latent for the next frame."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class StateOnly:
         latent: Float[Tensor, "n s h w"],
         radiance: AccumulatedRadiance,
         history: ReprojectedHistory,
-    ) -> Float[Tensor, "n 3 h w"]:
-        """The denoiser's output, which is in log transfer."""
-        return log_inverse(denoiser(latent))
+    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
+        """The denoiser's output, which is in log transfer, and the same latent."""
+        return log_inverse(denoiser(latent)), latent
 
 
 @dataclass(frozen=True)
@@ -124,9 +124,9 @@ class FrameRadiance(StateOnly):
         latent: Float[Tensor, "n s h w"],
         radiance: AccumulatedRadiance,
         history: ReprojectedHistory,
-    ) -> Float[Tensor, "n 3 h w"]:
-        """The denoiser's output: un-exposed, out of PU transfer."""
-        return _denoise_exposed(denoiser, gbuffer, latent, radiance)[0]
+    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
+        """The denoiser's output, un-exposed and out of PU transfer, and the same latent."""
+        return _denoise_exposed(denoiser, gbuffer, latent, radiance)[0], latent
 
 
 @dataclass(frozen=True)
@@ -173,21 +173,22 @@ class TemporalRadiance:
         latent: Float[Tensor, "n s h w"],
         radiance: AccumulatedRadiance,
         history: ReprojectedHistory,
-    ) -> Float[Tensor, "n 3 h w"]:
-        """The denoiser's colour and the previous image, mixed in log transfer.
+    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
+        """The denoiser's colour and the previous image, mixed in log transfer; the same latent.
 
-        The weight of the previous image is the denoiser's last channel times surface similarity.
+        The weight of the previous image is the denoiser's fourth channel times surface similarity.
         """
         image, blend = _denoise_exposed(denoiser, gbuffer, latent, radiance)
-        weight = blend.sigmoid() * history.similarity
-        return log_inverse(torch.lerp(log_forward(image), history.image, weight))
+        return mix_with_previous(image, blend, history), latent
 
 
 @dataclass(frozen=True)
 class RuleRadiance(TemporalRadiance):
-    """Radiance accumulated by rule; the denoiser reads its statistics in place of a latent.
+    """Radiance accumulated by rule; the denoiser reads its statistics, and writes the latent.
 
-    These are the previous image, relative deviation and weight of the radiance, and similarity.
+    The statistics are the previous image, relative deviation and weight of the radiance, and
+    similarity. The denoiser reads the latent of the previous frame, if the variant has one, and its
+    last output channels are the next latent.
     """
 
     def accumulate(
@@ -207,13 +208,24 @@ class RuleRadiance(TemporalRadiance):
         latent: Float[Tensor, "n s h w"],
         radiance: AccumulatedRadiance,
         history: ReprojectedHistory,
-    ) -> Float[Tensor, "n 3 h w"]:
-        """The denoiser's colour and the previous image, mixed in log transfer."""
+    ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n s h w"]]:
+        """The denoiser's colour and the previous image, mixed in log transfer; the next latent."""
         known = history.similarity > 0
         statistics = network_features(radiance)[:, 3:]  # without the mean, which is an input
         previous = history.image.where(known, MISSING)
-        features = torch.cat((previous, statistics, history.similarity), dim=1)
-        return super().reconstruct(denoiser, gbuffer, features, radiance, history)
+        features = torch.cat((previous, statistics, history.similarity, latent), dim=1)
+        image, others = _denoise_exposed(denoiser, gbuffer, features, radiance)
+        return mix_with_previous(image, others[:, :1], history), others[:, 1:].tanh()
+
+
+def mix_with_previous(
+    image: Float[Tensor, "n 3 h w"],
+    blend: Float[Tensor, "n 1 h w"],
+    history: ReprojectedHistory,
+) -> Float[Tensor, "n 3 h w"]:
+    """The image mixed with the previous one in log transfer; `blend` is the logit of its weight."""
+    weight = blend.sigmoid() * history.similarity
+    return log_inverse(torch.lerp(log_forward(image), history.image, weight))
 
 
 def _denoise_exposed(

@@ -61,7 +61,7 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
     elif config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
         origin = _load_intel(networks.denoiser)
     if config.accumulates:
-        _bias(networks.denoiser.dec_conv0)[3:] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
+        _bias(networks.denoiser.dec_conv0)[3] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
     return origin
 
 
@@ -108,12 +108,16 @@ def _wire_blur(denoiser: UNet) -> None:
 
 
 def _load_intel(denoiser: UNet) -> str:
-    """Intel's weights, and zeros for the state's input channels and the blend's output channel."""
+    """Intel's weights, and zeros for the state's input channels and the blend's output channel.
+
+    Output channels of a latent keep their random weights: where both what writes a latent and what
+    reads it is zero, neither has a gradient.
+    """
     network, origin = published_network(denoiser.widths)
     intel = network.state_dict()
     for name, weight in denoiser.state_dict().items():
-        weight.zero_()
-        shared = weight[: len(intel[name])]  # the blend is the last output
+        weight[:4].zero_() if name.startswith("dec_conv0.") else weight.zero_()
+        shared = weight[: len(intel[name])]  # colour is followed by the blend and the latent
         shared = shared if weight.dim() == 1 else shared[:, : intel[name].shape[1]]
         shared.copy_(intel[name])  # the state is the last input
     return origin

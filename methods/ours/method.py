@@ -37,7 +37,7 @@ from methods.ours.state import (
     gbuffer_features,
 )
 from methods.ours.variants import VARIANTS, Config
-from rlbench.family import Traits
+from rlbench.family import Family, Traits
 from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.init import kaiming_init
@@ -46,7 +46,7 @@ from rlbench.ops.padding import crop, pad
 from rlbench.ops.reprojection import ReprojectionMemo
 from rlbench.weights import load_for_inference
 
-__all__ = ["CARDS", "Ours", "assemble", "build"]
+__all__ = ["CARDS", "Ours", "assemble", "build", "build_config"]
 
 CARDS = Path(__file__).parent / "cards"
 MULTIPLE = 16  # pixels; the denoiser halves the image four times
@@ -119,7 +119,9 @@ class Ours:
         encoded = self.sample_encoding.encode(samples)
         latent, trust = self._encode(gbuffer, encoded, samples.counts, history)
         radiance, history = self.accumulator.accumulate(gbuffer, samples, trust, history)
-        image = self.accumulator.reconstruct(self._run_denoiser, gbuffer, latent, radiance, history)
+        image, latent = self.accumulator.reconstruct(
+            self._run_denoiser, gbuffer, latent, radiance, history
+        )
         frame = DenoisedFrame(gbuffer, samples, encoded, latent, radiance, image)
         return image, self.history.remember(frame, state.age + 1)
 
@@ -144,12 +146,14 @@ class Ours:
     ) -> tuple[Float[Tensor, "n s h w"], Float[Tensor, "n _ h w"]]:
         """The new latent, and the trust in accumulated radiance, in [0, 1].
 
-        Without an encoder the latent is its input: samples and G-buffer features. A variant with a
-        latent of zero channels has none.
+        Without an encoder the latent is its input, samples and G-buffer features, or that of the
+        previous frame if the denoiser writes it.
         """
         if self.networks.encoder is None:
+            if self.config.denoiser_writes_latent:
+                return history.features, history.features[:, :0]
             latent = torch.cat((encoded, gbuffer_features(gbuffer)), dim=1)
-            return latent if self.config.latent else latent[:, :0], latent[:, :0]
+            return latent, latent[:, :0]
         inputs = torch.cat((encoded, history.inputs), dim=1)
         h, w = inputs.shape[-2:]
         output = crop(to_contiguous_float32(self.networks.encoder(pad(inputs, MULTIPLE))), h, w)
@@ -198,12 +202,19 @@ def build(variant: str, device: torch.device, weights: str | None) -> Ours:
 
     `weights` is None for shipped ones, the path of a file, or "random".
     """
-    config, declared = VARIANTS[variant], FAMILY.variants[variant]
+    return build_config(VARIANTS[variant], FAMILY, variant, device, weights)
+
+
+def build_config(
+    config: Config, family: Family, variant: str, device: torch.device, weights: str | None
+) -> Ours:
+    """The method with the parts and networks of a config, as a variant of a family."""
+    declared = family.variants[variant]
     networks = Networks(config)
     if not declared.learned:
         initialize(networks, config, seed=0)
         weights = "random"  # loads none
     elif weights == "random":
         kaiming_init(networks)
-    load_for_inference(networks, weights, CARDS / FAMILY.weights_file(variant), device)
+    load_for_inference(networks, weights, CARDS / family.weights_file(variant), device)
     return assemble(config, declared.traits, networks)

@@ -102,9 +102,9 @@ class Networks(nn.Module):
         self.sampler = None
         if config.sampler:
             self.sampler = Sampler(self.sampler_channels, config.sampler, paced=config.accumulates)
-        self.encoder, latent = None, GBUFFER_CHANNELS + samples
-        if config.accumulation == "rule":
-            latent = RADIANCE_FEATURES
+        self.encoder, latent, written = None, GBUFFER_CHANNELS + samples, 0
+        if config.denoiser_writes_latent:
+            latent, written = RADIANCE_FEATURES + config.latent, config.latent
         if config.encoder:
             # one channel more: how far accumulated radiance is trusted
             outputs = config.latent + config.accumulates
@@ -114,7 +114,8 @@ class Networks(nn.Module):
             latent = config.latent
         radiance = 0 if config.accumulation == "none" else DENOISER_INPUTS
         # one channel more: how far the previous image is kept
-        self.denoiser = UNet(radiance + latent, 3 + config.accumulates, config.denoiser)
+        outputs = 3 + config.accumulates + written
+        self.denoiser = UNet(radiance + latent, outputs, config.denoiser)
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:

@@ -5,6 +5,7 @@ Command: rlbench train --methods ours
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -20,7 +21,8 @@ from methods.ours.method import Ours, assemble
 from methods.ours.networks import Networks
 from methods.ours.policy import BlockPolicyGradient, make_learner
 from methods.ours.state import RecurrentState, detach
-from methods.ours.variants import BASE, VARIANTS
+from methods.ours.variants import BASE, VARIANTS, Config
+from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, GBuffer, Samples
 from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import log_forward
@@ -28,7 +30,7 @@ from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
 
-__all__ = ["ExploringMethod", "training_task"]
+__all__ = ["ExploringMethod", "config_task", "training_task"]
 
 MAX_LR = 3e-4  # from random weights
 LR_MULTIPLIERS = {"encoder": 0.2, "sampler": 3.0}  # at 1.0 the encoder's tanh saturates
@@ -83,7 +85,16 @@ class ExploringMethod(MethodWrapper[Ours]):
 
 def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask:
     """Networks with seeded weights and a uniform sampler, and the losses that train them."""
-    config, traits = VARIANTS[variant].for_training, FAMILY.variants[variant].traits
+    return config_task(VARIANTS[variant], FAMILY.variants[variant].traits, device, seed)
+
+
+def config_task(config: Config, traits: Traits, device: torch.device, seed: int) -> TrainingTask:
+    """The training task of a config.
+
+    With truncated backpropagation through k frames there is one step for k frames, and the learning
+    rate is sqrt(k) times as high.
+    """
+    config = config.for_training
     networks = Networks(config)
     origin = initialize(networks, config, seed)
     networks.to(device)
@@ -120,7 +131,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
         networks,
         losses,
         budgets,
-        max_lr,
+        max_lr * math.sqrt(config.bptt),
         multipliers,
         origin=origin,
         auxiliary_network=auxiliary,

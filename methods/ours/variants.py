@@ -48,6 +48,11 @@ class Config:
         return self.accumulation in ("temporal", "rule")
 
     @property
+    def denoiser_writes_latent(self) -> bool:
+        """Is the latent an output of the denoiser, in place of the encoder's?"""
+        return self.accumulation == "rule"
+
+    @property
     def for_training(self) -> Config:
         """The same variant without antilag: no light is switched in training clips."""
         return replace(self, antilag=False)

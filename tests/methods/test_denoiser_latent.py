@@ -1,0 +1,60 @@
+"""A latent that the denoiser writes: what the next frame reads, and what gradients reach."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from methods.ours.experiments.lean_search import CONFIGS, FAMILY, build, count_multiply_adds
+from methods.ours.initialization import initialize
+from methods.ours.method import Ours
+from methods.ours.train import config_task
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Size
+from rlbench.run import run_clip, unroll
+
+CPU = torch.device("cpu")
+CLIP = procedural_clip(size=Size(1, 48, 48), frames=3, static=True)
+
+
+def initial(name: str) -> Ours:
+    """The networks of a configuration before their first step of training."""
+    method = build(name, CPU, "random")
+    initialize(method.networks, method.config, seed=0)
+    return method
+
+
+def test_the_latent_is_the_output_of_the_denoiser_and_the_input_of_the_next_frame() -> None:
+    method = initial("bptt-3")
+    frames = list(CLIP)
+    state = method.start(CLIP.size)
+    result = next(run_clip(method, CLIP, 1.0))
+    _, state = method.denoise(frames[0].gbuffer, result.samples, state)
+    assert state.features.shape == (1, 8, 48, 48)
+    assert state.features.std() > 1e-3
+    history = method.reproject(frames[1].gbuffer, state)
+    torch.testing.assert_close(history.features, state.features)  # nothing moves
+
+
+@pytest.mark.parametrize(("name", "crosses"), [("bptt-3", True), ("bptt-1", False)])
+def test_gradients_cross_as_many_frames_as_configured(name: str, crosses: bool) -> None:
+    method = config_task(CONFIGS[name], FAMILY.variants[name].traits, CPU, seed=0).method
+    torch.nn.init.normal_(method.networks.denoiser.enc_conv0.weight, std=0.1)  # reads the latent
+    written = method.networks.denoiser.dec_conv0.weight
+    results = list(unroll(method, CLIP, 1.0))
+    (gradient,) = torch.autograd.grad(results[2].image.mean(), written)
+    # the rows of the latent change an image through the next frame only
+    assert bool((gradient[4:] != 0).any()) == crosses
+
+
+def test_a_step_through_three_frames_yields_one_loss() -> None:
+    task = config_task(CONFIGS["bptt-3"], FAMILY.variants["bptt-3"].traits, CPU, seed=0)
+    assert len(list(task.losses(CLIP, 1.0))) == 1
+    task = config_task(CONFIGS["bptt-1"], FAMILY.variants["bptt-1"].traits, CPU, seed=0)
+    assert len(list(task.losses(CLIP, 1.0))) == 3
+
+
+def test_lean_works_less_than_112_thousand_multiply_adds_per_pixel() -> None:
+    counts = {name: count_multiply_adds(initial(name)) for name in ("lean", "latent-0", "latent-8")}
+    assert counts["lean"] < 112e3
+    assert counts["latent-0"] < counts["latent-8"] < 112e3
