@@ -24,6 +24,7 @@ from rlbench.ops.accumulation import (
     frame_radiance,
 )
 from rlbench.ops.exposure import autoexposure
+from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.transfer import log_forward, log_inverse
 
 __all__ = ["Accumulator", "FrameRadiance", "RuleRadiance", "StateOnly", "TemporalRadiance"]
@@ -188,8 +189,12 @@ class RuleRadiance(TemporalRadiance):
 
     The statistics are the previous image, relative deviation and weight of the radiance, and
     similarity. The denoiser reads the latent of the previous frame, if the variant has one, and its
-    last output channels are the next latent.
+    last output channels are the next latent. With kernels, it also predicts for each pixel the
+    weights of its neighbours' accumulated radiance (Bako et al. 2017), and how far that filtered
+    radiance replaces its colour.
     """
+
+    kernel_taps: int = 0  # neighbours of a pixel, with the pixel itself
 
     def accumulate(
         self,
@@ -215,7 +220,13 @@ class RuleRadiance(TemporalRadiance):
         previous = history.image.where(known, MISSING)
         features = torch.cat((previous, statistics, history.similarity, latent), dim=1)
         image, others = _denoise_exposed(denoiser, gbuffer, features, radiance)
-        return mix_with_previous(image, others[:, :1], history), others[:, 1:].tanh()
+        sizes = [1, latent.shape[1], self.kernel_taps and 1, self.kernel_taps]
+        blend, written, gate, kernels = others.split_with_sizes(sizes, dim=1)
+        if self.kernel_taps:
+            filtered = apply_kernels(kernels.softmax(1), radiance.mean)
+            mixed = torch.lerp(log_forward(image), log_forward(filtered), gate.sigmoid())
+            image = log_inverse(mixed)
+        return mix_with_previous(image, blend, history), written.tanh()
 
 
 def mix_with_previous(

@@ -32,6 +32,7 @@ GBUFFER_OUTPUT = 12  # first state channel for normal, albedo and depth
 HISTORY_OUTPUT = GBUFFER_OUTPUT + GBUFFER_CHANNELS  # and for accumulated radiance
 INITIAL_TRUST = 0.7  # in accumulated radiance
 INITIAL_BLEND = 0.3  # weight of the previous image
+INITIAL_GATE = -3.0  # logit of the weight of filtered radiance: 5 %
 
 CONTRAST_GAIN = 20.0  # contrasts are about 0.1
 MISSING_BELOW = 0.6  # a value below minus this is MISSING
@@ -62,6 +63,8 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
         origin = _load_intel(networks.denoiser)
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
+    if config.kernel_taps:
+        _bias(networks.denoiser.dec_conv0)[4 + config.latent] = INITIAL_GATE
     return origin
 
 

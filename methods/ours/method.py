@@ -176,7 +176,7 @@ def assemble(config: Config, traits: Traits, networks: Networks) -> Ours:
         "none": StateOnly(),
         "frame": FrameRadiance(),
         "temporal": TemporalRadiance(rejection),
-        "rule": RuleRadiance(rejection),
+        "rule": RuleRadiance(rejection, config.kernel_taps),
     }
     latent_history = RadianceHistory if config.accumulates else LatentHistory
     sample_encoding = SAMPLE_ENCODINGS[config.sample_encoding]

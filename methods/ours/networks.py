@@ -105,6 +105,7 @@ class Networks(nn.Module):
         self.encoder, latent, written = None, GBUFFER_CHANNELS + samples, 0
         if config.denoiser_writes_latent:
             latent, written = RADIANCE_FEATURES + config.latent, config.latent
+            written += config.kernel_taps and 1 + config.kernel_taps  # a gate and the weights
         if config.encoder:
             # one channel more: how far accumulated radiance is trusted
             outputs = config.latent + config.accumulates

@@ -35,6 +35,7 @@ class Config:
     encoder: tuple[int, ...] = (64,)  # channels of the hidden layers; empty: no encoder
     encoder_kernel: int = 3  # pixels, side of the encoder's kernels
     denoiser: UNetWidths = NORMAL
+    kernel_taps: int = 0  # of kernels that the denoiser predicts, if it writes the latent
     bptt: int = 1  # frames that gradients flow back through (truncated backpropagation)
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy

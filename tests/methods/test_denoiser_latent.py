@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch.nn import functional as F
 
 from methods.ours.experiments.lean_search import CONFIGS, FAMILY, build, count_multiply_adds
 from methods.ours.initialization import initialize
@@ -58,3 +59,18 @@ def test_lean_works_less_than_112_thousand_multiply_adds_per_pixel() -> None:
     counts = {name: count_multiply_adds(initial(name)) for name in ("lean", "latent-0", "latent-8")}
     assert counts["lean"] < 112e3
     assert counts["latent-0"] < counts["latent-8"] < 112e3
+
+
+def test_filtered_radiance_replaces_the_colour_where_the_gate_is_open() -> None:
+    method = initial("kernel-3")
+    last = method.networks.denoiser.dec_conv0
+    last.weight[4:].zero_()
+    last.bias[4:].zero_()  # equal weights: a box filter
+    last.bias[3] = -80.0  # no previous image
+    last.bias[4 + 4] = 80.0  # after colour, blend and 4 channels of latent
+    frame = CLIP.frames[0]
+    samples = next(run_clip(method, CLIP, 1.0)).samples
+    image, state = method.denoise(frame.gbuffer, samples, method.start(CLIP.size))
+    padded = F.pad(state.radiance.mean, (1, 1, 1, 1), mode="replicate")
+    # a box filter, through the log transfer and back
+    torch.testing.assert_close(image, F.avg_pool2d(padded, 3, 1), rtol=1e-4, atol=1e-5)

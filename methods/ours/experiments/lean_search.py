@@ -39,6 +39,8 @@ CONFIGS = {
     "lean": LEAN,
     **{f"bptt-{k}": replace(BY_RULE, latent=8, bptt=k) for k in UNROLLS},
     **{f"latent-{c}": replace(BY_RULE, latent=c, bptt=3) for c in LATENTS},
+    "kernel-3": replace(BY_RULE, latent=4, bptt=3, kernel_taps=9),
+    "kernel-5": replace(BY_RULE, latent=4, bptt=3, kernel_taps=25),
     "fast": replace(BY_RULE, latent=8, bptt=3, denoiser=FAST_WIDTHS),
 }
 SIDE = 192  # pixels, of the frame whose multiply-adds are counted
