@@ -46,19 +46,19 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
     random weights it hides its input behind a random projection, and thousands of steps are spent
     on undoing it, while its tanh saturates. What is left of its weights stays random. If the
     denoiser reads radiance and Intel has a network of its size, it starts from Intel's weights with
-    zeros for the state: the first image is that of Open Image Denoise. If it reads the state alone,
-    its last three layers are wired to the first slot, averaged over 3x3 pixels twice.
+    zeros for the state: the first image is that of Open Image Denoise. In the paper's recipe
+    (`wired_start` is False) all weights are random.
     """
     kaiming_init(networks, seed)
+    if not config.wired_start:
+        return ""
     if networks.sampler is not None:
         wire_contrast(networks.sampler, config)
         networks.sampler.start_uniform()
     if networks.encoder is not None:
         _wire_identity(networks.encoder, config)
     origin = ""
-    if config.accumulation == "none":
-        _wire_blur(networks.denoiser)
-    elif config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
+    if config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
         origin = _load_intel(networks.denoiser)
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3:] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
@@ -96,15 +96,6 @@ def _wire_slots(last: nn.Conv2d, samples: int) -> None:
         for colour in range(3):
             mean = {3 * slot + colour: TANH_LINEAR / len(members) for slot in members}
             _wire(last, 3 * group + colour, mean)
-
-
-def _wire_blur(denoiser: UNet) -> None:
-    """The last three layers show the first three state channels, averaged over 3x3 twice."""
-    skip = denoiser.dec_conv1a.in_channels - denoiser.enc_conv0.in_channels  # the state comes last
-    for colour in range(3):
-        _wire(denoiser.dec_conv1a, colour, {skip + colour: 1.0}, box=True)
-        _wire(denoiser.dec_conv1b, colour, {colour: 1.0}, box=True)
-        _wire(denoiser.dec_conv0, colour, {colour: 1 / TANH_LINEAR})
 
 
 def _load_intel(denoiser: UNet) -> str:
