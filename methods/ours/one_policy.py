@@ -70,9 +70,7 @@ def one_policy_task(
     """Encoder and denoiser learn from every image, the sampler from every episode."""
     networks = method.networks
     assert networks.sampler is not None
-    learner = JointAppo.of_sampler(
-        networks.sampler, networks.sampler_channels, method.config.gamma
-    )
+    learner = JointAppo.of_sampler(networks.sampler, networks.sampler_channels, method.config.gamma)
     learner.network.to(device)
     return TrainingTask(
         method,

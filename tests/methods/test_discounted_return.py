@@ -112,7 +112,9 @@ def test_with_a_discount_of_zero_only_this_frame_counts(episode):
 def test_a_later_gain_is_credited_to_the_samples_that_led_to_it(episode):
     """What a map changes in later frames through the state is part of its return."""
     problem, _ = episode
-    actions = torch.cat((torch.full((1, 1, 1, 32, 16), 1.0), torch.full((1, 1, 1, 32, 16), -1.0)), 4)
+    actions = torch.cat(
+        (torch.full((1, 1, 1, 32, 16), 1.0), torch.full((1, 1, 1, 32, 16), -1.0)), 4
+    )
     both = torch.cat((actions, -actions))
     now = replace(problem, later=()).rollout(both).errors
     later = problem.rollout(both).errors - now

@@ -60,10 +60,7 @@ def test_vtrace_is_the_sum_of_its_definition(frames, gamma, spread, seed):
     ] + [0.0]
     assert targets.flatten().tolist() == pytest.approx(expected[:-1])
     assert gain.flatten().tolist() == pytest.approx(
-        [
-            ratio[s] * (float(rewards[s]) + gamma * expected[s + 1] - value[s])
-            for s in range(frames)
-        ]
+        [ratio[s] * (float(rewards[s]) + gamma * expected[s + 1] - value[s]) for s in range(frames)]
     )
 
 
