@@ -41,24 +41,24 @@ MISSING_BELOW = 0.6  # a value below minus this is MISSING
 def initialize(networks: Networks, config: Config, seed: int) -> str:
     """Set seeded initial weights; returns their origin for the model card, or "".
 
-    The sampler starts uniform. The encoder starts with one hidden unit for each input value of
-    samples and G-buffer, and a state channel for each group of slots and each G-buffer value: from
-    random weights it hides its input behind a random projection, and thousands of steps are spent
-    on undoing it, while its tanh saturates. What is left of its weights stays random. If the
-    denoiser reads radiance and Intel has a network of its size, it starts from Intel's weights with
-    zeros for the state: the first image is that of Open Image Denoise. In the paper's recipe
-    (`wired_start` is False) all weights are random.
+    The sampler starts uniform: from a random last layer, four of five actions lie beyond 0.8, where
+    tanh is flat. In the paper's recipe its other layers are random; else `wire_contrast` sets them.
+    The encoder starts with one hidden unit for each input value of samples and G-buffer, and a
+    state channel for each group of slots and each G-buffer value: from random weights it hides its
+    input behind a random projection, and thousands of steps are spent on undoing it, while its tanh
+    saturates. What is left of its weights stays random. If the denoiser reads radiance and Intel
+    has a network of its size, it starts from Intel's weights with zeros for the state: the first
+    image is that of Open Image Denoise. If it reads the state alone, its weights are random.
     """
     kaiming_init(networks, seed)
-    if not config.wired_start:
-        return ""
     if networks.sampler is not None:
-        wire_contrast(networks.sampler, config)
+        if config.wired_contrast:
+            wire_contrast(networks.sampler, config)
         networks.sampler.start_uniform()
     if networks.encoder is not None:
         _wire_identity(networks.encoder, config)
     origin = ""
-    if config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
+    if config.accumulation != "none" and config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
         origin = _load_intel(networks.denoiser)
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3:] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))

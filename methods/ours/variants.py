@@ -39,7 +39,7 @@ class Config:
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
     gamma: float = 0.0  # discount per frame of later errors that a map is credited with
-    wired_start: bool = True  # do the first weights pass samples and contrasts on?
+    wired_contrast: bool = True  # do the sampler's first weights show it local contrast?
     ignore_density: bool = False  # sample uniformly in place of the sampler's density?
     contrast_density: bool = False  # multiply the density by that of the contrast rule?
     antilag: bool = True  # reduce history where new samples contradict it?
@@ -56,14 +56,14 @@ class Config:
 
 
 BASE = Config()
-PAPER = replace(  # the paper's recipe: the denoiser reads the state alone, all weights are random
+PAPER = replace(  # the paper's recipe: the denoiser reads the state alone, rewards are discounted
     BASE,
     accumulation="none",
     density="linear",
     log_loss=False,
     learner="reinforce",
     gamma=0.99,
-    wired_start=False,
+    wired_contrast=False,
 )
 VARIANTS = {
     "": BASE,

@@ -21,7 +21,7 @@ from rlbench.weights import read_card
         ("", set()),
         (
             "paper",
-            {"accumulation", "density", "log_loss", "learner", "gamma", "wired_start"},
+            {"accumulation", "density", "log_loss", "learner", "gamma", "wired_contrast"},
         ),
         ("A1", {"learner"}),
         ("A2", {"sampler"}),
@@ -70,10 +70,9 @@ def test_an_ablation_has_the_traits_of_its_namesake(variant):
 
 def test_the_papers_recipe_reads_the_state_alone():
     """Channels as in the paper: 32 of the state, or the samples and G-buffer without an encoder."""
+    recipes = {name: config for name, config in VARIANTS.items() if name.startswith("paper")}
     inputs = {
-        name: Networks(config).denoiser.enc_conv0.in_channels
-        for name, config in VARIANTS.items()
-        if name.startswith("paper")
+        name: Networks(config).denoiser.enc_conv0.in_channels for name, config in recipes.items()
     }
     assert inputs.pop("paper-B1") == inputs.pop("paper-B2") == 24 + 7
     assert set(inputs.values()) == {32}

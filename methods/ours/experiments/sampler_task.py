@@ -61,7 +61,7 @@ class SamplerTask:
         channels = Networks(config).sampler_channels
         sampler = Sampler(channels, config.sampler, paced=config.accumulates)
         kaiming_init(sampler, self.seed)
-        if config.wired_start:
+        if config.wired_contrast:
             wire_contrast(sampler, config)
         sampler.start_uniform()
         return sampler
