@@ -41,8 +41,8 @@ MISSING_BELOW = 0.6  # a value below minus this is MISSING
 def initialize(networks: Networks, config: Config, seed: int) -> str:
     """Set seeded initial weights; returns their origin for the model card, or "".
 
-    The sampler starts uniform: from a random last layer, four of five actions lie beyond 0.8, where
-    tanh is flat. In the paper's recipe its other layers are random; else `wire_contrast` sets them.
+    The sampler starts uniform: from a random last layer, most actions lie beyond 0.8, where tanh is
+    flat. In the paper's recipe its other layers are random; else `wire_contrast` sets them.
     The encoder starts with one hidden unit for each input value of samples and G-buffer, and a
     state channel for each group of slots and each G-buffer value: from random weights it hides its
     input behind a random projection, and thousands of steps are spent on undoing it, while its tanh

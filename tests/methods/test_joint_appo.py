@@ -247,6 +247,7 @@ class KilledError(Exception):
     """Stands for a kill."""
 
 
+@pytest.mark.slow
 def test_a_killed_training_ends_as_an_undisturbed_one(tmp_path):
     """Value and delayed sampler are in checkpoints; the weights file loads without them."""
     clip = write_noise(tmp_path / "noise", h=24, w=24)
