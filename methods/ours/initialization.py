@@ -42,24 +42,24 @@ MISSING_BELOW = 0.6  # a value below minus this is MISSING
 def initialize(networks: Networks, config: Config, seed: int) -> str:
     """Set seeded initial weights; returns their origin for the model card, or "".
 
-    The sampler starts uniform. The encoder starts with one hidden unit for each input value of
-    samples and G-buffer, and a state channel for each group of slots and each G-buffer value: from
-    random weights it hides its input behind a random projection, and thousands of steps are spent
-    on undoing it, while its tanh saturates. What is left of its weights stays random. If the
-    denoiser reads radiance and Intel has a network of its size, it starts from Intel's weights with
-    zeros for the state: the first image is that of Open Image Denoise. If it reads the state alone,
-    its last three layers are wired to the first slot, averaged over 3x3 pixels twice.
+    The sampler starts uniform: from a random last layer, most actions lie beyond 0.8, where tanh is
+    flat. In the paper's recipe its other layers are random; else `wire_contrast` sets them.
+    The encoder starts with one hidden unit for each input value of samples and G-buffer, and a
+    state channel for each group of slots and each G-buffer value: from random weights it hides its
+    input behind a random projection, and thousands of steps are spent on undoing it, while its tanh
+    saturates. What is left of its weights stays random. If the denoiser reads radiance and Intel
+    has a network of its size, it starts from Intel's weights with zeros for the state: the first
+    image is that of Open Image Denoise. If it reads the state alone, its weights are random.
     """
     kaiming_init(networks, seed)
     if networks.sampler is not None:
-        wire_contrast(networks.sampler, config)
+        if config.wired_contrast:
+            wire_contrast(networks.sampler, config)
         networks.sampler.start_uniform()
     if networks.encoder is not None:
         _wire_identity(networks.encoder, config)
     origin = ""
-    if config.accumulation == "none":
-        _wire_blur(networks.denoiser)
-    elif config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
+    if config.accumulation != "none" and config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
         origin = _load_intel(networks.denoiser)
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
@@ -99,15 +99,6 @@ def _wire_slots(last: nn.Conv2d, samples: int) -> None:
         for colour in range(3):
             mean = {3 * slot + colour: TANH_LINEAR / len(members) for slot in members}
             _wire(last, 3 * group + colour, mean)
-
-
-def _wire_blur(denoiser: UNet) -> None:
-    """The last three layers show the first three state channels, averaged over 3x3 twice."""
-    skip = denoiser.dec_conv1a.in_channels - denoiser.enc_conv0.in_channels  # the state comes last
-    for colour in range(3):
-        _wire(denoiser.dec_conv1a, colour, {skip + colour: 1.0}, box=True)
-        _wire(denoiser.dec_conv1b, colour, {colour: 1.0}, box=True)
-        _wire(denoiser.dec_conv0, colour, {colour: 1 / TANH_LINEAR})
 
 
 def _load_intel(denoiser: UNet) -> str:

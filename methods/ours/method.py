@@ -62,7 +62,7 @@ class Ours:
     data was 8-bit sRGB; history from outside the image is marked by an exact mask, where the
     release marks it by a value.
 
-    Differs from the paper in all variants but `ours/paper`: the denoiser reads colour, albedo and
+    Differs from the paper in all variants but `ours/paper*`: the denoiser reads colour, albedo and
     normal as Open Image Denoise (Afra 2019) does, followed by the state, and starts from Intel's
     weights where Intel has a network of its size. Also, in all but B1 and B2: radiance is
     accumulated beside the state, with a trust that the encoder predicts; the denoiser predicts how

@@ -15,11 +15,13 @@ from torch import Tensor
 
 from baselines.oidn.train import FINE_TUNING_MAX_LR
 from methods.ours import FAMILY
+from methods.ours.episode_problem import EpisodeProblem
 from methods.ours.frame_problem import FrameProblem
 from methods.ours.initialization import initialize
 from methods.ours.method import Ours, assemble
 from methods.ours.networks import Networks
-from methods.ours.policy import BlockPolicyGradient, make_learner
+from methods.ours.one_policy import one_policy_task
+from methods.ours.policy import APPO, BlockPolicyGradient, make_learner
 from methods.ours.state import RecurrentState, detach
 from methods.ours.variants import BASE, VARIANTS, Config
 from rlbench.family import Traits
@@ -99,6 +101,8 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
     origin = initialize(networks, config, seed)
     networks.to(device)
     method = assemble(config, traits, networks)
+    if config.learner == APPO:
+        return one_policy_task(method, device, MAX_LR, LR_MULTIPLIERS)
     learner = make_learner(config.learner, networks.sampler_channels)
     auxiliary = learner.network.to(device) if learner.network is not None else None
     exploring = ExploringMethod(method)
@@ -106,6 +110,7 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         exploring.begin_sequence(next(iter(clip)).pool.rounding_seeds[0])
         total, frames = torch.zeros((), device=device), 0
+        episode = list(clip) if config.gamma else []
         for result in unroll(exploring, clip, spp):
             loss = l1_ms_ssim_loss(
                 log_forward(result.image), log_forward(result.frame.reference.mean)
@@ -114,6 +119,9 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
                 loss = log_loss(loss)
             if networks.sampler is not None and result.frame.index % SAMPLER_INTERVAL == 0:
                 problem = exploring.last_problem(result.frame, spp)
+                if config.gamma:
+                    later = episode[frames + 1 :]
+                    problem = EpisodeProblem.of_problem(problem, later, config.gamma)
                 loss = loss + SAMPLER_WEIGHT * learner.loss(problem, exploring.generator)
             total, frames = total + loss, frames + 1
             if frames % config.bptt == 0 or frames == len(clip):

@@ -39,6 +39,8 @@ class Config:
     bptt: int = 1  # frames that gradients flow back through (truncated backpropagation)
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
+    gamma: float = 0.0  # discount per frame of later errors that a map is credited with
+    wired_contrast: bool = True  # do the sampler's first weights show it local contrast?
     ignore_density: bool = False  # sample uniformly in place of the sampler's density?
     contrast_density: bool = False  # multiply the density by that of the contrast rule?
     antilag: bool = True  # reduce history where new samples contradict it?
@@ -60,12 +62,25 @@ class Config:
 
 
 BASE = Config()
+PAPER = replace(  # the paper's recipe: the denoiser reads the state alone, rewards are discounted
+    BASE,
+    accumulation="none",
+    density="linear",
+    log_loss=False,
+    learner="reinforce",
+    gamma=0.99,
+    wired_contrast=False,
+)
 VARIANTS = {
     "": BASE,
-    # does the paper's own recipe work? the denoiser reads the state alone
-    "paper": replace(
-        BASE, accumulation="none", density="linear", log_loss=False, learner="reinforce"
-    ),
+    "paper": PAPER,  # does the paper's own recipe work, with credit for each block of pixels?
+    "paper-appo": replace(PAPER, learner="appo"),  # and with one policy over the image?
+    # the paper's ablations of its recipe; without a reward, or a memory, later frames do not count
+    "paper-A1": replace(PAPER, learner="surrogate", gamma=0.0),
+    "paper-A2": replace(PAPER, sampler=()),
+    "paper-B1": replace(PAPER, encoder=(), history_mode="samples"),
+    "paper-B2": replace(PAPER, encoder=(), history_mode="nothing", gamma=0.0),
+    "paper-C": replace(PAPER, sample_encoding="mean"),
     "A1": replace(BASE, learner="surrogate"),  # is the surrogate gradient alone as good?
     "A2": replace(BASE, sampler=()),  # is adaptive sampling worth its time?
     "reinforce": replace(BASE, learner="reinforce"),  # is REINFORCE alone enough?

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from methods.ours.experiments.retrain_sampler import SamplerTask
+from methods.ours.experiments.sampler_task import SamplerTask
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from tests.conftest import write_noise

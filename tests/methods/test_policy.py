@@ -315,7 +315,7 @@ def test_relaxed_counts_cost_the_budget():
     assert float(counts.max()) <= 8
 
 
-@pytest.mark.parametrize("name", ["rllib-appo", "sarsa"])
+@pytest.mark.parametrize("name", ["appo", "rllib-appo", "sarsa"])
 def test_an_unknown_learner_is_refused_by_name(name):
     with pytest.raises(LearnerError, match=name):
         make_learner(name, CHANNELS)

@@ -12,7 +12,8 @@ import torch
 from safetensors.torch import load_file
 
 from methods.ours.experiments import retrain_sampler
-from methods.ours.experiments.retrain_sampler import SamplerTask, retrain
+from methods.ours.experiments.retrain_sampler import retrain
+from methods.ours.experiments.sampler_task import SamplerTask
 from methods.ours.method import CARDS
 from methods.ours.policy import LEARNERS, RLLIB_APPO, make_learner
 from rlbench.weights import read_card
@@ -55,6 +56,29 @@ def test_every_learner_retrains_the_sampler_and_leaves_the_rest(name, task, tmp_
     card, known = read_card(file), read_card(CARDS / "ours.safetensors").data
     assert card.origin == "encoder and denoiser of ours.safetensors"
     assert card.data == (*known, *task.make_batches().clip_digests())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not HAS_RLLIB, reason="needs ray[rllib] and gymnasium")
+def test_rllib_trains_the_papers_sampler_by_one_policy(task, tmp_path):
+    task = replace(task, weights=CARDS / "paper.safetensors", variant="paper", one_policy=True)
+    retrain(RLLIB_APPO, task, 12, list(task.folders), tmp_path, "a command")
+    file = tmp_path / f"{RLLIB_APPO}.safetensors"
+    initial = task.make_sampler().state_dict()["last.weight"]
+    assert load_file(file)["sampler.last.weight"].abs().max() > 0 == initial.abs().max()
+    card = read_card(file)
+    assert card.name == "ours/paper"
+    assert card.note == "sampler alone, by rllib-appo, one policy over the image"
+
+
+def test_a_sampler_of_the_papers_recipe_is_retrained_behind_its_own_networks(task, tmp_path):
+    task = replace(task, weights=CARDS / "paper.safetensors", variant="paper")
+    retrain("reinforce", task, 2, list(task.folders), tmp_path, "a command")
+    before, after = (load_file(file) for file in (task.weights, tmp_path / "reinforce.safetensors"))
+    kept = [key for key in before if not key.startswith("sampler.")]
+    assert all(torch.equal(before[key], after[key]) for key in kept)
+    names = [replace(task, min_samples=least).scored_as for least in (0, 1)]
+    assert names == ["ours/paper", "ours/paper-A1"]
 
 
 def test_a_clip_that_the_kept_networks_saw_too_is_listed_once(task, tmp_path):

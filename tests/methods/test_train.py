@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from baselines.oidn.method import Oidn
+from methods.ours.episode_problem import EpisodeProblem
 from methods.ours.method import assemble
+from methods.ours.policy import BlockReinforce
 from methods.ours.train import training_task
 from methods.ours.variants import VARIANTS
 from rlbench.clips.procedural.clip import procedural_clip
@@ -38,7 +40,14 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
             torch.testing.assert_close(gradient, expected * factor, rtol=1e-4, atol=1e-7)
 
 
-@pytest.mark.parametrize("variant", [v for v in VARIANTS if v not in ("paper", "denoiser-large")])
+@pytest.mark.parametrize(
+    "variant",
+    [
+        v
+        for v, config in VARIANTS.items()
+        if config.accumulation != "none" and v != "denoiser-large"
+    ],
+)
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
     """In the first frame no radiance is accumulated, and the weights of the state are zero."""
     pytest.importorskip("pyoidn", reason="the extra oidn is not installed")
@@ -81,9 +90,21 @@ def test_steps_change_the_map_of_a_wider_sampler_no_further():
     assert 0 < contrast("sampler-large") <= contrast("")
 
 
-@pytest.mark.parametrize("variant", ["", "paper", "B1"])
+@pytest.mark.parametrize("variant", [name for name in VARIANTS if name.startswith("paper")])
+def test_in_the_papers_recipe_sampler_and_denoiser_start_from_random_weights(variant):
+    """The last layer of the sampler is zero; nothing is wired to contrast."""
+    networks, random = (training_task(variant, CPU, seed=3).networks for _ in range(2))
+    kaiming_init(random, 3)
+    if random.sampler is not None:
+        random.sampler.start_uniform()
+    expected = random.state_dict()
+    for name, weight in networks.state_dict().items():
+        assert name.startswith("encoder.") or torch.equal(weight, expected[name])
+
+
+@pytest.mark.parametrize("variant", ["", "B1"])
 def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_frame(variant):
-    """Contrast in its image, its state, or its samples."""
+    """Contrast in its image, or its samples."""
     method = training_task(variant, CPU, seed=0).method
     outputs: list[Tensor] = []
     method.networks.sampler.head.register_forward_hook(lambda layer, x, out: outputs.append(out))
@@ -111,6 +132,24 @@ def test_every_network_gets_a_gradient_from_one_sequence():
     without = [k for k, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()]
     # biases of dead units may be untouched, but no whole layer may be
     assert not [name for name in without if name.endswith("weight")]
+
+
+def test_the_papers_recipe_credits_a_map_with_the_rest_of_its_episode(monkeypatch):
+    """Each problem gets the frames after its own."""
+    problems: list[EpisodeProblem] = []
+    learn = BlockReinforce.loss
+
+    def recorded(self, problem, generator):
+        problems.append(problem)
+        return learn(self, problem, generator)
+
+    monkeypatch.setattr(BlockReinforce, "loss", recorded)
+    task = training_task("paper", CPU, seed=0)
+    clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=3)
+    assert len(list(task.losses(clip, 2.0))) == 3
+    following = [[frame.index for frame in problem.later] for problem in problems]
+    assert following == [[1, 2], []]
+    assert {problem.gamma for problem in problems} == {0.99}
 
 
 @pytest.mark.parametrize("bptt", [1, 2])

@@ -9,6 +9,7 @@ import pytest
 
 from methods.ours import FAMILY
 from methods.ours.method import CARDS
+from methods.ours.networks import Networks
 from methods.ours.variants import BASE, SLOTS, VARIANTS
 from rlbench import registry
 from rlbench.weights import read_card
@@ -18,7 +19,10 @@ from rlbench.weights import read_card
     ("variant", "fields"),
     [
         ("", set()),
-        ("paper", {"accumulation", "density", "log_loss", "learner"}),
+        (
+            "paper",
+            {"accumulation", "density", "log_loss", "learner", "gamma", "wired_contrast"},
+        ),
         ("A1", {"learner"}),
         ("A2", {"sampler"}),
         ("B1", {"encoder", "history_mode", "accumulation"}),
@@ -40,6 +44,38 @@ from rlbench.weights import read_card
 def test_a_variant_changes_only_what_its_row_claims(variant, fields):
     base, other = asdict(BASE), asdict(VARIANTS[variant])
     assert {name for name in base if base[name] != other[name]} == fields
+
+
+@pytest.mark.parametrize(
+    ("variant", "fields"),
+    [
+        ("appo", {"learner"}),
+        ("A1", {"learner", "gamma"}),
+        ("A2", {"sampler"}),
+        ("B1", {"encoder", "history_mode"}),
+        ("B2", {"encoder", "history_mode", "gamma"}),
+        ("C", {"sample_encoding"}),
+    ],
+)
+def test_an_ablation_of_the_papers_recipe_changes_only_what_its_row_claims(variant, fields):
+    base, other = asdict(VARIANTS["paper"]), asdict(VARIANTS[f"paper-{variant}"])
+    assert {name for name in base if base[name] != other[name]} == fields
+
+
+@pytest.mark.parametrize("variant", ["A1", "A2", "B1", "B2", "C"])
+def test_an_ablation_has_the_traits_of_its_namesake(variant):
+    """Budgets, inputs and least samples do not depend on the recipe."""
+    assert FAMILY.variants[f"paper-{variant}"].traits == FAMILY.variants[variant].traits
+
+
+def test_the_papers_recipe_reads_the_state_alone():
+    """Channels as in the paper: 32 of the state, or the samples and G-buffer without an encoder."""
+    recipes = {name: config for name, config in VARIANTS.items() if name.startswith("paper")}
+    inputs = {
+        name: Networks(config).denoiser.enc_conv0.in_channels for name, config in recipes.items()
+    }
+    assert inputs.pop("paper-B1") == inputs.pop("paper-B2") == 24 + 7
+    assert set(inputs.values()) == {32}
 
 
 def test_the_table_and_the_family_name_the_same_variants():

@@ -1,4 +1,4 @@
-"""Train the sampler of `ours` alone, behind the shipped encoder and denoiser.
+"""Train the sampler of `ours` or `ours/paper` alone, behind the shipped encoder and denoiser.
 
 Command: python -m methods.ours.experiments.retrain_sampler --by rllib-appo --frames 2000
 """
@@ -9,7 +9,6 @@ import argparse
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -18,10 +17,8 @@ from rich.progress import Progress
 from torch import nn
 
 from methods.ours import FAMILY
-from methods.ours.environment import SamplingEnv
-from methods.ours.initialization import wire_contrast
-from methods.ours.method import CARDS, Ours, assemble
-from methods.ours.networks import Networks, Sampler
+from methods.ours.experiments.sampler_task import SamplerTask
+from methods.ours.method import CARDS
 from methods.ours.policy import (
     FORMER_NAMES,
     LEARNERS,
@@ -31,15 +28,12 @@ from methods.ours.policy import (
     make_learner,
 )
 from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.variants import BASE
-from rlbench.ops.init import kaiming_init
 from rlbench.system import paths
 from rlbench.training import validation
-from rlbench.training.batches import Batches
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP
-from rlbench.weights import ModelCard, load_for_inference, read_card, save
+from rlbench.weights import ModelCard, read_card, save
 
-__all__ = ["SamplerTask", "retrain", "train_by_learner"]
+__all__ = ["retrain", "train_by_learner"]
 
 PROGRAM = "python -m methods.ours.experiments.retrain_sampler"
 MAX_LR, FINAL_SHARE = 1e-3, 0.1  # learning rate at the start, and its share at the end; linear
@@ -47,45 +41,6 @@ MAX_GRAD_NORM = 1.0
 RLLIB_REACH = 4  # pixels around one whose errors RLlib's learner credits to it
 
 OnProgress = Callable[[int, nn.Module], None]  # frames so far, sampler
-
-
-@dataclass(frozen=True)
-class SamplerTask:
-    """The clips and weights of one training. It makes the same environment in any process."""
-
-    folders: tuple[Path, ...]  # clips
-    weights: Path = CARDS / "ours.safetensors"  # of encoder and denoiser
-    crop: int = 128  # pixels, side of a crop
-    length: int = 6  # frames of an episode
-    seed: int = 0
-    min_samples: int = 0  # of each pixel
-
-    def make_method(self) -> Ours:
-        """`ours` during training: an untrained sampler, and the other networks frozen."""
-        networks = Networks(BASE)
-        load_for_inference(networks, str(self.weights), self.weights, "cpu")
-        sampler = self.make_sampler()
-        networks.sampler = sampler.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        traits = replace(FAMILY.variants[""].traits, min_samples=self.min_samples)
-        return assemble(BASE.for_training, traits, networks)
-
-    def make_sampler(self) -> Sampler:
-        """A sampler with the initial weights of every training: seeded, of uniform density."""
-        channels = Networks(BASE).sampler_channels
-        sampler = Sampler(channels, BASE.sampler, paced=BASE.accumulates)
-        kaiming_init(sampler, self.seed)
-        wire_contrast(sampler, BASE)
-        sampler.start_uniform()
-        return sampler
-
-    def make_batches(self) -> Batches:
-        """Crops of the clips, one at a time."""
-        return Batches(self.folders, 1, self.crop, self.length, self.seed)
-
-    def make_env(self) -> SamplingEnv:
-        """Episodes of crops, at the budgets that `ours` is trained at."""
-        budgets = [spp for spp in BUDGETS_FROM_0_05_SPP if spp >= self.min_samples]
-        return SamplingEnv(self.make_method(), self.make_batches(), budgets)
 
 
 def train_by_learner(
@@ -120,9 +75,15 @@ def train_by_learner(
 
 
 def train_by_rllib(task: SamplerTask, frames: int, on_progress: OnProgress) -> nn.Module:
-    """The sampler after a training in RLlib's loop, with ratios and credit for single pixels."""
+    """The sampler after a training in RLlib's loop.
+
+    Ratios and credit are those of single pixels, or of the image if `task.one_policy`.
+    """
     settings = AppoSettings(
-        learning_rate=MAX_LR, reach=RLLIB_REACH, multiplicative=BASE.density == "exponential"
+        joint_ratio=task.one_policy,
+        learning_rate=MAX_LR,
+        reach=RLLIB_REACH,
+        multiplicative=task.config.density == "exponential",
     )
     make_sampler = task.make_sampler
     return appo.train(task.make_env, make_sampler, frames, settings, task.seed, 100, on_progress)
@@ -160,7 +121,7 @@ def _card(
     name: str, task: SamplerTask, frames: int, psnr: dict[str, float], command: str
 ) -> ModelCard:
     return ModelCard(
-        name="ours/A1" if task.min_samples else "ours",
+        name=task.scored_as,
         data=tuple(
             dict.fromkeys([*read_card(task.weights).data, *task.make_batches().clip_digests()])
         ),
@@ -169,7 +130,7 @@ def _card(
         command=command,
         origin=f"encoder and denoiser of {task.weights.name}",
         validation_history=((0, psnr["uniform"]), (frames, psnr[name])),
-        note=f"sampler alone, by {name}",
+        note=f"sampler alone, by {name}" + ", one policy over the image" * task.one_policy,
     )
 
 
@@ -188,6 +149,9 @@ def main() -> None:
     validate = clips[:: len(clips) // 2][:2]
     task = SamplerTask(
         tuple(clip for clip in clips if clip not in validate),
+        weights=CARDS / FAMILY.weights_file(arguments.variant),
+        variant=arguments.variant,
+        one_policy=arguments.one_policy,
         crop=arguments.crop,
         seed=arguments.seed,
         min_samples=0 if name == RLLIB_APPO else make_learner(name, 1).min_samples,
@@ -203,13 +167,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=PROGRAM,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Train the sampler of `ours` alone, from a uniform density, behind the\n"
-        "shipped encoder and denoiser. Write OUT/LEARNER.safetensors, and print the PSNR\n"
-        "on two validation clips.\n\n"
+        description="Train the sampler of `ours` or `ours/paper` alone, from a uniform density,\n"
+        "behind the shipped encoder and denoiser. Write OUT/LEARNER.safetensors, and print\n"
+        "the PSNR on two validation clips.\n\n"
         "Score the weights: rlbench run -m ours --weights LEARNER=FILE\n"
         "(for surrogate and gamma: -m ours/A1).",
         epilog=f"examples:\n  {PROGRAM} --by reinforce\n"
-        f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x",
+        f"  {PROGRAM} --by rllib-appo --frames 200 --out /tmp/x\n"
+        f"  {PROGRAM} --by rllib-appo --variant paper --one-policy",
     )
     learners = [*LEARNERS, RLLIB_APPO]
     clips, out = paths.clips_folder() / "train", Path("runs/samplers")
@@ -219,6 +184,17 @@ def _parser() -> argparse.ArgumentParser:
         choices=[*learners, *FORMER_NAMES],
         metavar="LEARNER",
         help=f"one of: {', '.join(learners)} (default: reinforce)",
+    )
+    parser.add_argument(
+        "--variant",
+        default="",
+        choices=["", "paper"],
+        help="train the sampler of ours/VARIANT (default: of ours)",
+    )
+    parser.add_argument(
+        "--one-policy",
+        action="store_true",
+        help="with rllib-appo: one ratio and one reward for the image, as in the paper",
     )
     parser.add_argument(
         "--frames", type=int, default=2000, help="crops to train on (default: 2000)"

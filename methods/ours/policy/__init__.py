@@ -15,6 +15,7 @@ from methods.ours.policy.surrogate_gradient import SurrogateLearner
 from rlbench.errors import RlbenchError
 
 __all__ = [
+    "APPO",
     "FORMER_NAMES",
     "LEARNERS",
     "RLLIB_APPO",
@@ -41,6 +42,7 @@ LEARNERS: Mapping[str, Callable[[int], SamplerLearner]] = {  # by channels of th
     "stochastic": lambda channels: StochasticLearner(),
 }
 FORMER_NAMES = {"ppo-pixel": "reinforce", "ppo-pixel+surrogate": "reinforce+surrogate"}
+APPO = "appo"  # learns from episodes, see methods.ours.one_policy
 RLLIB_APPO = "rllib-appo"  # trains by its own loop, see methods.ours.policy.appo
 
 
@@ -51,7 +53,7 @@ class LearnerError(RlbenchError, LookupError):
 def make_learner(name: str, channels: int) -> SamplerLearner:
     """The learner of a name, for a sampler with observations of `channels`.
 
-    Raises LearnerError for an unknown name, and for `rllib-appo`.
+    Raises LearnerError for an unknown name, and for `appo` and `rllib-appo`.
 
     >>> make_learner("ppo-pixel", 39) == make_learner("reinforce", 39)  # a former name
     True
@@ -61,6 +63,10 @@ def make_learner(name: str, channels: int) -> SamplerLearner:
         raise LearnerError(
             f"'{name}' trains by a loop of its own around an environment: call "
             "methods.ours.policy.appo.train"
+        )
+    if name == APPO:
+        raise LearnerError(
+            f"'{name}' learns from episodes, not from single frames: train ours/paper-appo"
         )
     if name not in LEARNERS:
         raise LearnerError(f"'{name}' is not a learner; choose one of: {', '.join(LEARNERS)}")
