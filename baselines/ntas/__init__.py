@@ -25,6 +25,11 @@ FAMILY = Family(
     variants={
         "": Variant("How far do predicted kernels and a map from the last frame get?", TRAITS),
         "direct": Variant("Are kernels needed, or does a colour per pixel do as well?", TRAITS),
+        "history": Variant(
+            "Do the rules of ours for history help? (bicubic, similarity, antilag)",
+            TRAITS,
+            pretrained=False,
+        ),
     },
     build="baselines.ntas.method:build",
     train="baselines.ntas.train:training_task",
