@@ -33,6 +33,7 @@ HISTORY = [f"{name}/history" for name in RIVALS]
 GAIN = 8.0  # of a light that is switched on
 REACH = 28  # pixels, half of antilag's widest window, and a cell for interpolation
 FILTER = 12  # pixels across which filters mix both halves
+LAMBDA = 51  # channel of the finest head of nppd
 
 
 def still_frames(count: int) -> list[Frame]:
@@ -228,3 +229,22 @@ def test_training_reaches_every_parameter_and_leaves_the_memory_without_a_graph(
         image, state = task.method.denoise(frame.gbuffer, read_samples(frame), state)
         assert image.requires_grad
         assert not has_graph(state.memory)
+
+
+@pytest.mark.parametrize("name", ["imcd/history", "nppd/history"])
+def test_light_is_kept_by_its_weight_where_lambda_is_one(name: str) -> None:
+    first, second = still_frames(2)
+    changed = with_buffers(second, normal=second.gbuffer.normal * 0.8)
+    changed = edit_radiance(changed, lambda part: part * 1.1)
+    method = registry.load_method(name, weights="random")
+    _, before = method.denoise(first.gbuffer, read_samples(first), method.start(SIZE))
+    history = reproject_memory(changed.gbuffer, before.memory)
+    weight, _ = weigh_history(changed.gbuffer, read_samples(changed), before.memory, history)
+    assert 0.2 < weight.mean() < 0.9
+
+    unet = method.networks.unet
+    bias = unet.last.bias if name.startswith("imcd") else unet.heads[0].bias
+    bias.data[-1 if name.startswith("imcd") else LAMBDA] = 80.0
+    _, after = method.denoise(changed.gbuffer, read_samples(changed), before)
+    expected = torch.lerp(1.1 * before.irradiance, before.irradiance, weight)
+    torch.testing.assert_close(after.irradiance, expected, rtol=1e-5, atol=1e-6)
