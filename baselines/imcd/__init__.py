@@ -23,7 +23,7 @@ FAMILY = Family(
     variants={
         "": Variant("How far do affinity kernels get on uniform samples, read one by one?", TRAITS),
         "history": Variant(
-            "Do the rules of ours for history help? (bicubic, similarity, antilag)",
+            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
             TRAITS,
             pretrained=False,
         ),

@@ -43,7 +43,7 @@ class Config:
 BASE = Config()
 VARIANTS = {
     "": BASE,
-    "history": replace(BASE, weighted_history=True),  # do the rules of ours for history help?
+    "history": replace(BASE, weighted_history=True),  # what do the rules of ours for history give?
 }
 
 

@@ -22,7 +22,7 @@ FAMILY = Family(
         ),
         "large": Variant("Do the published widths (15.6 M) pay?", TRAITS, pretrained=False),
         "history": Variant(
-            "Do the rules of ours for history help? (bicubic, similarity, antilag)",
+            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
             TRAITS,
             pretrained=False,
         ),

@@ -45,7 +45,7 @@ BASE = Config()
 VARIANTS = {
     "": BASE,
     "large": replace(BASE, widths=LARGE_WIDTHS),  # do the published widths pay?
-    "history": replace(BASE, weighted_history=True),  # do the rules of ours for history help?
+    "history": replace(BASE, weighted_history=True),  # what do the rules of ours for history give?
 }
 
 
@@ -81,12 +81,9 @@ class Nppd:
     else the mean of its neighbourhood. Fireflies are limited (rlbench.ops.limit_fireflies), and a
     pixel of broken history is replaced by a neighbour.
 
-    The variant `history` weighs the history by the rules of `accumulate` and `ours`. Light and the
-    previous image are reprojected by bicubic taps, the embedding by bilinear ones. Similarity of
-    surfaces times antilag confidence multiplies lambda, and where it is below 1 this frame's light
-    takes its share of the previous image, before mu; where nothing is left, the U-Net reads zeros.
-    Lambda follows no sample count, so antilag compares this frame with the memory of `accumulate`,
-    which the state then also holds and no network reads.
+    The variant `history` weighs the history by the rules of `accumulate` and `ours`, as that of
+    `baselines.imcd` does. The weight multiplies lambda; of the previous image it is the share
+    before mu, and accumulated light is the rest. Where it is 0, the U-Net reads zeros.
     """
 
     networks: Networks

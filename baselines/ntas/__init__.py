@@ -26,7 +26,7 @@ FAMILY = Family(
         "": Variant("How far do predicted kernels and a map from the last frame get?", TRAITS),
         "direct": Variant("Are kernels needed, or does a colour per pixel do as well?", TRAITS),
         "history": Variant(
-            "Do the rules of ours for history help? (bicubic, similarity, antilag)",
+            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
             TRAITS,
             pretrained=False,
         ),

@@ -48,7 +48,7 @@ BASE = Config()
 VARIANTS = {
     "": BASE,
     "direct": replace(BASE, denoiser=DirectDenoiser),  # are kernels needed?
-    "history": replace(BASE, weighted_history=True),  # do the rules of ours for history help?
+    "history": replace(BASE, weighted_history=True),  # what do the rules of ours for history give?
 }
 
 
