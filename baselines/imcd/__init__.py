@@ -21,7 +21,12 @@ FAMILY = Family(
     ),
     licence="Apache-2.0",
     variants={
-        "": Variant("How far do affinity kernels get on uniform samples, read one by one?", TRAITS)
+        "": Variant("How far do affinity kernels get on uniform samples, read one by one?", TRAITS),
+        "history": Variant(
+            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
+            TRAITS,
+            pretrained=False,
+        ),
     },
     build="baselines.imcd.method:build",
     train="baselines.imcd.train:training_task",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from baselines.imcd.network import Kernels
@@ -35,7 +35,7 @@ class PreviousFrame(NamedTuple):
 
     features: Float[Tensor, "n 8 h w"]
     denoised: Float[Tensor, "n 3 h w"]  # demodulated, linear
-    valid: Bool[Tensor, "n 1 h w"]
+    weight: Float[Tensor, "n 1 h w"]  # of each pixel, in [0, 1]; 0 without history
 
 
 def apply_affinity_kernels(
@@ -52,7 +52,8 @@ def apply_affinity_kernels(
     where g are the reprojected features of the previous frame. Sums are divided by the sums of
     weights plus 1e-10.
 
-    Ours: pixels beyond the border and invalid pixels of the previous frame have no weight.
+    Ours: pixels beyond the border have no weight, and those of the previous frame their own times
+    that of the kernel.
     """
     ones = torch.ones_like(irradiance[:, :1])
     for k, dilation in enumerate(DILATIONS):
@@ -61,7 +62,7 @@ def apply_affinity_kernels(
         total = kernels.centre_weight[:, k] * source
         total = total + affinity_sum(features, sharpness, source, kernel_sizes.spatial, dilation)
         if previous is not None and k == len(DILATIONS) - 1:
-            history = torch.cat((previous.denoised, ones), 1) * previous.valid
+            history = torch.cat((previous.denoised, ones), 1) * previous.weight
             total = total + cross_affinity_sum(
                 features,
                 kernels.temporal_sharpness,

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.imcd import FAMILY
-from baselines.imcd.method import Imcd, State
+from baselines.imcd.method import VARIANTS, Imcd, State
 from baselines.imcd.network import Kernels, Networks
 from rlbench.frames import Clip, GBuffer, Samples
 from rlbench.ops.losses import smape
@@ -40,7 +40,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
     networks = Networks()
     networks.init_weights(seed)
     networks.to(device)
-    method = Imcd(networks, traits=FAMILY.variants[variant].traits)
+    method = Imcd(networks, VARIANTS[variant], FAMILY.variants[variant].traits)
     return TrainingTask(method, networks, partial(losses, method), BUDGETS_FROM_1_SPP)
 
 

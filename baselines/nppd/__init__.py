@@ -21,6 +21,11 @@ FAMILY = Family(
             "How far does a filter get that splits light over scales?", TRAITS, pretrained=False
         ),
         "large": Variant("Do the published widths (15.6 M) pay?", TRAITS, pretrained=False),
+        "history": Variant(
+            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
+            TRAITS,
+            pretrained=False,
+        ),
     },
     build="baselines.nppd.method:build",
     train="baselines.nppd.train:training_task",

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from baselines.accumulate.memory import Memory, empty_memory, reproject_memory
+from baselines.accumulate.weighted_history import reproject_images, weigh_history, with_image
 from baselines.nppd import FAMILY
 from baselines.nppd.filter import apply_partitioning_pyramid
 from baselines.nppd.network import EMBEDDING, LARGE_WIDTHS, STRIDE, WIDTHS, Networks
@@ -33,15 +35,17 @@ CHANNELS = (3, 3, EMBEDDING)  # of the state's images, in their order
 
 @dataclass(frozen=True)
 class Config:
-    """The size of the U-Net."""
+    """What distinguishes the variants."""
 
     widths: tuple[tuple[int, ...], ...] = WIDTHS  # channels at each level, fine to coarse
+    weighted_history: bool = False  # bicubic; weaker on other surfaces and where light changes
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
     "large": replace(BASE, widths=LARGE_WIDTHS),  # do the published widths pay?
+    "history": replace(BASE, weighted_history=True),  # what do the rules of ours for history give?
 }
 
 
@@ -52,10 +56,11 @@ class State(NamedTuple):
     denoised: Float[Tensor, "n 3 h w"]  # the previous image, demodulated, linear
     embedding: Float[Tensor, "n 32 h w"]  # accumulated over frames
     age: int  # frames so far; at 0 the images are meaningless
+    memory: Memory | None = None  # that weighs the history; None: only its validity counts
 
     def detach(self) -> State:
         """The same state without the autograd graph."""
-        return State._make((*(image.detach() for image in self[:3]), self.age))
+        return State._make((*(image.detach() for image in self[:3]), *self[3:]))
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,10 @@ class Nppd:
     with themselves, so that no light is lost. A pixel without a sample gets one: the history, or
     else the mean of its neighbourhood. Fireflies are limited (rlbench.ops.limit_fireflies), and a
     pixel of broken history is replaced by a neighbour.
+
+    The variant `history` weighs the history by the rules of `accumulate` and `ours`, as that of
+    `baselines.imcd` does. The weight multiplies lambda; of the previous image it is the share
+    before mu, and accumulated light is the rest. Where it is 0, the U-Net reads zeros.
     """
 
     networks: Networks
@@ -83,9 +92,10 @@ class Nppd:
 
     def start(self, size: Size) -> State:
         """A state without history."""
-        weight = next(self.networks.parameters())
-        images = [torch.zeros(size.n, c, size.h, size.w, device=weight.device) for c in CHANNELS]
-        return State._make((*images, 0))
+        device = next(self.networks.parameters()).device
+        images = [torch.zeros(size.n, c, size.h, size.w, device=device) for c in CHANNELS]
+        memory = empty_memory(size, device) if self.config.weighted_history else None
+        return State._make((*images, 0, memory))
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """Uniform density."""
@@ -99,8 +109,11 @@ class Nppd:
 
         # demodulate, reproject and embed
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        history, valid = _reproject_state(gbuffer, state)
-        light = _sample_irradiance(gbuffer, samples, albedo, history.irradiance, valid)
+        if state.memory is None:
+            history, weight = _reproject_state(gbuffer, state)
+        else:
+            history, weight = _reproject_weighted(gbuffer, samples, state, state.memory)
+        light = _sample_irradiance(gbuffer, samples, albedo, history.irradiance, weight)
         noisy = light.mean
         mean = noisy.mean((1, 2, 3), keepdim=True) + MEAN_OFFSET
         embedding = self._embed(gbuffer, light, mean)
@@ -111,17 +124,19 @@ class Nppd:
         weights = self.networks.predict_weights(pad(inputs, STRIDE))
 
         # accumulate; without history, the current values take its place
-        keep = crop(weights.input_history_weight, h, w) * valid
+        keep = crop(weights.input_history_weight, h, w) * weight
         irradiance = torch.lerp(noisy, history.irradiance, keep)
         embedding = torch.lerp(embedding, history.embedding, keep)
 
         # filter and modulate
-        previous = history.denoised.where(valid, irradiance)
+        previous = torch.lerp(irradiance, history.denoised, weight)
         denoised = apply_partitioning_pyramid(
             pad(irradiance, STRIDE), pad(previous, STRIDE), weights
         )
         denoised = crop(denoised, h, w)
-        return denoised * albedo, State(irradiance, denoised, embedding, state.age + 1)
+        image = denoised * albedo
+        memory = with_image(history.memory, image)
+        return image, State(irradiance, denoised, embedding, state.age + 1, memory)
 
     def _embed(self, gbuffer: GBuffer, light: Samples, mean: Tensor) -> Float[Tensor, "n 32 h w"]:
         """The mean embedding of a pixel's samples of irradiance."""
@@ -137,24 +152,24 @@ def _compress(colour: Tensor) -> Tensor:
 
 
 def _sample_irradiance(
-    gbuffer: GBuffer, samples: Samples, albedo: Tensor, history: Tensor, valid: Tensor
+    gbuffer: GBuffer, samples: Samples, albedo: Tensor, history: Tensor, weight: Tensor
 ) -> Samples:
     """Samples of irradiance, at least one per pixel.
 
-    A pixel without a sample gets its history, or where that is invalid its neighbourhood's mean.
+    A pixel without a sample gets its history with its weight, and else its neighbourhood's mean.
     """
     radiance = limit_fireflies(samples.radiance, samples.counts)
     irradiance, is_empty = radiance / albedo[:, None], samples.counts == 0
     if not is_empty.any():
         return Samples(irradiance, samples.counts)
     filled = fill_holes(frame_radiance(radiance, samples.counts), gbuffer.albedo).mean / albedo
-    first = torch.where(is_empty, torch.where(valid, history, filled), irradiance[:, 0])
+    first = torch.where(is_empty, torch.lerp(filled, history, weight), irradiance[:, 0])
     irradiance = torch.cat((first[:, None], irradiance[:, 1:]), 1)
     return Samples(irradiance, samples.counts.clamp_min(1))
 
 
-def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor, "n 1 h w"]]:
-    """The state as seen from this frame, zero where it is invalid, and the validity mask."""
+def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Float[Tensor, "n 1 h w"]]:
+    """The state as seen from this frame, zero where it is invalid, and its weight: 1 if valid."""
     repaired = (
         repair_radiance_history(state.irradiance),
         repair_radiance_history(state.denoised),
@@ -163,7 +178,22 @@ def _reproject_state(gbuffer: GBuffer, state: State) -> tuple[State, Bool[Tensor
     images, valid = reproject(torch.cat(repaired, 1), gbuffer.motion)
     valid = valid & (state.age > 0)
     parts = images.where(valid, 0.0).split_with_sizes(CHANNELS, 1)
-    return State._make((*parts, state.age)), valid
+    return State._make((*parts, state.age, None)), valid.to(images.dtype)
+
+
+def _reproject_weighted(
+    gbuffer: GBuffer, samples: Samples, state: State, memory: Memory
+) -> tuple[State, Float[Tensor, "n 1 h w"]]:
+    """The state as seen from this frame, zero where it has no weight, and a weight by rule.
+
+    Light and image move by bicubic taps. Its memory already holds this frame, but for the image.
+    """
+    reprojected = reproject_memory(gbuffer, memory)
+    weight, memory = weigh_history(gbuffer, samples, memory, reprojected)
+    embedding = repair_history(state.embedding, -MAX_FEATURE, MAX_FEATURE)
+    images = reproject_images(state.irradiance, state.denoised, embedding, gbuffer.motion)
+    parts = (image.where(weight > 0, 0.0) for image in images)
+    return State._make((*parts, state.age, memory)), weight
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Nppd:

@@ -25,6 +25,11 @@ FAMILY = Family(
     variants={
         "": Variant("How far do predicted kernels and a map from the last frame get?", TRAITS),
         "direct": Variant("Are kernels needed, or does a colour per pixel do as well?", TRAITS),
+        "history": Variant(
+            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
+            TRAITS,
+            pretrained=False,
+        ),
     },
     build="baselines.ntas.method:build",
     train="baselines.ntas.train:training_task",

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from baselines.accumulate.memory import History, Memory, empty_memory, reproject_memory
+from baselines.accumulate.weighted_history import (
+    reproject_image,
+    surface_weight,
+    weigh_history,
+    with_image,
+)
 from baselines.ntas import FAMILY
 from baselines.ntas.network import Denoiser, DirectDenoiser, Networks
 from rlbench.family import Traits
@@ -18,14 +25,14 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.ops.demodulation import demodulation_albedo, filtered_albedo
 from rlbench.ops.density import bounded_exp_density
 from rlbench.ops.fireflies import mean_without_fireflies, repair_radiance_history
-from rlbench.ops.reprojection import reproject
+from rlbench.ops.reprojection import ReprojectionMemo, reproject
 from rlbench.ops.transfer import log_forward, squash_depth
 from rlbench.weights import load_for_inference
 
 __all__ = ["VARIANTS", "Config", "Ntas", "State", "build"]
 
 CARDS = Path(__file__).parent / "cards"
-NO_HISTORY = -1.0  # network input where the history is invalid
+NO_HISTORY = -1.0  # network input where the history has no weight
 
 
 @dataclass(frozen=True)
@@ -34,12 +41,14 @@ class Config:
 
     denoiser: Callable[[], Denoiser | DirectDenoiser] = Denoiser  # makes the second network
     bptt: int = 2  # frames that training differentiates through, >= 1
+    weighted_history: bool = False  # bicubic; weaker on other surfaces and where light changes
 
 
 BASE = Config()
 VARIANTS = {
     "": BASE,
     "direct": replace(BASE, denoiser=DirectDenoiser),  # are kernels needed?
+    "history": replace(BASE, weighted_history=True),  # what do the rules of ours for history give?
 }
 
 
@@ -48,6 +57,7 @@ class State(NamedTuple):
 
     denoised: Float[Tensor, "n 3 h w"]  # the previous image, demodulated, linear
     age: int  # frames so far; at 0 `denoised` is meaningless
+    memory: Memory | None = None  # that weighs the history; None: only its validity counts
 
 
 @dataclass(frozen=True)
@@ -69,22 +79,35 @@ class Ntas:
     predicts colours instead of kernels, which differs from Hasselgren et al. The variant keeps that
     release's loss (L1 of the image and of its change) and the ReLU on the output; for the rest see
     `network.DirectDenoiser`.
+
+    The variant `history` weighs the history by the rules of `accumulate` and `ours`. The previous
+    image is reprojected by bicubic taps in log transfer. Similarity of surfaces, and in `denoise`
+    antilag confidence, multiply the kernels' weights of the history; where nothing is left, the
+    networks read that there is none. NTAS itself accumulates no samples that antilag could compare,
+    so the state also holds the memory of `accumulate`, which does; no network reads it.
     """
 
     networks: Networks
     config: Config = BASE
     traits: Traits = FAMILY.variants[""].traits
+    memo: ReprojectionMemo[History] = field(
+        default_factory=ReprojectionMemo, repr=False, compare=False
+    )
 
     def start(self, size: Size) -> State:
         """A state without history."""
-        weight = next(self.networks.parameters())
-        return State(torch.zeros(size.n, 3, size.h, size.w, device=weight.device), age=0)
+        device = next(self.networks.parameters()).device
+        memory = empty_memory(size, device) if self.config.weighted_history else None
+        return State(torch.zeros(size.n, 3, size.h, size.w, device=device), 0, memory)
 
     def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
         """Density in (0, 1] with maximum 1: the bounded exponential of the sampler's output."""
-        history, valid = _reproject_denoised(gbuffer, state)
+        history, weight = _reproject_denoised(gbuffer, state)
+        if state.memory is not None:
+            weight = surface_weight(self.memo.get(gbuffer, state.memory, reproject_memory))
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
-        log_density: Tensor = self.networks.sampler(_sampler_input(gbuffer, albedo, history, valid))
+        features = _sampler_input(gbuffer, albedo, history, weight)
+        log_density: Tensor = self.networks.sampler(features)
         return bounded_exp_density(log_density)
 
     def denoise(
@@ -92,37 +115,45 @@ class Ntas:
     ) -> tuple[Float[Tensor, "n 3 h w"], State]:
         """The image in linear radiance; the state is detached every `bptt` frames."""
         # reproject
-        history, valid = _reproject_denoised(gbuffer, state)
+        history, weight = _reproject_denoised(gbuffer, state)
+        if (memory := state.memory) is not None:
+            reprojected = self.memo.get(gbuffer, memory, reproject_memory)
+            weight, memory = weigh_history(gbuffer, samples, memory, reprojected)
 
         # demodulate
         albedo = demodulation_albedo(filtered_albedo(gbuffer.albedo))
         noisy = mean_without_fireflies(samples.radiance, samples.counts)
 
         # predict kernels and filter
-        features = _sampler_input(gbuffer, albedo, history, valid)
+        features = _sampler_input(gbuffer, albedo, history, weight)
         features = torch.cat((log_forward(noisy), features), 1)
-        denoised = self.networks.denoiser(features, noisy / albedo, history, valid)
+        denoised = self.networks.denoiser(features, noisy / albedo, history, weight)
 
         # modulate
         age = state.age + 1
         next_denoised = denoised.detach() if age % self.config.bptt == 0 else denoised
-        return denoised * albedo, State(next_denoised, age)
+        image = denoised * albedo
+        return image, State(next_denoised, age, with_image(memory, image))
 
 
 def _reproject_denoised(
     gbuffer: GBuffer, state: State
-) -> tuple[Float[Tensor, "n 3 h w"], Bool[Tensor, "n 1 h w"]]:
-    """The previous demodulated image as seen from this frame, zero where it is invalid."""
-    history, valid = reproject(repair_radiance_history(state.denoised), gbuffer.motion)
+) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 1 h w"]]:
+    """The previous demodulated image as seen from this frame, zero where it is invalid.
+
+    With its weight: 1 where it is valid.
+    """
+    move = reproject if state.memory is None else reproject_image
+    history, valid = move(repair_radiance_history(state.denoised), gbuffer.motion)
     valid = valid & (state.age > 0)
-    return history.where(valid, 0.0), valid
+    return history.where(valid, 0.0), valid.to(history.dtype)
 
 
 def _sampler_input(
-    gbuffer: GBuffer, albedo: Tensor, history: Tensor, valid: Tensor
+    gbuffer: GBuffer, albedo: Tensor, history: Tensor, weight: Tensor
 ) -> Float[Tensor, "n 10 h w"]:
     """Normal, albedo, depth and the previous image; the denoiser sees the samples as well."""
-    previous = log_forward(history * albedo).where(valid, NO_HISTORY)
+    previous = log_forward(history * albedo).where(weight > 0, NO_HISTORY)
     return torch.cat((gbuffer.normal, gbuffer.albedo, squash_depth(gbuffer.depth), previous), 1)
 
 

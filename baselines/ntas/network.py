@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -66,7 +66,7 @@ class Denoiser(nn.Module):
     Level l = 0 .. 4 holds the irradiance averaged over 2^l x 2^l pixels, and F_l is that level
     filtered by one softmax kernel of 5 x 5 taps per pixel. Then O_4 = F_4 and
     O_l = a_l F_l + (1 - a_l) up(O_{l+1}), with a sigmoid a_l and bilinear upsampling. At l = 0 the
-    softmax runs over 25 taps of the irradiance and 25 of the history, without invalid ones. The
+    softmax runs over 25 taps of the irradiance and 25 of the history, times their weight. The
     output is therefore a weighted mean of the input: never negative, never brighter.
 
     Hierarchical kernels and warped feedback are those of Hasselgren et al. 2020; more of the paper
@@ -93,9 +93,13 @@ class Denoiser(nn.Module):
         features: Float[Tensor, "n 13 h w"],
         irradiance: Float[Tensor, "n 3 h w"],
         history: Float[Tensor, "n 3 h w"],
-        valid: Bool[Tensor, "n 1 h w"],
+        weight: Float[Tensor, "n 1 h w"],
     ) -> Float[Tensor, "n 3 h w"]:
-        """Filtered irradiance, linear; `history` must be finite everywhere, even where invalid."""
+        """Filtered irradiance, linear.
+
+        `weight`, in [0, 1], multiplies the kernels' weights of the history. The history must be
+        finite everywhere, even where its weight is 0.
+        """
         *coarse, finest = self.unet.decoder_features(pad(features, STRIDE))
         pyramid = [pad(irradiance, STRIDE)]
         for _ in range(COARSEST_LEVEL):
@@ -110,8 +114,8 @@ class Denoiser(nn.Module):
         logits, history_logits, blend = (
             self.unet.dec_conv0(finest).float().split_with_sizes((TAPS, TAPS, 1), 1)
         )
-        masked_history = pad(torch.cat((history * valid, valid.to(history.dtype)), 1), STRIDE)
-        finest_level = _filter_with_history(logits, history_logits, pyramid[0], masked_history)
+        weighted = pad(torch.cat((history * weight, weight), 1), STRIDE)
+        finest_level = _filter_with_history(logits, history_logits, pyramid[0], weighted)
         return crop(_blend(finest_level, output, blend), *irradiance.shape[-2:])
 
 
@@ -142,7 +146,7 @@ class DirectDenoiser(nn.Module):
         features: Float[Tensor, "n 13 h w"],
         irradiance: Float[Tensor, "n 3 h w"],
         history: Float[Tensor, "n 3 h w"],
-        valid: Bool[Tensor, "n 1 h w"],
+        weight: Float[Tensor, "n 1 h w"],
     ) -> Float[Tensor, "n 3 h w"]:
         """Irradiance, linear, in [0, 65504]; samples and history enter through `features` alone."""
         output = self.unet(pad(features, STRIDE)).float() + OUTPUT_OFFSET
@@ -153,16 +157,16 @@ def _filter_with_history(
     logits: Float[Tensor, "n taps h w"],
     history_logits: Float[Tensor, "n taps h w"],
     irradiance: Float[Tensor, "n 3 h w"],
-    masked_history: Float[Tensor, "n 4 h w"],
+    weighted: Float[Tensor, "n 4 h w"],
 ) -> Float[Tensor, "n 3 h w"]:
     """Joint softmax over the taps of irradiance and history.
 
-    `masked_history` holds the history, zero where invalid, and a channel with its validity.
+    `weighted` holds the history times its weight, and that weight, in [0, 1].
     """
     largest = logits.detach().amax(1, keepdim=True)
     weights = (logits - largest).exp()
     history_weights = (history_logits - largest).clamp_max(MAX_LOG_WEIGHT).exp()
-    history_sum, history_weight = apply_kernels(history_weights, masked_history).split_with_sizes(
+    history_sum, history_weight = apply_kernels(history_weights, weighted).split_with_sizes(
         (COLOUR_CHANNELS, 1), 1
     )
     total = weights.sum(1, keepdim=True) + history_weight  # >= 1, by the largest of `logits`

@@ -158,7 +158,7 @@ def filter_in_loops(
                 for v, u in _window(kernel_sizes.temporal, y, x, 1, h, w):
                     distance = ((features[2, :, y, x] - remembered[:, v, u]) ** 2).sum()
                     weight = np.exp(-float(predicted.temporal_sharpness[0, 0, y, x]) * distance)
-                    weight *= float(previous.valid[0, 0, v, u])
+                    weight *= float(previous.weight[0, 0, v, u])
                     total, weights = total + weight * old[:, v, u], weights + weight
             image[:, y, x] = total / weights
     return image
@@ -173,9 +173,9 @@ def _window(side: int, y: int, x: int, dilation: int, h: int, w: int) -> list[tu
 @pytest.mark.parametrize("has_history", [True, False])
 def test_the_filter_equals_plain_loops(has_history: bool) -> None:
     irradiance, predicted = random_tensor(1, 3, 12, 12), kernels(12, 12)
-    valid = random_tensor(1, 1, 12, 12, seed=9) > 0.3
+    weight = (random_tensor(1, 1, 12, 12, seed=9) - 0.3).clamp_min(0)  # 0 for three in ten
     previous = PreviousFrame(
-        random_tensor(1, 8, 12, 12, seed=10), random_tensor(1, 3, 12, 12, seed=11), valid
+        random_tensor(1, 8, 12, 12, seed=10), random_tensor(1, 3, 12, 12, seed=11), weight
     )
     previous = previous if has_history else None
     expected = filter_in_loops(irradiance, predicted, previous, SMALL)
@@ -244,9 +244,7 @@ def test_a_repeated_frame_is_blended_with_the_first(method: Imcd) -> None:
     still = replace(frame.gbuffer, static=True)
     _, first = method.denoise(still, read_samples(frame), method.start(SIZE))
     _, second, predicted = method.denoise_with_kernels(still, read_samples(frame), first)
-    previous = PreviousFrame(
-        first.features, first.denoised, torch.ones(1, 1, 16, 16, dtype=torch.bool)
-    )
+    previous = PreviousFrame(first.features, first.denoised, torch.ones(1, 1, 16, 16))
     expected = apply_affinity_kernels(
         first.irradiance, predicted, previous, method.config.kernel_sizes
     )

@@ -1,0 +1,250 @@
+"""Weighted history of ntas, imcd and nppd: no weight for other surfaces and other light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from baselines.accumulate.memory import Memory, empty_memory, reproject_memory
+from baselines.accumulate.weighted_history import (
+    reproject_image,
+    reproject_images,
+    surface_weight,
+    weigh_history,
+    with_image,
+)
+from rlbench import registry
+from rlbench.checks.frame_edits import edit_radiance, start_new_shot, to_clip, with_buffers
+from rlbench.checks.tensors import has_graph
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Frame, Samples, Size
+from rlbench.ops.reprojection import reproject_bicubic
+from rlbench.ops.transfer import log_forward
+from rlbench.run import run_clip
+
+SIZE = Size(1, 64, 64)
+RIVALS = ["ntas", "imcd", "nppd"]
+HISTORY = [f"{name}/history" for name in RIVALS]
+GAIN = 8.0  # of a light that is switched on
+REACH = 28  # pixels, half of antilag's widest window, and a cell for interpolation
+FILTER = 12  # pixels across which filters mix both halves
+LAMBDA = 51  # channel of the finest head of nppd
+
+
+def still_frames(count: int) -> list[Frame]:
+    """A still image, of which every sample is the reference."""
+    return list(map(_without_noise, procedural_clip(3, SIZE, count, static=True)))
+
+
+def _without_noise(frame: Frame) -> Frame:
+    mean = frame.reference.mean
+    return edit_radiance(
+        frame, lambda part: (mean if part.dim() == 4 else mean[:, None]).expand_as(part).clone()
+    )
+
+
+def switch_light(frame: Frame) -> Frame:
+    """The frame with the left half brighter."""
+    gain = torch.ones(SIZE.w)
+    gain[: SIZE.w // 2] = GAIN
+    return edit_radiance(frame, lambda part: part * gain)
+
+
+def read_samples(frame: Frame, spp: int = 2) -> Samples:
+    counts = torch.full_like(frame.gbuffer.depth, spp, dtype=torch.int64)
+    return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
+
+
+def weigh(frames: Sequence[Frame]) -> list[Tensor]:
+    """The weight of history in each frame."""
+    memory, weights = empty_memory(SIZE, torch.device("cpu")), []
+    for frame in frames:
+        history = reproject_memory(frame.gbuffer, memory)
+        weight, memory = weigh_history(frame.gbuffer, read_samples(frame), memory, history)
+        memory = replace(memory, image=frame.reference.mean)
+        weights.append(weight)
+    return weights
+
+
+def random_image(channels: int, seed: int) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(1, channels, SIZE.h, SIZE.w, generator=generator)
+
+
+def test_the_first_frame_has_no_history() -> None:
+    assert not weigh(still_frames(1))[0].any()
+
+
+def test_equal_frames_keep_the_history_in_full() -> None:
+    for weight in weigh(still_frames(4))[1:]:
+        # rounding of the accumulated mean counts for a change of its size
+        torch.testing.assert_close(weight, torch.ones_like(weight), rtol=0, atol=1e-4)
+
+
+def test_a_switched_light_takes_its_weight_from_the_history() -> None:
+    *before, last = still_frames(4)
+    weight = weigh([*before, switch_light(last)])[-1]
+    middle = SIZE.w // 2
+    assert not weight[..., :middle].any()  # brighter by more than a third
+    assert (weight[..., middle + REACH :] > 0.999).all()
+    again = weigh([*before, *[switch_light(frame) for frame in (last, last)]])[-1]
+    assert (again > 0.999).all()  # the new light is accumulated
+
+
+def test_other_surfaces_weigh_as_much_as_they_are_similar() -> None:
+    first, second = still_frames(2)
+    normal = second.gbuffer.normal.clone()
+    normal[..., :20] = -normal[..., :20]
+    albedo = (second.gbuffer.albedo + 0.05).clamp_max(1.0)
+    weight = weigh([first, with_buffers(second, normal=normal, albedo=albedo)])[-1]
+    difference = (normal - first.gbuffer.normal).abs() + (albedo - first.gbuffer.albedo).abs()
+    expected = torch.exp(-2 * difference.sum(1, keepdim=True))
+    expected = expected.where(expected > 1e-3, 0.0)
+    torch.testing.assert_close(weight, expected, rtol=1e-3, atol=1e-4)
+    assert weight.min() < 0.02
+    assert weight.max() > 0.7
+
+
+def test_history_from_outside_the_image_has_no_weight() -> None:
+    first, second = procedural_clip(3, SIZE, 2)
+    assert not weigh([first, start_new_shot(second)])[-1].any()
+
+
+def test_the_weight_before_sampling_is_the_similarity_alone() -> None:
+    first, second = procedural_clip(3, SIZE, 2)
+    memory = empty_memory(SIZE, torch.device("cpu"))
+    history = reproject_memory(first.gbuffer, memory)
+    assert not surface_weight(history).any()
+    _, memory = weigh_history(first.gbuffer, read_samples(first), memory, history)
+    history = reproject_memory(second.gbuffer, memory)
+    bright = switch_light(second)
+    before = surface_weight(history)
+    after, _ = weigh_history(bright.gbuffer, read_samples(bright), memory, history)
+    assert (before == history.similarity.where(history.similarity > 1e-3, 0)).all()
+    assert (after <= before).all()
+    assert after.sum() < 0.8 * before.sum()
+
+
+def test_the_memory_gets_the_image_without_its_graph() -> None:
+    assert with_image(None, random_image(3, 0)) is None
+    memory = empty_memory(SIZE, torch.device("cpu"))
+    image = random_image(3, 0).requires_grad_()
+    changed = with_image(memory, image)
+    assert isinstance(changed, Memory)
+    assert torch.equal(changed.image, image)
+    assert not has_graph(changed)
+
+
+def test_images_move_in_log_transfer_and_light_linearly() -> None:
+    noisy, denoised, features = (random_image(c, c) for c in (3, 3, 5))
+    motion = torch.full((1, 2, SIZE.h, SIZE.w), 0.25)
+    light, image, moved = reproject_images(noisy, denoised, features, motion)
+    torch.testing.assert_close(light, reproject_bicubic(noisy, motion)[0])
+    expected, _ = reproject_bicubic(log_forward(denoised), motion)
+    torch.testing.assert_close(log_forward(image), expected, rtol=1e-5, atol=1e-6)
+    inside = (..., slice(0, -1), slice(0, -1))
+    taps = F.pad(features, (0, 1, 0, 1), mode="replicate")
+    across = torch.lerp(taps[..., :-1], taps[..., 1:], 0.25)
+    expected = torch.lerp(across[..., :-1, :], across[..., 1:, :], 0.25)
+    torch.testing.assert_close(moved[inside], expected[inside], rtol=1e-4, atol=1e-5)
+
+
+def test_a_lamp_does_not_dominate_the_pixel_beside_it() -> None:
+    """Half of a lamp of 1000 and half of a wall of 1 is about their geometric mean, not 500."""
+    image = torch.ones(1, 3, SIZE.h, SIZE.w)
+    image[..., 32:] = 1000.0
+    motion = torch.zeros(1, 2, SIZE.h, SIZE.w)
+    motion[:, 0] = 0.5
+    moved, valid = reproject_image(image, motion)
+    assert moved[..., 10, 31].mean() == pytest.approx(1000**0.5, rel=0.05)
+    assert valid[..., :-1].all()
+    assert not valid[..., -1].any()
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_only_the_variant_carries_the_memory(name: str) -> None:
+    assert registry.load_method(name, weights="random").start(SIZE).memory is None
+    assert registry.load_method(f"{name}/history", weights="random").start(SIZE).memory is not None
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_without_motion_noise_and_change_the_variant_is_the_method(name: str) -> None:
+    """All history has the weight 1; reprojection has nothing to do."""
+    clip = to_clip(still_frames(4))
+    base, variant = (
+        [result.image for result in run_clip(registry.load_method(n, weights="random"), clip, 2.0)]
+        for n in (name, f"{name}/history")
+    )
+    for expected, image in zip(base, variant, strict=True):
+        # log transfer and back, in each frame; weights of 0.9999
+        torch.testing.assert_close(image, expected, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", HISTORY)
+def test_a_frame_of_other_surfaces_is_a_first_frame(name: str) -> None:
+    """Similarity 0 is no history, although motion is valid and the light is the same."""
+    first, second = procedural_clip(3, SIZE, 2, static=True)
+    depth = torch.where(second.gbuffer.depth.isfinite(), 1000.0, 1.0)
+    albedo = (second.gbuffer.albedo < 0.5).float()
+    turned = with_buffers(second, depth=depth, albedo=albedo)
+    method = registry.load_method(name, weights="random")
+    assert not weigh([first, turned])[-1].any()
+    *_, after = run_clip(method, to_clip([first, turned]), 2.0)
+    (alone,) = run_clip(method, to_clip([turned]), 2.0)
+    assert torch.equal(after.image, alone.image)
+    base = registry.load_method(name.removesuffix("/history"), weights="random")
+    *_, kept = run_clip(base, to_clip([first, turned]), 2.0)
+    assert not torch.equal(kept.image, after.image)
+
+
+@pytest.mark.parametrize("name", HISTORY)
+def test_a_switched_light_is_followed_at_once(name: str) -> None:
+    """By the variant; the method itself, with the same weights, keeps old light."""
+    *before, last = still_frames(4)
+    switched = switch_light(last)
+    clip, errors = to_clip([*before, switched]), []
+    for row in (name.removesuffix("/history"), name):
+        *_, result = run_clip(registry.load_method(row, weights="random"), clip, 2.0)
+        (alone,) = run_clip(registry.load_method(row, weights="random"), to_clip([switched]), 2.0)
+        left = (..., slice(0, SIZE.w // 2 - FILTER))
+        errors.append(float((result.image[left] - alone.image[left]).abs().mean()))
+    assert errors[1] < 0.01 * errors[0]
+
+
+@pytest.mark.parametrize("name", HISTORY)
+def test_training_reaches_every_parameter_and_leaves_the_memory_without_a_graph(name: str) -> None:
+    task = registry.training_task(name)
+    clip = procedural_clip(5, Size(2, 64, 64), 2)
+    for loss in task.losses(clip, 2.0):
+        loss.backward()
+    without = [n for n, p in task.networks.named_parameters() if p.grad is None or not p.grad.any()]
+    assert without == []
+    state = task.method.start(Size(2, 64, 64))
+    for frame in clip:
+        image, state = task.method.denoise(frame.gbuffer, read_samples(frame), state)
+        assert image.requires_grad
+        assert not has_graph(state.memory)
+
+
+@pytest.mark.parametrize("name", ["imcd/history", "nppd/history"])
+def test_light_is_kept_by_its_weight_where_lambda_is_one(name: str) -> None:
+    first, second = still_frames(2)
+    changed = with_buffers(second, normal=second.gbuffer.normal * 0.8)
+    changed = edit_radiance(changed, lambda part: part * 1.1)
+    method = registry.load_method(name, weights="random")
+    _, before = method.denoise(first.gbuffer, read_samples(first), method.start(SIZE))
+    history = reproject_memory(changed.gbuffer, before.memory)
+    weight, _ = weigh_history(changed.gbuffer, read_samples(changed), before.memory, history)
+    assert 0.2 < weight.mean() < 0.9
+
+    unet = method.networks.unet
+    bias = unet.last.bias if name.startswith("imcd") else unet.heads[0].bias
+    bias.data[-1 if name.startswith("imcd") else LAMBDA] = 80.0
+    _, after = method.denoise(changed.gbuffer, read_samples(changed), before)
+    expected = torch.lerp(1.1 * before.irradiance, before.irradiance, weight)
+    torch.testing.assert_close(after.irradiance, expected, rtol=1e-5, atol=1e-6)
