@@ -23,9 +23,9 @@ FAMILY = Family(
     variants={
         "": Variant("How far do affinity kernels get on uniform samples, read one by one?", TRAITS),
         "history": Variant(
-            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
+            "What do the rules of ours for history give? (weights of imcd)",
             TRAITS,
-            pretrained=False,
+            weights_from="imcd",
         ),
     },
     build="baselines.imcd.method:build",

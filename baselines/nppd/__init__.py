@@ -22,7 +22,7 @@ FAMILY = Family(
         ),
         "large": Variant("Do the published widths (15.6 M) pay?", TRAITS, pretrained=False),
         "history": Variant(
-            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
+            "What do the rules of ours for history give? (weights of nppd)",
             TRAITS,
             pretrained=False,
         ),

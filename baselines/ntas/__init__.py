@@ -26,9 +26,9 @@ FAMILY = Family(
         "": Variant("How far do predicted kernels and a map from the last frame get?", TRAITS),
         "direct": Variant("Are kernels needed, or does a colour per pixel do as well?", TRAITS),
         "history": Variant(
-            "What do the rules of ours for history give? (bicubic, similarity, antilag)",
+            "What do the rules of ours for history give? (weights of ntas)",
             TRAITS,
-            pretrained=False,
+            weights_from="ntas",
         ),
     },
     build="baselines.ntas.method:build",
