@@ -18,6 +18,8 @@ from rlbench.system import paths
 
 __all__ = [
     "INSTALL_HINT",
+    "MIN_VERSION",
+    "WHEEL",
     "LlvmLibrary",
     "fastest_variant",
     "find_candidates",
@@ -26,6 +28,7 @@ __all__ = [
     "probe_library",
     "describe_variant",
     "select_variant",
+    "wheel_files",
 ]
 
 MIN_VERSION = 16  # Dr.Jit refuses 14; 15 aborts the process
@@ -40,9 +43,11 @@ PATTERNS = (
     f"{sys.prefix}/lib/libLLVM*",
     "{CONDA_PREFIX}/lib/libLLVM*",
 )
+WHEEL = "karellen-llvm-core"  # a dependency on Linux x86-64; its files lie outside site-packages
 INSTALL_HINT = (
-    "to trace several times faster, install LLVM 16 or newer: "
-    "`apt-get install libllvm19`, `brew install llvm` or `conda install -c conda-forge libllvm19`"
+    "to trace several times faster, install LLVM 16 or newer: on Linux x86-64 "
+    f"`pip install {WHEEL}`, elsewhere `apt-get install libllvm19`, `brew install llvm` or "
+    "`conda install -c conda-forge libllvm19`"
 )
 PROBE = """
 import drjit as dr
@@ -74,8 +79,18 @@ def find_candidates() -> list[tuple[int, Path]]:
         return [(_version(Path(chosen)) or MIN_VERSION, Path(chosen))]
     prefix = os.environ.get("CONDA_PREFIX", sys.prefix)
     files = [f for p in PATTERNS for f in glob.glob(p.replace("{CONDA_PREFIX}", prefix))]
-    unique = {Path(f).resolve() for f in files}
+    unique = {Path(f).resolve() for f in (*files, *wheel_files())}
     return sorted(((v, f) for f in unique if (v := _version(f))), reverse=True)
+
+
+def wheel_files() -> list[Path]:
+    """Every libLLVM of the installed wheel, wherever pip put it: venv, user or system scheme."""
+    try:
+        files = importlib.metadata.files(WHEEL) or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    named = (Path(file.locate()) for file in files if file.name.startswith("libLLVM"))
+    return [path for path in named if path.is_file()]
 
 
 def probe_library(path: Path) -> str:

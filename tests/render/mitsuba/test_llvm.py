@@ -57,7 +57,21 @@ def test_candidates_come_newest_first(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     monkeypatch.setattr(llvm, "PATTERNS", (f"{tmp_path}/libLLVM*",))
+    monkeypatch.setattr(llvm, "WHEEL", "no-such-wheel")
     assert [version for version, _ in llvm.find_candidates()] == [22, 19, 16, 14]
+
+
+def test_the_library_of_the_wheel_is_found_wherever_pip_puts_it(tmp_path, monkeypatch):
+    packages = tmp_path / "lib" / "python3.11" / "dist-packages"
+    information = packages / "karellen_llvm_core-23.1.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text("Name: karellen-llvm-core\nVersion: 23.1\n")
+    (information / "RECORD").write_text("../../libLLVM.so.23.1,,\n../../libLTO.so.23.1,,\n")
+    (tmp_path / "lib" / "libLLVM.so.23.1").touch()
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(llvm, "PATTERNS", ())
+    monkeypatch.setattr(sys, "path", [str(packages)])
+    assert llvm.find_candidates() == [(23, tmp_path / "lib" / "libLLVM.so.23.1")]
 
 
 def test_without_llvm_the_variant_is_scalar_with_a_hint_to_install_llvm(false_library):
