@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from rlbench.benchmark import latency, results
@@ -16,6 +16,7 @@ from rlbench.benchmark.resolve import ResolvedCell, resolve_cells, resolve_metho
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.run_verdict import judge_run
 from rlbench.benchmark.runner import ProgressCallbacks
+from rlbench.system.progress import LoggedProgress
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,12 +146,9 @@ def _print_notes(rows: pd.DataFrame, console: Console) -> None:
         console.print(f"{method}: {note}", style="yellow", markup=False)
 
 
-def _progress_bar() -> Progress:
+def _progress_bar() -> LoggedProgress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    console = Console(stderr=True)
-    return Progress(
-        *columns, TimeRemainingColumn(), console=console, speed_estimate_period=SPEED_PERIOD
-    )
+    return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=SPEED_PERIOD)
 
 
 def _format_number(value: float | None) -> str:

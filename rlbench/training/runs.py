@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench import registry
 from rlbench.training import lr_range_test
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
