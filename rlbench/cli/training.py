@@ -179,12 +179,16 @@ def training_runs(
     """Runs with these options, a progress bar, and this command in their model cards."""
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
+    from rlbench.system.bfloat16 import emulation_reason
     from rlbench.training.runs import TrainingRuns
 
+    selected = str(select_device(device))
+    if config.bf16 and (reason := emulation_reason(selected)):
+        typer.echo(f"warning: {reason}; training is faster without --bf16", err=True)
     return TrainingRuns(
         out,
         config,
-        str(select_device(device)),
+        selected,
         math.inf if minutes is None else minutes,
         shlex.join(["rlbench", *sys.argv[1:]]),
         allow_config_change,

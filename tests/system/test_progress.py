@@ -134,6 +134,8 @@ def test_commands_write_lines_where_nothing_can_be_drawn(
 
 def test_every_bar_of_the_package_is_a_logged_one():
     files = Path(rlbench.__file__).parent.rglob("*.py")
-    opened = re.compile(r"import .*\btrack\b|(?<!Logged)(?<!Training)\bProgress\(\s*\*|with Progress\(")
+    opened = re.compile(
+        r"import .*\btrack\b|(?<!Logged)(?<!Training)\bProgress\(\s*\*|with Progress\("
+    )
     own = Path("system") / "progress.py"
     assert not [f for f in files if not f.match(str(own)) and opened.search(f.read_text())]
