@@ -122,8 +122,8 @@ def _read_entries(group: str, path: tuple[str, ...]) -> list[PluginEntry]:
 
 
 @lru_cache(maxsize=8)
-def _read_entry_points(path: tuple[str, ...]) -> importlib.metadata.EntryPoints:
-    return importlib.metadata.entry_points()
+def _read_entry_points(path: tuple[str, ...]) -> Any:
+    return importlib.metadata.entry_points()  # its type differs between Python 3.11 and 3.12
 
 
 def _load(point: importlib.metadata.EntryPoint) -> Any:

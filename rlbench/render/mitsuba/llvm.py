@@ -89,7 +89,7 @@ def wheel_files() -> list[Path]:
         files = importlib.metadata.files(WHEEL) or []
     except importlib.metadata.PackageNotFoundError:
         return []
-    named = (Path(file.locate()) for file in files if file.name.startswith("libLLVM"))
+    named = (Path(str(file.locate())) for file in files if file.name.startswith("libLLVM"))
     return [path for path in named if path.is_file()]
 
 
