@@ -79,7 +79,7 @@ def find_candidates() -> list[tuple[int, Path]]:
         return [(_version(Path(chosen)) or MIN_VERSION, Path(chosen))]
     prefix = os.environ.get("CONDA_PREFIX", sys.prefix)
     files = [f for p in PATTERNS for f in glob.glob(p.replace("{CONDA_PREFIX}", prefix))]
-    unique = {Path(f).resolve() for f in (*files, *wheel_files())}
+    unique = {path.resolve() for path in (*map(Path, files), *wheel_files())}
     return sorted(((v, f) for f in unique if (v := _version(f))), reverse=True)
 
 
