@@ -46,10 +46,13 @@ PATTERNS = (
 WHEEL = "karellen-llvm-core"  # a dependency on Linux x86-64; its files lie outside site-packages
 INSTALL_HINT = (
     "to trace several times faster, install LLVM 16 or newer: on Linux x86-64 "
-    f"`pip install {WHEEL}`, elsewhere `apt-get install libllvm19`, `brew install llvm` or "
+    f"`pip install {WHEEL}` and, if libatomic.so.1 is missing, `apt-get install libatomic1`; "
+    "elsewhere `apt-get install libllvm19`, `brew install llvm` or "
     "`conda install -c conda-forge libllvm19`"
 )
 PROBE = """
+import ctypes, os
+ctypes.CDLL(os.environ["DRJIT_LIBLLVM_PATH"])  # raises what Dr.Jit does not say: a missing library
 import drjit as dr
 from drjit.llvm import Bool, Float, UInt32
 lane = dr.opaque(UInt32, 3) + dr.arange(UInt32, 64)

@@ -1,6 +1,7 @@
 """Finding libLLVM and selecting a variant."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -136,3 +137,13 @@ def test_an_unknown_variant_is_an_error_that_lists_the_available_ones(llvm):
 
     with pytest.raises(ValueError, match="no variant 'metal_rgb'; available: .*scalar_rgb"):
         select_variant("metal_rgb")
+
+
+def test_a_library_that_needs_a_missing_one_says_which(tmp_path, monkeypatch):
+    """The wheel's library needs libatomic, which a bare container lacks."""
+    libraries = [path.resolve() for path in llvm.wheel_files()]
+    if not libraries:
+        pytest.skip(f"the wheel {llvm.WHEEL} is not installed")
+    alone = tmp_path / libraries[0].name  # away from the libc++ that lies beside it
+    shutil.copy(libraries[0], alone)
+    assert "libc++.so.1: cannot open shared object file" in llvm.probe_library(alone)
