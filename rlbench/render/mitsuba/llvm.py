@@ -50,6 +50,7 @@ INSTALL_HINT = (
     "elsewhere `apt-get install libllvm19`, `brew install llvm` or "
     "`conda install -c conda-forge libllvm19`"
 )
+MISSING = "cannot open shared object file"  # what the loader says of a library that it needs
 PROBE = """
 import ctypes, os
 ctypes.CDLL(os.environ["DRJIT_LIBLLVM_PATH"])  # raises what Dr.Jit does not say: a missing library
@@ -102,7 +103,10 @@ def probe_library(path: Path) -> str:
 
 
 def find_libraries() -> list[LlvmLibrary]:
-    """Libraries from the newest to the first usable one. Each is probed once."""
+    """Libraries from the newest to the first usable one.
+
+    Each is probed once, but again while a library that it needs is missing.
+    """
     cache = paths.cache_folder() / "llvm.json"
     libraries = []
     for version, path in find_candidates():
@@ -114,7 +118,9 @@ def find_libraries() -> list[LlvmLibrary]:
         key = f"{probe.file_stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
         reason = probe.read_result(cache, key)
         if reason is None:
-            reason = probe.store_result(cache, key, probe_library(path))
+            reason = probe_library(path)
+            if MISSING not in reason:
+                probe.store_result(cache, key, reason)
         libraries.append(LlvmLibrary(path, version, reason))
         if not reason:
             break

@@ -146,4 +146,8 @@ def test_a_library_that_needs_a_missing_one_says_which(tmp_path, monkeypatch):
         pytest.skip(f"the wheel {llvm.WHEEL} is not installed")
     alone = tmp_path / libraries[0].name  # away from the libc++ that lies beside it
     shutil.copy(libraries[0], alone)
-    assert "libc++.so.1: cannot open shared object file" in llvm.probe_library(alone)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(alone))
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
+    (library,) = llvm.find_libraries()
+    assert "libc++.so.1: cannot open shared object file" in library.unusable_reason
+    assert not (tmp_path / "cache" / "llvm.json").exists()  # probed again once it is installed
