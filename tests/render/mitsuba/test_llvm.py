@@ -147,7 +147,7 @@ def test_a_library_that_needs_a_missing_one_says_which(tmp_path, monkeypatch):
     alone = tmp_path / libraries[0].name  # away from the libc++ that lies beside it
     shutil.copy(libraries[0], alone)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(alone))
-    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "empty"))
     (library,) = llvm.find_libraries()
     assert "libc++.so.1: cannot open shared object file" in library.unusable_reason
-    assert not (tmp_path / "cache" / "llvm.json").exists()  # probed again once it is installed
+    assert not (tmp_path / "empty" / "llvm.json").exists()  # probed again once it is installed
