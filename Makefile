@@ -2,6 +2,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+# errors alone are printed
+INSTALL := $(BIN)/python -m pip --disable-pip-version-check install -qq -c constraints.txt
 RESULTS := results
 REPORT := $(RESULTS)/report
 METHODS := ours,ntas,oidn,oidn/tuned,mean
@@ -143,17 +145,20 @@ clean:
 
 # entry points are read from installed metadata: a changed pyproject.toml is installed again
 .venv/run.stamp: pyproject.toml constraints.txt | $(BIN)/pip
-	$(BIN)/pip install --quiet -c constraints.txt -e .
+	@echo "installing packages into .venv: a few minutes, 2 to 3 GB"
+	@$(INSTALL) -e .
 	touch $@
 
 .venv/dev.stamp: pyproject.toml constraints.txt | $(BIN)/pip
-	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+	@echo "installing packages and development tools into .venv: a few minutes, 2 to 3 GB"
+	@$(INSTALL) -e '.[dev]'
 	touch $@ .venv/run.stamp
 
 .venv/docs.stamp: pyproject.toml constraints.txt | $(BIN)/pip
-	$(BIN)/pip install --quiet -c constraints.txt -e '.[docs]'
+	@echo "installing packages and documentation tools into .venv: a few minutes, 2 to 3 GB"
+	@$(INSTALL) -e '.[docs]'
 	touch $@ .venv/run.stamp
 
 $(BIN)/pip:
-	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "rlbench needs Python 3.11 or newer: make PYTHON=python3.12"'
-	$(PYTHON) -m venv .venv
+	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "rlbench needs Python 3.11 or newer: make PYTHON=python3.12"'
+	@$(PYTHON) -m venv .venv

@@ -25,6 +25,12 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.fixture
+def native_bf16(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run in bfloat16 here, whether or not this processor emulates it."""
+    monkeypatch.setattr("rlbench.system.bfloat16.emulation_reason", lambda device: "")
+
+
+@pytest.fixture
 def clip_folder(tmp_path: Path) -> Path:
     """A complete clip on disk: 3 frames of 20 x 24 pixels, seeded noise."""
     return write_noise(tmp_path / "clips" / "noise")

@@ -69,6 +69,7 @@ def bf16_plan(folder: Path, *methods: str, bf16: bool = True) -> RunPlan:
     return RunPlan(methods, clips, target_spp=(1.0,), repeats=2, limit_frames=1, bf16=bf16)
 
 
+@pytest.mark.usefixtures("native_bf16")
 def test_half_precision_has_its_own_rows_beside_the_others(clip_folder, tmp_path):
     plan = bf16_plan(clip_folder, "ours/A2", "mean")
     measure(replace(plan, bf16=False), tmp_path / "r")
@@ -80,6 +81,7 @@ def test_half_precision_has_its_own_rows_beside_the_others(clip_folder, tmp_path
     assert "ours/A2@bf16-seed0" in set(results.read(tmp_path / "r")["method"])
 
 
+@pytest.mark.usefixtures("native_bf16")
 def test_the_printed_table_of_a_bf16_run_shows_its_bf16_rows(clip_folder, tmp_path, capsys):
     plan = replace(bf16_plan(clip_folder, "ours/A2"), weights="random")
     measure(plan, tmp_path / "r")

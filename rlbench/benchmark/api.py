@@ -30,11 +30,12 @@ from rlbench.clips.stored import find_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
 from rlbench.render.jobs.preset_clips import render_preset_clips
+from rlbench.system.bfloat16 import require_native_bf16
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["render_clips", "report", "run", "select_clips", "select_device"]
+__all__ = ["check_precision", "render_clips", "report", "run", "select_clips", "select_device"]
 
 RESULTS = Path("results")
 
@@ -75,6 +76,7 @@ def run(
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
     names = tuple(registry.expand(methods))
+    check_precision(names, bf16, device, executor)
     pool_kinds = {registry.get_variant(name).traits.pool for name in names}
     plan = RunPlan(
         methods=names,
@@ -166,6 +168,18 @@ def select_clips(
             f"the clips show no scene {', '.join(unknown)}; available: {', '.join(available)}"
         )
     return tuple(source for source in sources if not selected or names[source] & set(selected))
+
+
+def check_precision(
+    methods: Iterable[str], bf16: bool, device: str, executor: Executor = LOCAL
+) -> None:
+    """Raise OptionError if networks were to run in bfloat16 on a device that emulates it.
+
+    Other machines are asked by the executor's workers, cell by cell.
+    """
+    has_networks = any(registry.get_variant(name).learned for name in methods)
+    if bf16 and has_networks and not executor.description:
+        require_native_bf16(select_device(device))
 
 
 def select_device(name: str = "auto") -> torch.device:

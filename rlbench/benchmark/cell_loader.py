@@ -11,6 +11,7 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method
+from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.wrappers import HalfPrecision
 
 __all__ = ["CellLoader"]
@@ -47,4 +48,7 @@ class CellLoader:
 
     def _build(self, resolved: ResolvedMethod) -> Method:
         method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
-        return HalfPrecision(method, self.plan.device) if resolved.bf16 else method
+        if not resolved.bf16:
+            return method
+        require_native_bf16(self.plan.device)  # also on the workers of an executor
+        return HalfPrecision(method, self.plan.device)

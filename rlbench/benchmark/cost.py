@@ -12,12 +12,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rlbench import registry
-from rlbench.clips.stored import Header
 from rlbench.errors import RlbenchError
 from rlbench.system import code_hash, documents, paths
+
+if TYPE_CHECKING:
+    from rlbench.clips.stored import Header
 
 __all__ = ["MEASURED", "Cost", "CostError", "CostProfile", "measured", "profile", "profiles"]
 

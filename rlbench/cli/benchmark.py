@@ -67,18 +67,19 @@ def run(
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     load_plugins(plugin)
+    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
-    from rlbench.benchmark.api import select_clips, select_device
+    from rlbench.benchmark.api import check_precision, select_clips, select_device
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure
     from rlbench.cli import console
     from rlbench.parallel.ray_executor import open_executor
 
-    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()
     warn_without_networks(names, bf16, chosen)
     pools = {registry.get_variant(name).traits.pool for name in names}
     scene_names = arguments.split_names(scenes)
     with open_executor(engine, ray_address) as executor:
+        check_precision(names, bf16, device, executor)
         plan = RunPlan(
             methods=names,
             clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),

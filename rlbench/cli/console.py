@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from rlbench.benchmark import latency, results
@@ -16,6 +16,7 @@ from rlbench.benchmark.resolve import ResolvedCell, resolve_cells, resolve_metho
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.run_verdict import judge_run
 from rlbench.benchmark.runner import ProgressCallbacks
+from rlbench.system.progress import LoggedProgress
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 __all__ = [
     "importing",
     "measuring",
-    "print_installed",
     "print_scores",
     "print_summary",
     "training",
@@ -34,11 +34,6 @@ __all__ = [
 ]
 
 SPEED_PERIOD = 600.0  # seconds of progress from which the remaining time is estimated
-COLUMNS = {  # of `rlbench list`, in their order
-    "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
-    "metrics": ("name", "unit", "direction", "convention"),
-    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
-}
 
 
 @contextmanager
@@ -131,25 +126,6 @@ def print_scores(
     return verdict.has_passed
 
 
-def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
-    """Print one table for each kind, and below it the plugins that cannot be imported."""
-    console = Console()
-    for kind, rows in installed.items():
-        working = [row for row in rows if "broken" not in row]
-        columns = COLUMNS.get(kind) or tuple(working[0] if working else ("name",))
-        table = Table(title=kind, title_justify="left")
-        for column in columns:
-            is_name = column == "name"  # names are there to be copied, so they stay on one line
-            table.add_column(column, no_wrap=is_name, overflow="ellipsis" if is_name else "fold")
-        for row in working:
-            table.add_row(*(_format_value(row[column]) for column in columns))
-        console.print(table)
-        for row in rows:
-            if "broken" in row:
-                text = f"{row['name']} (from {row['from']}) cannot be imported: {row['broken']}"
-                console.print(text, style="red", markup=False)
-
-
 def _planned_rows(plan: RunPlan, rows: pd.DataFrame, row_names: Iterable[str]) -> pd.DataFrame:
     names = list(row_names) or [resolve_method(plan, name).row_name for name in plan.methods]
     clips = [clip.header.name for clip in plan.clips]
@@ -170,23 +146,10 @@ def _print_notes(rows: pd.DataFrame, console: Console) -> None:
         console.print(f"{method}: {note}", style="yellow", markup=False)
 
 
-def _progress_bar() -> Progress:
+def _progress_bar() -> LoggedProgress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    console = Console(stderr=True)
-    return Progress(
-        *columns, TimeRemainingColumn(), console=console, speed_estimate_period=SPEED_PERIOD
-    )
+    return LoggedProgress(*columns, TimeRemainingColumn(), speed_estimate_period=SPEED_PERIOD)
 
 
 def _format_number(value: float | None) -> str:
     return "-" if value is None or value != value else f"{value:.2f}"
-
-
-def _format_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list) and len(value) == 2 and all(isinstance(v, float) for v in value):
-        return f"{value[0]:g} to {value[1]:g}"  # a range
-    if isinstance(value, list):
-        return " ".join(f"{item:g}" if isinstance(item, float) else str(item) for item in value)
-    return str(value)

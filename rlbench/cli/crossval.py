@@ -56,12 +56,12 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     load_plugins(plugin)
+    names = arguments.expand_methods(methods)  # before torch
     from rlbench.benchmark import crossval as protocol
     from rlbench.benchmark.api import select_device
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
-    names = arguments.expand_methods(methods)
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check([name for name in map(protocol.variant_to_train, names) if name])

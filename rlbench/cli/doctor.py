@@ -14,7 +14,7 @@ from rlbench import registry
 from rlbench.checks.result import CheckResult, passed, warning
 from rlbench.clips.header import ClipError
 from rlbench.clips.stored import read_header
-from rlbench.system import paths, provenance
+from rlbench.system import bfloat16, paths, provenance
 
 MIN_FREE_GIB = 2  # of disk space, below which a warning is shown
 EXTRAS = {  # extra: what it adds, and a module of each of its packages
@@ -56,8 +56,10 @@ def _check_devices() -> Iterator[CheckResult]:
 
     cores = f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads"
     yield passed("processor", f"{provenance.machine().cpu}, {cores}")
+    yield passed("processor bfloat16", bfloat16.describe_bf16("cpu"))
     if torch.cuda.is_available():
         yield passed("cuda", provenance.machine().gpu)
+        yield passed("cuda bfloat16", bfloat16.describe_bf16("cuda"))
     else:
         yield passed("cuda", "no device; everything runs on the processor")
 

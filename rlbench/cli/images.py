@@ -69,14 +69,15 @@ def images(
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
     load_plugins(plugin)
+    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
-    from rlbench.benchmark.api import select_clips, select_device
+    from rlbench.benchmark.api import check_precision, select_clips, select_device
     from rlbench.benchmark.frame_images import write_images
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
-    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()
     warn_without_networks(names, bf16, chosen)
+    check_precision(names, bf16, device)
     pools = {registry.get_variant(name).traits.pool for name in names}
     scene_names = arguments.split_names(scenes)
     plan = RunPlan(

@@ -35,7 +35,8 @@ def list_(
 ) -> None:
     """List installed methods, metrics, scenes, presets, and more.
 
-    Plugins that cannot be imported are listed with their error; the exit code is then 1.
+    Plugins that cannot be used are listed with their error; the exit code is then 1. Scenes and
+    reports are found without importing them; rlbench doctor imports every plugin.
 
     Examples:
 
@@ -50,9 +51,9 @@ def list_(
     if as_json:
         typer.echo(json.dumps(installed, indent=1))
     else:
-        from rlbench.cli import console
+        from rlbench.cli.installed import print_installed
 
-        console.print_installed(installed)
+        print_installed(installed)
     if any("broken" in row for rows in installed.values() for row in rows):
         raise typer.Exit(1)
 

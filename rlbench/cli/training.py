@@ -64,12 +64,12 @@ def train(
       rlbench train -m ntas --holdout hall --preset standard
     """
     load_plugins(plugin)
+    names = _trainable(methods)  # before torch
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.runs import archive_run
 
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
-    names = _trainable(methods)
     runs.check(names)
     split = _split(names, preset, seeds, holdout)
     if names and (hint := tensorboard_hint()):
@@ -110,9 +110,9 @@ def lr_find(
       rlbench lr-find -m mine --plugin mine.py --frames 1200
     """
     load_plugins(plugin)
+    names = _trainable(methods)  # before torch
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device)
-    names = _trainable(methods)
     runs.check(names)
     split = _split(names, preset, seeds, holdout)
     for name in names:
@@ -179,12 +179,16 @@ def training_runs(
     """Runs with these options, a progress bar, and this command in their model cards."""
     from rlbench.benchmark.api import select_device
     from rlbench.cli import console
+    from rlbench.system.bfloat16 import emulation_reason
     from rlbench.training.runs import TrainingRuns
 
+    selected = str(select_device(device))
+    if config.bf16 and (reason := emulation_reason(selected)):
+        typer.echo(f"warning: {reason}; training is faster without --bf16", err=True)
     return TrainingRuns(
         out,
         config,
-        str(select_device(device)),
+        selected,
         math.inf if minutes is None else minutes,
         shlex.join(["rlbench", *sys.argv[1:]]),
         allow_config_change,
@@ -198,10 +202,9 @@ def _trainable(patterns: list[str]) -> list[str]:
     Raises OptionError for a method with published weights that is selected by its name.
     """
     from rlbench import registry
-    from rlbench.training.runs import select_trainable
 
     names = arguments.expand_methods(patterns, pretrained_only=False)
-    trainable = select_trainable(names)
+    trainable = [name for name in names if registry.is_trainable(name)]
     by_name = arguments.split_names(patterns)
     for name in names:
         reason = registry.untrainable_reason(name)

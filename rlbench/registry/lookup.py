@@ -9,6 +9,7 @@ from rlbench.errors import PluginError
 from rlbench.family import Family, Variant
 from rlbench.registry.discovery import list_entries
 from rlbench.registry.entry import PluginEntry
+from rlbench.registry.near_names import suggest
 
 __all__ = [
     "current_name",
@@ -100,7 +101,8 @@ def get_variant(name: str) -> Variant:
     key = name.partition("/")[2]
     if key not in parent.variants or name not in parent.method_names():
         known = ", ".join(parent.method_names())
-        raise PluginError(f"'{parent.name}' has no variant '{key}'; it has: {known}")
+        near = suggest(name, parent.method_names())
+        raise PluginError(f"'{parent.name}' has no variant '{key}'; it has: {known}{near}")
     return parent.variants[key]
 
 
@@ -114,4 +116,5 @@ def _kind(group: str) -> str:
 
 
 def _unknown(name: str, kind: str, known: Mapping[str, PluginEntry]) -> str:
-    return f"'{name}' is not {kind}; there are: {', '.join(known) or 'none'}"
+    names = ", ".join(known) or "none"
+    return f"'{name}' is not {kind}; there are: {names}{suggest(name, known)}"

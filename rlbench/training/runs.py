@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlbench import registry
 from rlbench.training import lr_range_test
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
@@ -16,7 +15,7 @@ from rlbench.training.loop import check_budgets, train
 from rlbench.training.lr_range_test import LrRangeResult
 from rlbench.training.progress import Progress
 
-__all__ = ["TrainingRuns", "archive_run", "select_trainable"]
+__all__ = ["TrainingRuns", "archive_run"]
 
 OnProgress = Callable[[Progress, float], None]  # progress and loss, after each sequence
 # (title, total frames) -> a context in which the returned callback shows the progress
@@ -93,8 +92,3 @@ def archive_run(folder: Path) -> Path | None:
         number += 1
     folder.rename(archived)
     return archived
-
-
-def select_trainable(methods: Sequence[str]) -> list[str]:
-    """The methods that can be trained."""
-    return [method for method in methods if registry.is_trainable(method)]

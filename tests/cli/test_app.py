@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 import re
 import resource
+import subprocess
+import sys
 
 import pytest
 from typer.testing import CliRunner
 
 from rlbench.cli.app import COMMANDS, app
-from tests.cli.runner import python, rlbench
+from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
@@ -64,6 +66,48 @@ def test_help_is_fast_and_imports_nothing_heavy():
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     assert used < 2 * HELP_SECONDS  # twice, for slow and busy machines
+
+
+HEAVY = ("torch", "mitsuba", "drjit", "pandas", "scipy", "matplotlib", "numpy")
+RUN = f"""
+import sys
+from rlbench.cli.app import app
+try:
+    app()
+finally:
+    print("imported:", *[name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("--help", 0),
+        ("--version", 0),
+        ("run --help", 0),
+        ("list", 0),
+        ("list --json", 0),
+        ("run -m uors", 2),
+        ("images -m uors", 2),
+        ("train -m uors", 2),
+        ("lr-find -m uors", 2),
+        ("crossval -m uors", 2),
+    ],
+)
+def test_what_needs_no_computing_imports_nothing_heavy(words, code):
+    command = [sys.executable, "-c", RUN, *words.split()]
+    process = subprocess.run(command, capture_output=True, text=True, cwd=CHECKOUT, check=False)
+    assert process.returncode == code, process.stderr
+    assert process.stderr.splitlines()[-1] == "imported:"
+
+
+def test_a_typo_in_a_name_is_answered_with_the_nearest_name(tmp_path):
+    out = ("--out", tmp_path / "r")
+    assert rlbench("run", "-m", "uors", *out, code=2).endswith("svgf. Did you mean 'ours'?")
+    assert "Did you mean 'ours/reinforce'?" in rlbench("run", "-m", "ours/reinforc", *out, code=2)
+    assert "Did you mean 'mini'?" in rlbench("render", "--preset", "minni", code=2)
+    assert "Did you mean 'temple'?" in rlbench("render", "--scenes", "tempel", code=2)
+    assert "Did you mean" not in rlbench("run", "-m", "reshade", *out, code=2)
 
 
 def test_the_version_is_that_of_the_package():

@@ -62,6 +62,16 @@ def test_a_broken_plugin_is_listed_with_its_error(tmp_path):
     assert "torn (from --plugin torn.py) cannot be imported: ZeroDivisionError" in output
 
 
+def test_an_installed_report_without_its_module_is_listed_as_broken(tmp_path, monkeypatch):
+    information = tmp_path / "figures-1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: figures\nVersion: 1\n")
+    (information / "entry_points.txt").write_text("[rlbench.reports]\nlost = no_figures:write\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    output = rlbench("list", "reports", code=1)
+    assert "lost (from figures) cannot be imported: no module 'no_figures'" in output
+
+
 EXITS = {
     "raise SystemExit": "plugin code called sys.exit(None)",
     "raise SystemExit(0)": "plugin code called sys.exit(0)",

@@ -10,7 +10,7 @@ import pytest
 from rlbench import registry
 from rlbench.training import TrainingConfig, TrainingError
 from rlbench.training.dataset import TrainingSplit
-from rlbench.training.runs import TrainingRuns, archive_run, select_trainable
+from rlbench.training.runs import TrainingRuns, archive_run
 from tests.conftest import write_noise
 from tests.learning_plugin import write_learner
 
@@ -37,10 +37,6 @@ def test_an_archived_run_does_not_replace_older_ones(tmp_path):
         (folder / "log").write_text(str(number))
         assert archive_run(folder) == tmp_path / f"ours.old-{number}"
     assert [(tmp_path / f"ours.old-{n}" / "log").read_text() for n in (1, 2)] == ["1", "2"]
-
-
-def test_methods_without_weights_of_their_own_are_not_learners():
-    assert select_trainable(["mean", "ours", "ours/flat", "ntas"]) == ["ours", "ntas"]
 
 
 def test_a_budget_that_one_of_the_methods_does_not_support_is_refused(tmp_path):

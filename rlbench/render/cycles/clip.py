@@ -14,8 +14,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from rlbench.clips.stored import write_header
 from rlbench.render.cycles import passes
@@ -27,6 +25,7 @@ from rlbench.render.scene import SceneError
 from rlbench.render.user import auto_exposure
 from rlbench.render.user.clip import UserSceneOptions, describe_job, plan_clip
 from rlbench.system import paths
+from rlbench.system.progress import LoggedProgress
 
 __all__ = ["ensure_cycles"]
 
@@ -107,8 +106,8 @@ def _render(cycles_job: CyclesJob) -> None:
     job.claim_folder()
     _claim_work_folder(cycles_job)
     preset, blender = job.preset, cycles_job.blender_scene.blender
-    columns = Progress.get_default_columns()
-    with Progress(*columns, console=Console(stderr=True), speed_estimate_period=120) as bar:
+    columns = LoggedProgress.get_default_columns()
+    with LoggedProgress(*columns, speed_estimate_period=120) as bar:
         area = preset.size[0] * preset.size[1]
         paths_to_trace = len(job.missing_frames) * preset.paths_per_frame
         bar.console.print(

@@ -17,8 +17,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from rlbench.ops.color import REC709_LUMINANCE, encode_srgb, luminance
 from rlbench.render.fingerprint import fingerprint
@@ -27,6 +26,7 @@ from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.presets import TEST_SCENES
 from rlbench.render.scene import Scene
 from rlbench.system import paths
+from rlbench.system.progress import LoggedProgress
 
 __all__ = ["tile_images", "tone_map", "write_sheet"]
 
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     names = options.scenes.split(",")
     columns = (TextColumn("{task.description:>10}"), BarColumn(), TaskProgressColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bar:
+    with LoggedProgress(*columns, TimeRemainingColumn()) as bar:
         task = bar.add_task("", total=len(names) * options.spp)
 
         def on_samples(name: str, spp: int) -> None:

@@ -33,15 +33,18 @@ def render_preset_clips(
     """
     from rlbench import registry
     from rlbench.parallel.executor import LOCAL
+    from rlbench.registry.near_names import suggest
     from rlbench.render.jobs.render_clips import ensure
     from rlbench.render.presets import PRESETS
 
     if preset not in PRESETS:
-        raise OptionError(f"no preset '{preset}'; available: {', '.join(PRESETS)}")
+        near = suggest(preset, PRESETS)
+        raise OptionError(f"no preset '{preset}'; available: {', '.join(PRESETS)}{near}")
     installed = registry.list_plugins("scenes")
     for name in scenes or ():
         if not {name, name.rpartition("-")[0]} & set(installed):
-            raise OptionError(f"no scene '{name}'; available: {', '.join(installed)}")
+            near = suggest(name, installed)
+            raise OptionError(f"no scene '{name}'; available: {', '.join(installed)}{near}")
     selected = PRESETS[preset]
     if radiance_cap is not None:
         selected = selected.with_radiance_cap(radiance_cap)

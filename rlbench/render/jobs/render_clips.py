@@ -32,6 +32,7 @@ from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 from rlbench.render.presets import GENERATORS, Preset
 from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
+from rlbench.system.progress import format_duration
 
 __all__ = ["ensure", "render_clip", "render_missing", "scene_of_clip"]
 
@@ -170,7 +171,7 @@ def _estimate(jobs: list[Job], executor: Executor) -> str:
     return (
         f"rendering {len(jobs)} clips of preset {preset.name} with {llvm.select_variant()} "
         f"to {jobs[0].folder.parent}: {at_most}{paths_to_trace / 1e6:.0f} million light paths, "
-        f"about {progress.format_duration(seconds)}{alone}. "
+        f"about {format_duration(seconds)}{alone}. "
         "If interrupted, the same command resumes it"
     )
 

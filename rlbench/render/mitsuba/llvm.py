@@ -18,6 +18,8 @@ from rlbench.system import paths
 
 __all__ = [
     "INSTALL_HINT",
+    "MIN_VERSION",
+    "WHEEL",
     "LlvmLibrary",
     "fastest_variant",
     "find_candidates",
@@ -26,6 +28,7 @@ __all__ = [
     "probe_library",
     "describe_variant",
     "select_variant",
+    "wheel_files",
 ]
 
 MIN_VERSION = 16  # Dr.Jit refuses 14; 15 aborts the process
@@ -40,11 +43,17 @@ PATTERNS = (
     f"{sys.prefix}/lib/libLLVM*",
     "{CONDA_PREFIX}/lib/libLLVM*",
 )
+WHEEL = "karellen-llvm-core"  # a dependency on Linux x86-64; its files lie outside site-packages
 INSTALL_HINT = (
-    "to trace several times faster, install LLVM 16 or newer: "
-    "`apt-get install libllvm19`, `brew install llvm` or `conda install -c conda-forge libllvm19`"
+    "to trace several times faster, install LLVM 16 or newer: on Linux x86-64 "
+    f"`pip install {WHEEL}` and, if libatomic.so.1 is missing, `apt-get install libatomic1`; "
+    "elsewhere `apt-get install libllvm19`, `brew install llvm` or "
+    "`conda install -c conda-forge libllvm19`"
 )
+MISSING = "cannot open shared object file"  # what the loader says of a library that it needs
 PROBE = """
+import ctypes, os
+ctypes.CDLL(os.environ["DRJIT_LIBLLVM_PATH"])  # raises what Dr.Jit does not say: a missing library
 import drjit as dr
 from drjit.llvm import Bool, Float, UInt32
 lane = dr.opaque(UInt32, 3) + dr.arange(UInt32, 64)
@@ -74,8 +83,18 @@ def find_candidates() -> list[tuple[int, Path]]:
         return [(_version(Path(chosen)) or MIN_VERSION, Path(chosen))]
     prefix = os.environ.get("CONDA_PREFIX", sys.prefix)
     files = [f for p in PATTERNS for f in glob.glob(p.replace("{CONDA_PREFIX}", prefix))]
-    unique = {Path(f).resolve() for f in files}
+    unique = {path.resolve() for path in (*map(Path, files), *wheel_files())}
     return sorted(((v, f) for f in unique if (v := _version(f))), reverse=True)
+
+
+def wheel_files() -> list[Path]:
+    """Every libLLVM of the installed wheel, wherever pip put it: venv, user or system scheme."""
+    try:
+        files = importlib.metadata.files(WHEEL) or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    named = (Path(str(file.locate())) for file in files if file.name.startswith("libLLVM"))
+    return [path for path in named if path.is_file()]
 
 
 def probe_library(path: Path) -> str:
@@ -84,7 +103,10 @@ def probe_library(path: Path) -> str:
 
 
 def find_libraries() -> list[LlvmLibrary]:
-    """Libraries from the newest to the first usable one. Each is probed once."""
+    """Libraries from the newest to the first usable one.
+
+    Each is probed once, but again while a library that it needs is missing.
+    """
     cache = paths.cache_folder() / "llvm.json"
     libraries = []
     for version, path in find_candidates():
@@ -96,7 +118,9 @@ def find_libraries() -> list[LlvmLibrary]:
         key = f"{probe.file_stamp(path)} mitsuba {importlib.metadata.version('mitsuba')}"
         reason = probe.read_result(cache, key)
         if reason is None:
-            reason = probe.store_result(cache, key, probe_library(path))
+            reason = probe_library(path)
+            if MISSING not in reason:
+                probe.store_result(cache, key, reason)
         libraries.append(LlvmLibrary(path, version, reason))
         if not reason:
             break

@@ -1,6 +1,7 @@
 """Finding libLLVM and selecting a variant."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -57,7 +58,21 @@ def test_candidates_come_newest_first(tmp_path, monkeypatch):
         (tmp_path / name).touch()
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     monkeypatch.setattr(llvm, "PATTERNS", (f"{tmp_path}/libLLVM*",))
+    monkeypatch.setattr(llvm, "WHEEL", "no-such-wheel")
     assert [version for version, _ in llvm.find_candidates()] == [22, 19, 16, 14]
+
+
+def test_the_library_of_the_wheel_is_found_wherever_pip_puts_it(tmp_path, monkeypatch):
+    packages = tmp_path / "lib" / "python3.11" / "dist-packages"
+    information = packages / "karellen_llvm_core-23.1.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text("Name: karellen-llvm-core\nVersion: 23.1\n")
+    (information / "RECORD").write_text("../../libLLVM.so.23.1,,\n../../libLTO.so.23.1,,\n")
+    (tmp_path / "lib" / "libLLVM.so.23.1").touch()
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(llvm, "PATTERNS", ())
+    monkeypatch.setattr(sys, "path", [str(packages)])
+    assert llvm.find_candidates() == [(23, tmp_path / "lib" / "libLLVM.so.23.1")]
 
 
 def test_without_llvm_the_variant_is_scalar_with_a_hint_to_install_llvm(false_library):
@@ -122,3 +137,17 @@ def test_an_unknown_variant_is_an_error_that_lists_the_available_ones(llvm):
 
     with pytest.raises(ValueError, match="no variant 'metal_rgb'; available: .*scalar_rgb"):
         select_variant("metal_rgb")
+
+
+def test_a_library_that_needs_a_missing_one_says_which(tmp_path, monkeypatch):
+    """The wheel's library needs libatomic, which a bare container lacks."""
+    libraries = [path.resolve() for path in llvm.wheel_files()]
+    if not libraries:
+        pytest.skip(f"the wheel {llvm.WHEEL} is not installed")
+    alone = tmp_path / libraries[0].name  # away from the libc++ that lies beside it
+    shutil.copy(libraries[0], alone)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(alone))
+    monkeypatch.setenv("RLBENCH_CACHE", str(tmp_path / "empty"))
+    (library,) = llvm.find_libraries()
+    assert "libc++.so.1: cannot open shared object file" in library.unusable_reason
+    assert not (tmp_path / "empty" / "llvm.json").exists()  # probed again once it is installed

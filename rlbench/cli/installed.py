@@ -1,0 +1,45 @@
+"""The tables of `rlbench list`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+__all__ = ["print_installed"]
+
+COLUMNS = {  # of the kinds that have more than these, in their order
+    "methods": ("name", "question", "inputs", "spp", "adaptive", "weights"),
+    "metrics": ("name", "unit", "direction", "convention"),
+    "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
+}
+
+
+def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
+    """Print one table for each kind, and below it the plugins that cannot be imported."""
+    console = Console()
+    for kind, rows in installed.items():
+        working = [row for row in rows if "broken" not in row]
+        columns = COLUMNS.get(kind) or tuple(working[0] if working else ("name",))
+        table = Table(title=kind, title_justify="left")
+        for column in columns:
+            is_name = column == "name"  # names are there to be copied, so they stay on one line
+            table.add_column(column, no_wrap=is_name, overflow="ellipsis" if is_name else "fold")
+        for row in working:
+            table.add_row(*(_format_value(row[column]) for column in columns))
+        console.print(table)
+        for row in rows:
+            if "broken" in row:
+                text = f"{row['name']} (from {row['from']}) cannot be imported: {row['broken']}"
+                console.print(text, style="red", markup=False)
+
+
+def _format_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(v, float) for v in value):
+        return f"{value[0]:g} to {value[1]:g}"  # a range
+    if isinstance(value, list):
+        return " ".join(f"{item:g}" if isinstance(item, float) else str(item) for item in value)
+    return str(value)

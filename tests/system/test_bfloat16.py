@@ -1,0 +1,126 @@
+"""Which devices compute in bfloat16, and what is refused where they emulate it."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+from pathlib import Path
+
+import pytest
+import torch
+
+import rlbench as api
+from rlbench.errors import OptionError
+from rlbench.system.bfloat16 import describe_bf16, emulation_reason, require_native_bf16
+from tests.cli.runner import rlbench
+from tests.test_wrappers import bf16_plan
+
+EMULATES = "the processor has no bfloat16 instructions and would emulate bfloat16"
+PROCESSORS = {
+    "Zen 4": ({"architecture": "x86_64", "avx512_f": True, "avx512_bf16": True}, ["avx512_bf16"]),
+    "Sapphire Rapids": (
+        {"architecture": "x86_64", "avx512_bf16": True, "amx_bf16": True},
+        ["avx512_bf16", "amx_bf16"],
+    ),
+    "Skylake-SP": ({"architecture": "x86_64", "avx512_f": True, "avx512_bf16": False}, []),
+    "Zen 3": ({"architecture": "x86_64", "avx2": True}, []),
+    "Neoverse V1": ({"architecture": "aarch64", "neon": True, "bf16": True}, ["bf16"]),
+    "Neoverse N1": ({"architecture": "aarch64", "neon": True, "bf16": False}, []),
+}
+
+
+@pytest.fixture
+def use_processor(monkeypatch):
+    def use(name: str) -> list[str]:
+        capabilities, flags = PROCESSORS[name]
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities)
+        return flags
+
+    return use
+
+
+@pytest.fixture
+def use_gpu(monkeypatch):
+    def use(capability: tuple[int, int]) -> None:
+        is_native = capability >= (8, 0)
+        monkeypatch.setattr(torch.cuda, "device", lambda device: contextlib.nullcontext())
+        monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation: is_native)
+        monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
+        monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: "NVIDIA RTX")
+
+    return use
+
+
+@pytest.mark.parametrize("name", PROCESSORS)
+def test_a_processor_is_judged_by_its_instructions(name, use_processor):
+    flags = use_processor(name)
+    assert emulation_reason("cpu") == ("" if flags else EMULATES)
+    assert all(flag in describe_bf16("cpu") for flag in flags)
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or not Path("/proc/cpuinfo").exists(), reason="reads x86 flags"
+)
+def test_the_answer_for_this_processor_is_that_of_its_flags():
+    flags = Path("/proc/cpuinfo").read_text().split()
+    assert bool(emulation_reason("cpu")) == (not {"avx512_bf16", "amx_bf16"} & set(flags))
+
+
+@pytest.mark.parametrize(
+    ("capability", "reason"),
+    [((7, 5), "NVIDIA RTX has compute capability 7.5"), ((8, 0), ""), ((9, 0), "")],
+)
+def test_a_cuda_device_is_judged_by_its_capability(capability, reason, use_gpu):
+    use_gpu(capability)
+    assert emulation_reason("cuda:0").startswith(reason)
+    assert bool(emulation_reason("cuda:0")) == bool(reason)
+
+
+def test_the_refusal_says_what_was_found_and_what_to_do(use_processor):
+    use_processor("Zen 3")
+    with pytest.raises(OptionError, match=f"--bf16 on device cpu: {EMULATES}.*Run without --bf16"):
+        require_native_bf16("cpu")
+
+
+@pytest.mark.parametrize("command", ["run", "images"])
+def test_emulated_bfloat16_is_refused_before_anything_is_rendered(
+    command, use_processor, clip_folder, tmp_path
+):
+    use_processor("Skylake-SP")
+    out = ("--out", tmp_path / "r")
+    output = rlbench(command, "-m", "ours/A2", "--bf16", "--device", "cpu", *out, code=2)
+    assert output.startswith(f"error: --bf16 on device cpu: {EMULATES}")
+    with pytest.raises(OptionError, match=EMULATES):
+        api.run(["ours/A2"], bf16=True, device="cpu", out=tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+    assert not (tmp_path / "cache" / "clips").exists()
+
+
+def test_a_worker_that_emulates_bfloat16_gives_the_reason_instead_of_a_time(
+    use_processor, clip_folder, tmp_path
+):
+    from rlbench.benchmark.runner import measure, read_cells
+
+    use_processor("Zen 3")
+    plan = bf16_plan(clip_folder, "ours/A2")
+    assert measure(plan, tmp_path / "r").failed == 1
+    assert EMULATES in read_cells(plan, tmp_path / "r")["note"].iloc[0]
+
+
+def test_bf16_is_not_refused_where_nothing_runs_in_it(use_processor, clip_folder, tmp_path):
+    use_processor("Zen 3")
+    rlbench("run", "-m", "mean", "--clips", clip_folder, "--bf16", "--out", tmp_path / "r")
+
+
+def test_training_in_emulated_bfloat16_is_warned_of(use_processor, tmp_path):
+    use_processor("Zen 3")
+    words = ("train", "-m", "mean", "--bf16", "--device", "cpu", "--out", tmp_path / "runs")
+    assert f"warning: {EMULATES}; training is faster without --bf16" in rlbench(*words)
+
+
+def test_doctor_says_what_the_processor_can(use_processor):
+    from rlbench.cli.doctor import inspect_machine
+
+    for name, text in (("Zen 4", "native by avx512_bf16"), ("Zen 3", "--bf16 is refused")):
+        use_processor(name)
+        assert text in next(r.found for r in inspect_machine() if r.check == "processor bfloat16")

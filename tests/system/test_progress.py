@@ -1,0 +1,141 @@
+"""Progress of long commands where there is no terminal."""
+
+from __future__ import annotations
+
+import io
+import re
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+import rlbench
+from rlbench.cli import console as cli
+from rlbench.parallel.executor import LOCAL
+from rlbench.render.jobs.progress import new_or_given_bar
+from rlbench.system.progress import LoggedProgress
+
+DEADLINE_S = 20.0  # until a line must have been written, on a busy machine
+
+
+class Clock:
+    """Seconds that pass when the test says so."""
+
+    seconds = 100.0
+
+    def __call__(self) -> float:
+        return self.seconds
+
+
+@pytest.fixture
+def log() -> io.StringIO:
+    return io.StringIO()
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def bar(log, clock) -> LoggedProgress:
+    return LoggedProgress(console=Console(file=log), get_time=clock, log_period_s=3600.0)
+
+
+def wait_for(text: str, read) -> str:
+    """What `read` returns once `text` is in it."""
+    end = time.monotonic() + DEADLINE_S
+    while text not in (found := read()) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert text in found
+    return found
+
+
+def test_a_line_states_the_share_done_and_the_time_left(bar, log, clock):
+    task = bar.add_task("city", total=200)
+    for _ in range(5):
+        clock.seconds += 30
+        bar.advance(task, 10)
+    bar.print_status()
+    assert log.getvalue() == "city: 25 % done, about 8 min left\n"  # 150 at 10 in 30 s: 450 s
+
+
+def test_the_time_left_is_not_made_up(bar, log):
+    bar.add_task("temple", total=10)
+    bar.print_status()
+    assert log.getvalue() == "temple: 0 % done, time left not known yet\n"
+
+
+def test_progress_of_an_earlier_run_does_not_count_as_speed(bar, log, clock):
+    task = bar.add_task("ours", total=1000)
+    bar.update(task, completed=900)  # resumed
+    clock.seconds += 10
+    bar.update(task, completed=910)
+    bar.print_status()
+    assert log.getvalue() == "ours: 91 % done, about 90 s left\n"
+
+
+def test_finished_tasks_have_no_line(bar, log):
+    bar.update(bar.add_task("hall", total=1), completed=1)
+    bar.print_status()
+    assert log.getvalue() == ""
+
+
+def test_lines_come_by_themselves_until_the_end(log):
+    with LoggedProgress(console=Console(file=log), log_period_s=0.01) as bar:
+        bar.add_task("a long cell", total=2)
+        wait_for("a long cell: 0 % done", log.getvalue)
+    written = log.getvalue()
+    time.sleep(0.1)
+    assert log.getvalue() == written
+
+
+def test_an_error_ends_the_lines(log):
+    bar = LoggedProgress(console=Console(file=log), log_period_s=0.01)
+    with pytest.raises(ZeroDivisionError), bar:
+        raise ZeroDivisionError
+    assert not bar._thread.is_alive()
+
+
+def test_a_terminal_gets_the_bar_and_no_lines(log):
+    terminal = Console(file=log, force_terminal=True, force_interactive=True)
+    with LoggedProgress(console=terminal, log_period_s=0.01) as bar:
+        bar.add_task("city", total=2)
+        time.sleep(0.1)
+    assert "% done" not in log.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("open_bar", "description"),
+    [
+        (lambda: new_or_given_bar(None, LOCAL), "city"),
+        (lambda: cli.training("ours", 100), "ours"),
+        (lambda: cli.importing(3), "importing"),
+    ],
+    ids=["render", "train", "import"],
+)
+def test_commands_write_lines_where_nothing_can_be_drawn(
+    open_bar, description, monkeypatch, capsys
+):
+    monkeypatch.setitem(LoggedProgress.__init__.__kwdefaults__, "log_period_s", 0.01)
+    written: list[str] = []
+
+    def read() -> str:
+        written.append(capsys.readouterr().err)
+        return "".join(written)
+
+    with open_bar() as bar:
+        if isinstance(bar, Progress):
+            bar.add_task(description, total=4)
+        wait_for(f"{description}: 0 % done", read)
+
+
+def test_every_bar_of_the_package_is_a_logged_one():
+    files = Path(rlbench.__file__).parent.rglob("*.py")
+    opened = re.compile(
+        r"import .*\btrack\b|(?<!Logged)(?<!Training)\bProgress\(\s*\*|with Progress\("
+    )
+    own = Path("system") / "progress.py"
+    assert not [f for f in files if not f.match(str(own)) and opened.search(f.read_text())]
