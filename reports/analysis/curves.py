@@ -48,13 +48,12 @@ class Curve:
 
     def units_at(self, spp: Numbers) -> Numbers:
         """Scores [..., units] of scenes or clips at any budgets; nan outside of the measured."""
-        x, logs = np.log(np.maximum(spp, TINY)), np.log(np.maximum(self.spp, TINY))
-        columns = [np.interp(x, logs, scores) for scores in self.units.T]
-        return self._inside(np.stack(columns, axis=-1), np.asarray(spp)[..., None])
+        columns = [self._interpolate(spp, scores) for scores in self.units.T]
+        return np.stack(columns, axis=-1)
 
     def value_at(self, spp: Numbers) -> Numbers:
         """The mean score over scenes at any budgets; nan outside of the measured."""
-        return self.units_at(spp).mean(axis=-1)
+        return self._interpolate(spp, self.units.mean(axis=1))
 
     def best_spp(self, sample_ms: Numbers, deadline_ms: Numbers, late: bool = False) -> Numbers:
         """The budgets [n] with the best score whose frame time is within the deadline; nan: none.
@@ -75,6 +74,10 @@ class Curve:
         scores = self.sign * self.value_at(candidates)
         best = np.argmax(np.where(np.isnan(scores), -np.inf, scores), axis=-1)
         return np.take_along_axis(candidates, best[..., None], axis=-1)[..., 0]
+
+    def _interpolate(self, spp: Numbers, scores: Numbers) -> Numbers:
+        logs = np.log(np.maximum(self.spp, TINY))
+        return self._inside(np.interp(np.log(np.maximum(spp, TINY)), logs, scores), spp)
 
     def _inside(self, values: Numbers, spp: Numbers) -> Numbers:
         return np.where((spp >= self.spp[0]) & (spp <= self.spp[-1]), values, np.nan)

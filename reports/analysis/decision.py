@@ -1,4 +1,4 @@
-"""The answer for one renderer: which method, at which budget, how sure, and what would change it."""
+"""The answer for one renderer: method and budget, how sure, and what would change it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The best method within a deadline at a cost of a sample, and where another one takes its place."""
+"""The best method within a deadline at a cost of a sample, and where another takes its place."""
 
 from __future__ import annotations
 
