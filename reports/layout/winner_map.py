@@ -197,27 +197,38 @@ def _mark_cost(axes: Axes, measured_ms: float) -> None:
 
 
 def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> None:
-    """Write each name where the largest circle fits into its largest region, if that is wide."""
+    """Write each name where the largest circle fits into its largest region, if that is wide.
+
+    The name is vertical in a region that is higher than wide.
+    """
     box = axes.get_position()
     rows, columns = winners.winner.shape
     cell = (HEIGHT * box.height / rows, WIDTH * box.width / columns)  # inches
     names = {-1: "no method fits"} | dict(enumerate(winners.methods))
     for index in np.unique(winners.winner):
-        inside = np.pad(winners.winner == index, 1)
-        # wider than high: a name needs more room along the horizontal axis
-        wide = (cell[0], cell[1] * 4 / max(len(names[index]), 1))
-        depth = ndimage.distance_transform_edt(inside, sampling=wide)[1:-1, 1:-1]
-        row, column = np.unravel_index(int(depth.argmax()), depth.shape)
-        if depth.max() < LABEL_INCHES:
+        inside, name = winners.winner == index, names[index]
+        ratio = 4 / max(len(name), 4)  # a name needs more room along its line
+        flat = _widest_place(inside, (cell[0], cell[1] * ratio))
+        upright = _widest_place(inside, (cell[0] * ratio, cell[1]))
+        radius, row, column = max(flat, upright)
+        if radius < LABEL_INCHES:
             continue
-        colour = colours.get(names[index], to_rgb(NOTHING_COLOUR))
+        colour = colours.get(name, to_rgb(NOTHING_COLOUR))
         is_dark = math.sqrt(np.dot(np.square(colour), (0.299, 0.587, 0.114))) < 0.62
-        ink, halo = ("white", colour) if is_dark else (style.BLACK, colour)
         axes.text(
-            winners.deadline_ms[column], winners.sample_ms[row], names[index], ha="center",
-            va="center", color=ink, fontsize=12, fontweight="bold" if index >= 0 else "normal",
-            zorder=5, path_effects=[withStroke(linewidth=3.5, foreground=halo)],
+            winners.deadline_ms[column], winners.sample_ms[row], name, ha="center", va="center",
+            color="white" if is_dark else style.BLACK, fontsize=12, zorder=5,
+            fontweight="bold" if index >= 0 else "normal",
+            rotation=0 if radius == flat[0] else 90,
+            path_effects=[withStroke(linewidth=3.5, foreground=colour)],
         )  # fmt: skip
+
+
+def _widest_place(inside: NDArray[np.bool_], cell: tuple[float, float]) -> tuple[float, int, int]:
+    """Radius in inches, row and column of the largest circle; `cell`: height and width, inches."""
+    depth = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=cell)[1:-1, 1:-1]
+    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+    return float(depth[row, column]), int(row), int(column)
 
 
 def _handles(colours: dict[str, Any]) -> list[Any]:
