@@ -13,6 +13,8 @@ from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.curves import Curve, curves_of, measured_sample_ms, methods_without_curve
 from reports.analysis.equal import (
+    SPP_COLUMNS,
+    TIME_COLUMNS,
     at_deadlines,
     at_equal_error,
     crossovers,
@@ -29,9 +31,14 @@ from rlbench.benchmark.results import MissingRowsError
 __all__ = ["write"]
 
 BASE = "ours"  # whose errors the others are to reach; the best method if it was not measured
+LEVELS = 5  # whole dB in the table of times to a given PSNR
 REFERENCE = "mean"  # whose spp measure the others: no denoiser
 METRIC = "psnr"
 Record = Mapping[Hashable, Any]
+INVERTED = (
+    "Brackets: where the paired 95 % interval of the difference includes zero. `<`: already at the "
+    "smallest measured budget; `>`: not by the largest."
+)
 VERDICTS = "Tie: the interval lies within +-0.1 dB. Not resolved: it includes zero."
 
 
@@ -77,25 +84,26 @@ def _section(
     by_name = {curve.method: curve for curve in curves}
     best = max(curves, key=lambda curve: curve.value_at(curve.spp).max())
     base, reference = by_name.get(names[0], best), by_name.get(names[1])
+    rivals = [curve for curve in curves if curve is not base]
     deadlines = nice_deadlines(curves, sample_ms)
     parts = {
         "half the samples": with_half_the_samples(curves, base, sample_ms, "dB", seed, draws),
         "equal time": at_deadlines(curves, sample_ms, deadlines, "dB", False, seed, draws),
         "deadline": at_deadlines(curves, sample_ms, deadlines, "dB", True, seed, draws),
-        "equal error": at_equal_error(curves, base, sample_ms, seed, draws),
-        "crossover": crossovers(curves, sample_ms),
+        "equal error": at_equal_error(rivals, _errors_of(base), sample_ms, seed),
+        "given error": at_equal_error(curves, _round_scores(curves), sample_ms, seed),
+        "effective spp": _effective_spp(curves, reference, sample_ms, seed),
+        "crossover": crossovers(curves, sample_ms, seed),
     }
     tables = [
         _half_table(parts["half the samples"], base),
         _deadline_table(parts["equal time"], scores, sample_ms, late=False),
         _deadline_table(parts["deadline"], scores, sample_ms, late=True),
-        *_error_tables(parts["equal error"], base, curves),
+        *_error_tables(parts["equal error"], base, sample_ms, by_name),
+        _level_table(parts["given error"], sample_ms, by_name),
+        _effective_table(parts["effective spp"], reference),
         _crossover_table(parts["crossover"]),
     ]
-    if reference:
-        effective = _effective_spp(curves, reference, sample_ms, seed, draws)
-        parts["effective spp"] = effective
-        tables.insert(-1, _effective_table(effective, reference))
     records = pd.concat([part.assign(table=title) for title, part in parts.items() if len(part)])
     lists = {
         "Without a curve": methods_without_curve(scores, curves),
@@ -176,76 +184,87 @@ def _deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, lat
     return _by_column(title, caption, records, "deadline_ms", lambda ms: f"{ms:g} ms", cell)
 
 
-def _error_tables(records: pd.DataFrame, base: Curve, curves: list[Curve]) -> list[Table]:
-    ends = {curve.method: curve for curve in curves}
+def _errors_of(base: Curve) -> dict[float, np.ndarray]:
+    return dict(zip(base.spp.tolist(), base.units, strict=True))
 
-    def spp_cell(row: Record) -> str:
-        texts = (_spp_text(row[name], ends[row["method"]]) for name in SPP_COLUMNS)
-        return _with_ends(*texts)
 
-    def time_cell(row: Record) -> str:
-        curve = ends[row["method"]]
-        pairs = zip(TIME_COLUMNS, SPP_COLUMNS, strict=True)
-        return _with_ends(
-            *(
-                f"{row[time]:.1f}" if row[time] == row[time] else _time_bound(row[spp])
-                for time, spp in pairs
-            )
-        )
+def _round_scores(curves: list[Curve]) -> dict[float, np.ndarray]:
+    """Whole dB from the best score of the weakest curve to that of the best, at most LEVELS."""
+    tops = [curve.value_at(curve.spp).max() for curve in curves]
+    high = int(np.floor(max(tops)))
+    levels = range(max(int(np.ceil(min(tops))), high - LEVELS + 1), high + 1)
+    return {float(level): np.full(curves[0].units.shape[1], float(level)) for level in levels}
 
-    others = records[records["method"] != base.method]
-    notes = (
-        "Brackets: where the paired 95 % interval of the difference includes zero. `<`: already "
-        "at the smallest measured budget; `>`: not by the largest."
-    )
-    titles = {spp: f"{spp:g} spp" for spp in base.spp}
-    times = dict(zip(others["base_spp"], others["base_ms"], strict=True))
+
+def _error_tables(
+    records: pd.DataFrame, base: Curve, sample_ms: float, curves: Mapping[str, Curve]
+) -> list[Table]:
+    times = dict(zip(base.spp.tolist(), base.frame_ms(sample_ms).tolist(), strict=True))
     return [
         _by_column(
             f"Samples to the error of {base.method}",
             f"spp at which each method has the PSNR that {base.method} has at the spp on top. "
-            + notes,
-            others, "base_spp", lambda spp: titles[spp], spp_cell,
+            + INVERTED,
+            records,
+            "target",
+            lambda spp: f"{spp:g} spp",
+            lambda row: _spp_cell(row, curves[row["method"]]),
         ),
         _by_column(
             f"Time to the error of {base.method}",
             f"Frame time in ms at which each method has the PSNR that {base.method} has at the "
-            f"spp on top, in the time beside it. {notes}",
-            others, "base_spp", lambda spp: f"{titles[spp]}, {times[spp]:.1f} ms", time_cell,
+            f"spp and in the time on top. {INVERTED}",
+            records,
+            "target",
+            lambda spp: f"{spp:g} spp, {times[spp]:.1f} ms",
+            lambda row: _time_cell(row, curves[row["method"]], sample_ms),
         ),
-    ]  # fmt: skip
+    ]
 
 
-SPP_COLUMNS = ("spp", "spp_low", "spp_high")
-TIME_COLUMNS = ("frame_ms", "frame_low_ms", "frame_high_ms")
+def _level_table(records: pd.DataFrame, sample_ms: float, curves: Mapping[str, Curve]) -> Table:
+    caption = (
+        "Frame time in ms at which each method has the mean PSNR on top. Brackets: where the 95 % "
+        "interval of the mean over scenes includes it, which is wide, since scenes differ. `<`: "
+        "already at the smallest measured budget; `>`: not by the largest."
+    )
+    return _by_column(
+        "Time to a given PSNR",
+        caption,
+        records,
+        "target",
+        lambda level: f"{level:g} dB",
+        lambda row: _time_cell(row, curves[row["method"]], sample_ms),
+    )
 
 
 def _effective_spp(
-    curves: list[Curve], reference: Curve, sample_ms: float, seed: int, draws: int
+    curves: list[Curve], reference: Curve | None, sample_ms: float, seed: int
 ) -> pd.DataFrame:
     """The spp at which `reference` has the error of each method, at each of its budgets."""
-    parts = []
-    for curve in curves:
-        if curve is not reference:
-            part = at_equal_error([reference], curve, sample_ms, seed, draws)
-            parts.append(part.assign(method=curve.method))
+    parts = [
+        at_equal_error([reference], _errors_of(curve), sample_ms, seed).assign(method=curve.method)
+        for curve in curves
+        if reference and curve is not reference
+    ]
     return pd.concat(parts) if parts else pd.DataFrame()
 
 
-def _effective_table(records: pd.DataFrame, reference: Curve) -> Table:
+def _effective_table(records: pd.DataFrame, reference: Curve | None) -> Table:
+    if reference is None:
+        return Table("Effective spp", "", ("method",), ())
     caption = (
         f"spp at which {reference.method} has the PSNR of the method at the spp on top: how many "
-        "samples the method is worth. Brackets: where the paired 95 % interval of the difference "
-        f"includes zero. `>`: more than the largest measured budget of {reference.method}."
+        f"samples the method is worth. {INVERTED}"
     )
-
-    def cell(row: Record) -> str:
-        return _with_ends(*(_spp_text(row[name], reference) for name in SPP_COLUMNS))
-
     return _by_column(
-        f"Effective spp, in samples of {reference.method}", caption, records, "base_spp",
-        lambda spp: f"{spp:g} spp", cell,
-    )  # fmt: skip
+        f"Effective spp, in samples of {reference.method}",
+        caption,
+        records,
+        "target",
+        lambda spp: f"{spp:g} spp",
+        lambda row: _spp_cell(row, reference),
+    )
 
 
 def _crossover_table(records: pd.DataFrame) -> Table:
@@ -253,6 +272,7 @@ def _crossover_table(records: pd.DataFrame) -> Table:
         (
             f"{row['method']} passes {row['other']}",
             f"{row['at_ms']:.1f}",
+            _unresolved(row),
             f"{row['value']:.2f}",
             f"{row['spp']:.3g}",
             f"{row['other_spp']:.3g}",
@@ -261,10 +281,23 @@ def _crossover_table(records: pd.DataFrame) -> Table:
     )
     caption = (
         "Frame time from which one method of a pair has the higher PSNR, both at their best spp "
-        "within that time; a pair without a row has one leader wherever both fit. Whether a "
-        "difference is resolved stands in the table of equal times."
+        "within that time; a pair without a row has one leader wherever both fit. Not resolved: "
+        "the times around it at which the paired 95 % interval of their difference includes zero."
     )
-    return Table("Crossovers", caption, ("pair", "ms", "PSNR", "spp", "spp of the other"), rows)
+    return Table(
+        "Crossovers",
+        caption,
+        ("pair", "ms", "not resolved", "PSNR", "spp", "spp of the other"),
+        rows,
+    )
+
+
+def _unresolved(row: Record) -> str:
+    low, high = row["low_ms"], row["high_ms"]
+    if low != low:
+        return "-"
+    start, end = ("" if x in (0, np.inf) else f"{x:.0f}" for x in (low, high))
+    return f"{start} to {end}".strip() if start or end else "everywhere"
 
 
 def _by_column(
@@ -296,18 +329,25 @@ def _with_verdict(row: Record) -> str:
     return f"{text} {row['verdict']}" if row["verdict"] else text
 
 
-def _with_ends(value: str, low: str, high: str) -> str:
-    return value if "-" in (low, high) else f"{value} [{low}, {high}]"
+def _spp_cell(row: Record, curve: Curve) -> str:
+    positive = curve.spp[curve.spp > 0]
+    ends = (f"{positive[0]:g}", f"{positive[-1]:g}")
+    return _with_ends(*(_bounded(row[name], f"{row[name]:.3g}", ends) for name in SPP_COLUMNS))
 
 
-def _spp_text(spp: float, curve: Curve) -> str:
+def _time_cell(row: Record, curve: Curve, sample_ms: float) -> str:
+    times = curve.frame_ms(sample_ms)[curve.spp > 0]
+    ends = (f"{times[0]:.1f}", f"{times[-1]:.1f}")
+    pairs = zip(SPP_COLUMNS, TIME_COLUMNS, strict=True)
+    return _with_ends(*(_bounded(row[spp], f"{row[ms]:.1f}", ends) for spp, ms in pairs))
+
+
+def _bounded(spp: float, text: str, ends: tuple[str, str]) -> str:
+    """The text, or a bound where the budget lies outside of the measured ones; - if unknown."""
     if spp != spp:
         return "-"
-    positive = curve.spp[curve.spp > 0]
-    if spp == 0:
-        return f"<{positive[0]:g}"
-    return f">{positive[-1]:g}" if spp == np.inf else f"{spp:.3g}"
+    return f"<{ends[0]}" if spp == 0 else f">{ends[1]}" if spp == np.inf else text
 
 
-def _time_bound(spp: float) -> str:
-    return {0.0: "<", np.inf: ">"}.get(spp, "-")
+def _with_ends(value: str, low: str, high: str) -> str:
+    return value if low == high or "-" in (low, high) else f"{value} [{low}, {high}]"

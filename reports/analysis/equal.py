@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,6 +18,8 @@ from reports.analysis.ranking import name_verdict
 from reports.analysis.winner import NOTHING, find_switches, find_winners, meeting_points
 
 __all__ = [
+    "SPP_COLUMNS",
+    "TIME_COLUMNS",
     "Reach",
     "at_deadlines",
     "at_equal_error",
@@ -27,8 +29,14 @@ __all__ = [
     "spp_to_reach",
 ]
 
-GRID = 65  # budgets between the smallest and the largest measured one, to invert an interval
+GRID = 33  # budgets, or deadlines, from the smallest to the largest, to invert an interval
+GRID_DRAWS = 1000  # of the bootstrap at each; the grid is coarser than what they scatter
 MAX_DEADLINES = 7
+SERIES = ((1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1,))  # round times, the fewest where there are many
+
+
+SPP_COLUMNS = ("spp", "spp_low", "spp_high")
+TIME_COLUMNS = ("frame_ms", "frame_low_ms", "frame_high_ms")
 
 
 @dataclass(frozen=True)
@@ -43,48 +51,90 @@ class Reach:
     high: float
 
 
-def crossovers(curves: Sequence[Curve], sample_ms: float) -> pd.DataFrame:
+def crossovers(
+    curves: Sequence[Curve], sample_ms: float, seed: int = 0, draws: int = GRID_DRAWS
+) -> pd.DataFrame:
     """Frame times at which, of each pair of methods, one passes the other.
 
-    Each method has its best budget within that time. Columns method, other, at_ms, value, and the
-    budgets of both there: `method` has the better score beyond `at_ms`, `other` below it. A pair
-    without a row has one leader wherever both fit.
+    Each method has its best budget within that time. Columns method, other, at_ms, low_ms, high_ms,
+    value, and the budgets of both there: `method` has the better score beyond `at_ms`, `other`
+    below it; from low_ms to high_ms the paired interval of their difference includes zero (0: from
+    the first time that fits both; inf: to any longer time). A pair without a row has one leader
+    wherever both fit.
     """
     records = []
     for pair in combinations(curves, 2):
-
-        def leader(
-            deadlines: NDArray[np.float64], both: Sequence[Curve] = pair
-        ) -> NDArray[np.intp]:
-            winners = find_winners(both, np.full_like(deadlines, sample_ms), deadlines)
-            return np.where(winners.second == NOTHING, NOTHING, winners.first)
-
-        for switch in find_switches(leader, meeting_points(pair, sample_ms=sample_ms)):
+        points = meeting_points(pair, sample_ms=sample_ms)
+        for switch in find_switches(_leader_of(pair, sample_ms), points):
             if NOTHING in (switch.before, switch.after):
                 continue
             passing, passed = pair[switch.after], pair[switch.before]
             spp = [_best(curve, sample_ms, switch.at) for curve in (passing, passed)]
+            low, high = _unresolved_times(pair, sample_ms, switch.at, points, seed, draws)
             records.append(
                 {
                     "method": passing.method,
                     "other": passed.method,
                     "at_ms": switch.at,
+                    "low_ms": low,
+                    "high_ms": high,
                     "value": float(passing.value_at(np.array(spp[0]))),
                     "spp": spp[0],
                     "other_spp": spp[1],
                 }
             )
-    columns = ["method", "other", "at_ms", "value", "spp", "other_spp"]
+    columns = ["method", "other", "at_ms", "low_ms", "high_ms", "value", "spp", "other_spp"]
     return pd.DataFrame(records, columns=columns).sort_values("at_ms", ignore_index=True)
 
 
+def _leader_of(
+    pair: Sequence[Curve], sample_ms: float
+) -> Callable[[NDArray[np.float64]], NDArray[np.intp]]:
+    def leader(deadlines: NDArray[np.float64]) -> NDArray[np.intp]:
+        winners = find_winners(pair, np.full_like(deadlines, sample_ms), deadlines)
+        return np.where(winners.second == NOTHING, NOTHING, winners.first)
+
+    return leader
+
+
+def _unresolved_times(
+    pair: Sequence[Curve],
+    sample_ms: float,
+    at_ms: float,
+    points: Sequence[float],
+    seed: int,
+    draws: int,
+) -> tuple[float, float]:
+    """The times around `at_ms` at which the paired interval includes zero; nan without one."""
+    times = np.geomspace(max(min(points), max(points) / 1e4), max(points), GRID)
+    times = np.sort(np.append(times, at_ms))
+    costs = np.full_like(times, sample_ms)
+    first, second = (curve.units_at(curve.best_spp(costs, times)) for curve in pair)
+    low, high = interval_ends((first - second).T, seed, draws)
+    here = int(np.searchsorted(times, at_ms))
+    if np.isnan(low[here]):
+        return math.nan, math.nan
+    (resolved,) = np.nonzero((low > 0) | (high < 0))
+    (absent,) = np.nonzero(np.isnan(low))
+    before = [int(i) for i in resolved if i < here]
+    after = [int(i) for i in resolved if i > here]
+    is_cut = bool(before) and not any(before[-1] < i < here for i in absent)
+    return float(times[before[-1]]) if is_cut else 0.0, (
+        float(times[after[0]]) if after else math.inf
+    )
+
+
 def nice_deadlines(curves: Sequence[Curve], sample_ms: float) -> list[float]:
-    """At most MAX_DEADLINES round times (1, 2, 5, 10, ...) in which methods differ, ms."""
+    """At most MAX_DEADLINES round times between the shortest and the longest measured frame, ms."""
     times = np.array([time for curve in curves for time in curve.frame_ms(sample_ms)])
     low, high = times.min(), times.max()
     decades = range(math.floor(math.log10(max(low, 1e-3))), math.ceil(math.log10(high)) + 1)
-    series = [step * 10.0**decade for decade in decades for step in (1, 2, 5)]
-    inner = [time for time in series if low <= time <= high] or [float(high)]
+    inner: list[float] = []
+    for steps in SERIES:
+        series = [step * 10.0**decade for decade in decades for step in steps]
+        inner = [time for time in series if low <= time <= high] or [float(high)]
+        if len(inner) <= MAX_DEADLINES:
+            break
     return inner[-MAX_DEADLINES:]
 
 
@@ -129,34 +179,25 @@ def at_deadlines(
 
 def at_equal_error(
     curves: Sequence[Curve],
-    base: Curve,
+    targets: Mapping[float, NDArray[np.float64]],  # [units] of each: scores of scenes or clips
     sample_ms: float,
     seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
+    draws: int = GRID_DRAWS,
 ) -> pd.DataFrame:
-    """The spp and the frame time at which each method has the error of `base` at its budgets.
+    """The spp and the frame time at which each method has the mean score of each target.
 
-    Columns method, base_spp, spp, spp_low, spp_high, frame_ms, frame_low_ms, frame_high_ms,
-    base_ms; a budget of 0 or inf as in `Reach`, whose times are nan.
+    Columns method, target (its key), spp, spp_low, spp_high, frame_ms, frame_low_ms, frame_high_ms;
+    a budget of 0 or inf as in `Reach`, whose times are nan.
     """
     records = []
-    for spp, scores, base_ms in zip(base.spp, base.units, base.frame_ms(sample_ms), strict=True):
+    for target, scores in targets.items():
         for curve in curves:
             reach = spp_to_reach(curve, scores, seed, draws)
-            times = curve.frame_ms_at(np.array([reach.spp, reach.low, reach.high]), sample_ms)
-            records.append(
-                {
-                    "method": curve.method,
-                    "base_spp": spp,
-                    "spp": reach.spp,
-                    "spp_low": reach.low,
-                    "spp_high": reach.high,
-                    "frame_ms": float(times[0]),
-                    "frame_low_ms": float(times[1]),
-                    "frame_high_ms": float(times[2]),
-                    "base_ms": float(base_ms),
-                }
-            )
+            budgets = np.array([reach.spp, reach.low, reach.high])
+            times = curve.frame_ms_at(np.where(np.isfinite(budgets), budgets, np.nan), sample_ms)
+            record = {"method": curve.method, "target": target}
+            record |= dict(zip(SPP_COLUMNS, budgets.tolist(), strict=True))
+            records.append(record | dict(zip(TIME_COLUMNS, times.tolist(), strict=True)))
     return pd.DataFrame(records)
 
 
@@ -164,7 +205,7 @@ def spp_to_reach(
     curve: Curve,
     target: NDArray[np.float64],  # [units], the scores to reach, of the same scenes or clips
     seed: int = 0,
-    draws: int = BOOTSTRAP_SAMPLES,
+    draws: int = GRID_DRAWS,
 ) -> Reach:
     """The smallest budget at which the mean score is at least that of `target`.
 
