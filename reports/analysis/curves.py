@@ -22,6 +22,7 @@ Numbers = NDArray[np.float64]
 FIXED_PARTS = ("plan_ms", "denoise_ms")  # of a frame time, p50: all that is not sampling
 LATE_PARTS = ("plan_p95_ms", "denoise_p95_ms")
 LATE = "inference_p95_ms"  # of plan + denoise in the same frame
+COLUMNS = ("fixed_ms", "samples", "late_ms")
 TINY = 1e-9  # stands for a budget of 0 spp, whose logarithm would be infinite
 
 
@@ -40,7 +41,8 @@ class Curve:
     def frame_ms(self, sample_ms: float | Numbers, late: bool = False) -> Numbers:
         """Frame time [..., budgets] at each measured budget; `late`: p95 of plan + denoise."""
         fixed = self.late_ms if late else self.fixed_ms
-        return fixed + self.samples * np.asarray(sample_ms, float)[..., None]
+        times: Numbers = fixed + self.samples * np.asarray(sample_ms, float)[..., None]
+        return times
 
     def frame_ms_at(self, spp: Numbers, sample_ms: float) -> Numbers:
         """Frame time at budgets between the smallest and the largest measured one."""
@@ -95,9 +97,9 @@ def curves_of(scores: Scores) -> list[Curve]:
     for method, rows in budgets.sort_values("target_spp").groupby("method"):
         own = means[means["method"] == method]
         table = own.pivot_table("value", "target_spp", unit).loc[rows["target_spp"]]
-        columns = (rows[name].to_numpy(float) for name in ("fixed_ms", "samples", "late_ms"))
+        fixed, samples, late = (rows[name].to_numpy(float) for name in COLUMNS)
         spp, sign = rows["target_spp"].to_numpy(float), -1 if scores.direction == "lower" else 1
-        curves.append(Curve(str(method), spp, table.to_numpy(float), *columns, sign))
+        curves.append(Curve(str(method), spp, table.to_numpy(float), fixed, samples, late, sign))
     return curves
 
 

@@ -16,7 +16,8 @@ from reports.analysis.winner import (
     Switch,
     find_switches,
     find_winners,
-    meeting_points,
+    meeting_costs,
+    meeting_deadlines,
 )
 
 __all__ = ["BreakEven", "Candidate", "Decision", "break_evens", "candidates"]
@@ -113,8 +114,8 @@ def break_evens(curves: Sequence[Curve], sample_ms: float, frame_ms: float) -> l
     def winner_by_deadline(deadlines: np.ndarray) -> np.ndarray:
         return find_winners(curves, np.full_like(deadlines, sample_ms), deadlines).first
 
-    costs = [*meeting_points(curves, deadline_ms=frame_ms), sample_ms]
-    deadlines = [*meeting_points(curves, sample_ms=sample_ms), frame_ms]
+    costs = [*meeting_costs(curves, frame_ms), sample_ms]
+    deadlines = [*meeting_deadlines(curves, sample_ms), frame_ms]
     by_cost = find_switches(winner_by_cost, costs)
     by_deadline = find_switches(winner_by_deadline, deadlines)
     return [

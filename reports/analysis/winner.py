@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from reports.analysis.curves import Curve
 
-__all__ = ["NOTHING", "Switch", "Winners", "find_switches", "find_winners", "meeting_points"]
+__all__ = [
+    "NOTHING",
+    "Switch",
+    "Winners",
+    "find_switches",
+    "find_winners",
+    "meeting_costs",
+    "meeting_deadlines",
+]
 
 Numbers = NDArray[np.float64]
 NOTHING = -1  # in place of a method where none fits
@@ -66,7 +74,7 @@ def find_switches(
 ) -> list[Switch]:
     """The places where a label of x > 0 changes, from the smallest to the largest of `points`.
 
-    `points` are the places where the label may begin to behave differently (`meeting_points`). A
+    `points` are the places where the label may begin to behave differently (`meeting_deadlines`). A
     change and its reversal within an eighth of the way between two of them is not seen.
     """
     known = np.unique([x for x in points if 0 < x < np.inf])
@@ -86,12 +94,13 @@ def find_switches(
     return [Switch(float(at), int(first), int(second)) for at, first, second in parts]
 
 
-def meeting_points(
-    curves: Sequence[Curve], sample_ms: float | None = None, deadline_ms: float | None = None
-) -> list[float]:
-    """Deadlines (at a cost), or costs (at a deadline), that measured budgets just meet, ms."""
-    if sample_ms is not None:
-        return [float(t) for curve in curves for t in curve.frame_ms(sample_ms)]
+def meeting_deadlines(curves: Sequence[Curve], sample_ms: float) -> list[float]:
+    """Deadlines that measured budgets just meet at this cost of a sample, ms."""
+    return [float(time) for curve in curves for time in curve.frame_ms(sample_ms)]
+
+
+def meeting_costs(curves: Sequence[Curve], deadline_ms: float) -> list[float]:
+    """Costs of a sample at which measured budgets just meet this deadline, ms."""
     with np.errstate(divide="ignore", invalid="ignore"):
         costs = [(deadline_ms - curve.fixed_ms) / curve.samples for curve in curves]
     return [float(cost) for part in costs for cost in part]
