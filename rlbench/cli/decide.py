@@ -92,7 +92,7 @@ def decide(
         typer.Option("--json", help="print JSON, for scripts", rich_help_panel=options.OUTPUT),
     ] = False,
 ) -> None:
-    """Name the method and budget with the least error in a frame time.
+    """Name the method with the least error in a frame time.
 
     Reads the results table alone: the expected score with its interval, the runner-up, and the
     cost of a sample and the deadline at which another method wins.

@@ -36,7 +36,7 @@ __all__ = [
     "resolve",
 ]
 
-GROUPS = ("methods", "metrics", "reports", "decisions", "pools", "scenes", "stress")
+GROUPS = ("methods", "metrics", "reports", "pools", "scenes", "stress", "decisions")
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 

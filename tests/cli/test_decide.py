@@ -26,7 +26,7 @@ def test_the_answer_names_method_budget_size_and_break_evens(folder):
     output = rlbench("decide", *COSTS, "--results", folder)
     for text in (" spp: PSNR ", "Runner-up: ", "What would change the answer", "was measured on"):
         assert text in output
-    assert "does not state" not in output  # the rows have the size of the image
+    assert "do not state" not in output  # the rows have the size of the image
 
 
 def test_json_has_the_same_answer(folder):
