@@ -98,11 +98,20 @@ def interval_ends(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Low and high ends [columns] of the interval of each column's mean, as `mean_with_interval`.
 
-    All columns are resampled alike. The ends are nan with fewer than two units.
+    All columns are resampled alike. The ends are nan with fewer than two units, and of a column
+    with a nan.
     """
+    low, high = np.full((2, units.shape[1]), math.nan)
+    is_known = ~np.isnan(units).any(axis=0)
+    if len(units) > 1 and is_known.any():
+        low[is_known], high[is_known] = _ends(units[:, is_known], seed, draws, level)
+    return low, high
+
+
+def _ends(
+    units: NDArray[np.float64], seed: int, draws: int, level: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     count, columns = units.shape
-    if count < 2:
-        return np.full(columns, math.nan), np.full(columns, math.nan)
     standard_errors = float(stats.t.ppf((1 + level) / 2, count - 1))
     if count < MIN_BOOTSTRAP_UNITS:
         # not ttest_1samp(...).confidence_interval: its ends are nan where all units are equal

@@ -199,7 +199,7 @@ def _mark_cost(axes: Axes, measured_ms: float) -> None:
 def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> None:
     """Write each name where the largest circle fits into its largest region, if that is wide.
 
-    The name is vertical in a region that is higher than wide.
+    The name is vertical where it fits in no other way.
     """
     box = axes.get_position()
     rows, columns = winners.winner.shape
@@ -210,7 +210,8 @@ def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> N
         ratio = 4 / max(len(name), 4)  # a name needs more room along its line
         flat = _widest_place(inside, (cell[0], cell[1] * ratio))
         upright = _widest_place(inside, (cell[0] * ratio, cell[1]))
-        radius, row, column = max(flat, upright)
+        is_flat = flat[0] >= LABEL_INCHES
+        radius, row, column = flat if is_flat else upright
         if radius < LABEL_INCHES:
             continue
         colour = colours.get(name, to_rgb(NOTHING_COLOUR))
@@ -219,7 +220,7 @@ def _label_regions(axes: Axes, winners: WinnerMap, colours: dict[str, Any]) -> N
             winners.deadline_ms[column], winners.sample_ms[row], name, ha="center", va="center",
             color="white" if is_dark else style.BLACK, fontsize=12, zorder=5,
             fontweight="bold" if index >= 0 else "normal",
-            rotation=0 if radius == flat[0] else 90,
+            rotation=0 if is_flat else 90,
             path_effects=[withStroke(linewidth=3.5, foreground=colour)],
         )  # fmt: skip
 

@@ -120,6 +120,16 @@ def test_intervals_of_many_columns_are_those_of_each(units):
         assert [low[i], high[i]] == pytest.approx(alone)
 
 
+def test_a_column_with_a_gap_has_no_interval_and_changes_no_other(recwarn):
+    columns = np.random.default_rng(0).normal(size=(9, 3))
+    expected = interval_ends(columns[:, [0, 2]], draws=200)
+    columns[4, 1] = np.nan
+    low, high = interval_ends(columns, draws=200)
+    assert np.isnan([low[1], high[1]]).all()
+    assert [*low[[0, 2]], *high[[0, 2]]] == pytest.approx([*expected[0], *expected[1]])
+    assert not recwarn.list
+
+
 def test_methods_without_a_time_are_named():
     rows = table(THREE)
     untimed = rows[~((rows["method"] == "slow") & (rows["metric"] == "plan_ms"))]
