@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy import stats
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "LEVEL",
     "UNKNOWN",
     "Interval",
+    "interval_ends",
     "mean_with_interval",
     "pair",
 ]
@@ -25,6 +27,7 @@ FRAME = ("scene", "clip", "frame")  # columns that identify a frame
 BOOTSTRAP_SAMPLES = 10_000  # the ends of a 95 % interval are then stable to about 1 %
 LEVEL = 0.95  # of confidence
 MIN_BOOTSTRAP_UNITS = 8  # scenes or clips; below it the interval is Student's t
+COLUMNS_AT_ONCE = 64  # that are resampled together; bounds the memory
 INTERVAL_NOTE = (
     "95 % interval over scenes (over clips if there is one scene; Student's t below "
     f"{MIN_BOOTSTRAP_UNITS} of them, bootstrap from there on)"
@@ -82,21 +85,48 @@ def mean_with_interval(
     clips = values.groupby(["scene", "clip"])["value"].mean()
     scenes = clips.groupby("scene").mean()
     units = (scenes if len(scenes) > 1 else clips).to_numpy(float)
-    count, mean = len(units), float(units.mean()) if len(units) else math.nan
-    if count < 2:
-        return Interval(mean, math.nan, math.nan, count)
+    mean = float(units.mean()) if len(units) else math.nan
+    low, high = interval_ends(units[:, None], seed, draws, level)
+    return Interval(mean, float(low[0]), float(high[0]), len(units))
+
+
+def interval_ends(
+    units: NDArray[np.float64],  # [units columns], the independent numbers of each column
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
+    level: float = LEVEL,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Low and high ends [columns] of the interval of each column's mean, as `mean_with_interval`.
+
+    All columns are resampled alike. The ends are nan with fewer than two units, and of a column
+    with a nan.
+    """
+    low, high = np.full((2, units.shape[1]), math.nan)
+    is_known = ~np.isnan(units).any(axis=0)
+    if len(units) > 1 and is_known.any():
+        low[is_known], high[is_known] = _ends(units[:, is_known], seed, draws, level)
+    return low, high
+
+
+def _ends(
+    units: NDArray[np.float64], seed: int, draws: int, level: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    count, columns = units.shape
     standard_errors = float(stats.t.ppf((1 + level) / 2, count - 1))
     if count < MIN_BOOTSTRAP_UNITS:
         # not ttest_1samp(...).confidence_interval: its ends are nan where all units are equal
-        half_width = standard_errors * float(units.std(ddof=1)) / math.sqrt(count)
-        return Interval(mean, mean - half_width, mean + half_width, count)
+        half_width = standard_errors * units.std(axis=0, ddof=1) / math.sqrt(count)
+        return units.mean(axis=0) - half_width, units.mean(axis=0) + half_width
     tail = float(stats.norm.cdf(-math.sqrt(count / (count - 1)) * standard_errors))
-    ends = stats.bootstrap(
-        (units,),
-        np.mean,
-        n_resamples=draws,
-        confidence_level=1 - 2 * tail,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return Interval(mean, float(ends.low), float(ends.high), count)
+    parts = [
+        stats.bootstrap(
+            (units[:, first : first + COLUMNS_AT_ONCE],),
+            np.mean,
+            n_resamples=draws,
+            confidence_level=1 - 2 * tail,
+            method="percentile",
+            rng=np.random.default_rng(seed),
+        ).confidence_interval
+        for first in range(0, columns, COLUMNS_AT_ONCE)
+    ]
+    return np.concatenate([p.low for p in parts]), np.concatenate([p.high for p in parts])

@@ -9,7 +9,7 @@ import pandas as pd
 from reports.analysis.aggregate import Scores, mean_over_scenes
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, mean_with_interval, pair
 
-__all__ = ["ALL_SCENES", "rank_methods"]
+__all__ = ["ALL_SCENES", "TIE_DB", "name_verdict", "rank_methods"]
 
 TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 ALL_SCENES = "all"  # in the column `scene` of means over scenes
@@ -52,7 +52,7 @@ def _rank(rows: pd.DataFrame, scores: Scores, seed: int, draws: int) -> list[dic
         if best and method != best:
             gap = mean_with_interval(pair(part, frames[best]), seed, draws)
             difference = {"difference": gap.mean, "low": gap.low, "high": gap.high}
-            verdict = _verdict(gap, unit)
+            verdict = name_verdict(gap, unit)
         ranked.append(
             {"method": method, "mean": means[method], **difference, "verdict": verdict}
             | {"best": bool(best) and means[method] == means[best]}
@@ -61,7 +61,12 @@ def _rank(rows: pd.DataFrame, scores: Scores, seed: int, draws: int) -> list[dic
     return ranked
 
 
-def _verdict(gap: Interval, unit: str) -> str:
+def name_verdict(gap: Interval, unit: str) -> str:
+    """`tie` if the interval lies within +-0.1 dB, else `not resolved` if it includes zero, else "".
+
+    >>> name_verdict(Interval(0.2, -0.1, 0.5, 4), "dB")
+    'not resolved'
+    """
     if unit == "dB" and gap.is_tie(TIE_DB):
         return "tie"
     return "" if gap.is_resolved else "not resolved"

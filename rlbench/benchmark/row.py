@@ -41,6 +41,7 @@ class Row:
     code_hash: str = ""  # of the method's code
     weights_hash: str = ""  # of the method's weights, empty where it has none
     config: str = "{}"  # the method's config as JSON
+    size: str = ""  # of the images, WIDTHxHEIGHT pixels; empty in older results
 
 
 COLUMNS = tuple(field.name for field in fields(Row))

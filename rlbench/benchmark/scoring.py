@@ -41,6 +41,7 @@ def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: 
         dtype="bfloat16" if cell.method.bf16 else "float32",
         code_hash=code_hash,
         weights_hash=weights_hash,
+        size=f"{cell.header.width}x{cell.header.height}",
     )
 
 

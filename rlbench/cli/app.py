@@ -12,6 +12,7 @@ from rlbench.cli.benchmark import run
 from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
 from rlbench.cli.crossval import crossval
+from rlbench.cli.decide import decide
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
@@ -86,6 +87,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "crossval": crossval,
     "run": run,
     "report": report,
+    "decide": decide,
     "images": images,
     "regress": regress,
 }

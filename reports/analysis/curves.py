@@ -1,0 +1,151 @@
+"""A method between its measured budgets: score and frame time at any spp, best spp in a deadline.
+
+Scores are interpolated linearly in log spp, so that a curve rises wherever its measured points
+rise; times are interpolated linearly in spp. Nothing is extrapolated, and there is nothing between
+a budget of 0 spp and the next one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.analysis.aggregate import Scores, mean_over_scenes
+
+__all__ = ["Curve", "curves_of", "measured_sample_ms", "methods_without_curve"]
+
+Numbers = NDArray[np.float64]
+FIXED_PARTS = ("plan_ms", "denoise_ms")  # of a frame time, p50: all that is not sampling
+LATE_PARTS = ("plan_p95_ms", "denoise_p95_ms")
+LATE = "inference_p95_ms"  # of plan + denoise in the same frame
+COLUMNS = ("fixed_ms", "samples", "late_ms")
+TINY = 1e-9  # stands for a budget of 0 spp, whose logarithm would be infinite
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The scores and times of one method at its measured budgets, and between them."""
+
+    method: str
+    spp: Numbers  # [budgets], ascending
+    units: Numbers  # [budgets units], score of each scene, or of each clip of the only scene
+    fixed_ms: Numbers  # [budgets], plan + denoise (p50), mean over scenes
+    samples: Numbers  # [budgets], cost of the drawn samples of a pixel, in path samples
+    late_ms: Numbers  # [budgets], as fixed_ms, but p95
+    sign: int  # 1 where high scores are better, -1 where low ones are
+
+    def frame_ms(self, sample_ms: float | Numbers, late: bool = False) -> Numbers:
+        """Frame time [..., budgets] at each measured budget; `late`: p95 of plan + denoise."""
+        fixed = self.late_ms if late else self.fixed_ms
+        times: Numbers = fixed + self.samples * np.asarray(sample_ms, float)[..., None]
+        return times
+
+    def frame_ms_at(self, spp: Numbers, sample_ms: float) -> Numbers:
+        """Frame time at budgets between the smallest and the largest measured one."""
+        return self._inside(np.interp(spp, self.spp, self.frame_ms(sample_ms)), spp)
+
+    def units_at(self, spp: Numbers) -> Numbers:
+        """Scores [..., units] of scenes or clips at any budgets; nan outside of the measured."""
+        columns = [self._interpolate(spp, scores) for scores in self.units.T]
+        return np.stack(columns, axis=-1)
+
+    def value_at(self, spp: Numbers) -> Numbers:
+        """The mean score over scenes at any budgets; nan outside of the measured."""
+        return self._interpolate(spp, self.units.mean(axis=1))
+
+    def best_spp(self, sample_ms: Numbers, deadline_ms: Numbers, late: bool = False) -> Numbers:
+        """The budgets [n] with the best score whose frame time is within the deadline; nan: none.
+
+        On a piece between two measured budgets time is linear and the score monotone, so that the
+        best is at a measured budget, or where a piece meets the deadline.
+        """
+        times = self.frame_ms(sample_ms, late)  # n budgets
+        limit = np.asarray(deadline_ms, float)[..., None]
+        fits = times <= limit
+        budgets = np.where(fits, self.spp, np.nan)
+        start, end = times[..., :-1], times[..., 1:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (limit - start) / (end - start)
+        meets = (fits[..., :-1] != fits[..., 1:]) & (self.spp[:-1] > 0)
+        meeting = np.where(meets, self.spp[:-1] + share * np.diff(self.spp), np.nan)
+        candidates = np.concatenate([budgets, meeting], axis=-1)
+        scores = self.sign * self.value_at(candidates)
+        best = np.argmax(np.where(np.isnan(scores), -np.inf, scores), axis=-1)
+        return np.take_along_axis(candidates, best[..., None], axis=-1)[..., 0]
+
+    def _interpolate(self, spp: Numbers, scores: Numbers) -> Numbers:
+        logs = np.log(np.maximum(self.spp, TINY))
+        return self._inside(np.interp(np.log(np.maximum(spp, TINY)), logs, scores), spp)
+
+    def _inside(self, values: Numbers, spp: Numbers) -> Numbers:
+        return np.where((spp >= self.spp[0]) & (spp <= self.spp[-1]), values, np.nan)
+
+
+def curves_of(scores: Scores) -> list[Curve]:
+    """The curve of each method, by name, over the budgets with scores and times on every scene."""
+    points = scores.points.assign(
+        samples=_in_path_samples(scores.points), **_fixed_and_late_ms(scores)
+    )
+    budgets = mean_over_scenes(points).dropna(subset=["fixed_ms", "samples"])
+    unit = "scene" if scores.scene_means["scene"].nunique() > 1 else "clip"
+    means = scores.scene_means if unit == "scene" else scores.clip_means
+    curves = []
+    for method, rows in budgets.sort_values("target_spp").groupby("method"):
+        own = means[means["method"] == method]
+        table = own.pivot_table("value", "target_spp", unit).loc[rows["target_spp"]]
+        fixed, samples, late = (rows[name].to_numpy(float) for name in COLUMNS)
+        spp, sign = rows["target_spp"].to_numpy(float), -1 if scores.direction == "lower" else 1
+        curves.append(Curve(str(method), spp, table.to_numpy(float), fixed, samples, late, sign))
+    return curves
+
+
+def methods_without_curve(scores: Scores, curves: Iterable[Curve]) -> list[str]:
+    """Sentences about the methods that have scores and no curve, each with what it lacks."""
+    timed = scores.points.dropna(subset=list(FIXED_PARTS))
+    complete = set(scores.overall["method"])
+    reasons = {
+        method: f"{method} has no {scores.metric} on every scene and frame at any budget"
+        if method not in complete
+        else f"{method} has no time on every scene"
+        if method not in set(timed["method"])
+        else f"{method} has no cost of its samples on every scene"
+        for method in set(scores.measured["method"]) - {curve.method for curve in curves}
+    }
+    return [reasons[method] for method in sorted(reasons)]
+
+
+def measured_sample_ms(scores: Scores) -> float:
+    """Time of one path sample per pixel in the results, mean over scenes, ms; nan without one."""
+    return float(_path_sample_ms(scores.points).mean())
+
+
+def _path_sample_ms(points: pd.DataFrame) -> pd.Series[float]:
+    """Time of a path sample by scene: that of its cheapest samples, since pools add to paths."""
+    return points.groupby("scene")["sample_ms"].min()
+
+
+def _in_path_samples(points: pd.DataFrame) -> pd.Series[float]:
+    """Drawn samples of a pixel, each counted by its cost in path samples of an average scene.
+
+    Results without any cost of a sample count all samples alike.
+    """
+    path = _path_sample_ms(points)
+    if path.isna().all():
+        return points["mean_spp"]
+    return points["mean_spp"] * points["sample_ms"] / float(path.mean())
+
+
+def _fixed_and_late_ms(scores: Scores) -> dict[str, pd.Series[float]]:
+    """Columns of `scores.points`: plan + denoise, p50 and p95, in ms."""
+    points = scores.points
+    keys = ["method", "scene", "target_spp"]
+    late = scores.rows[scores.rows["metric"] == LATE].groupby(keys)["value"].mean()
+    measured = points.join(late.rename(LATE), on=keys)[LATE]
+    return {
+        "fixed_ms": points[list(FIXED_PARTS)].sum(axis=1, skipna=False),
+        "late_ms": measured.fillna(points[list(LATE_PARTS)].sum(axis=1, skipna=False)),
+    }

@@ -1,0 +1,158 @@
+"""Tables of methods at equal time: half the samples, deadlines, crossovers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from reports.analysis.aggregate import Scores
+from reports.analysis.curves import Curve
+from reports.analysis.intervals import INTERVAL_NOTE
+from reports.analysis.method_names import family_of
+from reports.layout.tables import Bold, Table, format_difference
+from reports.published import published
+
+__all__ = ["by_column", "crossover_table", "deadline_table", "half_table"]
+
+Record = Mapping[Hashable, Any]
+
+VERDICTS = "Tie: the interval lies within +-0.1 dB. Not resolved: it includes zero."
+
+
+def half_table(records: pd.DataFrame, base: Curve) -> Table:
+    """`base` against the best rival with twice its samples, and the row that the paper prints."""
+    rows: list[tuple[str, ...]] = [
+        (
+            f"{row['method']} at {row['spp']:g} spp",
+            f"{row['rival']} at {row['rival_spp']:g} spp",
+            _with_verdict(row),
+            f"{row['frame_ms']:.1f}",
+            f"{row['rival_ms']:.1f}",
+            f"{row['speedup']:.2f}",
+        )
+        for row in records.to_dict("records")
+    ]
+    if rows and (printed := _published_row(base.method)):
+        rows.append(printed)
+    caption = (
+        f"{base.method} against the best method of another family with twice its samples. PSNR in "
+        f"dB, paired by scene; brackets: {INTERVAL_NOTE}, bold if it excludes zero. {VERDICTS} "
+        "Faster: frame time of the rival / that of the method. "
+        f"Last row, where it is there: the numbers of {published().title}, at its cost of a sample."
+    )
+    header = ("method", "best rival", "difference", "ms", "rival ms", "faster")
+    return Table("Half the samples", caption, header, tuple(rows))
+
+
+def _published_row(base: str) -> tuple[str, ...] | None:
+    """The headline of the paper in the same columns; None for a method that it does not have."""
+    paper = published()
+    half = next((p for p in paper.points() if p.row == base and 2 * p.spp == paper.spp), None)
+    method = paper.find(base)
+    if half is None or method is None:
+        return None
+    rivals = [row for row in paper.table if family_of(row.row) != family_of(base)]
+    rival = max(rivals, key=lambda row: row.psnr_db)
+    frame_ms = method.inference_ms + half.spp * paper.sample_ms
+    rival_ms = rival.inference_ms + paper.spp * paper.sample_ms
+    return (
+        f"paper: {method.name} at {half.spp:g} spp",
+        f"{rival.name} at {paper.spp:g} spp",
+        f"{half.psnr_db - rival.psnr_db:+.1f}",
+        f"{frame_ms:.1f}",
+        f"{rival_ms:.1f}",
+        f"{rival_ms / frame_ms:.2f}",
+    )
+
+
+def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late: bool) -> Table:
+    """The score of each method within each deadline, in p50 or (`late`) p95 of plan + denoise."""
+
+    def cell(row: Record) -> str:
+        text = f"{row['value']:.2f}"
+        if row["best"]:
+            return Bold(text)
+        return f"{text} ({_plain_difference(row)}) {row['verdict']}".strip()
+
+    percentile = "p95" if late else "p50"
+    caption = (
+        f"PSNR in dB ({scores.convention}), mean over scenes, of each method at its best spp whose "
+        f"frame time is within the time at the top: plan + denoise ({percentile}, on "
+        f"{scores.device_name}) + samples x {sample_ms:.3g} ms "
+        f"({scores.cost_source or 'an unnamed source'}), mean over scenes. "
+        "Between measured budgets linear in log spp; none is extrapolated. Parentheses: paired "
+        f"difference to the best and its {INTERVAL_NOTE}. {VERDICTS} "
+    )
+    if late:
+        caption += (
+            "Frames whose plan + denoise takes longer than its p95, one in 20, are late and show "
+            "the last image again; the error of that image is not part of the PSNR here."
+        )
+    title = "Quality at a deadline that 95 % of frames meet" if late else "Equal time"
+    return by_column(title, caption, records, "deadline_ms", lambda ms: f"{ms:g} ms", cell)
+
+
+def crossover_table(records: pd.DataFrame) -> Table:
+    """The frame time at which one method of a pair passes the other."""
+    rows = tuple(
+        (
+            f"{row['method']} passes {row['other']}",
+            f"{row['at_ms']:.1f}",
+            _unresolved(row),
+            f"{row['value']:.2f}",
+            f"{row['spp']:.3g}",
+            f"{row['other_spp']:.3g}",
+        )
+        for row in records.to_dict("records")
+    )
+    caption = (
+        "Frame time from which one method of a pair has the higher PSNR, both at their best spp "
+        "within that time; a pair without a row has one leader wherever both fit. Not resolved: "
+        "the times around it at which the paired 95 % interval of their difference includes zero."
+    )
+    return Table(
+        "Crossovers",
+        caption,
+        ("pair", "ms", "not resolved", "PSNR", "spp", "spp of the other"),
+        rows,
+    )
+
+
+def _unresolved(row: Record) -> str:
+    low, high = row["low_ms"], row["high_ms"]
+    if low != low:
+        return "-"
+    start, end = ("" if x in (0, np.inf) else f"{x:.0f}" for x in (low, high))
+    return f"{start} to {end}".strip() if start or end else "everywhere"
+
+
+def by_column(
+    title: str,
+    caption: str,
+    records: pd.DataFrame,
+    column: str,
+    heading: Callable[[float], str],
+    cell: Callable[[Record], str],
+) -> Table:
+    """A row per method and a column per value of `column`."""
+    if records.empty:
+        return Table(title, caption, ("method",), ())
+    values = sorted(set(records[column]))
+    cells = {(row["method"], row[column]): cell(row) for row in records.to_dict("records")}
+    rows = tuple(
+        (method, *(cells.get((method, value), "-") for value in values))
+        for method in sorted(set(records["method"]))
+    )
+    return Table(title, caption, ("method", *map(heading, values)), rows)
+
+
+def _plain_difference(row: Record) -> str:
+    return str(format_difference(row["difference"], row["low"], row["high"]))
+
+
+def _with_verdict(row: Record) -> str:
+    text = format_difference(row["difference"], row["low"], row["high"])
+    return f"{text} {row['verdict']}" if row["verdict"] else text

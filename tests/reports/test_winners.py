@@ -1,0 +1,130 @@
+"""The winner map: its cells are the winners, its hatching the intervals, its colours the usual."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from formula_results import THREE, Formula, table
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+from reports import winners
+from reports.analysis.aggregate import Scores
+from reports.analysis.curves import curves_of
+from reports.layout import style
+from reports.layout.winner_map import MapLabels, draw_winner_map, method_colours
+from rlbench.benchmark.results import MissingRowsError
+
+
+@pytest.fixture(scope="module")
+def files(results, tmp_path_factory):
+    return winners.write(results, tmp_path_factory.mktemp("winners"))
+
+
+@pytest.fixture(scope="module")
+def three():
+    return winners.map_winners(curves_of(Scores(table(THREE))))
+
+
+def test_three_images_and_a_csv_are_written(files):
+    names = [file.name for file in files]
+    assert names == ["winners.png", "winners.pdf", "winners.svg", "winners.csv"]
+    image = imread(files[0])
+    assert (image[..., :3].max(2) - image[..., :3].min(2) > 0.2).mean() > 0.2  # is coloured
+
+
+def test_equal_results_give_equal_files(results, files, tmp_path):
+    again = winners.write(results, tmp_path)
+    assert [f.read_bytes() for f in files] == [f.read_bytes() for f in again]
+
+
+def test_each_cell_has_the_best_method_that_fits(three):
+    """Brute force over a dense grid of budgets, for some of the cells."""
+    spp = np.geomspace(1, 4, 4001)
+    names = [*three.methods]
+    for row in range(0, len(three.sample_ms), 37):
+        for column in range(0, len(three.deadline_ms), 41):
+            cost, deadline = three.sample_ms[row], three.deadline_ms[column]
+            best = {
+                name: formula.score(spp[fits][-1])
+                for name, formula in THREE.items()
+                if (fits := formula.fixed_ms + cost * spp <= deadline).any()
+            }
+            index = three.winner[row, column]
+            if len(ranked := sorted(best.values())[-2:]) == 2 and ranked[1] - ranked[0] < 0.01:
+                continue  # the grid is too coarse to tell
+            assert (names[index] if index >= 0 else None) == max(best, key=best.get, default=None)
+
+
+def test_no_winner_takes_longer_than_its_deadline(files):
+    cells, methods = pd.read_csv(files[-1]), curves_of_results()
+    for method, part in cells.groupby("method"):
+        times = [
+            float(methods[method].frame_ms_at(np.array(spp), cost))
+            for spp, cost in zip(part["target_spp"], part["sample_ms"], strict=True)
+        ]
+        assert (np.array(times) <= part["deadline_ms"] * (1 + 1e-9)).all()
+
+
+def curves_of_results():
+    from conftest import rows
+
+    from rlbench.benchmark.results import to_dataframe
+
+    return {c.method: c for c in curves_of(Scores(to_dataframe(rows())))}
+
+
+def test_a_cell_is_hatched_where_the_interval_includes_zero():
+    methods = {"a": Formula(20, 1, 1.0, 0.6), "b": Formula(20.3, 1, 1.0), "c": Formula(24, 1, 50.0)}
+    cells = winners.map_winners(curves_of(Scores(table(methods))))
+    names = np.array([*cells.methods, ""])
+    second = names[cells.runner_up]
+    is_b = names[cells.winner] == "b"
+    assert cells.is_open[is_b & (second == "a")].all()
+    is_c = (names[cells.winner] == "c") & (second == "b")
+    assert is_c.any()
+    assert not cells.is_open[is_c].any()
+
+
+def test_a_single_clip_separates_nothing():
+    cells = winners.map_winners(curves_of(Scores(table(THREE, scenes=("city",)))))
+    assert cells.is_open[cells.runner_up >= 0].all()
+
+
+def test_a_longer_deadline_changes_nothing_beyond_the_dotted_line(three):
+    inside = three.is_exhausted
+    assert inside.any()
+    assert (np.diff(inside.astype(int), axis=1) >= 0).all()
+    assert (three.spp[inside] == 4).all()
+    assert not inside[(three.winner != three.winner[:, -1:])].any()
+
+
+def test_colours_are_those_of_the_pareto_plot():
+    methods = ["ours", "ours/small", "ntas", "mine"]
+    colours = method_colours(methods, methods)
+    styles = style.line_styles(methods)
+    for name in ("ours", "ntas", "mine"):
+        assert colours[name] == pytest.approx(to_rgb(styles[name].color))
+    assert sum(colours["ours/small"]) > sum(colours["ours"])  # a lighter one
+    assert len(set(colours.values())) == len(methods)
+
+
+def test_regions_are_named_in_place_and_in_the_key(three):
+    figure = draw_winner_map(three, MapLabels("caption", 2.0))
+    texts = {text.get_text() for text in figure.axes[0].texts}
+    assert {"slow", "no method fits", "60 Hz", "cost in these results"} <= texts
+    key = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert set(THREE) <= key
+
+
+def test_results_without_times_have_no_map(tmp_path):
+    rows = table(THREE)
+    with pytest.raises(MissingRowsError, match="cheap has no time on every scene"):
+        winners.write(rows[rows["unit"] != "ms"], tmp_path)
+
+
+def test_the_caption_names_device_and_size(tmp_path, monkeypatch):
+    monkeypatch.setitem(style.RC, "svg.fonttype", "none")  # letters, not their outlines
+    svg = winners.write(table(THREE), tmp_path)[2].read_text()
+    assert "CPU, 2 threads at 192x192" in svg
