@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from torch.nn import functional as F
 
+from methods.ours.experiments.fit_one_clip import fit
 from methods.ours.experiments.lean_search import CONFIGS, FAMILY, build, count_multiply_adds
 from methods.ours.initialization import initialize
 from methods.ours.method import Ours
@@ -13,6 +16,7 @@ from methods.ours.train import config_task
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip, unroll
+from tests.procedural_folder import write_world
 
 CPU = torch.device("cpu")
 CLIP = procedural_clip(size=Size(1, 48, 48), frames=3, static=True)
@@ -74,3 +78,11 @@ def test_filtered_radiance_replaces_the_colour_where_the_gate_is_open() -> None:
     padded = F.pad(state.radiance.mean, (1, 1, 1, 1), mode="replicate")
     # a box filter, through the log transfer and back
     torch.testing.assert_close(image, F.avg_pool2d(padded, 3, 1), rtol=1e-4, atol=1e-5)
+
+
+def test_one_clip_is_scored_before_and_after_it_is_trained_on(tmp_path: Path) -> None:
+    folder = write_world(tmp_path / "world")
+    (start, before), *_, (end, after) = fit(folder, "latent-0", frames=12, max_lr=1e-4, crop=48)
+    assert (start, end) == (0, 12)
+    assert len(before) == len(after) == 2
+    assert after != before
