@@ -30,6 +30,7 @@ __all__ = [
     "encode_inputs",
     "published_network",
     "run_network",
+    "tuned_network",
     "to_radiance",
     "to_signed_radiance",
 ]
@@ -146,3 +147,11 @@ def published_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
     network = UNet(INPUT_CHANNELS, widths=widths)
     card = load_into(network, CARDS / FAMILY.weights_file(variant))
     return network, card.origin
+
+
+def tuned_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
+    """A network with the weights of `oidn/tuned`, and their origin. Raises KeyError as above."""
+    variant = {BASE_WIDTHS: "tuned"}[widths]
+    network = UNet(INPUT_CHANNELS, widths=widths)
+    card = load_into(network, CARDS / FAMILY.weights_file(variant))
+    return network, f"oidn/tuned, from {card.origin}"

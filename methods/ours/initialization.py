@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from baselines.oidn.method import published_network
+from baselines.oidn.method import published_network, tuned_network
 from methods.ours.networks import (
     DEVIATION_INPUT,
     GBUFFER_CHANNELS,
@@ -60,7 +60,8 @@ def initialize(networks: Networks, config: Config, seed: int) -> str:
         _wire_identity(networks.encoder, config)
     origin = ""
     if config.accumulation != "none" and config.denoiser in (BASE_WIDTHS, FAST_WIDTHS):
-        origin = _load_intel(networks.denoiser)
+        start = tuned_network if config.denoiser_start == "tuned" else published_network
+        origin = _load_denoiser(networks.denoiser, *start(config.denoiser))
     if config.accumulates:
         _bias(networks.denoiser.dec_conv0)[3] = math.log(INITIAL_BLEND / (1 - INITIAL_BLEND))
     if config.kernel_taps:
@@ -101,13 +102,12 @@ def _wire_slots(last: nn.Conv2d, samples: int) -> None:
             _wire(last, 3 * group + colour, mean)
 
 
-def _load_intel(denoiser: UNet) -> str:
-    """Intel's weights, and zeros for the state's input channels and the blend's output channel.
+def _load_denoiser(denoiser: UNet, network: UNet, origin: str) -> str:
+    """The weights of OIDN's network, and zeros for the inputs of the state and for the blend.
 
     Output channels of a latent keep their random weights: where both what writes a latent and what
     reads it is zero, neither has a gradient.
     """
-    network, origin = published_network(denoiser.widths)
     intel = network.state_dict()
     for name, weight in denoiser.state_dict().items():
         weight[:4].zero_() if name.startswith("dec_conv0.") else weight.zero_()

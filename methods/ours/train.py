@@ -26,7 +26,7 @@ from methods.ours.state import RecurrentState, detach
 from methods.ours.variants import BASE, VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, GBuffer, Samples
-from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
+from rlbench.ops.losses import display_mse, l1_ms_ssim_loss, log_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
@@ -112,9 +112,7 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
         total, frames = torch.zeros((), device=device), 0
         episode = list(clip) if config.gamma else []
         for result in unroll(exploring, clip, spp):
-            loss = l1_ms_ssim_loss(
-                log_forward(result.image), log_forward(result.frame.reference.mean)
-            )
+            loss = frame_loss(config, result.image, result.frame.reference.mean)
             if config.log_loss:  # else small budgets and hard scenes dominate
                 loss = log_loss(loss)
             if networks.sampler is not None and result.frame.index % SAMPLER_INTERVAL == 0:
@@ -144,6 +142,15 @@ def config_task(config: Config, traits: Traits, device: torch.device, seed: int)
         origin=origin,
         auxiliary_network=auxiliary,
     )
+
+
+def frame_loss(
+    config: Config, image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, ""]:
+    """The loss of an image, both in linear radiance."""
+    if config.loss == "display":
+        return display_mse(image, reference)
+    return l1_ms_ssim_loss(log_forward(image), log_forward(reference))
 
 
 def width_multiplier(widths: tuple[int, ...]) -> float:

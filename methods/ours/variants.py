@@ -16,6 +16,8 @@ SLOTS = 8  # samples per pixel that the encoder can read one by one
 EncodingName = Literal["single", "mean", "mean and count", "none"]
 HistoryMode = Literal["state", "samples", "nothing"]
 Accumulation = Literal["temporal", "rule", "frame", "none"]
+LossName = Literal["l1_ms_ssim", "display"]
+DenoiserStart = Literal["intel", "tuned"]
 DensityName = Literal["exponential", "linear"]
 
 
@@ -35,8 +37,10 @@ class Config:
     encoder: tuple[int, ...] = (64,)  # channels of the hidden layers; empty: no encoder
     encoder_kernel: int = 3  # pixels, side of the encoder's kernels
     denoiser: UNetWidths = NORMAL
+    denoiser_start: DenoiserStart = "intel"  # first weights: Intel's, or those of oidn/tuned
     kernel_taps: int = 0  # of kernels that the denoiser predicts, if it writes the latent
     bptt: int = 1  # frames that gradients flow back through (truncated backpropagation)
+    loss: LossName = "l1_ms_ssim"  # in log transfer; or squared error on the display
     log_loss: bool = True  # train on the logarithm of the loss?
     learner: str = "reinforce+surrogate"  # trains the sampler: a name of methods.ours.policy
     gamma: float = 0.0  # discount per frame of later errors that a map is credited with

@@ -14,11 +14,14 @@ COLUMNS = {  # of the kinds that have more than these, in their order
     "metrics": ("name", "unit", "direction", "convention"),
     "presets": ("name", "height", "width", "frames", "reference_spp", "scenes", "takes", "purpose"),
 }
+FILE_WIDTH = 180  # characters of a line that goes to no terminal
 
 
 def print_installed(installed: dict[str, list[dict[str, Any]]]) -> None:
     """Print one table for each kind, and below it the plugins that cannot be imported."""
     console = Console()
+    if not console.is_terminal:  # into a file or a pager, which has no width to fit
+        console = Console(width=FILE_WIDTH)
     for kind, rows in installed.items():
         working = [row for row in rows if "broken" not in row]
         columns = COLUMNS.get(kind) or tuple(working[0] if working else ("name",))

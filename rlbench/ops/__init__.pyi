@@ -27,7 +27,7 @@ from .fireflies import (
 )
 from .init import kaiming_init
 from .kernels import apply_kernels, splat_kernels
-from .losses import l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
+from .losses import display_mse, l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
 from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
 from .padding import crop, pad
@@ -69,6 +69,7 @@ __all__ = [
     "cross_affinity_sum",
     "decode_srgb",
     "demodulation_albedo",
+    "display_mse",
     "encode_srgb",
     "feature_similarity",
     "fill_holes",

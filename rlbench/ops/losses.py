@@ -9,9 +9,12 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.ops.color import encode_srgb
+
 __all__ = [
     "UNIFORM_WEIGHTS",
     "MS_SSIM_WEIGHTS",
+    "display_mse",
     "l1",
     "l1_ms_ssim_loss",
     "log_loss",
@@ -53,6 +56,19 @@ def temporal_l1(
 ) -> Float[Tensor, ""]:
     """L1 error of the change from the previous frame, mean |(x - x') - (y - y')|, not warped."""
     return l1(image - previous, reference - previous_reference)
+
+
+def display_mse(
+    image: Float[Tensor, "n c h w"], reference: Float[Tensor, "n c h w"]
+) -> Float[Tensor, ""]:
+    """Mean squared error of sRGB display values, whose logarithm PSNR is.
+
+    Both are linear radiance. Where the reference is display white or more, an image above white has
+    no error. An image below 0 has one, and a gradient, although a display shows it as black.
+    """
+    white = reference >= 1
+    image = torch.where(white, image.clamp_max(1), image)
+    return (encode_srgb(image) - encode_srgb(reference.clamp(0, 1))).square().mean()
 
 
 def l1_ms_ssim_loss(

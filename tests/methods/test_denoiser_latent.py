@@ -13,6 +13,7 @@ from methods.ours.experiments.lean_search import CONFIGS, FAMILY, build, count_m
 from methods.ours.initialization import initialize
 from methods.ours.method import Ours
 from methods.ours.train import config_task
+from rlbench import registry
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
 from rlbench.run import run_clip, unroll
@@ -86,3 +87,13 @@ def test_one_clip_is_scored_before_and_after_it_is_trained_on(tmp_path: Path) ->
     assert (start, end) == (0, 12)
     assert len(before) == len(after) == 2
     assert after != before
+
+
+def test_lean_may_start_from_the_denoiser_of_oidn_tuned() -> None:
+    """Its first image is that of `accumulate/contrast`, which has that denoiser."""
+    expected, image = (
+        next(run_clip(method, CLIP, 2.0)).image
+        for method in (registry.load_method("accumulate/contrast"), initial("tuned"))
+    )
+    # the same sums, with six input channels of zero weight more
+    torch.testing.assert_close(image, expected, rtol=1e-3, atol=1e-5)

@@ -8,10 +8,13 @@ import kornia
 import pytest
 import pytorch_msssim
 import torch
+from skimage.metrics import peak_signal_noise_ratio as skimage_psnr
 
+from rlbench.ops.color import encode_srgb
 from rlbench.ops.losses import (
     MS_SSIM_WEIGHTS,
     UNIFORM_WEIGHTS,
+    display_mse,
     l1,
     l1_ms_ssim_loss,
     log_loss,
@@ -184,3 +187,17 @@ def test_log_loss_of_a_perfect_image_has_zero_gradient():
     loss = torch.tensor(0.0, requires_grad=True)
     log_loss(loss).backward()
     assert float(loss.grad) == 0
+
+
+def test_the_display_error_is_that_of_psnr_on_displayable_images():
+    torch.manual_seed(0)
+    image, reference = torch.rand(2, 1, 3, 8, 9)
+    psnr = skimage_psnr(encode_srgb(reference).numpy(), encode_srgb(image).numpy(), data_range=1.0)
+    assert -10 * display_mse(image, reference).log10().item() == pytest.approx(psnr, abs=1e-4)
+
+
+def test_radiance_above_white_is_no_error_where_the_reference_is_white():
+    reference = torch.tensor([1.0, 5.0, 0.5]).view(1, 3, 1, 1)
+    image = torch.tensor([7.0, 1.0, 2.0]).view(1, 3, 1, 1).requires_grad_()
+    display_mse(image, reference).backward()
+    assert (image.grad.flatten() != 0).tolist() == [False, False, True]

@@ -41,6 +41,12 @@ CONFIGS = {
     **{f"latent-{c}": replace(BY_RULE, latent=c, bptt=3) for c in LATENTS},
     "kernel-3": replace(BY_RULE, latent=4, bptt=3, kernel_taps=9),
     "kernel-5": replace(BY_RULE, latent=4, bptt=3, kernel_taps=25),
+    "tuned": replace(BY_RULE, bptt=3, denoiser_start="tuned"),
+    "display": replace(BY_RULE, bptt=3, loss="display"),
+    "tuned-display": replace(BY_RULE, bptt=3, denoiser_start="tuned", loss="display"),
+    "tuned-display-latent": replace(
+        BY_RULE, latent=8, bptt=3, denoiser_start="tuned", loss="display"
+    ),
     "fast": replace(BY_RULE, latent=8, bptt=3, denoiser=FAST_WIDTHS),
 }
 SIDE = 192  # pixels, of the frame whose multiply-adds are counted
