@@ -10,14 +10,14 @@ METHODS := ours,ntas,oidn,oidn/tuned,mean
 
 # what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule, or untrained
 RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule,ours/initial
-CONTROLS := ours,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
+CONTROLS := ours,ours/lean,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
 
 # the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
-TABLE1 := ours,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,ntas,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
+TABLE1 := ours,ours/lean,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
 # the nearest rivals, on many clips
-RIVALS := ours,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
+RIVALS := ours,ours/lean,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
 
 APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
