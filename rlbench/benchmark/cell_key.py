@@ -67,7 +67,11 @@ class CellId:
     def document(self) -> dict[str, Any]:
         """The identity as JSON; without the hash of its times where an older file has none."""
         document = asdict(self)
-        return document if self.times_hash else {k: v for k, v in document.items() if k != "times_hash"}
+        return (
+            document
+            if self.times_hash
+            else {k: v for k, v in document.items() if k != "times_hash"}
+        )
 
     def has_scores_of(self, cell: CellId) -> bool:
         """Do both have the same scores, whatever their times?"""

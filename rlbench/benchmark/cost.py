@@ -97,13 +97,13 @@ def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:
     A renderer traces a G-buffer once per frame, whatever is sampled. Where the clip does not have
     its time, it is charged as 0.
     """
-    relative = header.gbuffer_ms / header.sample_ms
-    if not math.isfinite(relative):
+    if not (header.gbuffer_ms > 0 and header.sample_ms > 0):
         unknown = (
             "not known, charged as 0: rlbench render --remeasure-sample-time measures it for "
             "presets"
         )
         return replace(cost, gbuffer_convention=unknown)
+    relative = header.gbuffer_ms / header.sample_ms
     convention = f"{relative:.3g} path samples, as measured on '{header.device}'"
     known = path_ms * relative
     return replace(
@@ -115,8 +115,7 @@ def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:
 
 def _spread_reason(header: Header) -> str:
     """Why the time of a sample in a header must not be believed; empty if it may."""
-    spread = header.sample_p95_ms / header.sample_p5_ms
-    if not spread > MAX_SPREAD:  # also for nan: older clips have no percentiles
+    if header.sample_p95_ms <= MAX_SPREAD * header.sample_p5_ms:  # both are 0 in older clips
         return ""
     return (
         f"{UNRELIABLE} a sample took {header.sample_p5_ms:.3g} to {header.sample_p95_ms:.3g} ms "

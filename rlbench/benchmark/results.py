@@ -123,7 +123,10 @@ def read_cell_rows(folder: Path, cell: CellId) -> list[Row]:
     stored = cell_file.read_cell(folder / f"{cell.file_stem}{SUFFIX}")
     if stored is None:
         raise TableError(f"{folder} holds no cell '{cell.key}'; rlbench run measures it")
-    return [Row(**{str(key): value for key, value in row.items()}) for row in stored[1].to_dict("records")]
+    return [
+        Row(**{str(key): value for key, value in row.items()})
+        for row in stored[1].to_dict("records")
+    ]
 
 
 def select_methods(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:

@@ -106,7 +106,9 @@ def _frame_note(inference: _Inference, cost: Cost, sample_note: str) -> str:
 
 def _is_same_device(first: str, second: str) -> bool:
     """Are these names of one device, with its threads or cores after the last comma or not?"""
-    return first.rpartition(",")[0] == second.rpartition(",")[0] and ("," in first or first == second)
+    return first.rpartition(",")[0] == second.rpartition(",")[0] and (
+        "," in first or first == second
+    )
 
 
 def _percentile_rows(row: Row, timing: Timing) -> Iterator[Row]:

@@ -172,9 +172,7 @@ def _groups(cells: Iterable[ResolvedCell]) -> list[Group]:
     return [tuple(group) for group in groups]
 
 
-def _job_result(
-    cell: ResolvedCell, outcome: Timing | Exception
-) -> JobResult[ResolvedCell, Timing]:
+def _job_result(cell: ResolvedCell, outcome: Timing | Exception) -> JobResult[ResolvedCell, Timing]:
     if isinstance(outcome, Exception):
         return JobResult(cell, error=outcome)
     return JobResult(cell, outcome)

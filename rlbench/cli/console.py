@@ -51,8 +51,8 @@ def measuring(plan: RunPlan) -> Iterator[ProgressCallbacks]:
             status = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
             bar.update(task, advance=1, description=status)
 
-        def on_timing(cell: ResolvedCell) -> None:
-            bar.update(task, description=f"timed {cell.method.name}, {cell.target_spp:g} spp")
+        def on_timing(done: int, total: int) -> None:
+            bar.update(task, description=f"timing, {done} of {total} rows")
 
         yield ProgressCallbacks(on_cell, on_timing)
 
@@ -91,13 +91,15 @@ def print_summary(summary: RunSummary, out: Path) -> None:
     for file in summary.set_aside:
         text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
         console.print(text, style="yellow", markup=False, soft_wrap=True)
-    if not summary.measured + summary.skipped + summary.failed:
+    if not summary.measured + summary.timed + summary.skipped + summary.failed:
         console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
         return
     text = (
         f"{summary.measured} cells measured, {summary.cached} already in the results, "
         f"{summary.skipped} skipped"
     )
+    text += f", {summary.timed} timed again" if summary.timed else ""
+    text += f", {summary.unscored} without scores and not timed" if summary.unscored else ""
     text += f", {summary.failed} failed" if summary.failed else ""
     text += f", {summary.replaced} older ones replaced" if summary.replaced else ""
     console.print(f"{text}; results are in {out}")
