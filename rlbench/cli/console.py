@@ -121,9 +121,12 @@ def print_scores(
     for (method, spp), group in rows.groupby(["method", "target_spp"]):
         means = group.groupby("metric")["value"].mean()
         numbers = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
+        doubted = set(group.loc[_is_unreliable(group), "metric"])
+        marks = ("", *("?" * (name in doubted) for name in ("inference_ms", "frame_ms")))
         scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
         part = f" ({scored} of them)" if 0 < scored < clips else ""
-        table.add_row(f"{method}{part}", f"{spp:g}", *(_format_number(value) for value in numbers))
+        cells = [f"{_format_number(n)}{mark}" for n, mark in zip(numbers, marks, strict=True)]
+        table.add_row(f"{method}{part}", f"{spp:g}", *cells)
     console = Console()
     console.print(table)
     _print_notes(rows, console)
@@ -167,9 +170,27 @@ def _print_notes(rows: pd.DataFrame, console: Console) -> None:
         if metric in ("psnr", "sample_ms"):
             clips = ", ".join(sorted(set(group["clip"])))
             console.print(f"{method}: no {metric} on {clips}: {note}", markup=False)
+    _print_unreliable(rows, console)
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
     for (method, note), _ in scored.groupby(["method", "note"]):
         console.print(f"{method}: {note}", style="yellow", markup=False)
+
+
+def _print_unreliable(rows: pd.DataFrame, console: Console) -> None:
+    """Print how many rows have unreliable times, and the first reason."""
+    frames = rows[(rows["metric"] == "frame_ms") & _is_unreliable(rows)]
+    cells = frames[["method", "target_spp"]].drop_duplicates()
+    if len(cells):
+        reason = frames["note"].iloc[0].removeprefix(results.UNRELIABLE).strip()
+        text = (
+            f"{len(cells)} rows have unreliable times, marked ?: {reason}. When the machine is "
+            "idle, repeat the command with --retime"
+        )
+        console.print(text, style="yellow", markup=False, soft_wrap=True)
+
+
+def _is_unreliable(rows: pd.DataFrame) -> pd.Series[bool]:
+    return rows["note"].str.startswith(results.UNRELIABLE)
 
 
 def _progress_bar() -> Progress:

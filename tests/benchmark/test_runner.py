@@ -120,8 +120,8 @@ def test_new_times_leave_scores_bit_identical(clip_folder, tmp_path):
     measure(plan, tmp_path / "r")
     before, runs = scores(tmp_path / "r"), table.read(tmp_path / "r")
     done = measure(plan, tmp_path / "r", retime=True)
-    assert done == RunSummary(timed=3, skipped=0) + RunSummary(timed=1)
-    assert scores(tmp_path / "r") == before
+    assert done == RunSummary(timed=3, skipped=1)  # eaw does not support 0.5 spp
+    assert repr(scores(tmp_path / "r")) == repr(before)  # as text, since nan differs from nan
     after = table.read(tmp_path / "r")
     assert list(after["metric"]) == list(runs["metric"])
     assert list(after["value"]) != list(runs["value"])
