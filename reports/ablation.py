@@ -107,7 +107,8 @@ def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     caption = (
         "Frame time in ms (G-buffer + plan + allocate + sampling + denoise) minus that of "
         f"{family}, mean over scenes, on {scores.device_name}. Networks are timed on one clip of "
-        f"each size, in interleaved rounds. Cost of a sample: {scores.cost_source or 'not measured'}. "
+        "each size, in interleaved rounds. Cost of a sample: "
+        f"{scores.cost_source or 'not measured'}. "
         f"{UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
     )
     return Table(f"Frame time minus that of {family}", caption, header, tuple(rows))
