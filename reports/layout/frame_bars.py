@@ -76,7 +76,7 @@ def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
         )
         for column, (_, color) in PARTS.items():
             axes.barh(position, row[column], left=start, height=0.74, color=color, **outline)
-            start += row[column]
+            start += float(row[column])
         mark = "?" * bool(row["unreliable"])
         text = f"{row['frame_ms']:.3g}{mark}"
         axes.text(start + 0.012 * longest, position, text, va="center", fontsize=10)

@@ -25,6 +25,7 @@ TIMING = (
     "rlbench.benchmark.cost",
     "rlbench.benchmark.cost_profile",
     "rlbench.benchmark.latency",
+    "rlbench.benchmark.scatter",
     "rlbench.benchmark.time_rows",
     "rlbench.benchmark.timing_cache",
 )  # modules that measure times

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from rlbench import registry
 from rlbench.benchmark.cost_profile import MEASURED, CostError, CostProfile, profile, profiles
@@ -19,10 +19,12 @@ from rlbench.clips.stored import Header
 from rlbench.system import code_hash, paths
 
 __all__ = [
+    "FULL_FRAME",
     "MEASURED",
     "Cost",
     "CostError",
     "CostProfile",
+    "Scatter",
     "measured",
     "profile",
     "profiles",
@@ -31,6 +33,16 @@ __all__ = [
 ]
 
 MAX_SPREAD = 1.25  # p95 / p5 of the time of a sample; beyond it the machine was busy
+
+
+class Scatter(NamedTuple):
+    """A factor on the time of a sample, for counts that leave holes."""
+
+    factor: float
+    note: str = ""  # why it is 1 although the counts are adaptive
+
+
+FULL_FRAME = Scatter(1.0)
 
 
 @dataclass(frozen=True)
@@ -47,7 +59,7 @@ class Cost:
     device: str = ""  # that traces the samples
     gbuffer_ms: float = 0.0  # 0 for a method that reads none, and where it is not known
     gbuffer_convention: str = "the method reads no G-buffer"
-    scatter: float = 1.0  # time of a sample at adaptive counts / time of one of a full frame
+    scatter: Scatter = FULL_FRAME  # what samples at adaptive counts cost more
 
 
 def published(profile: CostProfile, header: Header, pool: str) -> Cost:

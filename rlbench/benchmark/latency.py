@@ -14,7 +14,11 @@ from typing import NamedTuple
 
 import torch
 
-from rlbench.benchmark.clock.calibration import Calibrator, load_average
+from rlbench.benchmark.clock.calibration import (
+    MIN_PROCESSOR_SHARE,
+    Calibrator,
+    load_average,
+)
 from rlbench.benchmark.clock.reliability import half_width, middle_half, unreliable_reason
 from rlbench.benchmark.clock.rounds import Limits, Session, Track, Visit
 from rlbench.benchmark.clock.stopwatch import (
@@ -153,5 +157,5 @@ def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
     seen = [each for visit in visits for each in session.around(visit)]
     text = f"calibration up to {max(each.ms for each in seen) / session.quietest_ms:.1f} times "
     text += "the quietest"
-    shares = [each.processor_share for each in seen if each.processor_share == each.processor_share]
+    shares = [s for s in (each.processor_share for each in seen) if s < MIN_PROCESSOR_SHARE]
     return f"{text}, and {min(shares):.0%} of the processors at the least" if shares else text

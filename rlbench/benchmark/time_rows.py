@@ -48,13 +48,13 @@ def timing_rows(
     """
     row = replace(template, unit="ms", direction="lower")
     inference = _inference(row, timing, published)
-    sampling = row.mean_spp * cost.sample_ms * cost.scatter
+    sampling = row.mean_spp * cost.sample_ms * cost.scatter.factor
     is_unknown = math.isnan(cost.sample_ms) or cost.note.startswith(UNRELIABLE)
     sample_note = cost.note if is_unknown else ""
     note = _frame_note(inference, cost, sample_note)
     frame = cost.gbuffer_ms + inference.total + sampling
     source = f"{SUM}; inference on {inference.device}; samples: {cost.convention}"
-    scattered = f"; x {cost.scatter:.3g} for scattered samples" * (cost.scatter != 1)
+    factor = f"; x {cost.scatter.factor:.3g} for scattered samples" * (cost.scatter.factor != 1)
     return [
         *(
             _with_value(row, f"{name}_ms", ms, inference.convention, inference.note)
@@ -64,7 +64,13 @@ def timing_rows(
         *_clock_rows(template, timing),
         _with_value(row, "gbuffer_ms", cost.gbuffer_ms, cost.gbuffer_convention),
         _with_value(row, "sample_ms", cost.sample_ms, cost.convention, cost.note),
-        _with_value(row, "sampling_ms", sampling, f"{cost.convention}{scattered}", sample_note),
+        _with_value(
+            row,
+            "sampling_ms",
+            sampling,
+            f"{cost.convention}{factor}",
+            sample_note or cost.scatter.note,
+        ),
         _with_value(row, "frame_ms", frame, source, note),
     ]
 

@@ -7,15 +7,16 @@ nothing else runs here. Cells are scored afterwards, in any order and on any mac
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rlbench import registry
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.cell_loader import CellLoader
-from rlbench.benchmark.cost import Cost, CostProfile
+from rlbench.benchmark.cost import FULL_FRAME, Cost, CostProfile, Scatter
 from rlbench.benchmark.cost_profile import ProfileTime
 from rlbench.benchmark.latency import TimedRow, Timing
 from rlbench.benchmark.resolve import ResolvedCell
+from rlbench.benchmark.scatter import ScatterMeter
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
 from rlbench.system import provenance
 
@@ -36,6 +37,7 @@ class TimingCache:
     profile: CostProfile | None  # None: samples cost what they take on this machine
     _timings: dict[TimingKey, Timing] = field(default_factory=dict, repr=False)
     _costs: dict[tuple[object, ...], Cost] = field(default_factory=dict, repr=False)
+    _scatters: dict[TimingKey, Scatter] = field(default_factory=dict, repr=False)
 
     def __call__(
         self, group: Group, on_progress: ProgressCallback
@@ -80,8 +82,7 @@ class TimingCache:
                 for cell in waiting
                 if self.key(cell) not in self._timings and cell not in firsts
             ]
-        for cell in runnable:
-            self.cost(cell)
+        self._measure_costs([cell for cell in runnable if self.key(cell) in self._timings])
         return errors
 
     def key(self, cell: ResolvedCell) -> TimingKey:
@@ -102,7 +103,7 @@ class TimingCache:
         return self.profile.inference(cell.method.name, cell.header.height, cell.header.width)
 
     def cost(self, cell: ResolvedCell) -> Cost:
-        """Cost of samples and G-buffer of a cell, measured now unless it is known."""
+        """Cost of a cell's samples and G-buffer, with the factor of its scattered samples."""
         header, pool, has_inputs = cell.header, cell.traits.pool, bool(cell.traits.inputs)
         key = (header.name, pool, has_inputs)
         if key not in self._costs:
@@ -111,7 +112,21 @@ class TimingCache:
                 path = price if pool == "path" else self._sample_cost(cell, "path")
                 price = cost.with_gbuffer(price, path.sample_ms, header)
             self._costs[key] = price
-        return self._costs[key]
+        return replace(self._costs[key], scatter=self._scatters.get(self.key(cell), FULL_FRAME))
+
+    def _measure_costs(self, cells: Sequence[ResolvedCell]) -> None:
+        """Measure what samples cost at the counts of adaptive methods, and all other costs.
+
+        The factor of a method at a budget is that of one clip, as its time is. A cost profile has
+        no such factor, and samples of other pools are not traced one by one.
+        """
+        meter = ScatterMeter(self.loader)
+        for cell in cells:
+            self.cost(cell)
+            is_scattered = cell.traits.adaptive and cell.traits.pool == "path"
+            if self.profile is None and is_scattered and self.key(cell) not in self._scatters:
+                with registry.exits_as_errors():
+                    self._scatters[self.key(cell)] = meter.measure(cell)
 
     def _sample_cost(self, cell: ResolvedCell, pool: str) -> Cost:
         if self.profile:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from rlbench.benchmark.cost import Cost
+from rlbench.benchmark.cost import Cost, Scatter
 from rlbench.benchmark.cost_profile import ProfileTime
 from rlbench.benchmark.latency import PartTime, Timing
 from rlbench.benchmark.results import Row
@@ -59,10 +59,12 @@ def test_times_are_in_milliseconds_and_what_describes_them_is_not():
 
 
 def test_scattered_samples_cost_their_factor():
-    rows = by_metric(cost=replace(COST, scatter=1.1))
+    rows = by_metric(cost=replace(COST, scatter=Scatter(1.1)))
     assert rows["sampling_ms"].value == pytest.approx(1.1 * 30)
     assert rows["frame_ms"].value == pytest.approx(3 + 5.5 + 33)
     assert rows["sampling_ms"].convention.endswith("x 1.1 for scattered samples")
+    noted = by_metric(cost=replace(COST, scatter=Scatter(1.0, "no scene")))
+    assert (noted["sampling_ms"].value, noted["sampling_ms"].note) == (30, "no scene")
 
 
 def test_a_sample_without_a_cost_leaves_its_reason_in_every_sum():
