@@ -16,7 +16,7 @@ from rlbench import registry
 from rlbench.benchmark.cost_profile import MEASURED, CostError, CostProfile, profile, profiles
 from rlbench.benchmark.results import UNRELIABLE
 from rlbench.clips.stored import Header
-from rlbench.system import code_hash, paths
+from rlbench.system import code_hash, paths, provenance
 
 __all__ = [
     "FULL_FRAME",
@@ -91,7 +91,7 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
     if header.device == machine and math.isfinite(known_ms):
         tracer = header.tracer_of_times
         convention += f", {tracer}" * bool(tracer)
-        return Cost(known_ms, convention, _spread_reason(header) or note, machine)
+        return Cost(known_ms, convention, _spread_reason(header) or note, _device(tracer, machine))
     try:
         sample_ms, tracer = _traced_here(header, machine, pool)
     except Exception as error:  # a missing scene or tracer is a reason, it does not stop a run
@@ -100,7 +100,7 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
             f"{type(error).__name__}: {error}"
         )
         return Cost(math.nan, convention, reason, machine)
-    return Cost(sample_ms, f"{convention}, {tracer}", note, machine)
+    return Cost(sample_ms, f"{convention}, {tracer}", note, _device(tracer, machine))
 
 
 def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:
@@ -123,6 +123,11 @@ def with_gbuffer(cost: Cost, path_ms: float, header: Header) -> Cost:
         gbuffer_ms=known if math.isfinite(known) else 0.0,
         gbuffer_convention=convention,
     )
+
+
+def _device(tracer: str, machine: str) -> str:
+    """The device on which this machine's tracer runs."""
+    return provenance.machine().gpu if tracer.startswith("cuda") else machine
 
 
 def _spread_reason(header: Header) -> str:

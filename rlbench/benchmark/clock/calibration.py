@@ -19,7 +19,7 @@ SLOWDOWN = 1.10  # times the quietest calibration; beyond it the machine is busy
 MIN_PROCESSOR_SHARE = 0.8  # of its threads, that the kernel gets on a quiet machine
 REPEATS = 3  # runs of the kernel in one calibration
 SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
-ACCELERATOR_SIDE = 4096
+ACCELERATOR_SIDE = 2048
 
 
 class Calibration(NamedTuple):
