@@ -18,6 +18,7 @@ from rlbench.benchmark.clock.calibration import (
     MIN_PROCESSOR_SHARE,
     Calibrator,
     load_average,
+    make_kernel,
 )
 from rlbench.benchmark.clock.reliability import half_width, middle_half, unreliable_reason
 from rlbench.benchmark.clock.rounds import Limits, Session, Track, Visit
@@ -90,7 +91,7 @@ def time_methods(
     steady. `calibrator` replaces the clocks and the kernel of this machine. `on_done` is called
     whenever a row is finished.
     """
-    calibrator = calibrator or Calibrator.of_device(device, SystemClock(device))
+    calibrator = calibrator or Calibrator(SystemClock(device), make_kernel(device))
     session, load = Session(calibrator, Limits.of_repeats(repeats)), load_average()
     tracks = [Track(_frames(row, calibrator.clock)) for row in rows]
     session.run(tracks, on_done)
@@ -158,4 +159,4 @@ def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
     text = f"calibration up to {max(each.ms for each in seen) / session.quietest_ms:.1f} times "
     text += "the quietest"
     shares = [s for s in (each.processor_share for each in seen) if s < MIN_PROCESSOR_SHARE]
-    return f"{text}, and {min(shares):.0%} of the processors at the least" if shares else text
+    return f"{text}, {min(shares):.0%} of the processor time it asked for" if shares else text

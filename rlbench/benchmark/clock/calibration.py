@@ -13,10 +13,17 @@ import torch
 
 from rlbench.benchmark.clock.stopwatch import Clock
 
-__all__ = ["MIN_PROCESSOR_SHARE", "SLOWDOWN", "Calibration", "Calibrator", "load_average"]
+__all__ = [
+    "MIN_PROCESSOR_SHARE",
+    "SLOWDOWN",
+    "Calibration",
+    "Calibrator",
+    "load_average",
+    "make_kernel",
+]
 
 SLOWDOWN = 1.10  # times the quietest calibration; beyond it the machine is busy
-MIN_PROCESSOR_SHARE = 0.8  # of its threads, that the kernel gets on a quiet machine
+MIN_PROCESSOR_SHARE = 0.8  # of the processor time that its threads ask for, on a quiet machine
 REPEATS = 3  # runs of the kernel in one calibration
 SIDE = {"cpu": 256}  # of the kernel's matrices: about a millisecond
 ACCELERATOR_SIDE = 2048
@@ -26,7 +33,7 @@ class Calibration(NamedTuple):
     """One reading of the kernel."""
 
     ms: float  # median of its runs
-    processor_share: float  # processor time / (wall time x threads); nan on an accelerator
+    processor_share: float  # time running / (running + waiting for a processor); nan: unknown
 
     def is_quiet(self, quietest_ms: float) -> bool:
         """Was the machine as quiet as in the session's quietest calibration, and ours alone?"""
@@ -38,29 +45,23 @@ class Calibration(NamedTuple):
 class Calibrator:
     """Runs the kernel between the clocks.
 
-    A constant load slows the quietest calibration too, and is found by the kernel's share of the
-    processors, because the kernel keeps every thread busy.
+    A constant load slows the quietest calibration too. It is found by the time that the kernel's
+    threads wait for a processor, as the system's scheduler counts it.
     """
 
     clock: Clock
     kernel: Callable[[], object]
-    threads: int  # that the kernel keeps busy; 0 on an accelerator
-
-    @staticmethod
-    def of_device(device: torch.device, clock: Clock) -> Calibrator:
-        """The calibrator of a device, with as many threads as torch uses."""
-        threads = torch.get_num_threads() if device.type == "cpu" else 0
-        return Calibrator(clock, make_kernel(device), threads)
 
     def measure(self) -> Calibration:
         """One reading, the median of a few runs."""
-        start, times = self.clock.processor_ms(), [self.clock.wall_ms()]
+        ran, waited = self.clock.processor_ms(), self.clock.waiting_ms()
+        times = [self.clock.wall_ms()]
         for _ in range(REPEATS):
             self.kernel()
             times.append(self.clock.wall_ms())
-        processor_ms, wall_ms = self.clock.processor_ms() - start, times[-1] - times[0]
+        ran, waited = self.clock.processor_ms() - ran, self.clock.waiting_ms() - waited
         runs = [after - before for before, after in zip(times, times[1:], strict=False)]
-        share = processor_ms / (wall_ms * self.threads) if self.threads and wall_ms else math.nan
+        share = ran / (ran + waited) if ran + waited > 0 else math.nan
         return Calibration(statistics.median(runs), share)
 
 

@@ -6,9 +6,12 @@ with a stopwatch. The device is synchronized before each reading.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import torch
@@ -22,6 +25,8 @@ from rlbench.wrappers import MethodWrapper
 
 __all__ = ["Clock", "FrameTime", "Stopwatch", "SystemClock", "TimedMethod", "timed_reader"]
 
+SCHEDULER = Path("/proc/self/task")  # a folder for each thread, with its schedstat
+
 
 class Clock(Protocol):
     """The clocks of a machine; tests have one whose time they set."""
@@ -31,6 +36,9 @@ class Clock(Protocol):
 
     def processor_ms(self) -> float:
         """Milliseconds that all threads of this process have run on a processor."""
+
+    def waiting_ms(self) -> float:
+        """Milliseconds that threads of this process waited for a processor; nan: unknown."""
 
     def context_switches(self) -> int:
         """How often the system took a processor from this process, whatever its thread."""
@@ -51,6 +59,16 @@ class SystemClock:
     def processor_ms(self) -> float:
         """Processor time of this process, all threads together."""
         return time.process_time() * 1e3
+
+    def waiting_ms(self) -> float:
+        """Time of all threads in the queue for a processor; nan but on Linux and processors."""
+        if self.device.type != "cpu" or not SCHEDULER.is_dir():
+            return math.nan
+        waited_ns = 0
+        for file in SCHEDULER.glob("*/schedstat"):
+            with suppress(OSError):  # of a thread that has just ended
+                waited_ns += int(file.read_text().split()[1])
+        return waited_ns / 1e6
 
     def context_switches(self) -> int:
         """Involuntary context switches of this process; 0 where the system does not count them."""

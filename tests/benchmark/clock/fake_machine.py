@@ -20,6 +20,7 @@ class Machine:
     processor_share: Callable[[float], float] = lambda ms: 1.0
     now: float = 0.0
     processor: float = 0.0
+    waiting: float = 0.0
     switches: int = 0
 
     def wall_ms(self):
@@ -28,16 +29,21 @@ class Machine:
     def processor_ms(self):
         return self.processor
 
+    def waiting_ms(self):
+        return self.waiting
+
     def context_switches(self):
         return self.switches
 
     def work(self, ms):
         taken = ms * self.slowdown(self.now)
-        self.processor += taken * self.processor_share(self.now)
+        share = self.processor_share(self.now)
+        self.processor += taken * share
+        self.waiting += taken * (1 - share)
         self.now += taken
 
-    def calibrator(self, threads=1):
-        return Calibrator(self, lambda: self.work(2.0), threads)
+    def calibrator(self):
+        return Calibrator(self, lambda: self.work(2.0))
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def test_a_constant_load_is_reported_by_the_share_of_the_processors():
     machine = Machine(slowdown=lambda ms: 2.0, processor_share=lambda ms: 0.5)
     (timing,) = timed(machine, Worker(machine))
     assert "the machine was busy in 30 of 30 rounds" in timing.unreliable
-    assert "50% of the processors at the least" in timing.unreliable
+    assert "50% of the processor time it asked for" in timing.unreliable
     assert timing.inference.p50 == pytest.approx(20.0)  # still the best that is known
 
 
