@@ -18,7 +18,14 @@ from reports.analysis.variant_differences import (
     families_with_scores,
 )
 from reports.layout.page import Section, write_page
-from reports.layout.tables import Table, format_difference, pivot_by_budget
+from reports.layout.tables import (
+    UNRELIABLE_MARK,
+    UNRELIABLE_MEANING,
+    Table,
+    format_difference,
+    format_ms,
+    pivot_by_budget,
+)
 from reports.published import published
 
 __all__ = ["write"]
@@ -95,12 +102,14 @@ def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
 
 def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     header, rows = pivot_by_budget(
-        records, lambda row: "-" if pd.isna(row["frame_ms"]) else f"{row['frame_ms']:+.1f}"
+        records, lambda row: format_ms(row["frame_ms"], row["unreliable"], sign="+")
     )
     caption = (
-        f"Frame time in ms (plan + denoise, p50, + samples) minus that of {family}, mean over "
-        f"scenes, on {scores.device_name}. Networks are timed on one clip of each size, so "
-        f"a few ms are noise. Cost of a sample: {scores.cost_source or 'not measured'}."
+        "Frame time in ms (G-buffer + plan + allocate + sampling + denoise) minus that of "
+        f"{family}, mean over scenes, on {scores.device_name}. Networks are timed on one clip of "
+        "each size, in interleaved rounds. Cost of a sample: "
+        f"{scores.cost_source or 'not measured'}. "
+        f"{UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
     )
     return Table(f"Frame time minus that of {family}", caption, header, tuple(rows))
 
@@ -142,5 +151,6 @@ def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list
         "Not compared": missing,
         "Published variants that were not measured": absent,
         "Not run": scores.skip_reasons,
+        "Unreliable times": scores.unreliable_times,
         "Remarks": scores.remarks,
     }

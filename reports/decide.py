@@ -24,7 +24,7 @@ from reports.layout.decision_text import decision_text
 
 __all__ = ["decide", "decision_text"]
 
-TIMES = ("plan_ms", "denoise_ms")
+TIMES = ("plan_ms", "allocate_ms", "denoise_ms")
 
 
 def decide(

@@ -21,8 +21,9 @@ def write(
 ) -> list[Path]:
     """Write PNG, PDF and SVG of the plot and a CSV of its points, one set for each device.
 
-    Frame time = plan + denoise + drawn samples per pixel x time of one sample per pixel. Points
-    without a score or time are not plotted. Raises ReportError if no point is left.
+    Frame time = gbuffer + plan + allocate + sampling + denoise. Points without a score or time are
+    not plotted; those with an unreliable time are hollow and never on the front. Raises ReportError
+    if no point is left.
     """
     devices = split_by_device(results)
     files = []
@@ -41,8 +42,9 @@ def write(
 def plotted_points(scores: Scores) -> pd.DataFrame:
     """The rows of `scores.points` that have a frame time, and their means over scenes.
 
-    `front` is true for the points on the Pareto front of their panel. Raises ReportError if no
-    point has a time, or if there are too many scenes for panels and no mean over them.
+    `front` is true for the points on the Pareto front of their panel, which an unreliable time
+    cannot be on. Raises ReportError if no point has a time, or if there are too many scenes for
+    panels and no mean over them.
     """
     per_scene = scores.points
     mean = scores.overall.assign(scene=OVERALL)
@@ -50,7 +52,7 @@ def plotted_points(scores: Scores) -> pd.DataFrame:
     points = points[points["frame_ms"].notna()].reset_index(drop=True)
     _check_points(points, scores)
     points["front"] = False
-    for _, panel in points.groupby("scene"):
+    for _, panel in points[~points["unreliable"]].groupby("scene"):
         front = pareto_front(panel["frame_ms"], panel["value"], scores.direction)
         points.loc[panel.index[front], "front"] = True
     return points
@@ -79,11 +81,19 @@ def figure_labels(scores: Scores) -> Labels:
     title = metric.upper().replace("_", "-") if metric in ("psnr", "ms_ssim") else metric
     caption = (
         f"{title}: {scores.convention}; {describe_clips(scores.measured)}. "
-        f"Frame time: plan + denoise (p50) on {scores.device_name}\n+ drawn samples per "
-        f"pixel x time of one sample per pixel ({scores.cost_source or 'an unnamed source'})."
+        f"Frame time: plan + allocate + denoise on {scores.device_name}\n+ G-buffer + drawn "
+        f"samples per pixel x time of one sample per pixel ({scores.cost_source or 'not named'})."
     )
     label = f"{title} [{unit}]" if unit else title
-    return Labels(label, scores.direction, caption + _missing_methods(scores))
+    heading = "; ".join(_describe_mix(scores, *mix) for mix in scores.device_mixes.items())
+    return Labels(label, scores.direction, caption + _missing_methods(scores), heading)
+
+
+def _describe_mix(scores: Scores, devices: str, methods: list[str]) -> str:
+    """A line of the title: frame times of these methods add times of two devices."""
+    everyone = set(scores.measured["method"]) <= set(methods)
+    named = "" if everyone else f" ({', '.join(methods)})"
+    return f"Two devices: {devices}{named}"
 
 
 def _check_points(points: pd.DataFrame, scores: Scores) -> None:
@@ -111,7 +121,12 @@ def _missing_methods(scores: Scores) -> str:
     averaged = scores.overall.groupby("method")["target_spp"].nunique()
     measured = scores.measured.groupby("method")["target_spp"].nunique()
     partial = {method for method, count in measured.items() if averaged.get(method, 0) < count}
-    missing = {"Not on every scene and frame": partial, "Without a time on every scene": untimed}
+    unreliable = set(points.loc[points["unreliable"], "method"])
+    missing = {
+        "Not on every scene and frame": partial,
+        "Without a time on every scene": untimed,
+        "Hollow: an unreliable time, measured on a busy machine": unreliable,
+    }
     return "".join(
         f"\n{title}: {', '.join(sorted(methods))}." for title, methods in missing.items() if methods
     )

@@ -26,9 +26,9 @@ COLUMNS = ["method", "target_spp", "value", "frame_ms"]
 def write(results: pd.DataFrame, folder: Path, name: str = "paper") -> list[Path]:
     """Write `name`-spp and `name`-time as PNG, PDF and SVG, and `name`-pareto.csv, per device.
 
-    Frame time = plan + denoise + drawn samples per pixel x time of one sample per pixel, as in the
-    results; that of the paper = inference + spp x 26.3 ms. Methods that the paper does not have
-    are named in the caption only. Raises MissingRowsError if no method of the paper was measured.
+    Frame time = gbuffer + plan + allocate + sampling + denoise, as in the results; that of the
+    paper = inference + spp x 26.3 ms. Methods that the paper does not have are named in the caption
+    only. Raises MissingRowsError if no method of the paper was measured.
     """
     devices = []
     for device, rows in split_by_device(results).items():
@@ -93,8 +93,8 @@ def _captions(scores: Scores, measured: pd.DataFrame) -> dict[str, str]:
     budgets = ", ".join(f"{spp:g}" for spp in sorted(set(measured["target_spp"])))
     times = (
         f"\nPoints of a curve, from left to right: {budgets} spp, where measured. Measured frame "
-        f"time: plan + denoise (p50) on {scores.device_name} + drawn samples per pixel x "
-        f"time of one sample per pixel ({_short_cost_source(scores.cost_source)}); "
+        f"time: plan + allocate + denoise on {scores.device_name} + G-buffer + drawn samples per "
+        f"pixel x time of one sample per pixel ({_short_cost_source(scores.cost_source)}); "
         f"published: inference + spp x {paper.sample_ms:g} ms."
     )
     return {"spp": caption, "time": caption + times}
@@ -112,7 +112,11 @@ def _missing_methods(scores: Scores, measured: pd.DataFrame) -> str:
     """Caption lines with the methods that have scores and are not drawn."""
     absent = sorted(set(scores.measured["method"]) - set(measured["method"]))
     untimed = sorted(set(measured.loc[measured["frame_ms"].isna(), "method"]))
+    doubted = set(scores.overall.loc[scores.overall["unreliable"], "method"])
+    unreliable = sorted(doubted & set(measured["method"]))
     missing = {
+        "Two devices": list(scores.device_mixes),
+        "Unreliable times, measured on a busy machine": unreliable,
         "Measured, but not in the paper or not on every scene": absent,
         "Without a time": untimed,
     }

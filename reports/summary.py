@@ -13,18 +13,27 @@ from reports.analysis.aggregate import Scores, metrics_with_values
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES, INTERVAL_NOTE
 from reports.analysis.ranking import ALL_SCENES, rank_methods
+from reports.analysis.time_notes import unreliable_times
 from reports.layout.page import Section, write_page
-from reports.layout.tables import Bold, Table
+from reports.layout.tables import (
+    UNRELIABLE_MARK,
+    UNRELIABLE_MEANING,
+    Bold,
+    Table,
+    format_ms,
+)
 
 __all__ = ["write"]
 
 TIME_COLUMNS = {
-    "plan_ms": "plan p50",
-    "plan_p95_ms": "plan p95",
-    "denoise_ms": "denoise p50",
-    "denoise_p95_ms": "denoise p95",
+    "gbuffer_ms": "G-buffer",
+    "plan_ms": "plan",
+    "allocate_ms": "allocate",
     "sampling_ms": "sampling",
+    "denoise_ms": "denoise",
     "frame_ms": "frame",
+    "inference_ms": "inference",
+    "inference_p95_ms": "inference p95",
 }
 RULES = {"higher": "Higher is better. ", "lower": "Lower is better. "}
 OVERALL_CAPTION = (
@@ -60,6 +69,7 @@ def write(
         lists = {
             "Not run": notes.skip_reasons(rows),
             "Left out of the means": [x for scores in metrics for x in scores.incomplete_groups],
+            "Unreliable times": unreliable_times(rows),
             "Remarks": notes.remarks(rows),
         }
         sections.append(Section(device, tables, records, lists))
@@ -114,12 +124,15 @@ def _time_tables(scores: Scores) -> list[Table]:
     header = ("method", "target spp", "mean spp", *TIME_COLUMNS.values())
     rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
-        + tuple("-" if pd.isna(row[c]) else f"{row[c]:.2f}" for c in TIME_COLUMNS)
+        + tuple(format_ms(row[c], row["unreliable"], 2) for c in TIME_COLUMNS)
         for _, row in scores.overall.iterrows()
     )
     caption = (
-        f"Plan and denoise on {scores.device_name}; sampling = mean spp x time of one sample per "
-        f"pixel ({scores.cost_source or 'an unnamed source'}); frame = plan p50 + denoise p50 + "
-        "sampling."
+        f"Plan, allocate and denoise on {scores.device_name}, means of the middle half of their "
+        "frames; sampling = mean spp x time of one sample per pixel "
+        f"({scores.cost_source or 'an unnamed source'}); frame = G-buffer + plan + allocate + "
+        "sampling + denoise; inference = plan + allocate + denoise. "
+        f"{UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
     )
+    caption += "".join(f" Two devices: {mix}." for mix in scores.device_mixes)
     return [Table("frame time [ms], mean over scenes", caption, header, rows)]

@@ -22,7 +22,13 @@ from reports.analysis.intervals import (
 )
 from reports.analysis.method_names import label_of
 from reports.layout.page import Section, write_page
-from reports.layout.tables import Table, format_difference
+from reports.layout.tables import (
+    UNRELIABLE_MARK,
+    UNRELIABLE_MEANING,
+    Table,
+    format_difference,
+    format_ms,
+)
 from reports.published import no_published_rows, published
 
 __all__ = ["compare_with_paper", "rank_correlation", "write"]
@@ -72,8 +78,8 @@ def compare_with_paper(
     """The mean over scenes of each method and budget, and the published numbers beside it.
 
     `difference` is the mean of the paired differences to `ours` at that budget, `low` and `high`
-    its interval; `inference_ms` is plan + denoise, p50. Published numbers stand at the budget of
-    the paper's table only.
+    its interval; `inference_ms` is plan + allocate + denoise. Published numbers stand at the budget
+    of the paper's table only.
     """
     means = scores.overall
     frames = scores.per_frame.merge(means[["method", "target_spp"]], on=["method", "target_spp"])
@@ -92,7 +98,8 @@ def compare_with_paper(
                 "difference": gap.mean,
                 "low": gap.low,
                 "high": gap.high,
-                "inference_ms": row["plan_ms"] + row["denoise_ms"],
+                "inference_ms": row["inference_ms"],
+                "unreliable": row["unreliable"],
                 **_published_columns(method, spp),
             }
         )
@@ -133,7 +140,7 @@ def _table(scores: Scores, records: pd.DataFrame, orders: str) -> Table:
             method,
             *(_format_number(cells.get((method, spp)), METRIC, ".2f") for spp in budgets),
             _format_gap(cells.get((method, paper.spp))),
-            _format_number(cells.get((method, paper.spp)), "inference_ms", ".1f"),
+            _format_inference(cells.get((method, paper.spp))),
             *_published_cells(method),
         )
         for method in _in_published_order(records)
@@ -148,8 +155,9 @@ def _table(scores: Scores, records: pd.DataFrame, orders: str) -> Table:
         "paper, ms",
     )
     caption = (
-        f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + denoise, p50, on "
-        f"{scores.device_name}. Brackets: {INTERVAL_NOTE} of the paired difference; bold if it "
+        f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + allocate + "
+        f"denoise, on {scores.device_name}; {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}. "
+        f"Brackets: {INTERVAL_NOTE} of the paired difference; bold if it "
         f"excludes zero. Paper: {paper.title}, {paper.source}; {paper.conditions}. {WARNING} "
         + orders
     )
@@ -195,6 +203,10 @@ def _format_number(row: Record | None, column: str, number_format: str) -> str:
     return "-" if row is None or pd.isna(row[column]) else format(row[column], number_format)
 
 
+def _format_inference(row: Record | None) -> str:
+    return "-" if row is None else format_ms(row["inference_ms"], row["unreliable"])
+
+
 def _format_gap(row: Record | None) -> str:
     if row is None or pd.isna(row["difference"]):
         return "-"
@@ -218,5 +230,6 @@ def _lists(scores: Scores, records: pd.DataFrame, rows: pd.DataFrame) -> dict[st
         "Left out of the means": scores.incomplete_groups,
         "Left out: other weights or precision": sorted({m for m in rows["method"] if label_of(m)}),
         "Not run": notes.skip_reasons(psnr),
+        "Unreliable times": scores.unreliable_times,
         "Remarks": notes.remarks(psnr),
     }

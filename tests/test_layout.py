@@ -19,7 +19,7 @@ SOURCES = sorted(file for name in PACKAGES for file in (CHECKOUT / name).rglob("
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
 CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Event\(")
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
-    "rlbench/benchmark/latency.py",
+    "rlbench/benchmark/clock/stopwatch.py",
     "rlbench/training/loop.py",
     "methods/ours/experiments/compare_learners.py",
     "rlbench/training/profiler.py",

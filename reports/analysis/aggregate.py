@@ -4,34 +4,44 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 
 from reports.analysis import notes
 from reports.analysis.comparability import cost_source
 from reports.analysis.intervals import FRAME
+from reports.analysis.time_notes import device_mixes, unreliable_rows, unreliable_times
+from rlbench.benchmark.results import CLOCK_PREFIX
 
-__all__ = ["Scores", "mean_over_scenes", "metrics_with_values"]
+__all__ = ["FRAME_PARTS", "Scores", "mean_over_scenes", "metrics_with_values"]
 
 GROUP = ["method", "scene", "target_spp"]
-TIMES = ["plan_ms", "plan_p95_ms", "denoise_ms", "denoise_p95_ms"]
+FRAME_PARTS = ["gbuffer_ms", "plan_ms", "allocate_ms", "sampling_ms", "denoise_ms"]  # of frame_ms
+INFERENCE = ["plan_ms", "allocate_ms", "denoise_ms"]
+TIMES = [*FRAME_PARTS, "inference_p95_ms"]
+ADDED = ["gbuffer_ms", "allocate_ms"]  # that older results do not have, and did not charge
 
 
 def metrics_with_values(rows: pd.DataFrame) -> list[str]:
     """Names of the metrics that are not times and have a value, PSNR first."""
-    scored = rows[rows["value"].notna() & (rows["unit"] != "ms")]
+    is_time = (rows["unit"] == "ms") | rows["metric"].str.startswith(CLOCK_PREFIX)
+    scored = rows[rows["value"].notna() & ~is_time]
     return sorted(set(scored["metric"]), key=lambda name: (name != "psnr", name))
 
 
 def mean_over_scenes(per_scene: pd.DataFrame) -> pd.DataFrame:
     """Mean over scenes of each method and budget that has every scene of the table.
 
-    `per_scene` is `Scores.points` or `Scores.scene_means`. A time that one scene lacks is nan.
+    `per_scene` is `Scores.points` or `Scores.scene_means`. A time that one scene lacks is nan; a
+    time that is unreliable on one scene is unreliable.
     """
     scenes = per_scene["scene"].nunique()
     groups = per_scene.groupby(["method", "target_spp"])
     numbers = per_scene.select_dtypes("number").columns.drop("target_spp")
-    means = groups[list(numbers)].agg(_mean_without_skipping_nan).reset_index()
+    flags = per_scene.select_dtypes("bool").columns
+    ways: dict[str, Any] = dict.fromkeys(numbers, _mean_without_skipping_nan)
+    means = groups.agg({**ways, **dict.fromkeys(flags, "any")}).reset_index()
     is_complete = groups["scene"].nunique().to_numpy() == scenes
     return pd.DataFrame(means[is_complete].reset_index(drop=True))
 
@@ -107,9 +117,12 @@ class Scores:
     def points(self) -> pd.DataFrame:
         """Score, drawn samples and each part of the frame time, per method, scene and budget.
 
-        Columns method, scene, target_spp, value, mean_spp, plan_ms, plan_p95_ms, denoise_ms,
-        denoise_p95_ms, sample_ms, sampling_ms, frame_ms, where sampling = mean_spp * sample and
-        frame = plan + denoise + sampling. Times that were not measured are nan.
+        Columns method, scene, target_spp, value, mean_spp, gbuffer_ms, plan_ms, allocate_ms,
+        sampling_ms, denoise_ms, inference_p95_ms, sample_ms, inference_ms, frame_ms, unreliable;
+        inference = plan + allocate + denoise, and frame = gbuffer + inference + sampling. Times
+        that were not measured are nan. Older results have no G-buffer and no allocation, which
+        count as 0, and medians for plan and denoise. `unreliable` marks times that failed their
+        test.
         """
         spp = self.measured.groupby(GROUP)["mean_spp"].mean().reset_index()
         points = self.scene_means.merge(spp, on=GROUP, how="left")
@@ -117,9 +130,24 @@ class Scores:
         times = timed.pivot_table("value", GROUP, "metric").reindex(columns=TIMES).reset_index()
         points = points.merge(times, on=GROUP, how="left")
         points = points.merge(self._sample_ms, on=["method", "scene"], how="left")
-        points["sampling_ms"] = points["mean_spp"] * points["sample_ms"]
-        points["frame_ms"] = points["plan_ms"] + points["denoise_ms"] + points["sampling_ms"]
-        return points
+        points[ADDED] = points[ADDED].astype(float).fillna(0.0)
+        by_mean = points["mean_spp"] * points["sample_ms"]
+        points["sampling_ms"] = points["sampling_ms"].astype(float).fillna(by_mean)
+        points["inference_ms"] = points[INFERENCE].sum(axis=1, skipna=False)
+        points["frame_ms"] = points[FRAME_PARTS].sum(axis=1, skipna=False)
+        marked = unreliable_rows(self.rows)[GROUP].drop_duplicates().assign(unreliable=True)
+        merged = points.merge(marked, on=GROUP, how="left")
+        return merged.assign(unreliable=merged["unreliable"].eq(True))
+
+    @cached_property
+    def unreliable_times(self) -> list[str]:
+        """Which times must not be believed and why, one sentence for each method and reason."""
+        return unreliable_times(self.rows)
+
+    @cached_property
+    def device_mixes(self) -> dict[str, list[str]]:
+        """The methods whose frame times add times of two devices, by a text that names both."""
+        return device_mixes(self.rows)
 
     @cached_property
     def overall(self) -> pd.DataFrame:

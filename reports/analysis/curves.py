@@ -14,14 +14,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.analysis.aggregate import Scores, mean_over_scenes
+from reports.analysis.aggregate import INFERENCE, Scores, mean_over_scenes
 
 __all__ = ["Curve", "curves_of", "measured_sample_ms", "methods_without_curve"]
 
 Numbers = NDArray[np.float64]
-FIXED_PARTS = ("plan_ms", "denoise_ms")  # of a frame time, p50: all that is not sampling
-LATE_PARTS = ("plan_p95_ms", "denoise_p95_ms")
-LATE = "inference_p95_ms"  # of plan + denoise in the same frame
+LATE_PARTS = ("plan_p95_ms", "denoise_p95_ms")  # of older results, which lack the p95 of their sum
 COLUMNS = ("fixed_ms", "samples", "late_ms")
 TINY = 1e-9  # stands for a budget of 0 spp, whose logarithm would be infinite
 
@@ -33,13 +31,13 @@ class Curve:
     method: str
     spp: Numbers  # [budgets], ascending
     units: Numbers  # [budgets units], score of each scene, or of each clip of the only scene
-    fixed_ms: Numbers  # [budgets], plan + denoise (p50), mean over scenes
+    fixed_ms: Numbers  # [budgets], plan + allocate + denoise, mean over scenes
     samples: Numbers  # [budgets], cost of the drawn samples of a pixel, in path samples
     late_ms: Numbers  # [budgets], as fixed_ms, but p95
     sign: int  # 1 where high scores are better, -1 where low ones are
 
     def frame_ms(self, sample_ms: float | Numbers, late: bool = False) -> Numbers:
-        """Frame time [..., budgets] at each measured budget; `late`: p95 of plan + denoise."""
+        """Frame time [..., budgets] at each measured budget; `late`: p95 of inference."""
         fixed = self.late_ms if late else self.fixed_ms
         times: Numbers = fixed + self.samples * np.asarray(sample_ms, float)[..., None]
         return times
@@ -88,7 +86,9 @@ class Curve:
 def curves_of(scores: Scores) -> list[Curve]:
     """The curve of each method, by name, over the budgets with scores and times on every scene."""
     points = scores.points.assign(
-        samples=_in_path_samples(scores.points), **_fixed_and_late_ms(scores)
+        samples=_in_path_samples(scores.points),
+        fixed_ms=scores.points["inference_ms"],
+        late_ms=_late_ms(scores),
     )
     budgets = mean_over_scenes(points).dropna(subset=["fixed_ms", "samples"])
     unit = "scene" if scores.scene_means["scene"].nunique() > 1 else "clip"
@@ -105,7 +105,7 @@ def curves_of(scores: Scores) -> list[Curve]:
 
 def methods_without_curve(scores: Scores, curves: Iterable[Curve]) -> list[str]:
     """Sentences about the methods that have scores and no curve, each with what it lacks."""
-    timed = scores.points.dropna(subset=list(FIXED_PARTS))
+    timed = scores.points.dropna(subset=INFERENCE)
     complete = set(scores.overall["method"])
     reasons = {
         method: f"{method} has no {scores.metric} on every scene and frame at any budget"
@@ -139,13 +139,11 @@ def _in_path_samples(points: pd.DataFrame) -> pd.Series[float]:
     return points["mean_spp"] * points["sample_ms"] / float(path.mean())
 
 
-def _fixed_and_late_ms(scores: Scores) -> dict[str, pd.Series[float]]:
-    """Columns of `scores.points`: plan + denoise, p50 and p95, in ms."""
-    points = scores.points
+def _late_ms(scores: Scores) -> pd.Series[float]:
+    """p95 of plan + allocate + denoise for each row of `scores.points`, in ms."""
     keys = ["method", "scene", "target_spp"]
-    late = scores.rows[scores.rows["metric"] == LATE].groupby(keys)["value"].mean()
-    measured = points.join(late.rename(LATE), on=keys)[LATE]
-    return {
-        "fixed_ms": points[list(FIXED_PARTS)].sum(axis=1, skipna=False),
-        "late_ms": measured.fillna(points[list(LATE_PARTS)].sum(axis=1, skipna=False)),
-    }
+    rows = scores.rows[scores.rows["metric"].isin(LATE_PARTS)]
+    parts = rows.pivot_table("value", keys, "metric").reindex(columns=list(LATE_PARTS))
+    summed = parts.sum(axis=1, skipna=False).rename("late_ms")
+    late: pd.Series[float] = scores.points["inference_p95_ms"].astype(float)
+    return late.fillna(scores.points.join(summed, on=keys)["late_ms"])

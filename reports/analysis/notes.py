@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from reports.analysis.time_notes import is_about_times
+
 __all__ = ["remarks", "skip_reasons"]
 
 
@@ -20,6 +22,6 @@ def skip_reasons(rows: pd.DataFrame) -> list[str]:
 
 
 def remarks(rows: pd.DataFrame) -> list[str]:
-    """Notes on rows with a value, each once for a method and metric."""
-    noted = rows[rows["value"].notna() & (rows["note"] != "")]
+    """Notes on rows with a value, each once for a method and metric; see `time_notes` for times."""
+    noted = rows[rows["value"].notna() & (rows["note"] != "") & ~is_about_times(rows["note"])]
     return sorted({f"{m}, {k}: {n}" for m, k, n in noted[["method", "metric", "note"]].to_numpy()})

@@ -18,7 +18,8 @@ __all__ = ["choose_family", "config_changes", "differences", "families_with_scor
 PREFERRED = "ours"  # the family of the report if the user names none
 PAIR = ("scene", "clip", "frame", "seed")  # what the two scores of a pair have in common
 COLUMNS = (
-    "method", "target_spp", "difference", "low", "high", "frame_ms", "pairs", "unpaired", "units",
+    "method", "target_spp", "difference", "low", "high", "frame_ms", "unreliable", "pairs",
+    "unpaired", "units",
 )  # fmt: skip
 
 
@@ -62,7 +63,8 @@ def differences(
 
     The two scores of a pair have scene, clip, frame, budget and seed in common; `low` and `high`
     are the interval (nan with one clip). `frame_ms` is the mean difference over the scenes that
-    both have; nan where either has no time.
+    both have; nan where either has no time. `unreliable` is true if a time of either failed its
+    test.
     """
     parts = {key: part for key, part in scores.measured.groupby(["method", "target_spp"])}
     records = []
@@ -82,6 +84,9 @@ def differences(
                     "low": gap.low,
                     "high": gap.high,
                     "frame_ms": _frame_time_difference(times, method, family),
+                    "unreliable": bool(
+                        times.loc[times["method"].isin([method, family]), "unreliable"].any()
+                    ),
                     "pairs": len(pairs),
                     "unpaired": len(variant) + len(main) - 2 * len(pairs),
                     "units": gap.units,

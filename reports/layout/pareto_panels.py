@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -22,10 +23,12 @@ __all__ = ["MAX_PANELS", "OVERALL", "Labels", "draw_pareto"]
 
 LOG_RATIO = 10.0  # values that span a larger factor get a logarithmic axis
 WINDOW_DB = 10.0  # below the best score, that a panel shows
+UNRELIABLE = "hollow: unreliable time"
 MAX_PANELS = 8  # with more scenes, only their mean is drawn
 WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top of the height
 METHOD_KEY_WIDTH = 9.0  # inches
 OVERALL = "mean of all scenes"
+HEADING_LETTERS = 150  # in a line
 DOMINATED, DOMINATED_COLOUR = "slower and worse than another", "#EFEFEF"
 
 
@@ -36,6 +39,7 @@ class Labels:
     score: str  # name and unit
     direction: str  # "higher" or "lower" is better, or empty
     caption: str
+    heading: str = ""  # above the panels
 
 
 def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
@@ -51,9 +55,12 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     columns = _key_columns(styles)
     extra_lines = labels.caption.count("\n") - 1  # beyond two
     # inches for keys and caption
-    footer = 1.25 + 0.17 * extra_lines + 0.27 * math.ceil((len(styles) + 1) / columns)
+    footer = 1.25 + 0.17 * extra_lines + 0.27 * math.ceil((len(styles) + 2) / columns)
     figure = Figure(figsize=(WIDTH, HEIGHT + footer))
-    panels = _add_panels(figure, scenes, footer / (HEIGHT + footer))
+    heading = fill(labels.heading, HEADING_LETTERS)
+    top = 0.95 - 0.035 * len(heading.splitlines())
+    panels = _add_panels(figure, scenes, footer / (HEIGHT + footer), top)
+    figure.text(0.012, 0.985, heading, fontsize=12, fontweight="bold", color=style.BLACK, va="top")
     sizes = _marker_areas(plotted["target_spp"])
     for scene, axes in panels.items():
         points = plotted[plotted["scene"] == scene]
@@ -63,17 +70,18 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
     better = f"  ({labels.direction} is better)" if labels.direction else ""
     panels[scenes[0]].set_ylabel(labels.score + better)
-    _add_keys(figure, styles, sizes, columns, (footer - 0.58) / (HEIGHT + footer))
+    has_unreliable = bool(plotted["unreliable"].any())
+    _add_keys(figure, styles, sizes, columns, has_unreliable, (footer - 0.58) / (HEIGHT + footer))
     figure.text(0.012, 0.014, labels.caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
 
 
-def _add_panels(figure: Figure, scenes: list[str], bottom: float) -> dict[str, Axes]:
+def _add_panels(figure: Figure, scenes: list[str], bottom: float, top: float) -> dict[str, Axes]:
     rows = 1 if len(scenes) <= 2 else 2
     columns = math.ceil((len(scenes) - 1) / rows)
     grid = figure.add_gridspec(
         rows, 1 + columns, width_ratios=[1.3 if columns > 1 else 1] + [0.85] * columns,
-        left=0.075, right=0.988, top=0.95, bottom=bottom, wspace=0.17, hspace=0.3,
+        left=0.075, right=0.988, top=top, bottom=bottom, wspace=0.17, hspace=0.3,
     )  # fmt: skip
     panels = {scenes[0]: figure.add_subplot(grid[:, 0])}
     for i, scene in enumerate(scenes[1:]):
@@ -111,7 +119,9 @@ def _set_scales(axes: Axes, points: pd.DataFrame, direction: str) -> None:
 
 
 def _shade_dominated(axes: Axes, front: pd.DataFrame, direction: str) -> None:
-    """Shade the area that is slower and worse than a point of the Pareto front."""
+    """Shade the area that is slower and worse than a point of the Pareto front, if there is one."""
+    if front.empty:
+        return
     front = front.sort_values("frame_ms")
     times = [*front["frame_ms"], axes.get_xlim()[1]]
     values = [*front["value"], front["value"].iloc[-1]]
@@ -125,9 +135,16 @@ def _draw_curves(
     for method, curve in points.groupby("method"):
         line, curve = styles[str(method)], curve.sort_values("target_spp")
         axes.plot(curve["frame_ms"], curve["value"], c=line.color, ls=line.dash, lw=1.8, zorder=2)
+        steady, unreliable = curve[~curve["unreliable"]], curve[curve["unreliable"]]
         axes.scatter(
-            curve["frame_ms"], curve["value"], s=curve["target_spp"].map(sizes).tolist(), zorder=3,
+            steady["frame_ms"], steady["value"], s=steady["target_spp"].map(sizes).tolist(),
             color=line.face, marker=line.marker, edgecolors=line.edge, linewidths=line.edge_width,
+            zorder=3,
+        )  # fmt: skip
+        axes.scatter(
+            unreliable["frame_ms"], unreliable["value"], marker=line.marker, facecolors="none",
+            s=unreliable["target_spp"].map(sizes).tolist(), edgecolors=line.color, linewidths=1.1,
+            linestyles=":", zorder=3,
         )  # fmt: skip
 
 
@@ -149,10 +166,12 @@ def _add_keys(
     styles: dict[str, LineStyle],
     sizes: dict[float, float],
     columns: int,
+    has_unreliable: bool,
     y: float,
 ) -> None:
     methods: list[Any] = [_method_handle(line, name) for name, line in styles.items()]
     methods.append(Patch(color=DOMINATED_COLOUR, label=DOMINATED))
+    methods += [_unreliable_handle()] * has_unreliable
     budgets = [_budget_handle(size, f"{spp:g}") for spp, size in sizes.items()]
     shared: dict[str, Any] = {"frameon": False, "fontsize": 12, "borderaxespad": 0}
     figure.legend(
@@ -169,6 +188,13 @@ def _method_handle(line: LineStyle, name: str) -> Line2D:
     return Line2D(
         [], [], color=line.color, linestyle=line.dash, linewidth=1.8, marker=line.marker,
         label=name, markersize=8, markerfacecolor=line.face, markeredgecolor=line.edge,
+    )  # fmt: skip
+
+
+def _unreliable_handle() -> Line2D:
+    return Line2D(
+        [], [], linestyle="", marker="o", markersize=8, markerfacecolor="none",
+        markeredgecolor=style.GREY, markeredgewidth=1.1, label=UNRELIABLE,
     )  # fmt: skip
 
 

@@ -8,7 +8,20 @@ from typing import Any
 
 import pandas as pd
 
-__all__ = ["Bold", "Table", "format_difference", "pivot_by_budget", "to_latex", "to_markdown"]
+__all__ = [
+    "UNRELIABLE_MARK",
+    "UNRELIABLE_MEANING",
+    "Bold",
+    "Table",
+    "format_difference",
+    "format_ms",
+    "pivot_by_budget",
+    "to_latex",
+    "to_markdown",
+]
+
+UNRELIABLE_MARK = "?"  # after a time
+UNRELIABLE_MEANING = "an unreliable time, see the list below and rlbench run --retime"
 
 LATEX_ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
@@ -42,6 +55,17 @@ def format_difference(mean: float, low: float, high: float) -> str:
         return text
     text += f" [{low:+.2f}, {high:+.2f}]"
     return Bold(text) if low > 0 or high < 0 else text
+
+
+def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") -> str:
+    """A time in milliseconds, marked if it is unreliable; `-` without one.
+
+    >>> format_ms(3.14, unreliable=True), format_ms(3.14, unreliable=False, sign="+")
+    ('3.1?', '+3.1')
+    """
+    if pd.isna(ms):
+        return "-"
+    return f"{ms:{sign}.{decimals}f}{UNRELIABLE_MARK * unreliable}"
 
 
 def pivot_by_budget(

@@ -56,6 +56,7 @@ def run(
     weights_label: str = "",
     bf16: bool = False,
     limit_frames: int | None = None,
+    retime: bool = False,
     out: Path | str = RESULTS,
     executor: Executor = LOCAL,
     on_cell: CellCallback = lambda cell: None,
@@ -68,7 +69,8 @@ def run(
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
-    `on_cell` is called with each finished cell.
+    `retime` measures the times of cells again whose scores are there, and no scores. `on_cell` is
+    called with each finished cell.
 
     A cell that an error stopped is one row with value nan, whose `note` is the error. It does not
     stop the other cells: a RunWarning names it, and cells with images that are not finite.
@@ -90,7 +92,7 @@ def run(
         bf16=bf16,
         limit_frames=limit_frames,
     )
-    summary = measure(plan, Path(out), on_cell, executor)
+    summary = measure(plan, Path(out), on_cell, executor, retime=retime)
     rows = read_cells(plan, Path(out))
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)

@@ -40,6 +40,7 @@ class _Metadata:
     schema: int
     key: CellKey
     content_hash: str
+    times_hash: str = ""  # empty in older files
     checksum: str = ""  # of rows and identity; empty in older files
 
 
@@ -49,7 +50,9 @@ def write(file: Path, cell: CellId, rows: Sequence[Row]) -> None:
     import pyarrow.parquet as pq
 
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema=arrow_schema())
-    metadata = _Metadata(SCHEMA, cell.key, cell.content_hash, _checksum(cell, table))
+    metadata = _Metadata(
+        SCHEMA, cell.key, cell.content_hash, cell.times_hash, _checksum(cell, table)
+    )
     table = table.replace_schema_metadata({METADATA: json.dumps(asdict(metadata))})
     with paths.atomic_write(file) as unfinished:
         pq.write_table(table, unfinished)
@@ -122,7 +125,8 @@ def _read_identity(file: Path, schema: pa.Schema) -> tuple[CellId | None, str]:
             "rlbench, or use another folder"
         )
     metadata = documents.decode(document, _Metadata)
-    return CellId(metadata.key, metadata.content_hash), metadata.checksum
+    cell = CellId(metadata.key, metadata.content_hash, metadata.times_hash)
+    return cell, metadata.checksum
 
 
 def _to_dataframe(table: pa.Table) -> pd.DataFrame:
@@ -148,5 +152,5 @@ def _to_dataframe(table: pa.Table) -> pd.DataFrame:
 
 def _checksum(cell: CellId, table: pa.Table) -> str:
     """Hash of a cell's identity and of every name and value in its table."""
-    content = [asdict(cell), table.column_names, table.to_pydict()]
+    content = [cell.document, table.column_names, table.to_pydict()]
     return sha256(json.dumps(content).encode()).hexdigest()[:16]

@@ -19,13 +19,16 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-MEASURE = (
-    "rlbench.benchmark.runner",
-    "rlbench.benchmark.scoring",
-    "rlbench.benchmark.timing_cache",
-    "rlbench.benchmark.latency",
+SCORING = ("rlbench.benchmark.runner", "rlbench.benchmark.scoring")  # images to numbers
+TIMING = (
+    "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",
-)  # modules that turn images into numbers
+    "rlbench.benchmark.cost_profile",
+    "rlbench.benchmark.latency",
+    "rlbench.benchmark.scatter",
+    "rlbench.benchmark.time_rows",
+    "rlbench.benchmark.timing_cache",
+)  # modules that measure times
 
 
 @dataclass(frozen=True)
@@ -35,16 +38,17 @@ class CellIds:
     plan: RunPlan
 
     def cell_id(self, cell: ResolvedCell) -> CellId:
-        """The cell's key and content hash."""
+        """The cell's key, and the hashes of its scores and times."""
         plan, method = self.plan, cell.method
         content = (
             *(method.name, cell.clip.content(cell.traits.pool)),
             *(cell.target_spp, cell.seed, cell.key.device),
             *(self.code_hashes[method.name], self.weights_hashes[method.name], self._metrics),
-            *(self._cost, plan.limit_frames, plan.repeats, torch.__version__),
-            *(self._charged(cell), cell.is_trained_on_clip, self._bf16 if method.bf16 else ""),
+            *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
+            self._bf16 if method.bf16 else "",
         )
-        return CellId(cell.key, sha256(repr(content).encode()).hexdigest()[:16])
+        times = (self._cost, plan.repeats, self._charged(cell), self._timing)
+        return CellId(cell.key, _short_hash(content), _short_hash(times))
 
     def failed_id(self, cell: ResolvedCell) -> CellId:
         """The identity of a cell that an error stopped: never that of a finished one."""
@@ -97,11 +101,16 @@ class CellIds:
         return cost.MEASURED if is_measured else repr(cost.profile(self.plan.cost))
 
     @cached_property
+    def _timing(self) -> str:
+        """Hash of the code that measures times."""
+        return code_hash.code_hash(TIMING, core=())
+
+    @cached_property
     def _metrics(self) -> str:
-        """Names of the metrics, hash of their code and of `MEASURE`, versions of their packages."""
+        """Names of the metrics, hash of their code and of `SCORING`, versions of their packages."""
         entries = registry.list_entries("metrics")
         modules = [code_hash.import_closure(e.target.partition(":")[0]) for e in entries.values()]
-        hashed = code_hash.code_hash(set().union(*modules), core=MEASURE)
+        hashed = code_hash.code_hash(set().union(*modules), core=SCORING)
         metrics = registry.load_metrics().values()
         packages = sorted({name for metric in metrics for name in getattr(metric, "requires", ())})
         return f"{list(entries)} {hashed} {provenance.package_versions(packages)}"
@@ -113,11 +122,13 @@ class CellIds:
         to the path samples of the clip's renderer.
         """
         header, pool = cell.header, cell.traits.pool
+        gbuffer = (header.gbuffer_ms, header.sample_ms) if cell.traits.inputs else ()
         if self.plan.cost == cost.MEASURED:
-            return header.sample_ms_of(pool), header.device, self._machine
+            spread = header.sample_p5_ms, header.sample_p95_ms, header.tracer_of_times
+            return header.sample_ms_of(pool), header.device, self._machine, spread, gbuffer
         if pool == "path":
-            return ()
-        return header.sample_ms_of(pool), header.sample_ms_of("path"), header.device
+            return gbuffer
+        return header.sample_ms_of(pool), header.sample_ms_of("path"), header.device, gbuffer
 
     def _weights_hash(self, method: ResolvedMethod) -> str:
         if method.weights_file is None:
@@ -125,6 +136,10 @@ class CellIds:
         held_out = self.plan.held_out_scene
         prefix = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
         return prefix + _hash(method.weights_file)
+
+
+def _short_hash(content: object) -> str:
+    return sha256(repr(content).encode()).hexdigest()[:16]
 
 
 def _hash(file: Path) -> str:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
+from typing import Any
 
 from rlbench.errors import RlbenchError
 
@@ -48,10 +49,14 @@ class CellKey:
 
 @dataclass(frozen=True)
 class CellId:
-    """A key and a hash of all that the cell's numbers depend on: code, weights, clip, cost, ..."""
+    """A key, a hash of all that the cell's scores depend on, and one of what its times do.
+
+    Scores depend on code, weights and clip; times on the clock, the cost of a sample, and more.
+    """
 
     key: CellKey
     content_hash: str
+    times_hash: str = ""  # empty in older files
 
     @property
     def is_failed(self) -> bool:
@@ -59,12 +64,26 @@ class CellId:
         return self.content_hash == FAILED
 
     @property
+    def document(self) -> dict[str, Any]:
+        """The identity as JSON; without the hash of its times where an older file has none."""
+        document = asdict(self)
+        return (
+            document
+            if self.times_hash
+            else {k: v for k, v in document.items() if k != "times_hash"}
+        )
+
+    def has_scores_of(self, cell: CellId) -> bool:
+        """Do both have the same scores, whatever their times?"""
+        return (self.key, self.content_hash) == (cell.key, cell.content_hash) and not self.is_failed
+
+    @property
     def file_stem(self) -> str:
         """A file name without suffix: readable, unique, and never parsed."""
         key = self.key
         words = f"{key.method} {key.clip} {key.target_spp:g}spp seed{key.seed}"
         readable = re.sub(r"^\.|[^\w.+@= -]", "-", words, flags=re.ASCII)[:MAX_STEM_LENGTH]
-        content = json.dumps(asdict(self), sort_keys=True)
+        content = json.dumps(self.document, sort_keys=True)
         return f"{readable} {sha256(content.encode()).hexdigest()[:16]}"
 
 

@@ -37,6 +37,10 @@ class Source(Protocol):
     """A clip that each cell opens with the traits of its method."""
 
     @property
+    def folder(self) -> Path:
+        """The folder of the clip's files."""
+
+    @property
     def header(self) -> Header:
         """The clip's metadata."""
 

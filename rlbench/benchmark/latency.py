@@ -1,71 +1,104 @@
-"""The only clock: time to plan and to denoise each frame on this device.
+"""Times of methods on this device, measured together: what a frame's inference takes.
 
-A method never times itself. It runs through the same page as in the benchmark, on real states,
-inside a wrapper with a stopwatch. The device is synchronized before and after each reading.
+`time_methods` runs all rows in interleaved rounds (`rlbench.benchmark.clock`) and summarises the
+frames of each. The parts of a row are averages over the same frames, so that they add up.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import chain, islice, repeat
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, repeat
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from rlbench.frames import Clip, GBuffer, Samples
-from rlbench.method import Method, State
+from rlbench.benchmark.clock.calibration import (
+    MIN_PROCESSOR_SHARE,
+    Calibrator,
+    load_average,
+    make_kernel,
+)
+from rlbench.benchmark.clock.reliability import half_width, middle_half, unreliable_reason
+from rlbench.benchmark.clock.rounds import Limits, Session, Track, Visit
+from rlbench.benchmark.clock.stopwatch import (
+    Clock,
+    FrameTime,
+    Stopwatch,
+    SystemClock,
+    TimedMethod,
+    timed_reader,
+)
+from rlbench.frames import Clip
+from rlbench.method import Method
 from rlbench.run import run_clip
 from rlbench.system import provenance
-from rlbench.wrappers import MethodWrapper
 
-__all__ = ["REPEATS", "WARM_UP", "TimePercentiles", "Timing", "device_name", "time_method"]
+__all__ = ["PARTS", "REPEATS", "PartTime", "TimedRow", "Timing", "device_name", "time_methods"]
 
-WARM_UP = 2  # frames before the first timed one
-REPEATS = 10  # timed frames
+REPEATS = 10  # timed frames of a row, at least
+PARTS = ("plan", "allocate", "denoise")  # of inference, in the order of a frame
 
 
-@dataclass(frozen=True)
-class TimePercentiles:
-    """Percentiles of a time over frames, milliseconds."""
+class TimedRow(NamedTuple):
+    """What is timed: a method on a clip at a budget. The clip restarts as often as needed."""
 
-    p50: float
+    method: Method
+    clip: Clip
+    target_spp: float
+
+
+class PartTime(NamedTuple):
+    """Time of a part of a frame, milliseconds."""
+
+    mean: float  # of the middle half of the frames by inference time
+    p50: float  # of all frames
     p95: float
-    n: int  # frames
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of one frame through one method; the passes of a frame are added up."""
+    """Times of one frame of a row, and how far they can be trusted."""
 
-    plan: TimePercentiles
-    sample_fetch: TimePercentiles  # reading stored samples after the pilot; not part of frame_ms
-    denoise: TimePercentiles
-    inference: TimePercentiles  # plan + denoise of the same frame
     clip: str  # name of the timed clip; clips that take the same time are timed once
+    plan: PartTime
+    allocate: PartTime  # density to counts, 0 for methods that do not adapt
+    denoise: PartTime
+    inference: PartTime  # plan + allocate + denoise; so are the means
+    sample_fetch: PartTime  # reading stored samples; not part of a frame's time
+    frames: int  # that the times are of
+    rounds: int  # that these frames come from
+    half_width: float  # of the 95 % interval of the median inference, relative to it
+    processor_share: float  # processor time / wall time; up to the number of threads
+    calibration_ratio: float  # median calibration of these rounds / the session's quietest
+    switches: float  # involuntary context switches per frame
+    load_average: float  # when the session began
+    threads: int  # of torch
+    unreliable: str = ""  # why the times must not be believed; empty if they may
 
 
-def time_method(method: Method, clip: Clip, target_spp: float, repeats: int = REPEATS) -> Timing:
-    """Times per frame of `method`, over `repeats` frames after `WARM_UP` frames.
+def time_methods(
+    rows: Sequence[TimedRow],
+    device: torch.device,
+    repeats: int = REPEATS,
+    calibrator: Calibrator | None = None,
+    on_done: Callable[[], None] = lambda: None,
+) -> list[Timing | Exception]:
+    """Times of each row, or what it raised, measured in interleaved rounds.
 
-    The clip restarts as often as needed. Fetching samples is timed separately: in a renderer the
-    path tracer takes its place, which the cost of a sample accounts for.
+    Each row is timed over at least `repeats` frames, and more until the median of its inference is
+    steady. `calibrator` replaces the clocks and the kernel of this machine. `on_done` is called
+    whenever a row is finished.
     """
-    device = next(iter(clip)).pool.empty().counts.device
-    timed = TimedMethod(method, _Stopwatch(device))
-    frames = chain.from_iterable(run_clip(timed, clip, target_spp) for _ in repeat(None))
-    readings = [timed.clock.read_and_reset() for _ in islice(frames, WARM_UP + repeats)]
-    plan, fetch, denoise = zip(*readings[WARM_UP:], strict=True)
-    inference = [p + d for p, d in zip(plan, denoise, strict=True)]
-    return Timing(
-        plan=_percentiles(plan),
-        sample_fetch=_percentiles(fetch),
-        denoise=_percentiles(denoise),
-        inference=_percentiles(inference),
-        clip=clip.name,
-    )
+    calibrator = calibrator or Calibrator(SystemClock(device), make_kernel(device))
+    session, load = Session(calibrator, Limits.of_repeats(repeats)), load_average()
+    tracks = [Track(_frames(row, calibrator.clock)) for row in rows]
+    session.run(tracks, on_done)
+    return [
+        track.error or _summary(session, track, row.clip.name, load)
+        for track, row in zip(tracks, rows, strict=True)
+    ]
 
 
 def device_name(device: torch.device) -> str:
@@ -77,61 +110,53 @@ def device_name(device: torch.device) -> str:
     return device.type
 
 
-@dataclass
-class _Stopwatch:
-    device: torch.device
-    plan_end: float | None = None  # when the method last returned from plan
-    plan: float = 0.0
-    sample_fetch: float = 0.0
-    denoise: float = 0.0
-
-    def read_and_reset(self) -> tuple[float, float, float]:
-        """Milliseconds of plan, sample fetch and denoise since the last reading."""
-        reading = (self.plan, self.sample_fetch, self.denoise)
-        self.plan_end, self.plan, self.sample_fetch, self.denoise = None, 0.0, 0.0, 0.0
-        return reading
-
-    def enter(self) -> float:
-        """The time now; the time since the last plan went into fetching samples."""
-        now = _now(self.device)
-        if self.plan_end is not None:
-            self.sample_fetch += now - self.plan_end
-        self.plan_end = None
-        return now
+def _frames(row: TimedRow, clock: Clock) -> Iterator[FrameTime]:
+    """The times of one frame after another, without end."""
+    stopwatch = Stopwatch(clock)
+    method, read = TimedMethod(row.method, stopwatch), timed_reader(stopwatch)
+    clips = (run_clip(method, row.clip, row.target_spp, read) for _ in repeat(None))
+    for _ in chain.from_iterable(clips):
+        yield stopwatch.read_and_reset(row.method.traits.adaptive)
 
 
-@dataclass(frozen=True)
-class TimedMethod(MethodWrapper[Method]):
-    """The same method with a stopwatch around `plan` and `denoise`."""
-
-    clock: _Stopwatch = field(compare=False)
-
-    def plan(self, gbuffer: GBuffer, samples: Samples, state: State) -> Float[Tensor, "n 1 h w"]:
-        """The method's density, timed."""
-        entered = self.clock.enter()
-        density = super().plan(gbuffer, samples, state)
-        self.clock.plan_end = _now(self.clock.device)
-        self.clock.plan += self.clock.plan_end - entered
-        return density
-
-    def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: State
-    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The method's image and next state, timed."""
-        entered = self.clock.enter()
-        result = super().denoise(gbuffer, samples, state)
-        self.clock.denoise += _now(self.clock.device) - entered
-        return result
-
-
-def _now(device: torch.device) -> float:
-    """Milliseconds on the clock, once the device has nothing left to do."""
-    if device.type != "cpu":
-        torch.accelerator.synchronize(device)
-    return time.perf_counter() * 1e3
+def _summary(session: Session, track: Track, clip: str, load: float) -> Timing:
+    counted = session.counted(track)
+    least = session.limits.min_rounds
+    visits = counted if len(counted) >= least else track.visits
+    frames = sorted(
+        (frame for visit in visits for frame in visit.frames), key=lambda frame: frame.inference
+    )
+    middle, times = middle_half(frames), [frame.inference for frame in frames]
+    parts = {name: _part_time(name, frames, middle) for name in (*PARTS, "sample_fetch")}
+    inference = _part_time("inference", frames, middle)
+    ratios = [each.ms / session.quietest_ms for visit in visits for each in session.around(visit)]
+    busy = _describe_load(session, track.visits)
+    return Timing(
+        clip=clip,
+        **parts,
+        inference=inference._replace(mean=sum(parts[name].mean for name in PARTS)),
+        frames=len(frames),
+        rounds=len(visits),
+        half_width=half_width(times) / inference.p50 if inference.p50 else 0.0,
+        processor_share=sum(f.processor for f in frames) / (sum(times) or 1.0),
+        calibration_ratio=statistics.median(ratios),
+        switches=statistics.fmean(frame.switches for frame in frames),
+        load_average=load,
+        threads=torch.get_num_threads(),
+        unreliable=unreliable_reason(times, len(counted), len(track.visits), least, busy),
+    )
 
 
-def _percentiles(readings: Sequence[float]) -> TimePercentiles:
-    ordered = torch.tensor(list(readings), dtype=torch.float64)
-    p50, p95 = ordered.quantile(torch.tensor([0.5, 0.95], dtype=torch.float64)).tolist()
-    return TimePercentiles(p50, p95, len(ordered))
+def _part_time(name: str, frames: Sequence[FrameTime], middle: Sequence[FrameTime]) -> PartTime:
+    times = torch.tensor([getattr(frame, name) for frame in frames], dtype=torch.float64)
+    p50, p95 = times.quantile(torch.tensor([0.5, 0.95], dtype=torch.float64)).tolist()
+    return PartTime(statistics.fmean(getattr(frame, name) for frame in middle), p50, p95)
+
+
+def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
+    """How busy the machine was at worst, as the calibrations saw it."""
+    seen = [each for visit in visits for each in session.around(visit)]
+    text = f"calibration up to {max(each.ms for each in seen) / session.quietest_ms:.1f} times "
+    text += "the quietest"
+    shares = [s for s in (each.processor_share for each in seen) if s < MIN_PROCESSOR_SHARE]
+    return f"{text}, {min(shares):.0%} of the processor time it asked for" if shares else text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,12 +16,19 @@ from rlbench.benchmark.baseline import (
     load_baseline,
     write_baseline,
 )
-from rlbench.benchmark.results import WHOLE_CLIP
+from rlbench.benchmark.results import UNRELIABLE, WHOLE_CLIP
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["BaselineDiff", "RegressionReport", "compare", "mean_psnr", "update_baseline"]
+__all__ = [
+    "BaselineDiff",
+    "RegressionReport",
+    "compare",
+    "mean_psnr",
+    "unreliable_times",
+    "update_baseline",
+]
 
 DECIMALS = 4  # of dB, in the file and in the comparison
 FAILING = ("worse", "missing")
@@ -44,6 +51,7 @@ class RegressionReport:
     """The comparison of results with a baseline, line by line."""
 
     diffs: tuple[BaselineDiff, ...]
+    unreliable: tuple[ScoreKey, ...] = ()  # with times that failed their test; they gate nothing
 
     @property
     def has_passed(self) -> bool:
@@ -61,7 +69,10 @@ class RegressionReport:
         return [diff for diff in self.diffs if diff.verdict == verdict]
 
     def text(self) -> str:
-        """The differences as a table, failures first, and a summary in the last line."""
+        """The differences as a table, failures first, and a summary in the last line.
+
+        Unreliable times are named before it; scores do not depend on them.
+        """
         order = ("worse", "missing", "better", "new")
         lines = [_line(diff) for verdict in order for diff in self.with_verdict(verdict)]
         verdicts = (*order, "same", "skipped")
@@ -69,7 +80,8 @@ class RegressionReport:
         summary = [f"{count} {verdict}" for verdict, count in counts.items() if count]
         summary = ["nothing was compared"] * self.is_empty + summary
         result = f"{'passed' if self.has_passed else 'FAILED'}: {', '.join(summary)}"
-        return "\n".join([*_aligned([COLUMNS, *lines])] * bool(lines) + [result])
+        table = _aligned([COLUMNS, *lines]) if lines else []
+        return "\n".join([*table, *_unreliable_lines(self.unreliable), result])
 
 
 def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> RegressionReport:
@@ -96,7 +108,7 @@ def compare(table: pd.DataFrame, baseline: Baseline, subset: bool = False) -> Re
     for key in sorted(measured.keys() - expected.keys()):
         if measured[key] is not None:
             diffs.append(BaselineDiff(key, "new", None, measured[key], baseline.tolerance_db))
-    return RegressionReport(tuple(diffs))
+    return RegressionReport(tuple(diffs), unreliable_times(table))
 
 
 def update_baseline(table: pd.DataFrame, path: Path) -> Baseline:
@@ -141,6 +153,22 @@ def mean_psnr(table: pd.DataFrame) -> dict[ScoreKey, float | None]:
         ScoreKey(*key): round(psnr, DECIMALS) if math.isfinite(psnr) else None
         for key, psnr in zip(means.index, means, strict=True)
     }
+
+
+def unreliable_times(table: pd.DataFrame) -> tuple[ScoreKey, ...]:
+    """Method, scene and budget of the times that failed their test."""
+    rows = table[(table["unit"] == "ms") & table["note"].str.startswith(UNRELIABLE)]
+    keys = rows[["method", "scene", "target_spp"]].drop_duplicates()
+    return tuple(sorted(ScoreKey(*key) for key in keys.itertuples(index=False, name=None)))
+
+
+def _unreliable_lines(keys: Sequence[ScoreKey]) -> list[str]:
+    """One line for each method with unreliable times."""
+    lines = []
+    for method in sorted({key.method for key in keys}):
+        cells = [f"{key.scene} at {key.target_spp:g} spp" for key in keys if key.method == method]
+        lines.append(f"unreliable times of {method}, which gate nothing: {', '.join(cells)}")
+    return lines
 
 
 def _preset(table: pd.DataFrame) -> str:

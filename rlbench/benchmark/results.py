@@ -15,15 +15,26 @@ from typing import TYPE_CHECKING
 
 from rlbench.benchmark import cell_file
 from rlbench.benchmark.cell_key import CellId, CellKey
-from rlbench.benchmark.row import COLUMNS, Row, TableError, arrow_schema
+from rlbench.benchmark.row import (
+    CLOCK_PREFIX,
+    COLUMNS,
+    TWO_DEVICES,
+    UNRELIABLE,
+    Row,
+    TableError,
+    arrow_schema,
+)
 from rlbench.benchmark.row_name import RowName
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
+    "CLOCK_PREFIX",
     "COLUMNS",
     "HELD_OUT_PREFIX",
+    "TWO_DEVICES",
+    "UNRELIABLE",
     "WHOLE_CLIP",
     "CellId",
     "CellKey",
@@ -34,6 +45,7 @@ __all__ = [
     "cells",
     "drop_cell",
     "read",
+    "read_cell_rows",
     "select_methods",
     "set_aside_damaged",
     "to_dataframe",
@@ -104,6 +116,17 @@ def read(folder: Path) -> pd.DataFrame:
         raise TableError(f"no results in {folder}: {_content(folder)}; rlbench run writes them")
     table: pd.DataFrame = pd.concat(rows, ignore_index=True)
     return table
+
+
+def read_cell_rows(folder: Path, cell: CellId) -> list[Row]:
+    """The rows of one finished cell, in the order of its file. Raises TableError."""
+    stored = cell_file.read_cell(folder / f"{cell.file_stem}{SUFFIX}")
+    if stored is None:
+        raise TableError(f"{folder} holds no cell '{cell.key}'; rlbench run measures it")
+    return [
+        Row(**{str(key): value for key, value in row.items()})
+        for row in stored[1].to_dict("records")
+    ]
 
 
 def select_methods(rows: pd.DataFrame, names: Sequence[str]) -> pd.Series[bool]:

@@ -10,7 +10,21 @@ from rlbench.errors import RlbenchError
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["COLUMNS", "DEFAULTS", "REQUIRED", "Row", "TableError", "arrow_schema"]
+__all__ = [
+    "CLOCK_PREFIX",
+    "COLUMNS",
+    "DEFAULTS",
+    "REQUIRED",
+    "TWO_DEVICES",
+    "UNRELIABLE",
+    "Row",
+    "TableError",
+    "arrow_schema",
+]
+
+UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
+TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
+CLOCK_PREFIX = "clock_"  # of metrics that say how a cell's times were measured
 
 
 class TableError(RlbenchError, ValueError):

@@ -27,7 +27,7 @@ class RunPlan:
     cost: str = cost.MEASURED  # or a cost profile: a shipped one, or the path of a TOML file
     weights: str | None = None  # None for the shipped ones, "random", or the path of a file
     limit_frames: int | None = None  # first frames of each clip only, for a trial run
-    repeats: int = latency.REPEATS  # timed frames
+    repeats: int = latency.REPEATS  # timed frames, at least
     bf16: bool = False  # run networks in bfloat16
     weights_label: str = ""  # label of the rows, to keep several weights of one method apart
     held_out_scene: str = ""  # scene that `weights` were trained without, in a cross-validation

@@ -1,16 +1,18 @@
 """The runner: measures the cells of a plan and writes each when it is done.
 
-Cells that are in the results already are not run again, so a killed run resumes where it stopped.
-A cell whose content has changed (code, weights, clip, cost) replaces its older version, so that a
-results folder holds one answer for each method, clip, budget, seed and device. A cell that cannot
+The times of all missing cells are measured first, together; then their scores, cell by cell. Cells
+that are in the results already are not run again, so a killed run resumes where it stopped. A cell
+whose content has changed (code, weights, clip) replaces its older version, so that a results
+folder holds one answer for each method, clip, budget, seed and device. A cell whose times alone
+are out of date (cost of a sample, clock) is timed again and keeps its scores. A cell that cannot
 run is one row with the reason; if the reason was an error, the next run tries the cell again. A
 damaged row file is set aside, and its cell counts as missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,13 +21,14 @@ import torch
 from rlbench import registry
 from rlbench.benchmark import cost, latency, results
 from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.cell_key import by_slot, check_no_overwrite, superseded_cells
+from rlbench.benchmark.cell_key import CellsError, by_slot, check_no_overwrite, superseded_cells
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import refusal_row, row_template, score_frame, timing_rows
-from rlbench.benchmark.timing_cache import TimingCache
+from rlbench.benchmark.scoring import refusal_row, row_template, score_frame
+from rlbench.benchmark.time_rows import failed_time_rows, timing_rows, untimed
+from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
@@ -38,7 +41,14 @@ __all__ = ["CellCallback", "ProgressCallbacks", "RunSummary", "measure", "read_c
 CellCallback = Callable[[ResolvedCell], None]
 
 
+StoredRows = Mapping[CellKey, Sequence[Row]]  # of cells that keep their scores
+
+
 def _ignore(cell: ResolvedCell) -> None:
+    pass
+
+
+def _ignore_timing(done: int, total: int) -> None:
     pass
 
 
@@ -46,7 +56,7 @@ class ProgressCallbacks(NamedTuple):
     """Callbacks that show how far a run is."""
 
     on_cell: CellCallback = _ignore  # called with each finished cell
-    on_timing: CellCallback = _ignore  # called with each cell whose times were measured first
+    on_timing: TimingCallback = _ignore_timing  # called with the number of timed rows, and of all
 
 
 @dataclass(frozen=True)
@@ -57,21 +67,16 @@ class RunSummary:
     skipped: int = 0  # not supported by the method, with the reason instead
     failed: int = 0  # stopped by an error, which is their reason
     cached: int = 0  # in the results already
+    timed: int = 0  # in the results already, with new times
+    unscored: int = field(default=0, compare=False)  # not in the results, so not timed either
     replaced: int = field(default=0, compare=False)  # older versions, removed
     set_aside: tuple[Path, ...] = field(default=(), compare=False)  # damaged row files, renamed
     failures: tuple[CellKey, ...] = field(default=(), compare=False)  # cells that failed
 
     def __add__(self, other: RunSummary) -> RunSummary:
         """The counts of two runs together."""
-        return RunSummary(
-            self.measured + other.measured,
-            self.skipped + other.skipped,
-            self.failed + other.failed,
-            self.cached + other.cached,
-            self.replaced + other.replaced,
-            self.set_aside + other.set_aside,
-            self.failures + other.failures,
-        )
+        names = [each.name for each in fields(self)]
+        return RunSummary(**{name: getattr(self, name) + getattr(other, name) for name in names})
 
 
 def measure(
@@ -79,14 +84,20 @@ def measure(
     folder: Path,
     on_cell: CellCallback = _ignore,
     executor: Executor = LOCAL,
-    on_timing: CellCallback = _ignore,
+    on_timing: TimingCallback = _ignore_timing,
+    *,
+    retime: bool = False,
 ) -> RunSummary:
     """Measure every cell of `plan` that the results in `folder` do not have, and write its rows.
 
-    `on_cell` is called with each finished cell, `on_timing` with each cell whose times are measured
-    before. Raises, before anything is measured: PluginError for an unknown method, CostError for an
-    unknown cost profile, CellsError for clips with the same name, or where scores of whole clips or
-    of another preset would be lost. Raises ExecutorError where no cell can be run.
+    A cell whose scores the results have is only timed where its times are out of date; with
+    `retime`, all such cells are timed again, and no cell is scored. Scores stay as they are.
+    `on_cell` is called with each finished cell, `on_timing` with the number of timed rows.
+
+    Raises, before anything is measured: PluginError for an unknown method, CostError for an
+    unknown cost profile, CellsError for clips with the same name, where scores of whole clips or
+    of another preset would be lost, or where `retime` finds no cell. Raises ExecutorError where no
+    cell can be run.
     """
     plan.check_unique_names()
     cells, ids = resolve_cells(plan), CellIds(plan)
@@ -95,29 +106,40 @@ def measure(
     cell_ids = {cell.key: ids.cell_id(cell) for cell in cells}
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
-    missing = [cell for cell in cells if cell_ids[cell.key] not in store.cells]
-    summary = RunSummary(set_aside=store.set_aside)
+    stored = {key: store.rows(cell_id) for key, cell_id in cell_ids.items()}
+    unscored = [cell for cell in cells if stored[cell.key] is None]
+    current = {key for key, cell_id in cell_ids.items() if cell_id in store.cells and not retime}
+    due = [cell for cell in cells if cell.key not in current and not (retime and cell in unscored)]
+    if retime and not due:
+        raise CellsError(
+            f"no cell of this run is in {folder} with the scores of today's code, weights and "
+            "clips, so there is no time to measure again. Run without --retime"
+        )
+    summary = RunSummary(set_aside=store.set_aside, unscored=len(unscored) if retime else 0)
     for cell in cells:
-        if cell not in missing:
+        if cell.key in current:
             replaced = store.drop_superseded(cell_ids[cell.key])
             summary += RunSummary(cached=1, replaced=replaced)
             on_cell(cell)
-    for outcome in runner.run(missing, executor, on_timing):
+    known = {key: rows for key, rows in stored.items() if rows is not None}
+    for outcome in runner.run(due, executor, on_timing, known):
         if outcome.error:  # whatever a method may raise is reported in its row
             cell_id, rows = ids.failed_id(outcome.job), [runner.failure(outcome.job, outcome.error)]
         else:
             cell_id, rows = cell_ids[outcome.job.key], outcome.result()
         results.write_cell(folder, cell_id, rows)
-        summary += _count_cell(cell_id, rows, store.drop_superseded(cell_id))
+        counts = _count_cell(cell_id, rows, is_timed=cell_id.key in known)
+        summary += replace(counts, replaced=store.drop_superseded(cell_id))
         on_cell(outcome.job)
     return summary
 
 
-def _count_cell(cell: CellId, rows: Sequence[Row], replaced: int) -> RunSummary:
+def _count_cell(cell: CellId, rows: Sequence[Row], is_timed: bool) -> RunSummary:
     if cell.is_failed:
-        return RunSummary(failed=1, replaced=replaced, failures=(cell.key,))
-    skipped = len(rows) == 1
-    return RunSummary(measured=not skipped, skipped=skipped, replaced=replaced)
+        return RunSummary(failed=1, failures=(cell.key,))
+    if len(rows) == 1:
+        return RunSummary(skipped=1)
+    return RunSummary(timed=1) if is_timed else RunSummary(measured=1)
 
 
 def read_cells(plan: RunPlan, folder: Path) -> pd.DataFrame:
@@ -140,6 +162,13 @@ class _Store:
         self.set_aside = tuple(results.set_aside_damaged(folder))
         self.cells = results.cells(folder)
         self.slots = by_slot(self.cells)
+
+    def rows(self, cell: CellId) -> list[Row] | None:
+        """The stored rows of a cell with the same scores, or None."""
+        for stored in self.slots.get(cell.key.slot, ()):
+            if stored.has_scores_of(cell):
+                return results.read_cell_rows(self.folder, stored)
+        return None
 
     def drop_superseded(self, cell: CellId) -> int:
         """Remove the older versions of a cell; a kill may have left one beside its successor."""
@@ -168,20 +197,34 @@ class CellRunner:
         }
 
     def run(
-        self, cells: list[ResolvedCell], executor: Executor, on_timing: CellCallback
+        self,
+        cells: list[ResolvedCell],
+        executor: Executor,
+        on_timing: TimingCallback,
+        stored: StoredRows,
     ) -> Iterator[JobResult[ResolvedCell, list[Row]]]:
-        """The rows of each cell as it is done, or the error that stopped it."""
+        """The rows of each cell as it is done, or the error that stopped it.
+
+        Cells that have `stored` rows keep their scores and get new times.
+        """
         if not cells:
             return
         gpus = 1 if self.plan.device.type == "cuda" else 0
         resources = Resources(torch.get_num_threads(), gpus)
-        failed: list[tuple[ResolvedCell, Exception]] = []
-        if not executor.exclusive:  # cells run in parallel, so times have to be measured before
-            failed = self.timings.measure_all(cells, executor, resources, on_timing)
-        for cell, error in failed:
-            yield JobResult(cell, error=error)
-        untimed = [cell for cell, _ in failed]
-        yield from executor.map(self, [cell for cell in cells if cell not in untimed], resources)
+        errors = {
+            cell.key: error
+            for cell, error in self.timings.measure_all(cells, executor, resources, on_timing)
+        }
+        unscored = []
+        for cell in cells:
+            error = errors.get(cell.key)
+            if cell.key in stored:
+                yield JobResult(cell, self._with_new_times(cell, stored[cell.key], error))
+            elif error:
+                yield JobResult(cell, error=error)
+            else:
+                unscored.append(cell)
+        yield from executor.map(self, unscored, resources)
 
     def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> list[Row]:
         """Scores of each frame, then times; or one row with the reason why there are none."""
@@ -202,10 +245,28 @@ class CellRunner:
             scored = score_frame(template, self.metrics, result, previous, cell.header)
             rows += [replace(row, note=row.note or remarks) for row in scored]
             previous = result
-        mean_spp = sum(row.mean_spp for row in rows) / len(rows)
-        timing = self.timings.timing(cell, method, clip)
-        return rows + timing_rows(
-            replace(template, mean_spp=mean_spp), timing, self.timings.cost(cell)
+        return rows + self._time_rows(cell, template, rows)
+
+    def _with_new_times(
+        self, cell: ResolvedCell, rows: Sequence[Row], error: Exception | None
+    ) -> list[Row]:
+        """The stored scores of a cell with new times, or with the reason why it has none."""
+        if self.loader.incompatibility(cell):
+            return list(rows)
+        scores = untimed(rows)
+        template = replace(self.templates[cell.key], config=scores[0].config)
+        if error:
+            return scores + failed_time_rows(template, f"{type(error).__name__}: {error}")
+        return scores + self._time_rows(cell, template, scores)
+
+    def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:
+        mean_spp = sum(row.mean_spp for row in scores) / len(scores)
+        times = self.timings
+        return timing_rows(
+            replace(template, mean_spp=mean_spp),
+            times.timing(cell),
+            times.cost(cell),
+            times.published(cell),
         )
 
     def _remarks(self, cell: ResolvedCell) -> str:

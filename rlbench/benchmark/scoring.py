@@ -1,4 +1,4 @@
-"""Rows of the results table from images and times; no other module makes rows."""
+"""Rows of the results table from images; `time_rows` adds those of times."""
 
 from __future__ import annotations
 
@@ -11,16 +11,13 @@ import torch
 from torch import Tensor
 
 from rlbench import registry
-from rlbench.benchmark import latency
-from rlbench.benchmark.cost import Cost
-from rlbench.benchmark.latency import Timing
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
 
-__all__ = ["refusal_row", "row_template", "score_frame", "timing_rows"]
+__all__ = ["refusal_row", "row_template", "score_frame"]
 
 
 def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
@@ -86,33 +83,6 @@ def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
         kinds = ", ".join(f"{name} {count}" for name, count in sorted(repairs.items()))
         convention = f"invalid pixels and samples, replaced before the method read them: {kinds}"
         yield _with_value(frame, "repaired", float(sum(repairs.values())), convention)
-
-
-def timing_rows(template: Row, timing: Timing, cost: Cost) -> list[Row]:
-    """Rows of a cell's times: of the method, of a sample, and of the whole frame.
-
-    `frame_ms` is plan p50 + denoise p50 + mean_spp x sample_ms; `template` has the mean_spp.
-    """
-    row = replace(template, unit="ms", direction="lower")
-    sampling = row.mean_spp * cost.sample_ms
-    frame = timing.plan.p50 + timing.denoise.p50 + sampling
-    reason = cost.note if math.isnan(cost.sample_ms) else ""
-    sums = f"plan p50 + denoise p50 + sampling; {cost.convention}"
-    return [
-        *_percentile_rows(row, timing),
-        _with_value(row, "sample_ms", cost.sample_ms, cost.convention, cost.note),
-        _with_value(row, "sampling_ms", sampling, cost.convention, reason),
-        _with_value(row, "frame_ms", frame, sums, reason),
-    ]
-
-
-def _percentile_rows(row: Row, timing: Timing) -> Iterator[Row]:
-    frames = f"{timing.inference.n} frames of {timing.clip} after {latency.WARM_UP} warm-up frames"
-    for name in ("plan", "denoise", "sample_fetch", "inference"):
-        time = getattr(timing, name)
-        excluded = "; not part of frame_ms" if name == "sample_fetch" else ""
-        yield _with_value(row, f"{name}_ms", time.p50, f"median of {frames}{excluded}")
-        yield _with_value(row, f"{name}_p95_ms", time.p95, f"p95 of {frames}{excluded}")
 
 
 def _with_value(row: Row, metric: str, value: float, convention: str, note: str = "") -> Row:

@@ -43,6 +43,22 @@ def run(
         ),
     ] = options.DEFAULT_SEEDS,
     cost: options.Cost = "measured",
+    repeats: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="fewest timed frames of a row; more are timed until the median is steady",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = 10,
+    retime: Annotated[
+        bool,
+        typer.Option(
+            "--retime",
+            help="measure the times of existing cells again, and no scores",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = False,
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
@@ -64,6 +80,7 @@ def run(
       rlbench run -m ours --scenes temple --pool live --out live
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run -m ours,oidn --bf16
+      rlbench run -m ours,oidn --retime
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     load_plugins(plugin)
@@ -91,9 +108,10 @@ def run(
             weights_label=chosen.label,
             bf16=bf16,
             limit_frames=limit_frames,
+            repeats=repeats,
         )
         with console.measuring(plan) as bar:
-            summary = measure(plan, out, bar.on_cell, executor, bar.on_timing)
+            summary = measure(plan, out, bar.on_cell, executor, bar.on_timing, retime=retime)
     console.print_summary(summary, out)
     if not console.print_scores(plan, summary, out):
         raise typer.Exit(1)

@@ -39,7 +39,7 @@ def render(
         bool,
         typer.Option(
             "--remeasure-sample-time",
-            help="also measure the time of a sample again; the machine must be idle",
+            help="also measure the time of a sample and a G-buffer again, on an idle machine",
             rich_help_panel=options.RENDERING,
         ),
     ] = False,
@@ -74,13 +74,17 @@ def render(
 
 
 def _remeasure(folder: Path) -> str:
-    """Measure the time per sample of a clip again; returns both times as text."""
+    """Measure the times of a clip's tracer again; returns them as text, with the former one."""
     from rlbench.clips.stored import read_header
     from rlbench.render.jobs.retime import remeasure_sample_ms
 
     before_ms = read_header(folder).sample_ms
-    after_ms = remeasure_sample_ms(folder).sample_ms
-    return f"  a sample per pixel takes {after_ms:.1f} ms, before {before_ms:.1f} ms"
+    after = remeasure_sample_ms(folder)
+    spread = f"p5 {after.sample_p5_ms:.1f}, p95 {after.sample_p95_ms:.1f}"
+    return (
+        f"  a sample per pixel takes {after.sample_ms:.1f} ms ({spread}), before {before_ms:.1f} "
+        f"ms; a G-buffer {after.gbuffer_ms:.1f} ms"
+    )
 
 
 def lint(

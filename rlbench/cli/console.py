@@ -46,8 +46,8 @@ def measuring(plan: RunPlan) -> Iterator[ProgressCallbacks]:
             status = f"{cell.method.name} on {cell.header.name}, {cell.target_spp:g} spp"
             bar.update(task, advance=1, description=status)
 
-        def on_timing(cell: ResolvedCell) -> None:
-            bar.update(task, description=f"timed {cell.method.name}, {cell.target_spp:g} spp")
+        def on_timing(done: int, total: int) -> None:
+            bar.update(task, description=f"timing, {done} of {total} rows")
 
         yield ProgressCallbacks(on_cell, on_timing)
 
@@ -86,13 +86,15 @@ def print_summary(summary: RunSummary, out: Path) -> None:
     for file in summary.set_aside:
         text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
         console.print(text, style="yellow", markup=False, soft_wrap=True)
-    if not summary.measured + summary.skipped + summary.failed:
+    if not summary.measured + summary.timed + summary.skipped + summary.failed:
         console.print(f"nothing to do: all {summary.cached} cells are in {out} already")
         return
     text = (
         f"{summary.measured} cells measured, {summary.cached} already in the results, "
         f"{summary.skipped} skipped"
     )
+    text += f", {summary.timed} timed again" if summary.timed else ""
+    text += f", {summary.unscored} without scores and not timed" if summary.unscored else ""
     text += f", {summary.failed} failed" if summary.failed else ""
     text += f", {summary.replaced} older ones replaced" if summary.replaced else ""
     console.print(f"{text}; results are in {out}")
@@ -114,9 +116,12 @@ def print_scores(
     for (method, spp), group in rows.groupby(["method", "target_spp"]):
         means = group.groupby("metric")["value"].mean()
         numbers = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
+        doubted = set(group.loc[_is_unreliable(group), "metric"])
+        marks = ("", *("?" * (name in doubted) for name in ("inference_ms", "frame_ms")))
         scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
         part = f" ({scored} of them)" if 0 < scored < clips else ""
-        table.add_row(f"{method}{part}", f"{spp:g}", *(_format_number(value) for value in numbers))
+        cells = [f"{_format_number(n)}{mark}" for n, mark in zip(numbers, marks, strict=True)]
+        table.add_row(f"{method}{part}", f"{spp:g}", *cells)
     console = Console()
     console.print(table)
     _print_notes(rows, console)
@@ -141,9 +146,27 @@ def _print_notes(rows: pd.DataFrame, console: Console) -> None:
         if metric in ("psnr", "sample_ms"):
             clips = ", ".join(sorted(set(group["clip"])))
             console.print(f"{method}: no {metric} on {clips}: {note}", markup=False)
+    _print_unreliable(rows, console)
     scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
     for (method, note), _ in scored.groupby(["method", "note"]):
         console.print(f"{method}: {note}", style="yellow", markup=False)
+
+
+def _print_unreliable(rows: pd.DataFrame, console: Console) -> None:
+    """Print how many rows have unreliable times, and the first reason."""
+    frames = rows[(rows["metric"] == "frame_ms") & _is_unreliable(rows)]
+    cells = frames[["method", "target_spp"]].drop_duplicates()
+    if len(cells):
+        reason = frames["note"].iloc[0].removeprefix(results.UNRELIABLE).strip()
+        text = (
+            f"{len(cells)} rows have unreliable times, marked ?: {reason}. When the machine is "
+            "idle, repeat the command with --retime"
+        )
+        console.print(text, style="yellow", markup=False, soft_wrap=True)
+
+
+def _is_unreliable(rows: pd.DataFrame) -> pd.Series[bool]:
+    return rows["note"].str.startswith(results.UNRELIABLE)
 
 
 def _progress_bar() -> LoggedProgress:

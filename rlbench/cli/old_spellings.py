@@ -19,7 +19,10 @@ RENAMED_OPTIONS = {  # former name -> today's
     "--retime": "--remeasure-sample-time",
     "--views": "--buffers",
 }
-CURRENT_OPTIONS = {("stress", "--only")}  # a newer command may use a former name
+CURRENT_OPTIONS = {
+    ("stress", "--only"),
+    ("run", "--retime"),
+}  # a newer command may use a former name
 FORMER_MODES = {  # command and option that selected a mode -> today's command, takes a file?
     ("render", "--scene"): ("render-scene", True),
     ("train", "--range-test"): ("lr-find", False),

@@ -98,6 +98,10 @@ class Header:
         sample_ms: time of one 1-spp trace of a full frame, milliseconds; nan for unknown.
         pools_ms: the same for each of `pools`; empty for a clip with one pool.
         device: machine that traced the samples.
+        sample_p5_ms: 5th percentile of the repeated measurements of `sample_ms`; 0 for unknown.
+        sample_p95_ms: their 95th percentile.
+        gbuffer_ms: time of the four standard buffers of one frame, milliseconds; 0 for unknown.
+        timed_with: tracer variant and threads of these times, as in "llvm_ad_rgb, 8 threads".
 
     Raises:
         ClipError: for values that are out of range or contradict each other.
@@ -128,6 +132,10 @@ class Header:
     sample_ms: float = math.nan
     pools_ms: tuple[float, ...] = ()
     device: str = ""
+    sample_p5_ms: float = 0.0
+    sample_p95_ms: float = 0.0
+    gbuffer_ms: float = 0.0
+    timed_with: str = ""
 
     def __post_init__(self) -> None:
         """Raise ClipError for values that are out of range or contradict each other."""
@@ -172,6 +180,18 @@ class Header:
         """Time of one full-frame sample per pixel from a pool, in milliseconds; nan if unknown."""
         times = dict(zip(self.pools, self.pools_ms or (self.sample_ms,), strict=False))
         return times.get(pool, math.nan)
+
+    @property
+    def tracer_of_times(self) -> str:
+        """Tracer variant and threads of the times; in older clips those of `sampler` and `device`.
+
+        Empty if another renderer than Mitsuba's path tracer took them.
+        """
+        variant = self.sampler_version.rpartition(" ")[2]
+        if self.timed_with or not variant.endswith("_rgb"):
+            return self.timed_with
+        cores = re.search(r"(\d+) cores$", self.device)
+        return f"{variant}, {cores[1]} threads" if cores else variant
 
     def digest_fields(self, pool: str) -> dict[str, Any]:
         """The fields that decide the tensors of a frame with samples from `pool`.

@@ -13,7 +13,7 @@ MAX_PIXELS = 2**26  # of an image: 8192 x 8192
 MAX_NAME_BYTES = 200  # of a name in UTF-8, so that it fits into a file name
 MAX_TEXT = 10_000  # characters of any other text
 NAMES = ("name", "scene")  # may have parts, as in street/mini
-TEXTS = ("preset", "sampler", "sampler_version", "licence", "device")
+TEXTS = ("preset", "sampler", "sampler_version", "licence", "device", "timed_with")
 
 
 class Limits(NamedTuple):
@@ -46,6 +46,9 @@ LIMITS = {
     "noise_ceiling_db": Limits(-1000, 1000),
     "sample_ms": Limits(0, 1e12, allows_nan=True),
     "pools_ms": Limits(0, 1e12, allows_nan=True),
+    "sample_p5_ms": Limits(0, 1e12),
+    "sample_p95_ms": Limits(0, 1e12),
+    "gbuffer_ms": Limits(0, 1e12),
 }
 
 

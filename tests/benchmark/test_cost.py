@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from reports.published import published as published_numbers
 from rlbench.benchmark import cost
-from rlbench.benchmark.cost import Cost, CostError
+from rlbench.benchmark.cost import CostError
 from rlbench.clips.stored import read_header
 from rlbench.system import provenance
 
@@ -20,24 +22,24 @@ from rlbench.system import provenance
     [("temple", 16.6), ("ripples", 17.6), ("city", 34.5), ("hall", 36.6), ("another", 26.3)],
 )
 def test_published_times_are_those_of_the_paper(scene, published):
-    assert cost.profile("paper-2080ti").cost(scene, 720, 720).sample_ms == published
+    assert cost.profile("paper-2080ti").sample(scene, 720, 720).ms == published
 
 
 def test_published_times_are_scaled_by_pixels_as_their_convention_says():
-    price = cost.profile("paper-2080ti").cost("temple", 360, 180)
-    assert price.sample_ms == pytest.approx(16.6 / 8)
+    price = cost.profile("paper-2080ti").sample("temple", 360, 180)
+    assert price.ms == pytest.approx(16.6 / 8)
     assert price.convention.endswith("scaled by pixels from 720x720")
 
 
 def test_a_scene_that_a_profile_does_not_name_has_a_note():
-    price = cost.profile("paper-2080ti").cost("foyer", 720, 720)
+    price = cost.profile("paper-2080ti").sample("foyer", 720, 720)
     assert price.note == "the profile's default, as it has no 'foyer'"
 
 
 @pytest.mark.parametrize("scene", ["city", "hall", "foyer"])
 def test_costs_of_one_profile_share_a_convention(scene):
     published = cost.profile("paper-2080ti")
-    assert published.cost(scene, 96, 96).convention == published.cost("temple", 9, 9).convention
+    assert published.sample(scene, 96, 96).convention == published.sample("temple", 9, 9).convention
 
 
 def test_a_profile_may_be_a_file(tmp_path):
@@ -46,9 +48,12 @@ def test_a_profile_may_be_a_file(tmp_path):
         'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\ndefault_ms = 3\n'
         "[scene_ms]\nfoyer = 5\n"
     )
-    assert cost.profile(str(file)).cost("foyer", 10, 10) == Cost(
-        5, "d, s, scaled by pixels from 10x10"
+    assert cost.profile(str(file)).sample("foyer", 10, 10) == (
+        5,
+        "d, s, scaled by pixels from 10x10",
+        "",
     )
+    assert cost.profile(str(file)).inference("ours", 10, 10) is None
 
 
 @pytest.mark.parametrize("text", ["title = ", 'title = "t"', "colour = 3"])
@@ -66,13 +71,77 @@ def test_a_profile_that_cannot_be_read_is_an_error(tmp_path, text):
         ("default_ms = 3\nscene_ms = 4", "scene_ms"),
         ("default_ms = 3\n[scene_ms]\nfoyer = -5", "foyer"),
         ('default_ms = 3\n[scene_ms]\nfoyer = "5"', "foyer"),
+        ("default_ms = 3\ninference_ms = 4\n[scene_ms]", "inference_ms"),
+        ("default_ms = 3\n[scene_ms]\n[inference_ms.720x720]\nours = -1", "ours"),
+        ("default_ms = 3\n[scene_ms]\n[inference_ms.large]\nours = 1", "inference_ms.large"),
+        ("default_ms = 3\n[scene_ms]\n[inference_ms]\nours = 1", "inference_ms.ours"),
     ],
 )
 def test_a_profile_with_impossible_values_is_an_error(tmp_path, line, key):
     text = 'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\n'
     (tmp_path / "bad.toml").write_text(text + line)
-    with pytest.raises(CostError, match=f"bad.toml': {key} must be numbers"):
+    with pytest.raises(CostError, match=f"bad.toml': {re.escape(key)} must be numbers"):
         cost.profile(str(tmp_path / "bad.toml"))
+
+
+@pytest.mark.parametrize("row", published_numbers().table, ids=lambda row: row.row)
+def test_published_inference_times_are_those_of_the_papers_table(row):
+    assert cost.profile("paper-2080ti").inference(row.row, 720, 720).ms == row.inference_ms
+
+
+def test_inference_times_are_scaled_from_the_nearest_size(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'title = "t"\nsource = "s"\ndevice = "d"\nheight = 10\nwidth = 10\ndefault_ms = 3\n'
+        "[scene_ms]\n[inference_ms.100x100]\nours = 8\nsvgf = 4\n"
+        "[inference_ms.1000x1000]\nours = 300\n"
+    )
+    profile = cost.profile(str(tmp_path / "mine.toml"))
+    assert profile.inference("ours", 100, 200).ms == 16
+    assert profile.inference("ours", 1000, 500).ms == 150
+    assert profile.inference("svgf", 1000, 1000).ms == 400
+    assert (
+        profile.inference("ours", 1000, 500).convention == "d, s, scaled by pixels from 1000x1000"
+    )
+    assert profile.inference("oidn", 100, 100) is None
+
+
+def here(clip_folder, **fields):
+    machine = provenance.machine().name
+    header = replace(read_header(clip_folder), device=machine, sample_ms=8.0, **fields)
+    return header, machine
+
+
+def test_a_time_of_a_sample_that_varied_too_much_is_unreliable(clip_folder):
+    header, machine = here(clip_folder, sample_p5_ms=7.0, sample_p95_ms=31.0)
+    assert re.match(
+        r"unreliable: a sample took 7 to 31 ms .*--remeasure-sample-time",
+        cost.measured(header, machine).note,
+    )
+    steady, _ = here(clip_folder, sample_p5_ms=7.0, sample_p95_ms=8.5)
+    assert cost.measured(steady, machine).note == ""
+
+
+def test_the_convention_names_the_variant_and_the_threads_of_the_tracer(clip_folder):
+    header, machine = here(clip_folder, timed_with="llvm_ad_rgb, 3 threads")
+    convention = cost.measured(header, machine).convention
+    assert convention == f"path tracer, measured on {machine}, llvm_ad_rgb, 3 threads"
+
+
+def test_a_g_buffer_costs_what_the_clips_renderer_found_relative_to_a_sample(clip_folder):
+    header, machine = here(clip_folder, gbuffer_ms=6.0)
+    path = cost.measured(header, machine)
+    assert cost.with_gbuffer(path, path.sample_ms, header).gbuffer_ms == 6.0
+    profile = cost.profile("paper-2080ti")
+    city = replace(header, scene="city", height=720, width=720)
+    path = cost.published(profile, city, "path")
+    assert cost.with_gbuffer(path, path.sample_ms, city).gbuffer_ms == pytest.approx(34.5 * 6 / 8)
+
+
+def test_a_clip_without_the_time_of_its_g_buffer_charges_none_and_says_so(clip_folder):
+    header, machine = here(clip_folder)
+    price = cost.with_gbuffer(cost.measured(header, machine), 8.0, header)
+    assert price.gbuffer_ms == 0
+    assert price.gbuffer_convention.startswith("not known, charged as 0")
 
 
 def test_an_unknown_profile_lists_those_that_exist():

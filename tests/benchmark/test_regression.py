@@ -312,3 +312,12 @@ def test_an_entry_twice_is_refused():
 def test_the_regression_check_does_not_import_torch():
     look = "import sys, rlbench.benchmark.regression; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
+
+
+def test_unreliable_times_are_named_and_gate_nothing():
+    score = rows(30.0)
+    time = replace(score[-1], metric="inference_ms", unit="ms", note="unreliable: busy")
+    report = compare(to_dataframe([*score, time]), baseline())
+    assert report.has_passed
+    assert "unreliable times of ours, which gate nothing: city at 2 spp" in report.text()
+    assert "unreliable" not in compare(to_dataframe(score), baseline()).text()

@@ -1,4 +1,4 @@
-"""Rows from images and times: sums, missing values, and images that are not scored."""
+"""Rows from images: missing values, and images that are not scored."""
 
 from __future__ import annotations
 
@@ -9,23 +9,14 @@ import pytest
 import torch
 
 from rlbench import registry
-from rlbench.benchmark.cost import Cost
-from rlbench.benchmark.latency import TimePercentiles, Timing
 from rlbench.benchmark.results import Row
-from rlbench.benchmark.scoring import refusal_row, score_frame, timing_rows
+from rlbench.benchmark.scoring import refusal_row, score_frame
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import read_header
 from rlbench.frames import Size
 from rlbench.run import run_clip
 
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan)
-TIMING = Timing(
-    plan=TimePercentiles(1.0, 2.0, 10),
-    sample_fetch=TimePercentiles(100.0, 200.0, 10),
-    denoise=TimePercentiles(4.0, 8.0, 10),
-    inference=TimePercentiles(5.0, 10.0, 10),
-    clip="noise",
-)
 
 
 @dataclass(frozen=True)
@@ -50,21 +41,6 @@ class Bright:
 def frames():
     method = registry.load_method("mean")
     return list(run_clip(method, procedural_clip(3, Size(1, 16, 16), 2, 4), 2.0))
-
-
-def test_the_frame_time_has_the_drawn_samples_and_not_their_fetch():
-    rows = {row.metric: row for row in timing_rows(TEMPLATE, TIMING, Cost(20.0, "a profile"))}
-    assert rows["sampling_ms"].value == 1.5 * 20
-    assert rows["frame_ms"].value == 1 + 4 + 1.5 * 20
-    assert rows["sample_fetch_ms"].convention.endswith("not part of frame_ms")
-    assert {row.direction for row in rows.values()} == {"lower"}
-    assert {row.unit for row in rows.values()} == {"ms"}
-
-
-def test_a_sample_without_a_cost_leaves_its_reason_in_every_sum():
-    rows = timing_rows(TEMPLATE, TIMING, Cost(math.nan, "a profile", "no such pool"))
-    unknown = {row.metric: row.note for row in rows if math.isnan(row.value)}
-    assert unknown == dict.fromkeys(("sample_ms", "sampling_ms", "frame_ms"), "no such pool")
 
 
 def test_a_score_has_the_samples_of_its_frame(frames, clip_folder):

@@ -20,7 +20,8 @@ from tests.conftest import write_noise, write_plugin
 
 def scores(results: Path) -> list[tuple]:
     rows = table.read(results)
-    kept = rows[~rows["metric"].str.endswith("_ms")]
+    is_time = rows["metric"].str.endswith("_ms") | rows["metric"].str.startswith(table.CLOCK_PREFIX)
+    kept = rows[~is_time]
     return sorted(kept.itertuples(index=False, name=None), key=repr)
 
 
@@ -48,6 +49,31 @@ def test_scores_of_another_device_are_not_averaged_in(run_mean, tmp_path):
 def test_the_same_run_again_does_nothing_and_says_so(run_mean):
     rlbench(*run_mean)
     assert "nothing to do: all 4 cells are in" in rlbench(*run_mean)
+
+
+def test_times_are_measured_again_without_scores(run_mean, tmp_path):
+    rlbench(*run_mean, "--repeats", 1)
+    before = scores(tmp_path / "r")
+    output = rlbench(*run_mean, "--repeats", 1, "--retime")
+    assert "0 cells measured, 0 already in the results, 0 skipped, 4 timed again" in output
+    assert scores(tmp_path / "r") == before
+    output = rlbench(*run_mean, "--spp", "1,7", "--repeats", 1, "--retime")
+    assert "1 timed again, 1 without scores and not timed" in output
+
+
+def test_unreliable_times_are_marked_and_explained(run_mean, tmp_path):
+    rlbench(*run_mean, "--spp", 1, "--repeats", 1)
+    (cell,) = table.cells(tmp_path / "r")
+    busy = {"plan_ms", "denoise_ms", "inference_ms", "frame_ms"}
+    rows = [
+        replace(Row(**row), note="unreliable: busy") if row["metric"] in busy else Row(**row)
+        for row in table.read(tmp_path / "r").to_dict("records")
+    ]
+    table.write_cell(tmp_path / "r", cell, rows)
+    output = rlbench(*run_mean, "--spp", 1, "--repeats", 1)
+    assert re.search(r"│ mean │ 1 │ [\d.]+ │ [\d.]+\? │", output)
+    assert "1 rows have unreliable times, marked ?: busy" in output
+    assert "repeat the command with --retime" in output
 
 
 def test_a_damaged_row_file_is_named(run_mean, tmp_path):

@@ -66,8 +66,10 @@ def test_only_the_best_is_bold(page):
 def test_frame_time_is_the_sum_of_its_parts(page):
     cells = find_line(page, "frame time", "| ours | 2 ").split("|")[2:-1]
     sampling = 1.98 * sum(SAMPLE_MS.values()) / 4
-    expected = [2, 1.98, 5.5, 6.05, 11, 13.2, sampling, 16.5 + sampling]
-    assert [float(cell) for cell in cells] == pytest.approx(expected, abs=0.005)
+    # no G-buffer and no allocation in these results, nor the p95 of their inference
+    expected = [2, 1.98, 0, 5.5, 0, sampling, 11, 16.5 + sampling, 16.5]
+    assert [float(cell) for cell in cells[:-1]] == pytest.approx(expected, abs=0.005)
+    assert cells[-1].strip() == "-"
 
 
 def test_there_is_a_table_for_each_scene(page):

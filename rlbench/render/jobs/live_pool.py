@@ -21,11 +21,19 @@ from rlbench.frames import Frame, Samples, Size
 from rlbench.render.fingerprint import fingerprint
 from rlbench.render.jobs.job import FRAME_POOLS, read_content_key
 from rlbench.render.jobs.render_clips import scene_of_clip
+from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.render.mitsuba.tracer import MAX_PATHS, Tracer
 from rlbench.render.scene import Scene
 
-__all__ = ["LiveClip", "LivePool", "open_live_clip", "scene_of_folder"]
+__all__ = [
+    "LiveClip",
+    "LivePool",
+    "missing_samples",
+    "open_live_clip",
+    "open_wavefronts",
+    "scene_of_folder",
+]
 
 
 @dataclass(frozen=True)
@@ -68,7 +76,7 @@ class LivePool:
 
     def read(self, before: Samples, counts: Int[Tensor, "1 1 h w"]) -> Float[Tensor, "1 s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel; traces those not in `before`."""
-        pixels, slots = _missing_samples(
+        pixels, slots = missing_samples(
             *(c.flatten().cpu().numpy() for c in (before.counts, counts))
         )
         values = torch.from_numpy(self._trace(pixels, slots)).to(self.device) * self.exposure
@@ -180,13 +188,31 @@ def open_live_clip(stored: StoredClip) -> LiveClip:
     return LiveClip(stored, _cached_tracer(stored.arrays.folder, stored.digest))
 
 
-@lru_cache(maxsize=1)
-def _cached_tracer(folder: Path, digest: str) -> Tracer:
-    """The tracer of a clip, shared by all methods that run on it; one clip is open at a time."""
+def open_wavefronts(folder: Path) -> Tracer:
+    """The tracer of a clip's scene, where it traces any pixels at their own cost.
+
+    Raises ClipError as `scene_of_folder` does, and for the scalar variant: it traces whole images.
+    """
+    if select_variant().startswith("scalar"):
+        raise ClipError(
+            f"clip {folder} cannot be traced in part: without LLVM or CUDA, whole images are "
+            "traced. Run rlbench doctor"
+        )
+    return open_clip_tracer(folder)
+
+
+def open_clip_tracer(folder: Path) -> Tracer:
+    """The tracer of a clip's scene, at its size and with its radiance cap."""
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
     header = read_header(folder)
     cap = header.radiance_cap / header.exposure
     return open_tracer(scene_of_folder(folder), header.height, header.width, header.seed, cap)
+
+
+@lru_cache(maxsize=1)
+def _cached_tracer(folder: Path, digest: str) -> Tracer:
+    """The tracer of a clip, shared by all methods that run on it; one clip is open at a time."""
+    return open_clip_tracer(folder)
 
 
 def _lazy_zeros(shape: tuple[int, ...], dtype: type[np.number]) -> Tensor:
@@ -194,7 +220,7 @@ def _lazy_zeros(shape: tuple[int, ...], dtype: type[np.number]) -> Tensor:
     return torch.from_numpy(np.zeros(shape, dtype))
 
 
-def _missing_samples(
+def missing_samples(
     before: Int[Array, " p"], counts: Int[Array, " p"]
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
     """Pixel and slot of each sample from number `before` up to `counts`, pixel by pixel."""

@@ -27,6 +27,7 @@ from rlbench.render.jobs.frame_worker import (
     save_frame,
 )
 from rlbench.render.jobs.job import Job
+from rlbench.render.jobs.trace_times import measure_trace_times
 from rlbench.render.mitsuba import llvm
 from rlbench.render.mitsuba.open_tracer import Tracer, open_tracer
 from rlbench.render.presets import GENERATORS, Preset
@@ -189,4 +190,5 @@ def _raise_first(errors: list[Exception]) -> None:
 
 def _make_header(job: Job, tracer: Tracer) -> Header:
     version = f"{importlib.metadata.version('mitsuba')} {llvm.select_variant()}"
-    return job.make_header("mitsuba path", version, tracer.measure_sample_ms(), seed=SEED)
+    times = measure_trace_times(tracer)
+    return times.written_to(job.make_header("mitsuba path", version, times.sample_ms, seed=SEED))

@@ -1,4 +1,4 @@
-"""Measures the time per sample of a rendered clip again, on an idle machine."""
+"""Measures the times of a rendered clip's tracer again, on an idle machine."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from pathlib import Path
 
 from rlbench.clips.stored import ClipError, Header, read_header, write_header
 from rlbench.render.jobs.render_clips import scene_of_clip
-from rlbench.render.mitsuba.open_tracer import sample_ms
+from rlbench.render.jobs.trace_times import measure_trace_times
+from rlbench.render.mitsuba.open_tracer import open_tracer
 from rlbench.system.provenance import machine
 
 __all__ = ["remeasure_sample_ms"]
 
 
 def remeasure_sample_ms(folder: Path) -> Header:
-    """Measure `sample_ms` of a clip of an installed scene, write its header and return it.
+    """Measure the times of a clip of an installed scene, write its header and return it.
 
-    The times of other pools keep their ratio to the path tracer's, because that ratio was measured
-    in alternating pairs, which other load on the machine slows alike. Pixels do not change. Raises
-    ClipError if another machine rendered the clip.
+    These are `sample_ms`, its percentiles and `gbuffer_ms`. The times of other pools keep their
+    ratio to the path tracer's, because that ratio was measured in alternating pairs, which other
+    load on the machine slows alike. Pixels do not change. Raises ClipError if another machine
+    rendered the clip.
     """
     header, this_machine = read_header(folder), machine().name
     if header.device != this_machine:
@@ -29,11 +31,13 @@ def remeasure_sample_ms(folder: Path) -> Header:
             f"measured on '{this_machine}'. Run this on '{header.device}'; `rlbench run --cost "
             "measured` times samples on this machine"
         )
-    new_ms = sample_ms(scene_of_clip(header.name), header.height, header.width)
+    tracer = open_tracer(scene_of_clip(header.name), header.height, header.width)
+    times = measure_trace_times(tracer)
+    del tracer
     gc.collect()  # while the old scene is alive, Dr.Jit compiles kernels for the next one again
-    ratio = new_ms / header.sample_ms if header.sample_ms > 0 else math.nan
+    ratio = times.sample_ms / header.sample_ms if header.sample_ms > 0 else math.nan
     others = (ms * ratio for ms in header.pools_ms[1:])  # the path tracer's pool comes first
-    pools_ms = (new_ms, *others) if header.pools_ms else ()
-    remeasured = replace(header, sample_ms=new_ms, pools_ms=pools_ms)
+    pools_ms = (times.sample_ms, *others) if header.pools_ms else ()
+    remeasured = replace(times.written_to(header), pools_ms=pools_ms)
     write_header(folder, remeasured)
     return remeasured

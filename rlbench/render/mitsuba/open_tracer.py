@@ -10,7 +10,14 @@ from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.mitsuba.wavefront import WavefrontTracer
 from rlbench.render.scene import Scene
 
-__all__ = ["ScalarTracer", "Tracer", "WavefrontTracer", "open_tracer", "sample_ms"]
+__all__ = [
+    "ScalarTracer",
+    "Tracer",
+    "WavefrontTracer",
+    "describe_tracer",
+    "open_tracer",
+    "sample_ms",
+]
 
 
 def open_tracer(
@@ -19,6 +26,14 @@ def open_tracer(
     """A tracer of `scene`: wavefronts with LLVM or CUDA, else whole scalar images."""
     kind = ScalarTracer if llvm.select_variant().startswith("scalar") else WavefrontTracer
     return kind(scene, height, width, seed, radiance_cap)
+
+
+def describe_tracer() -> str:
+    """Variant and threads of this machine's tracer, on which its times depend."""
+    import drjit as dr
+
+    variant = llvm.select_variant()
+    return variant if variant.startswith("cuda") else f"{variant}, {dr.thread_count()} threads"
 
 
 def sample_ms(scene: Scene, height: int, width: int, repeats: int = 5) -> float:

@@ -150,13 +150,18 @@ class Tracer(ABC):
 
         With `spp` > 1, the time of a launch of that many samples, divided by their number.
         """
-        self.trace_images(spp, "pilot")
+        times = self.measure_ms(lambda: self.trace_images(spp, "pilot"), repeats)
+        return statistics.median(times) / spp
+
+    def measure_ms(self, work: Callable[[], object], repeats: int) -> list[float]:
+        """Milliseconds of each repetition of `work`, after a warm-up."""
+        work()
         times = []
-        for number in range(repeats):
+        for _ in range(repeats):
             start = clock.perf_counter()
-            self.trace_images(spp, "pilot", first=number)
-            times.append(1e3 * (clock.perf_counter() - start) / spp)
-        return statistics.median(times)
+            work()
+            times.append(1e3 * (clock.perf_counter() - start))
+        return times
 
     def relative_cost(self, work: Callable[[], object], spp: int, warm_up: int = 2) -> float:
         """Time of `work` divided by that of `spp` samples per pixel.

@@ -32,7 +32,14 @@ def test_remeasuring_changes_the_times_per_sample_and_nothing_else(folder):
     assert now == read_header(folder)
     assert 0 < now.sample_ms < 1e5  # 384 pixels: a millisecond or two
     assert now.pools_ms == pytest.approx((now.sample_ms, 3 * now.sample_ms))
-    assert replace(now, sample_ms=1e6, pools_ms=slow.pools_ms) == slow
+    assert 0 < now.sample_p5_ms <= now.sample_ms <= now.sample_p95_ms
+    assert now.gbuffer_ms > 0
+    assert now.timed_with.endswith(" threads")
+    times = {
+        name: getattr(slow, name)
+        for name in ("sample_ms", "pools_ms", "sample_p5_ms", "sample_p95_ms", "gbuffer_ms")
+    }
+    assert replace(now, **times) == slow
     write_header(folder, before)
 
 

@@ -1,0 +1,95 @@
+"""Stacked bars: the parts of a frame's time, a bar for each method and a panel for each budget."""
+
+from __future__ import annotations
+
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from reports.layout import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["MAX_PANELS", "PARTS", "draw_frame_bars"]
+
+MAX_PANELS = 4
+PARTS = {  # column: name and colour; the samplers warm, the denoiser blue, the renderer grey
+    "gbuffer_ms": ("G-buffer", "#B8B8B8"),
+    "plan_ms": ("plan", "#D55E00"),
+    "allocate_ms": ("allocate", "#F0B27A"),
+    "sampling_ms": ("sampling", "#6B6B6B"),
+    "denoise_ms": ("denoise", "#0072B2"),
+}
+WIDTH, BAR, MARGIN = 13.0, 0.27, 0.75  # inches: of the figure, of a bar, above and below the bars
+CAPTION_LETTERS = 165  # in a line
+UNRELIABLE = "unreliable time"
+
+
+def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
+    """The figure. `times` has the columns method, target_spp, those of PARTS, frame_ms, unreliable.
+
+    Methods are in the order of their mean frame time in all panels, the fastest on top. Bars of
+    unreliable times are pale, with a dashed outline.
+    """
+    methods = list(times.groupby("method")["frame_ms"].mean().sort_values().index)
+    budgets = sorted(set(times["target_spp"]))
+    caption = "\n".join(fill(line, CAPTION_LETTERS) for line in caption.splitlines())
+    footer = 1.15 + 0.19 * (caption.count("\n") + 1)
+    height = MARGIN + footer + BAR * len(methods)
+    figure = Figure(figsize=(WIDTH, height))
+    left = (0.35 + 0.085 * max(map(len, methods))) / WIDTH
+    panels = figure.subplots(
+        1, len(budgets), sharey=True, squeeze=False,
+        gridspec_kw={"left": left, "right": 0.985, "top": 1 - 0.42 / height,
+                     "bottom": footer / height, "wspace": 0.06},
+    )[0]  # fmt: skip
+    for axes, budget in zip(panels, budgets, strict=True):
+        _draw_panel(axes, times[times["target_spp"] == budget], methods)
+        axes.set_title(f"{budget:g} spp", loc="left", fontweight="bold")
+        axes.set_xlabel("frame time [ms]")
+    has_unreliable = bool(times["unreliable"].any())
+    figure.legend(
+        handles=_key(has_unreliable), loc="upper left", ncol=len(PARTS) + 1, frameon=False,
+        bbox_to_anchor=(0.006, (footer - 0.55) / height), columnspacing=1.6, handlelength=1.4,
+    )  # fmt: skip
+    figure.text(0.012, 0.10 / height, caption, fontsize=10.5, color=style.BLACK, va="bottom")
+    return figure
+
+
+def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
+    rows = times.set_index("method")
+    longest = float(times["frame_ms"].max()) or 1.0
+    for position, method in enumerate(methods):
+        if method not in rows.index:
+            axes.text(0.01 * longest, position, "not measured", va="center", color=style.GREY,
+                      fontsize=9.5)  # fmt: skip
+            continue
+        row, start = rows.loc[method], 0.0
+        outline: dict[str, Any] = (
+            {"alpha": 0.45, "edgecolor": style.BLACK, "linestyle": "--", "linewidth": 0.8}
+            if row["unreliable"]
+            else {"edgecolor": "white", "linewidth": 0.6}
+        )
+        for column, (_, color) in PARTS.items():
+            axes.barh(position, row[column], left=start, height=0.74, color=color, **outline)
+            start += float(str(row[column]))
+        mark = "?" * bool(row["unreliable"])
+        text = f"{row['frame_ms']:.3g}{mark}"
+        axes.text(start + 0.012 * longest, position, text, va="center", fontsize=10)
+    axes.set_xlim(0, longest * 1.17)
+    axes.set_ylim(len(methods) - 0.4, -0.6)
+    axes.set_yticks(range(len(methods)), methods)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+
+
+def _key(has_unreliable: bool) -> list[Patch]:
+    handles = [Patch(color=color, label=name) for name, color in PARTS.values()]
+    pale = Patch(
+        facecolor="#E4E4E4", edgecolor=style.BLACK, linestyle="--", label=f"?: {UNRELIABLE}"
+    )
+    return [*handles, pale] if has_unreliable else handles

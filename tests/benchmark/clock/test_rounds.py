@@ -1,0 +1,148 @@
+"""The clock against planted contention: slow phases, a load that never ends, and drift."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from rlbench.benchmark.clock.rounds import Limits
+from rlbench.benchmark.latency import TimedRow, time_methods
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Size
+from tests.benchmark.clock.fake_machine import Machine, Worker
+
+CLIP = procedural_clip(size=Size(1, 8, 8), frames=4)
+CPU = torch.device("cpu")
+
+
+def timed(machine, *workers, repeats=10):
+    rows = [TimedRow(worker, CLIP, 1.0) for worker in workers]
+    return time_methods(rows, CPU, repeats, machine.calibrator())
+
+
+def test_on_a_quiet_machine_the_time_is_exact_and_reliable():
+    machine = Machine()
+    (timing,) = timed(machine, Worker(machine))
+    assert (timing.plan.mean, timing.denoise.mean) == pytest.approx((1.0, 9.0))
+    assert timing.inference.p50 == timing.inference.p95 == pytest.approx(10.0)
+    assert timing.unreliable == ""
+    assert timing.rounds == Limits.of_repeats(10).min_rounds
+    assert timing.processor_share == timing.calibration_ratio == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("phase", [(0, 100), (60, 250), (100, 2000)])
+def test_a_slow_phase_does_not_change_the_median(phase):
+    start, end = phase
+    machine = Machine(slowdown=lambda ms: 3.0 if start <= ms < end else 1.0)
+    (timing,) = timed(machine, Worker(machine, jitter=0.02))
+    assert timing.inference.p50 == pytest.approx(10.0, rel=0.02)
+    assert timing.inference.p95 < 10.5
+    assert timing.unreliable == ""
+
+
+def test_rounds_of_a_busy_machine_are_repeated():
+    machine = Machine(slowdown=lambda ms: 3.0 if 60 <= ms < 300 else 1.0)
+    (timing,) = timed(machine, worker := Worker(machine))
+    assert timing.rounds == 4
+    assert len(worker.states) > 4 * 4
+
+
+def test_a_load_that_changes_without_end_is_reported():
+    machine = Machine(slowdown=lambda ms: 2.0 + math.sin(ms / 40))
+    (timing,) = timed(machine, Worker(machine))
+    assert timing.unreliable.startswith("the machine was busy in ")
+    assert "times the quietest" in timing.unreliable
+
+
+def test_a_constant_load_is_reported_by_the_share_of_the_processors():
+    """Every calibration is as slow as the quietest, so its time alone would show nothing."""
+    machine = Machine(slowdown=lambda ms: 2.0, processor_share=lambda ms: 0.5)
+    (timing,) = timed(machine, Worker(machine))
+    assert "the machine was busy in 30 of 30 rounds" in timing.unreliable
+    assert "50% of the processor time it asked for" in timing.unreliable
+    assert timing.inference.p50 == pytest.approx(20.0)  # still the best that is known
+
+
+def test_a_time_that_never_gets_steady_is_reported_with_its_interval():
+    machine = Machine()
+    steady, unsteady = timed(machine, Worker(machine), Worker(machine, jitter=0.6))
+    assert steady.unreliable == ""
+    assert unsteady.unreliable.startswith("the 95% interval of the median is +-")
+    assert unsteady.rounds == Limits.of_repeats(10).max_rounds
+    assert unsteady.half_width > 0.02
+
+
+def test_an_unsteady_time_runs_more_rounds_than_a_steady_one():
+    machine = Machine()
+    steady, wavy = timed(machine, Worker(machine), Worker(machine, jitter=0.05))
+    assert steady.rounds < wavy.rounds < Limits.of_repeats(10).max_rounds
+    assert wavy.unreliable == ""
+
+
+def test_interleaved_rows_share_a_drift():
+    """A processor that warms up loses 8 % in this test: within what calibrations tolerate."""
+
+    def drift(ms):
+        return 1.0 + 0.08 * min(ms / 1000, 1.0)
+
+    machine = Machine(slowdown=drift)
+    first, second = timed(
+        machine, Worker(machine, denoise_ms=9.0), Worker(machine, denoise_ms=19.0)
+    )
+    assert second.inference.p50 / first.inference.p50 == pytest.approx(2.0, rel=0.01)
+
+    alone = Machine(slowdown=drift)  # the planted fault: one row after the other
+    (first,) = timed(alone, Worker(alone, denoise_ms=9.0))
+    (second,) = timed(alone, Worker(alone, denoise_ms=19.0))
+    assert second.inference.p50 / first.inference.p50 > 2.02
+
+
+def test_parts_add_up_over_the_same_frames():
+    machine = Machine()
+    adaptive = Worker(machine, jitter=0.3).traits.__class__(adaptive=True, passes=(0.5, 1.0))
+    (timing,) = timed(machine, Worker(machine, jitter=0.3, traits=adaptive))
+    parts = timing.plan.mean + timing.allocate.mean + timing.denoise.mean
+    assert timing.inference.mean == parts
+    assert timing.plan.mean == pytest.approx(2.0)  # of both passes
+
+
+def test_a_row_that_fails_does_not_stop_the_others():
+    class Broken(Worker):
+        def denoise(self, gbuffer, samples, state):
+            raise RuntimeError("no luck")
+
+    machine = Machine()
+    error, timing = timed(machine, Broken(machine), Worker(machine))
+    assert isinstance(error, RuntimeError)
+    assert timing.inference.p50 == pytest.approx(10.0)
+
+
+def test_slow_rows_stop_at_the_cap_of_wall_time():
+    machine = Machine()
+    (timing,) = timed(machine, Worker(machine, denoise_ms=2000.0, jitter=0.5))
+    assert timing.rounds == Limits.of_repeats(10).min_rounds
+    assert timing.unreliable
+
+
+def test_each_row_keeps_one_running_clip():
+    machine = Machine()
+    timed(machine, first := Worker(machine), second := Worker(machine))
+    assert first.states[:6] == second.states[:6] == [0, 1, 2, 3, 0, 1]
+
+
+def test_a_busy_moment_within_a_long_round_is_seen():
+    """Calibrations come every half second, not only between rounds."""
+    machine = Machine(slowdown=lambda ms: 5.0 if 1000 < ms < 3000 else 1.0)
+    rows = [Worker(machine, denoise_ms=60.0) for _ in range(8)]  # two seconds a round
+    for timing in timed(machine, *rows):
+        assert timing.inference.p95 < 62.0
+        assert timing.unreliable == ""
+
+
+def test_every_finished_row_is_reported():
+    machine, done = Machine(), []
+    rows = [TimedRow(Worker(machine), CLIP, 1.0) for _ in range(3)]
+    time_methods(rows, CPU, 10, machine.calibrator(), lambda: done.append(1))
+    assert len(done) == 3
