@@ -61,14 +61,14 @@ def draw_frame_bars(times: pd.DataFrame, caption: str) -> Figure:
 
 
 def _draw_panel(axes: Axes, times: pd.DataFrame, methods: list[str]) -> None:
-    rows = times.set_index("method")
+    rows = {row["method"]: row for row in times.to_dict("records")}
     longest = float(times["frame_ms"].max()) or 1.0
     for position, method in enumerate(methods):
-        if method not in rows.index:
+        if method not in rows:
             axes.text(0.01 * longest, position, "not measured", va="center", color=style.GREY,
                       fontsize=9.5)  # fmt: skip
             continue
-        row, start = rows.loc[method], 0.0
+        row, start = rows[method], 0.0
         outline: dict[str, Any] = (
             {"alpha": 0.45, "edgecolor": style.BLACK, "linestyle": "--", "linewidth": 0.8}
             if row["unreliable"]

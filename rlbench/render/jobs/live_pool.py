@@ -193,6 +193,7 @@ def open_wavefronts(folder: Path) -> Tracer:
 
     Raises ClipError as `scene_of_folder` does, and for the scalar variant: it traces whole images.
     """
+    scene_of_folder(folder)  # raises at once, while finding out the variant may take seconds
     if select_variant().startswith("scalar"):
         raise ClipError(
             f"clip {folder} cannot be traced in part: without LLVM or CUDA, whole images are "
