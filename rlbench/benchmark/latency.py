@@ -71,7 +71,7 @@ class Timing:
     rounds: int  # that these frames come from
     half_width: float  # of the 95 % interval of the median inference, relative to it
     processor_share: float  # processor time / wall time; up to the number of threads
-    calibration_ratio: float  # median calibration of these rounds / the session's quietest
+    calibration_ratio: float  # median calibration of these rounds / that of a quiet moment
     switches: float  # involuntary context switches per frame
     load_average: float  # when the session began
     threads: int  # of torch
@@ -129,7 +129,7 @@ def _summary(session: Session, track: Track, clip: str, load: float) -> Timing:
     middle, times = middle_half(frames), [frame.inference for frame in frames]
     parts = {name: _part_time(name, frames, middle) for name in (*PARTS, "sample_fetch")}
     inference = _part_time("inference", frames, middle)
-    ratios = [each.ms / session.quietest_ms for visit in visits for each in session.around(visit)]
+    ratios = [each.ms / session.quiet_ms for visit in visits for each in session.around(visit)]
     busy = _describe_load(session, track.visits)
     return Timing(
         clip=clip,
@@ -156,7 +156,7 @@ def _part_time(name: str, frames: Sequence[FrameTime], middle: Sequence[FrameTim
 def _describe_load(session: Session, visits: Sequence[Visit]) -> str:
     """How busy the machine was at worst, as the calibrations saw it."""
     seen = [each for visit in visits for each in session.around(visit)]
-    text = f"calibration up to {max(each.ms for each in seen) / session.quietest_ms:.1f} times "
-    text += "the quietest"
+    text = f"calibration up to {max(each.ms for each in seen) / session.quiet_ms:.1f} times "
+    text += "a quiet moment"
     shares = [s for s in (each.processor_share for each in seen) if s < MIN_PROCESSOR_SHARE]
     return f"{text}, {min(shares):.0%} of the processor time it asked for" if shares else text

@@ -136,7 +136,7 @@ def _clock_rows(template: Row, timing: Timing) -> Iterator[Row]:
         "rounds": (timing.rounds, "rounds that these frames come from"),
         "interval": (timing.half_width, "half width of the 95 % interval / median inference"),
         "processor_share": (timing.processor_share, "processor time / wall time of inference"),
-        "calibration": (timing.calibration_ratio, "calibration kernel / the session's quietest"),
+        "calibration": (timing.calibration_ratio, "calibration kernel / that of a quiet moment"),
         "context_switches": (timing.switches, "involuntary context switches per frame"),
         "load": (timing.load_average, "load average of one minute before the first round"),
         "threads": (timing.threads, "threads of torch"),

@@ -32,7 +32,7 @@ def test_on_a_quiet_machine_the_time_is_exact_and_reliable():
     assert timing.processor_share == timing.calibration_ratio == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("phase", [(0, 100), (60, 250), (100, 2000)])
+@pytest.mark.parametrize("phase", [(0, 100), (60, 250), (100, 400)])
 def test_a_slow_phase_does_not_change_the_median(phase):
     start, end = phase
     machine = Machine(slowdown=lambda ms: 3.0 if start <= ms < end else 1.0)
@@ -53,11 +53,11 @@ def test_a_load_that_changes_without_end_is_reported():
     machine = Machine(slowdown=lambda ms: 2.0 + math.sin(ms / 40))
     (timing,) = timed(machine, Worker(machine))
     assert timing.unreliable.startswith("the machine was busy in ")
-    assert "times the quietest" in timing.unreliable
+    assert "times a quiet moment" in timing.unreliable
 
 
 def test_a_constant_load_is_reported_by_the_share_of_the_processors():
-    """Every calibration is as slow as the quietest, so its time alone would show nothing."""
+    """Every calibration is as slow as any other, so its time alone would show nothing."""
     machine = Machine(slowdown=lambda ms: 2.0, processor_share=lambda ms: 0.5)
     (timing,) = timed(machine, Worker(machine))
     assert "the machine was busy in 30 of 30 rounds" in timing.unreliable

@@ -122,8 +122,8 @@ def test_threads_that_compete_wait_for_a_processor():
     ("calibration", "quiet"),
     [
         (Calibration(1.0, 1.0), True),
-        (Calibration(1.09, 1.0), True),
-        (Calibration(1.11, 1.0), False),
+        (Calibration(1.24, 1.0), True),
+        (Calibration(1.26, 1.0), False),
         (Calibration(1.0, 0.7), False),
         (Calibration(1.0, float("nan")), True),  # an accelerator
     ],
