@@ -16,6 +16,7 @@ __all__ = [
     "Frame",
     "GBuffer",
     "Pool",
+    "PoolWrapper",
     "Reference",
     "Samples",
     "Size",
@@ -219,6 +220,36 @@ class Pool(Protocol):
 
     def empty(self) -> Samples:
         """Samples with all counts zero, on the pool's device."""
+
+
+@dataclass(frozen=True)
+class PoolWrapper:
+    """A pool that forwards every call to another pool; override the members that differ."""
+
+    pool: Pool
+
+    @property
+    def size(self) -> Size:
+        """Number of clips in the batch, height and width."""
+        return self.pool.size
+
+    @property
+    def max_samples(self) -> int:
+        """Most samples that one pixel can have."""
+        return self.pool.max_samples
+
+    @property
+    def rounding_seeds(self) -> tuple[int, ...]:
+        """One seed per clip in the batch."""
+        return self.pool.rounding_seeds
+
+    def empty(self) -> Samples:
+        """Samples with all counts zero."""
+        return self.pool.empty()
+
+    def read(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
+        """Radiance of the first `counts` samples of each pixel."""
+        return self.pool.read(before, counts)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rlbench.frames import Frame, GBuffer, Pool, Samples, Size
+from rlbench.frames import Frame, GBuffer, Pool, PoolWrapper, Samples
 from rlbench.ops.sanitize import RULES, sanitize_radiance
 
 __all__ = ["FrameInput", "Repairs", "SanitizedPool", "read_unsanitized", "sanitize_frame"]
@@ -63,34 +63,14 @@ def read_unsanitized(frame: Frame, inputs: frozenset[str]) -> FrameInput:
 
 
 @dataclass(frozen=True)
-class SanitizedPool:
+class SanitizedPool(PoolWrapper):
     """A pool whose samples are valid radiance; repaired samples are added to `repairs`."""
 
-    pool: Pool
     repairs: Counter[str]
-
-    @property
-    def size(self) -> Size:
-        """Number of clips in the batch, height and width."""
-        return self.pool.size
-
-    @property
-    def max_samples(self) -> int:
-        """Most samples that one pixel can have."""
-        return self.pool.max_samples
-
-    @property
-    def rounding_seeds(self) -> tuple[int, ...]:
-        """One seed per clip in the batch."""
-        return self.pool.rounding_seeds
-
-    def empty(self) -> Samples:
-        """Samples with all counts zero."""
-        return self.pool.empty()
 
     def read(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """Radiance of the first `counts` samples of each pixel, sanitised."""
-        radiance = self.pool.read(before, counts)
+        radiance = super().read(before, counts)
         valid = sanitize_radiance(radiance)
         if valid is not radiance:
             is_new = ~Samples(radiance, before.counts).valid_mask  # the others are counted already

@@ -15,8 +15,7 @@ from baselines.accumulate.method import VARIANTS, Accumulate
 from baselines.oidn.method import published_network, to_signed_radiance
 from baselines.oidn.train import FINE_TUNING_MAX_LR
 from rlbench.frames import Clip, GBuffer, Samples
-from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.losses import log_loss, log_transfer_loss
 from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
@@ -48,8 +47,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
 
     def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
         for result in unroll(detached, clip, spp):
-            reference = log_forward(result.frame.reference.mean)
-            yield log_loss(l1_ms_ssim_loss(log_forward(result.image), reference))
+            yield log_loss(log_transfer_loss(result.image, result.frame.reference.mean))
 
     return TrainingTask(
         method, network, losses, BUDGETS_FROM_0_05_SPP, FINE_TUNING_MAX_LR, origin=origin

@@ -143,15 +143,17 @@ def published_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
 
     Raises KeyError unless Intel publishes a network of these widths.
     """
-    variant = {BASE_WIDTHS: "", FAST_WIDTHS: "fast"}[widths]
-    network = UNet(INPUT_CHANNELS, widths=widths)
-    card = load_into(network, CARDS / FAMILY.weights_file(variant))
-    return network, card.origin
+    return _load_network({BASE_WIDTHS: "", FAST_WIDTHS: "fast"}[widths])
 
 
 def tuned_network(widths: UNetWidths = BASE_WIDTHS) -> tuple[UNet, str]:
     """A network with the weights of `oidn/tuned`, and their origin. Raises KeyError as above."""
-    variant = {BASE_WIDTHS: "tuned"}[widths]
-    network = UNet(INPUT_CHANNELS, widths=widths)
+    network, origin = _load_network({BASE_WIDTHS: "tuned"}[widths])
+    return network, f"oidn/tuned, from {origin}"
+
+
+def _load_network(variant: str) -> tuple[UNet, str]:
+    """A network with the shipped weights of a variant, and their origin."""
+    network = UNet(INPUT_CHANNELS, widths=VARIANTS[variant].widths)
     card = load_into(network, CARDS / FAMILY.weights_file(variant))
-    return network, f"oidn/tuned, from {card.origin}"
+    return network, card.origin

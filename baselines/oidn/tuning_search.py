@@ -16,8 +16,7 @@ from baselines.oidn.method import CARDS, INPUT_CHANNELS, Oidn, to_signed_radianc
 from baselines.oidn.train import fine_tuning_task
 from rlbench.family import Family, Variant
 from rlbench.frames import Clip
-from rlbench.ops.losses import l1_ms_ssim_loss, log_loss
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.losses import log_loss, log_transfer_loss
 from rlbench.ops.unet import UNet
 from rlbench.run import unroll
 from rlbench.training.task import TrainingTask
@@ -46,8 +45,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
 
         def losses(clip: Clip, spp: float) -> Iterator[Tensor]:
             for result in unroll(signed, clip, spp):
-                reference = log_forward(result.frame.reference.mean)
-                yield log_loss(l1_ms_ssim_loss(log_forward(result.image), reference))
+                yield log_loss(log_transfer_loss(result.image, result.frame.reference.mean))
 
         task = replace(task, losses=losses)
     return replace(task, max_lr=RATES[rate])

@@ -17,7 +17,7 @@ from methods.ours.method import Ours
 from methods.ours.policy import Rollout
 from methods.ours.state import RecurrentState
 from rlbench.frames import Frame, GBuffer, Pool, Samples
-from rlbench.ops.losses import l1_ms_ssim_loss
+from rlbench.ops.losses import log_transfer_loss
 from rlbench.ops.transfer import log_forward
 from rlbench.sampling import draw_samples
 from rlbench.sanitize import SanitizedPool, sanitize_frame
@@ -132,7 +132,7 @@ class FrameProblem:
         )
         with freeze(self.method.networks.encoder, self.method.networks.denoiser):
             image, _ = self.method.denoise(self.gbuffer, samples, self.state)
-        return l1_ms_ssim_loss(log_forward(image), log_forward(self.frame.reference.mean))
+        return log_transfer_loss(image, self.frame.reference.mean)
 
     @cached_property
     def _truth(self) -> Float[Tensor, "n 3 h w"]:

@@ -15,8 +15,7 @@ from methods.ours.method import Ours
 from methods.ours.policy.joint_appo import JointAppo, Trajectory
 from methods.ours.state import RecurrentState
 from rlbench.frames import Clip, GBuffer, Samples
-from rlbench.ops.losses import l1_ms_ssim_loss
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.losses import log_transfer_loss
 from rlbench.run import FrameResult, unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
@@ -102,6 +101,5 @@ def episode_losses(acting: ActingMethod) -> Callable[[Clip, float], Iterator[Ten
 
 def image_losses(result: FrameResult) -> Float[Tensor, " n"]:
     """0.16 L1 + 0.84 (1 - MS-SSIM) of each image, in log transfer."""
-    images, references = log_forward(result.image), log_forward(result.frame.reference.mean)
-    pairs = zip(images, references, strict=True)
-    return torch.stack([l1_ms_ssim_loss(image[None], truth[None]) for image, truth in pairs])
+    pairs = zip(result.image, result.frame.reference.mean, strict=True)
+    return torch.stack([log_transfer_loss(image[None], truth[None]) for image, truth in pairs])

@@ -26,8 +26,7 @@ from methods.ours.state import RecurrentState, detach
 from methods.ours.variants import BASE, VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, GBuffer, Samples
-from rlbench.ops.losses import display_mse, l1_ms_ssim_loss, log_loss
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.losses import display_mse, log_loss, log_transfer_loss
 from rlbench.run import unroll
 from rlbench.training.task import BUDGETS_FROM_0_05_SPP, TrainingTask
 from rlbench.wrappers import MethodWrapper
@@ -150,7 +149,7 @@ def frame_loss(
     """The loss of an image, both in linear radiance."""
     if config.loss == "display":
         return display_mse(image, reference)
-    return l1_ms_ssim_loss(log_forward(image), log_forward(reference))
+    return log_transfer_loss(image, reference)
 
 
 def width_multiplier(widths: tuple[int, ...]) -> float:

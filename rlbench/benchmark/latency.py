@@ -120,7 +120,7 @@ def _frames(row: TimedRow, clock: Clock) -> Iterator[FrameTime]:
 
 
 def _summary(session: Session, track: Track, clip: str, load: float) -> Timing:
-    counted = session.counted(track)
+    counted = session.select_quiet_visits(track)
     least = session.limits.min_rounds
     visits = counted if len(counted) >= least else track.visits
     frames = sorted(

@@ -27,7 +27,7 @@ from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.scoring import refusal_row, row_template, score_frame
-from rlbench.benchmark.time_rows import failed_time_rows, timing_rows, untimed
+from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
@@ -253,7 +253,7 @@ class CellRunner:
         """The stored scores of a cell with new times, or with the reason why it has none."""
         if self.loader.incompatibility(cell):
             return list(rows)
-        scores = untimed(rows)
+        scores = drop_times(rows)
         template = replace(self.templates[cell.key], config=scores[0].config)
         if error:
             return scores + failed_time_rows(template, f"{type(error).__name__}: {error}")
@@ -266,7 +266,7 @@ class CellRunner:
             replace(template, mean_spp=mean_spp),
             times.timing(cell),
             times.cost(cell),
-            times.published(cell),
+            times.published_inference(cell),
         )
 
     def _remarks(self, cell: ResolvedCell) -> str:

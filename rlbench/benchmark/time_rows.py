@@ -18,7 +18,7 @@ from rlbench.benchmark.cost_profile import ProfileTime
 from rlbench.benchmark.latency import PARTS, Timing
 from rlbench.benchmark.results import CLOCK_PREFIX, TWO_DEVICES, UNRELIABLE, Row
 
-__all__ = ["failed_time_rows", "timing_rows", "untimed"]
+__all__ = ["failed_time_rows", "timing_rows", "drop_times"]
 
 PERCENTILES = ("plan", "allocate", "denoise", "inference", "sample_fetch")
 SUM = "gbuffer + plan + allocate + sampling + denoise"
@@ -82,7 +82,7 @@ def failed_time_rows(template: Row, reason: str) -> list[Row]:
     return [_with_value(row, f"{name}_ms", math.nan, "not measured", reason) for name in names]
 
 
-def untimed(rows: Sequence[Row]) -> list[Row]:
+def drop_times(rows: Sequence[Row]) -> list[Row]:
     """The rows that are not times, unchanged."""
     return [row for row in rows if row.unit != "ms" and not row.metric.startswith(CLOCK_PREFIX)]
 
@@ -91,7 +91,7 @@ def _inference(row: Row, timing: Timing, published: ProfileTime | None) -> _Infe
     parts = {name: getattr(timing, name).mean for name in PARTS}
     if published is None:
         convention = f"mean of the middle half of {_describe_frames(timing)}"
-        note = f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else ""
+        note = _reliability_note(timing)
         return _Inference(parts, convention, note, row.device)
     total, device = sum(parts.values()), published.convention.partition(",")[0]
     shares = {name: ms / total for name, ms in parts.items()} if total else {"denoise": 1.0}
@@ -117,9 +117,14 @@ def _is_same_device(first: str, second: str) -> bool:
     )
 
 
+def _reliability_note(timing: Timing) -> str:
+    """The note of times that must not be believed; empty for others."""
+    return f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else ""
+
+
 def _percentile_rows(row: Row, timing: Timing) -> Iterator[Row]:
     frames = _describe_frames(timing)
-    note = f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else ""
+    note = _reliability_note(timing)
     for name in PERCENTILES:
         time, is_fetch = getattr(timing, name), name == "sample_fetch"
         excluded = "; not part of frame_ms" * is_fetch

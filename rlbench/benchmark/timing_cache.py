@@ -96,7 +96,7 @@ class TimingCache:
         """Times of a cell that `measure_all` has measured."""
         return self._timings[self.key(cell)]
 
-    def published(self, cell: ResolvedCell) -> ProfileTime | None:
+    def published_inference(self, cell: ResolvedCell) -> ProfileTime | None:
         """Inference time of a cell by the profile; None where it has none of this row."""
         if self.profile is None or cell.method.bf16:
             return None

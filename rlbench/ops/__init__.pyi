@@ -27,7 +27,16 @@ from .fireflies import (
 )
 from .init import kaiming_init
 from .kernels import apply_kernels, splat_kernels
-from .losses import display_mse, l1, l1_ms_ssim_loss, log_loss, ms_ssim, smape, temporal_l1
+from .losses import (
+    display_mse,
+    l1,
+    l1_ms_ssim_loss,
+    log_loss,
+    log_transfer_loss,
+    ms_ssim,
+    smape,
+    temporal_l1,
+)
 from .memory_format import to_channels_last, to_contiguous_float32
 from .padded_rows import PaddedRows
 from .padding import crop, pad
@@ -83,6 +92,7 @@ __all__ = [
     "log_forward",
     "log_inverse",
     "log_loss",
+    "log_transfer_loss",
     "luminance",
     "mean_without_fireflies",
     "ms_ssim",

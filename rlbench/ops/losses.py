@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rlbench.ops.color import encode_srgb
+from rlbench.ops.transfer import log_forward
 
 __all__ = [
     "UNIFORM_WEIGHTS",
@@ -18,6 +19,7 @@ __all__ = [
     "l1",
     "l1_ms_ssim_loss",
     "log_loss",
+    "log_transfer_loss",
     "ms_ssim",
     "smape",
     "temporal_l1",
@@ -83,6 +85,13 @@ def l1_ms_ssim_loss(
     """
     similarity = ms_ssim(image, reference, weights).mean()
     return L1_WEIGHT * l1(image, reference) + (1 - L1_WEIGHT) * (1 - similarity)
+
+
+def log_transfer_loss(
+    image: Float[Tensor, "n c h w"], reference: Float[Tensor, "n c h w"]
+) -> Float[Tensor, ""]:
+    """`l1_ms_ssim_loss` of linear radiance in log transfer."""
+    return l1_ms_ssim_loss(log_forward(image), log_forward(reference))
 
 
 def log_loss(loss: Float[Tensor, ""]) -> Float[Tensor, ""]:

@@ -40,13 +40,13 @@ class Sleepy:
         return samples.mean, state + 1
 
 
-def timed(*methods, repeats=1, frames=3):
+def time_rows(*methods, repeats=1, frames=3):
     clip = procedural_clip(size=SIZE, frames=frames)
     return time_methods([TimedRow(method, clip, 1.0) for method in methods], CPU, repeats)
 
 
 def test_plan_and_denoise_are_timed_apart():
-    (times,) = timed(Sleepy(0.004, 0.008))
+    (times,) = time_rows(Sleepy(0.004, 0.008))
     # a sleep is never shorter than requested, and longer on a busy machine
     assert times.plan.p50 >= 4
     assert times.denoise.p50 >= 8
@@ -56,7 +56,7 @@ def test_plan_and_denoise_are_timed_apart():
 
 
 def test_the_time_of_a_frame_includes_all_passes():
-    (times,) = timed(Sleepy(0.004, traits=Traits(passes=(0.5, 1.0))))
+    (times,) = time_rows(Sleepy(0.004, traits=Traits(passes=(0.5, 1.0))))
     assert times.plan.p50 >= 8
 
 
@@ -68,11 +68,11 @@ def test_a_processor_is_named_with_its_threads(threads):
 
 @pytest.mark.parametrize("repeats", [1, 20])
 def test_at_least_the_requested_number_of_frames_is_timed(repeats):
-    (times,) = timed(method := Sleepy(), repeats=repeats)
+    (times,) = time_rows(method := Sleepy(), repeats=repeats)
     assert times.frames >= max(repeats, 9)
     assert len(method.states) > times.frames  # and one untimed frame in each round
 
 
 def test_the_clip_restarts_with_a_fresh_state():
-    timed(method := Sleepy(), frames=3)
+    time_rows(method := Sleepy(), frames=3)
     assert method.states[:7] == [0, 1, 2, 0, 1, 2, 0]

@@ -11,7 +11,7 @@ from rlbench.benchmark.cost import Cost, Scatter
 from rlbench.benchmark.cost_profile import ProfileTime
 from rlbench.benchmark.latency import PartTime, Timing
 from rlbench.benchmark.results import Row
-from rlbench.benchmark.time_rows import failed_time_rows, timing_rows, untimed
+from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 
 CPU = "EPYC, 2 threads"
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan, device=CPU)
@@ -119,5 +119,5 @@ def test_a_published_inference_time_replaces_the_measured_one_and_still_adds_up(
 def test_times_are_told_from_scores():
     score = replace(TEMPLATE, metric="psnr", value=20.0, unit="dB")
     rows = [score, *timing_rows(TEMPLATE, TIMING, COST), *failed_time_rows(TEMPLATE, "no luck")]
-    assert untimed(rows) == [score]
+    assert drop_times(rows) == [score]
     assert {row.note for row in failed_time_rows(TEMPLATE, "no luck")} == {"no luck"}

@@ -139,11 +139,11 @@ def test_the_papers_recipe_credits_a_map_with_the_rest_of_its_episode(monkeypatc
     problems: list[EpisodeProblem] = []
     learn = BlockReinforce.loss
 
-    def recorded(self, problem, generator):
+    def record(self, problem, generator):
         problems.append(problem)
         return learn(self, problem, generator)
 
-    monkeypatch.setattr(BlockReinforce, "loss", recorded)
+    monkeypatch.setattr(BlockReinforce, "loss", record)
     task = training_task("paper", CPU, seed=0)
     clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=3)
     assert len(list(task.losses(clip, 2.0))) == 3

@@ -29,9 +29,7 @@ from rlbench.training.task import TrainingTask
 __all__ = ["FAMILY", "build", "count_multiply_adds", "training_task"]
 
 LEAN = VARIANTS["lean"]
-BY_RULE = replace(
-    LEAN, sampler=()
-)  # the density of the contrast rule: trains in a third of the time
+BY_RULE = replace(LEAN, sampler=())  # the density of the contrast rule alone
 UNROLLS = (1, 2, 3, 6)  # frames that gradients flow back through
 LATENTS = (0, 4, 8, 16)  # channels
 

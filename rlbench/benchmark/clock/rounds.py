@@ -100,7 +100,7 @@ class Session:
         times = sorted(calibration.ms for calibration in self.calibrations)
         return times[(len(times) - 1) // 4]
 
-    def counted(self, track: Track) -> list[Visit]:
+    def select_quiet_visits(self, track: Track) -> list[Visit]:
         """The visits of a track between two quiet calibrations."""
         quiet_ms = self.quiet_ms
         return [
@@ -129,7 +129,7 @@ class Session:
 
     def _is_finished(self, track: Track) -> bool:
         """Is the time of a track steady, or has it had all rounds that it may have?"""
-        counted, least = self.counted(track), self.limits.min_rounds
+        counted, least = self.select_quiet_visits(track), self.limits.min_rounds
         times = [frame.inference for visit in counted for frame in visit.frames]
         if len(counted) >= least and is_steady(times):
             return True

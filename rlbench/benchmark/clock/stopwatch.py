@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rlbench.frames import Frame, GBuffer, Pool, Samples, Size
+from rlbench.frames import Frame, GBuffer, PoolWrapper, Samples
 from rlbench.method import Method, State
 from rlbench.sanitize import FrameInput, sanitize_frame
 from rlbench.wrappers import MethodWrapper
@@ -171,36 +171,16 @@ class TimedMethod(MethodWrapper[Method]):
 
 
 @dataclass(frozen=True)
-class TimedPool:
+class TimedPool(PoolWrapper):
     """A pool whose reading of samples is timed apart from the allocation of counts."""
 
-    pool: Pool
     stopwatch: Stopwatch
-
-    @property
-    def size(self) -> Size:
-        """Number of clips in the batch, height and width."""
-        return self.pool.size
-
-    @property
-    def max_samples(self) -> int:
-        """Most samples that one pixel can have."""
-        return self.pool.max_samples
-
-    @property
-    def rounding_seeds(self) -> tuple[int, ...]:
-        """One seed per clip in the batch."""
-        return self.pool.rounding_seeds
-
-    def empty(self) -> Samples:
-        """Samples with all counts zero."""
-        return self.pool.empty()
 
     def read(self, before: Samples, counts: Int[Tensor, "n 1 h w"]) -> Float[Tensor, "n s 3 h w"]:
         """Radiance of the samples, timed unless they belong to the pilot."""
         if self.stopwatch.is_drawing:
             self.stopwatch.charge("allocate")
-        radiance = self.pool.read(before, counts)
+        radiance = super().read(before, counts)
         if self.stopwatch.is_drawing:
             self.stopwatch.charge("sample_fetch")
         return radiance

@@ -93,8 +93,8 @@ def scene_of_clip(clip: str) -> Scene:
     LookupError for an unknown scene, and SceneError for an unknown take or a missing seed.
     """
     name, _, suffix = clip.rpartition("-")
-    if clip in GENERATORS or name in GENERATORS:
-        generator = clip if clip in GENERATORS else name
+    generator = next((each for each in GENERATORS if each in (clip, name)), None)
+    if generator:
         if not suffix.isdecimal() or clip == generator:
             raise SceneError(
                 f"'{clip}' is not a generated scene; give a seed, for example {generator}-007"

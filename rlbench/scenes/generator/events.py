@@ -53,10 +53,10 @@ def _cut(still: Scene, rng: Generator) -> Scene:
     """The scene with a second shot, in another direction from the same place."""
     frame = _draw_frame(rng)
     angle = rng.choice([-1, 1]) * np.radians(rng.uniform(40, 140))
-    turned = _turn(still.camera, float(angle))
+    turn = _turn(still.camera, float(angle))
     return replace(
         still,
-        camera=lambda time: turned(time) if time >= frame else still.camera(time),
+        camera=lambda time: turn(time) if time >= frame else still.camera(time),
         cuts=(frame,),
         static=False,
     )
@@ -65,13 +65,13 @@ def _cut(still: Scene, rng: Generator) -> Scene:
 def _turn(camera: Callable[[float], Camera], angle: float) -> Callable[[float], Camera]:
     """The camera, turned about the vertical through its origin by an angle in radians."""
 
-    def turned(time: float) -> Camera:
+    def turn(time: float) -> Camera:
         shot = camera(time)
         origin = np.array(shot.origin)
         x, y, z = origin + yaw_matrix(angle) @ (np.array(shot.target) - origin)
         return replace(shot, target=(float(x), float(y), float(z)))
 
-    return turned
+    return turn
 
 
 def _switch(still: Scene, rng: Generator) -> Scene:

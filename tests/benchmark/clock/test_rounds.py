@@ -17,14 +17,14 @@ CLIP = procedural_clip(size=Size(1, 8, 8), frames=4)
 CPU = torch.device("cpu")
 
 
-def timed(machine, *workers, repeats=10):
+def time_rows(machine, *workers, repeats=10):
     rows = [TimedRow(worker, CLIP, 1.0) for worker in workers]
     return time_methods(rows, CPU, repeats, machine.calibrator())
 
 
 def test_on_a_quiet_machine_the_time_is_exact_and_reliable():
     machine = Machine()
-    (timing,) = timed(machine, Worker(machine))
+    (timing,) = time_rows(machine, Worker(machine))
     assert (timing.plan.mean, timing.denoise.mean) == pytest.approx((1.0, 9.0))
     assert timing.inference.p50 == timing.inference.p95 == pytest.approx(10.0)
     assert timing.unreliable == ""
@@ -36,7 +36,7 @@ def test_on_a_quiet_machine_the_time_is_exact_and_reliable():
 def test_a_slow_phase_does_not_change_the_median(phase):
     start, end = phase
     machine = Machine(slowdown=lambda ms: 3.0 if start <= ms < end else 1.0)
-    (timing,) = timed(machine, Worker(machine, jitter=0.02))
+    (timing,) = time_rows(machine, Worker(machine, jitter=0.02))
     assert timing.inference.p50 == pytest.approx(10.0, rel=0.02)
     assert timing.inference.p95 < 10.5
     assert timing.unreliable == ""
@@ -44,14 +44,14 @@ def test_a_slow_phase_does_not_change_the_median(phase):
 
 def test_rounds_of_a_busy_machine_are_repeated():
     machine = Machine(slowdown=lambda ms: 3.0 if 60 <= ms < 300 else 1.0)
-    (timing,) = timed(machine, worker := Worker(machine))
+    (timing,) = time_rows(machine, worker := Worker(machine))
     assert timing.rounds == 4
     assert len(worker.states) > 4 * 4
 
 
 def test_a_load_that_changes_without_end_is_reported():
     machine = Machine(slowdown=lambda ms: 2.0 + math.sin(ms / 40))
-    (timing,) = timed(machine, Worker(machine))
+    (timing,) = time_rows(machine, Worker(machine))
     assert timing.unreliable.startswith("the machine was busy in ")
     assert "times a quiet moment" in timing.unreliable
 
@@ -59,7 +59,7 @@ def test_a_load_that_changes_without_end_is_reported():
 def test_a_constant_load_is_reported_by_the_share_of_the_processors():
     """Every calibration is as slow as any other, so its time alone would show nothing."""
     machine = Machine(slowdown=lambda ms: 2.0, processor_share=lambda ms: 0.5)
-    (timing,) = timed(machine, Worker(machine))
+    (timing,) = time_rows(machine, Worker(machine))
     assert "the machine was busy in 30 of 30 rounds" in timing.unreliable
     assert "50% of the processor time it asked for" in timing.unreliable
     assert timing.inference.p50 == pytest.approx(20.0)  # still the best that is known
@@ -67,7 +67,7 @@ def test_a_constant_load_is_reported_by_the_share_of_the_processors():
 
 def test_a_time_that_never_gets_steady_is_reported_with_its_interval():
     machine = Machine()
-    steady, unsteady = timed(machine, Worker(machine), Worker(machine, jitter=0.6))
+    steady, unsteady = time_rows(machine, Worker(machine), Worker(machine, jitter=0.6))
     assert steady.unreliable == ""
     assert unsteady.unreliable.startswith("the 95% interval of the median is +-")
     assert unsteady.rounds == Limits.of_repeats(10).max_rounds
@@ -76,7 +76,7 @@ def test_a_time_that_never_gets_steady_is_reported_with_its_interval():
 
 def test_an_unsteady_time_runs_more_rounds_than_a_steady_one():
     machine = Machine()
-    steady, wavy = timed(machine, Worker(machine), Worker(machine, jitter=0.05))
+    steady, wavy = time_rows(machine, Worker(machine), Worker(machine, jitter=0.05))
     assert steady.rounds < wavy.rounds < Limits.of_repeats(10).max_rounds
     assert wavy.unreliable == ""
 
@@ -88,21 +88,21 @@ def test_interleaved_rows_share_a_drift():
         return 1.0 + 0.08 * min(ms / 1000, 1.0)
 
     machine = Machine(slowdown=drift)
-    first, second = timed(
+    first, second = time_rows(
         machine, Worker(machine, denoise_ms=9.0), Worker(machine, denoise_ms=19.0)
     )
     assert second.inference.p50 / first.inference.p50 == pytest.approx(2.0, rel=0.01)
 
     alone = Machine(slowdown=drift)  # the planted fault: one row after the other
-    (first,) = timed(alone, Worker(alone, denoise_ms=9.0))
-    (second,) = timed(alone, Worker(alone, denoise_ms=19.0))
+    (first,) = time_rows(alone, Worker(alone, denoise_ms=9.0))
+    (second,) = time_rows(alone, Worker(alone, denoise_ms=19.0))
     assert second.inference.p50 / first.inference.p50 > 2.02
 
 
 def test_parts_add_up_over_the_same_frames():
     machine = Machine()
     adaptive = Worker(machine, jitter=0.3).traits.__class__(adaptive=True, passes=(0.5, 1.0))
-    (timing,) = timed(machine, Worker(machine, jitter=0.3, traits=adaptive))
+    (timing,) = time_rows(machine, Worker(machine, jitter=0.3, traits=adaptive))
     parts = timing.plan.mean + timing.allocate.mean + timing.denoise.mean
     assert timing.inference.mean == parts
     assert timing.plan.mean == pytest.approx(2.0)  # of both passes
@@ -114,21 +114,21 @@ def test_a_row_that_fails_does_not_stop_the_others():
             raise RuntimeError("no luck")
 
     machine = Machine()
-    error, timing = timed(machine, Broken(machine), Worker(machine))
+    error, timing = time_rows(machine, Broken(machine), Worker(machine))
     assert isinstance(error, RuntimeError)
     assert timing.inference.p50 == pytest.approx(10.0)
 
 
 def test_slow_rows_stop_at_the_cap_of_wall_time():
     machine = Machine()
-    (timing,) = timed(machine, Worker(machine, denoise_ms=2000.0, jitter=0.5))
+    (timing,) = time_rows(machine, Worker(machine, denoise_ms=2000.0, jitter=0.5))
     assert timing.rounds == Limits.of_repeats(10).min_rounds
     assert timing.unreliable
 
 
 def test_each_row_keeps_one_running_clip():
     machine = Machine()
-    timed(machine, first := Worker(machine), second := Worker(machine))
+    time_rows(machine, first := Worker(machine), second := Worker(machine))
     assert first.states[:6] == second.states[:6] == [0, 1, 2, 3, 0, 1]
 
 
@@ -136,7 +136,7 @@ def test_a_busy_moment_within_a_long_round_is_seen():
     """Calibrations come every half second, not only between rounds."""
     machine = Machine(slowdown=lambda ms: 5.0 if 1000 < ms < 3000 else 1.0)
     rows = [Worker(machine, denoise_ms=60.0) for _ in range(8)]  # two seconds a round
-    for timing in timed(machine, *rows):
+    for timing in time_rows(machine, *rows):
         assert timing.inference.p95 < 62.0
         assert timing.unreliable == ""
 
