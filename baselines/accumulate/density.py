@@ -8,9 +8,9 @@ from typing import Protocol
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from baselines.accumulate.memory import History
+from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.transfer import log_inverse
 
@@ -37,7 +37,7 @@ class HasImage(Protocol):
 def contrast(history: HasImage) -> Float[Tensor, "n 1 h w"]:
     """Roughness of the last image: its distance from its 3x3 mean in log transfer, blurred."""
     image = history.image
-    return _blur((image - _blur(image, 3)).abs().mean(1, keepdim=True), 3)
+    return box_mean((image - box_mean(image, 3)).abs().mean(1, keepdim=True), 3)
 
 
 def deviation(history: History) -> Float[Tensor, "n 1 h w"]:
@@ -47,7 +47,7 @@ def deviation(history: History) -> Float[Tensor, "n 1 h w"]:
     least total variance. Dividing by the image approximates the eye's response.
     """
     scale = luminance(log_inverse(history.image)).clamp_min(0) + DARK
-    return _blur(history.radiance.variance / scale.square(), DEVIATION_SIDE).sqrt()
+    return box_mean(history.radiance.variance / scale.square(), DEVIATION_SIDE).sqrt()
 
 
 def denoised_deviation(history: History) -> Float[Tensor, "n 1 h w"]:
@@ -57,7 +57,7 @@ def denoised_deviation(history: History) -> Float[Tensor, "n 1 h w"]:
     Tracing, who propagate the samples' variance through the denoiser. Here the variance is half
     the mean square of the change between the denoised images of consecutive frames.
     """
-    return _blur(history.change / 2, DEVIATION_SIDE).sqrt()
+    return box_mean(history.change / 2, DEVIATION_SIDE).sqrt()
 
 
 DENSITY_RULES: Mapping[str, DensityRule] = {
@@ -85,12 +85,10 @@ def _quantile(
     values: Float[Tensor, "n 1 h w"], known: Bool[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n 1 1 1"]:
     """The 0.9 quantile of the known values of each image; 1 if none is known."""
-    ranks = values.where(known, torch.inf).flatten(1).sort(1).values
-    count = known.flatten(1).sum(1, keepdim=True)
-    quantile = ranks.gather(1, (NEW_PIXELS * (count - 1)).round().long().clamp_min(0))
-    return quantile.where(count > 0, 1.0)[..., None, None]
-
-
-def _blur(image: Float[Tensor, "n c h w"], side: int) -> Float[Tensor, "n c h w"]:
-    """The mean over side x side pixels; beyond the border its pixels are repeated."""
-    return F.avg_pool2d(F.pad(image, (side // 2,) * 4, mode="replicate"), side, 1)
+    counts = known.flatten(1).sum(1).tolist()
+    images = values.where(known, torch.inf).flatten(1)
+    quantiles = [
+        image.kthvalue(round(NEW_PIXELS * (count - 1)) + 1).values if count else image.new_ones(())
+        for image, count in zip(images, counts, strict=True)
+    ]
+    return torch.stack(quantiles).view(-1, 1, 1, 1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from rlbench.frames import Frame, Samples, StoredPool
+from rlbench.ops.box_filter import box_mean
 
 __all__ = ["draw_gamma_mean", "redraw_as_gamma", "sample_variance"]
 
@@ -45,8 +45,7 @@ def sample_variance(radiance: Float[Tensor, "n s 3 h w"]) -> Float[Tensor, "n 3 
     contain it. Variances that are not finite count as 0.
     """
     per_pixel = radiance.var(1).nan_to_num(0.0, posinf=0.0)  # n 3 h w
-    margin = WINDOW // 2
-    return F.avg_pool2d(F.pad(per_pixel, (margin,) * 4, mode="replicate"), WINDOW, stride=1)
+    return box_mean(per_pixel, WINDOW)
 
 
 def draw_gamma_mean(

@@ -74,6 +74,8 @@ class Encoder(nn.Module):
     LeakyReLU follows each, with the slope 0.01 of one reimplementation of Isik et al. 2021.
     """
 
+    traceable = False  # slots without a sample are skipped
+
     def __init__(self) -> None:
         """From 10 to 32 channels; 2,464 parameters."""
         super().__init__()

@@ -10,11 +10,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from rlbench.ops.box_filter import block_mean
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.kernels import apply_kernels
 from rlbench.ops.padding import crop, pad
 from rlbench.ops.transfer import HALF_MAX, LOG_SCALE, log_inverse
-from rlbench.ops.unet import BASE_WIDTHS, STRIDE, UNet
+from rlbench.ops.unet import BASE_WIDTHS, STRIDE, FeatureUNet, UNet
 
 __all__ = ["Denoiser", "DirectDenoiser", "Networks", "Sampler"]
 
@@ -75,10 +76,12 @@ class Denoiser(nn.Module):
     head, which reads the features of level 3 averaged over 2 x 2.
     """
 
+    traceable = False  # kernels are applied by an operation of our own
+
     def __init__(self) -> None:
         """A trunk that takes 13 channels, and a head at each level."""
         super().__init__()
-        self.unet = UNet(COLOUR_CHANNELS + GBUFFER_CHANNELS + COLOUR_CHANNELS, 2 * TAPS + 1)
+        self.unet = FeatureUNet(COLOUR_CHANNELS + GBUFFER_CHANNELS + COLOUR_CHANNELS, 2 * TAPS + 1)
         widths = BASE_WIDTHS.dec4[1], BASE_WIDTHS.dec3[1], BASE_WIDTHS.dec2[1]
         self.coarsest = nn.Conv2d(widths[0], TAPS, 1)
         self.heads = nn.ModuleList(nn.Conv2d(width, TAPS + 1, 1) for width in widths)
@@ -100,10 +103,10 @@ class Denoiser(nn.Module):
         `weight`, in [0, 1], multiplies the kernels' weights of the history. The history must be
         finite everywhere, even where its weight is 0.
         """
-        *coarse, finest = self.unet.decoder_features(pad(features, STRIDE))
+        *coarse, finest = self.unet(pad(features, STRIDE))
         pyramid = [pad(irradiance, STRIDE)]
         for _ in range(COARSEST_LEVEL):
-            pyramid.append(F.avg_pool2d(pyramid[-1], 2))
+            pyramid.append(block_mean(pyramid[-1], 2))
 
         kernels = self.coarsest(F.avg_pool2d(coarse[0], 2)).float().softmax(1)
         output: Tensor = apply_kernels(kernels, pyramid[COARSEST_LEVEL])

@@ -8,7 +8,6 @@ from itertools import product
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn import functional as F
 
 from rlbench.family import Traits
 from rlbench.frames import GBuffer, Samples
@@ -20,6 +19,7 @@ from rlbench.ops.accumulation import (
     frame_radiance,
     surface_features,
 )
+from rlbench.ops.box_filter import block_mean
 from rlbench.ops.demodulation import demodulation_albedo
 from rlbench.ops.fireflies import limit_fireflies
 from rlbench.ops.padding import pad
@@ -114,4 +114,4 @@ def _one_sample(radiance: Float[Tensor, "n 3 h w"]) -> Samples:
 
 def _pool(image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h2 w2"]:
     """The mean of 2 x 2 pixels; the last row and column are repeated where a side is odd."""
-    return F.avg_pool2d(pad(image, 2), 2)
+    return block_mean(pad(image, 2), 2)

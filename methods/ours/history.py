@@ -16,6 +16,7 @@ from methods.ours.state import (
     ReprojectedHistory,
     detach,
     gbuffer_features,
+    log_spp,
     network_features,
 )
 from rlbench.frames import GBuffer, Samples, Size
@@ -155,10 +156,11 @@ class RadianceHistory(LatentHistory):
         similarity = feature_similarity(current, previous).where(valid, 0.0)
         radiance = AccumulatedRadiance(mean, square, weigh_by_similarity(spp, similarity))
         accumulated = torch.cat((image, network_features(radiance), similarity), dim=1)
-        inputs = torch.cat((current, features, accumulated.where(valid, MISSING)), dim=1)
         static = find_static_pixels(similarity, gbuffer.motion)
         same_shot = valid.any(dim=3, keepdim=True).any(dim=2, keepdim=True)
         previous_spp = state.previous_spp.where(same_shot, 1.0)
+        budget = log_spp(previous_spp).expand_as(similarity)
+        inputs = torch.cat((current, features, accumulated.where(valid, MISSING), budget), dim=1)
         return ReprojectedHistory(
             inputs, features, radiance, image, similarity, static, previous_spp
         )

@@ -19,6 +19,7 @@ __all__ = [
     "ReprojectedHistory",
     "detach",
     "gbuffer_features",
+    "log_spp",
     "network_features",
 ]
 
@@ -52,11 +53,13 @@ class RecurrentState:
 class ReprojectedHistory(NamedTuple):
     """The recurrent state at the pixels of the current frame, known before it is sampled.
 
-    A variant that does not accumulate radiance has `inputs` and `features` only: every other tensor
-    then has zero channels.
+    A variant that does not accumulate radiance has `sampler_inputs` and `features` only: every
+    other tensor then has zero channels.
     """
 
-    inputs: Float[Tensor, "n c h w"]  # networks read this: G-buffer, features, radiance
+    # what networks read: G-buffer, features, radiance; for the sampler also the logarithm of the
+    # previous frame's spp, since a map that pays with many samples is too bold with few
+    sampler_inputs: Float[Tensor, "n c h w"]
     features: Float[Tensor, "n c2 h w"]  # MISSING where the history is not valid
     radiance: AccumulatedRadiance  # weight 0 where the history is not valid
     image: Float[Tensor, "n 3 h w"]  # previous output, log transfer
@@ -65,14 +68,9 @@ class ReprojectedHistory(NamedTuple):
     previous_spp: Float[Tensor, "n _ 1 1"]
 
     @property
-    def sampler_inputs(self) -> Float[Tensor, "n c h w"]:
-        """`inputs` and, with accumulated radiance, the logarithm of the previous frame's spp.
-
-        The previous spp tells the sampler its budget: a map that pays with many samples per pixel
-        is too bold with few.
-        """
-        log_spp = self.previous_spp.clamp_min(MIN_SPP).log()
-        return torch.cat((self.inputs, log_spp.expand(-1, -1, *self.inputs.shape[-2:])), dim=1)
+    def inputs(self) -> Float[Tensor, "n c h w"]:
+        """What the encoder reads: all but the previous frame's spp."""
+        return self.sampler_inputs[:, : self.sampler_inputs.shape[1] - self.previous_spp.shape[1]]
 
     def with_confidence(self, confidence: Float[Tensor, "n 1 h w"]) -> ReprojectedHistory:
         """The history with its weight and similarity multiplied by a confidence in [0, 1]."""
@@ -98,6 +96,11 @@ def detach(state: RecurrentState) -> RecurrentState:
         image=state.image.detach(),
         gbuffer_features=state.gbuffer_features.detach(),
     )
+
+
+def log_spp(previous_spp: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
+    """The previous frame's samples per pixel as the sampler reads them."""
+    return previous_spp.clamp_min(MIN_SPP).log()
 
 
 def gbuffer_features(gbuffer: GBuffer) -> Float[Tensor, "n 7 h w"]:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from rlbench import registry
+from rlbench.backends import EAGER, select_backend
 from rlbench.benchmark import cost as costs
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
@@ -55,6 +56,7 @@ def run(
     weights: Path | str | None = None,
     weights_label: str = "",
     bf16: bool = False,
+    backend: str = EAGER,
     limit_frames: int | None = None,
     retime: bool = False,
     out: Path | str = RESULTS,
@@ -67,7 +69,9 @@ def run(
     in samples per pixel. Clips are those of a `preset`, all or the given `scenes` and `takes`
     ("main", "all"), and are rendered where they are missing; or those in the folders `clips`.
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
-    takes the shipped weights. `cost` is "measured", the name of a cost profile, or a TOML file.
+    takes the shipped weights. `backend` runs the networks: "eager" is PyTorch, "openvino" and
+    "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
+    where it is installed. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
     `retime` measures the times of cells again whose scores are there, and no scores. `on_cell` is
     called with each finished cell.
@@ -90,6 +94,7 @@ def run(
         weights=None if weights is None else str(weights),
         weights_label=weights_label,
         bf16=bf16,
+        backend=select_backend(backend, select_device(device)),
         limit_frames=limit_frames,
     )
     summary = measure(plan, Path(out), on_cell, executor, retime=retime)

@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from rlbench import registry
+from rlbench.backends import EAGER
 from rlbench.benchmark import cost
 from rlbench.benchmark.cell_key import FAILED, CellId
 from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod, resolve_cells, resolve_method
@@ -28,6 +29,7 @@ TIMING = (
     "rlbench.benchmark.scatter",
     "rlbench.benchmark.time_rows",
     "rlbench.benchmark.timing_cache",
+    "rlbench.system.memory",
 )  # modules that measure times
 
 
@@ -46,6 +48,7 @@ class CellIds:
             *(self.code_hashes[method.name], self.weights_hashes[method.name], self._metrics),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
             self._bf16 if method.bf16 else "",
+            *((self._backend,) if method.backend != EAGER else ()),
         )
         times = (self._cost, plan.repeats, self._charged(cell), self._timing)
         return CellId(cell.key, _short_hash(content), _short_hash(times))
@@ -93,6 +96,12 @@ class CellIds:
     def _bf16(self) -> str:
         """Hash of the code that runs a method in bfloat16."""
         return code_hash.code_hash(["rlbench.wrappers"], core=())
+
+    @cached_property
+    def _backend(self) -> str:
+        """Hash of the code of the plan's backend, and the version of its package."""
+        hashed = code_hash.code_hash(["rlbench.backends"], core=())
+        return f"{self.plan.backend} {hashed} {provenance.package_versions(['openvino'])}"
 
     @cached_property
     def _cost(self) -> str:

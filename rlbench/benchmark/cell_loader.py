@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from rlbench import registry
+from rlbench.backends import use_backend
 from rlbench.benchmark.clip_sources import FirstFrames
 from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod
 from rlbench.benchmark.run_plan import RunPlan
@@ -48,6 +49,7 @@ class CellLoader:
 
     def _build(self, resolved: ResolvedMethod) -> Method:
         method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
+        use_backend(method, resolved.backend, self.plan.device, resolved.bf16)
         if not resolved.bf16:
             return method
         require_native_bf16(self.plan.device)  # also on the workers of an executor

@@ -34,6 +34,7 @@ from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.run import run_clip
 from rlbench.system import provenance
+from rlbench.system.memory import keep_freed_memory
 
 __all__ = ["PARTS", "REPEATS", "PartTime", "TimedRow", "Timing", "device_name", "time_methods"]
 
@@ -91,6 +92,7 @@ def time_methods(
     steady. `calibrator` replaces the clocks and the kernel of this machine. `on_done` is called
     whenever a row is finished.
     """
+    keep_freed_memory()
     calibrator = calibrator or Calibrator(SystemClock(device), make_kernel(device))
     session, load = Session(calibrator, Limits.of_repeats(repeats)), load_average()
     tracks = [Track(_frames(row, calibrator.clock)) for row in rows]

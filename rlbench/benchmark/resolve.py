@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 
 from rlbench import registry
+from rlbench.backends import EAGER
 from rlbench.benchmark import latency
 from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.clip_sources import Source
@@ -30,6 +31,7 @@ class ResolvedMethod:
     learned: bool
     requires: tuple[str, ...]  # distributions that make its images
     bf16: bool  # do its networks run in bfloat16?
+    backend: str  # that runs its networks
     weights_file: Path | None  # None for random weights, and without networks
     training_clips: frozenset[str]  # names of the clips that the weights were trained on
 
@@ -101,13 +103,14 @@ def resolve_method(plan: RunPlan, name: str) -> ResolvedMethod:
         learned=variant.learned,
         requires=variant.requires,
         bf16=plan.bf16 and variant.learned,
+        backend=plan.backend if variant.learned else EAGER,
         weights_file=file,
         training_clips=training_clips(file),
     )
 
 
 def _row_name(plan: RunPlan, name: str, variant: Variant) -> str:
-    """Name of a method's rows, with a label for other weights than the shipped ones, or bfloat16.
+    """Name of a method's rows, labelled by backend, bfloat16, and other weights than the shipped.
 
     Weights without a label are labelled by their file, if the method also has shipped weights.
     """
@@ -117,7 +120,8 @@ def _row_name(plan: RunPlan, name: str, variant: Variant) -> str:
     if plan.weights and not label and _shipped_weights(name).is_file():
         label = _label_of_file(plan.weights)
     label = CROSSVAL if plan.held_out_scene else label
-    parts = [BF16 if plan.bf16 else "", label]
+    backend = "" if plan.backend == EAGER else plan.backend
+    parts = [backend, BF16 if plan.bf16 else "", label]
     row_name = RowName.parse(name)
     return str(RowName(row_name.family, row_name.variant, "-".join(filter(None, parts))))
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 __all__ = ["BF16", "CROSSVAL", "RESERVED_LABELS", "RowName"]
 
 BF16 = "bf16"  # label of rows whose networks ran in bfloat16
+COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
 OLD_BF16 = "half"  # label of bfloat16 rows in results of schema 1
-RESERVED_LABELS = (BF16, CROSSVAL, OLD_BF16)  # labels that no weights may have
+RESERVED_LABELS = (BF16, CROSSVAL, OLD_BF16, *COMPILERS)  # labels that no weights may have
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class RowName:
 
     family: str
     variant: str = ""  # empty for the family's main variant
-    label: str = ""  # bf16, crossval, a name of weights, or bf16-NAME
+    label: str = ""  # backend, bf16 and a name of weights or crossval, joined by -
 
     @classmethod
     def parse(cls, text: str) -> RowName:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import torch
 
+from rlbench.backends import EAGER
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.cell_key import CellsError
 from rlbench.benchmark.clip_sources import Source
@@ -29,6 +30,7 @@ class RunPlan:
     limit_frames: int | None = None  # first frames of each clip only, for a trial run
     repeats: int = latency.REPEATS  # timed frames, at least
     bf16: bool = False  # run networks in bfloat16
+    backend: str = EAGER  # that runs networks, see rlbench.backends
     weights_label: str = ""  # label of the rows, to keep several weights of one method apart
     held_out_scene: str = ""  # scene that `weights` were trained without, in a cross-validation
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from rlbench import registry
+from rlbench.backends import EAGER
 from rlbench.benchmark import cost, latency
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.cost import FULL_FRAME, Cost, CostProfile, Scatter
@@ -98,7 +99,7 @@ class TimingCache:
 
     def published_inference(self, cell: ResolvedCell) -> ProfileTime | None:
         """Inference time of a cell by the profile; None where it has none of this row."""
-        if self.profile is None or cell.method.bf16:
+        if self.profile is None or cell.method.bf16 or cell.method.backend != EAGER:
             return None
         return self.profile.inference(cell.method.name, cell.header.height, cell.header.width)
 

@@ -17,6 +17,7 @@ from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
 from rlbench.cli.reports import regress, report
+from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
 from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
@@ -81,6 +82,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "lint": lint,
     "check": check,
     "stress": stress,
+    "speed": speed,
     "train": train,
     "lr-find": lr_find,
     "replay": replay,

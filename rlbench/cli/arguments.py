@@ -16,6 +16,7 @@ __all__ = [
     "Budgets",
     "Definition",
     "PixelSize",
+    "PixelSizes",
     "Seeds",
     "WeightsChoice",
     "expand_methods",
@@ -24,6 +25,7 @@ __all__ = [
     "parse_positive",
     "parse_seeds",
     "parse_size",
+    "parse_sizes",
     "parse_train_spp",
     "parse_weights",
     "split_names",
@@ -34,7 +36,10 @@ T = TypeVar("T")
 Budgets = NewType("Budgets", tuple[float, ...])  # samples per pixel
 Seeds = NewType("Seeds", tuple[int, ...])
 PixelSize = NewType("PixelSize", tuple[int, int])  # height, width
+PixelSizes = NewType("PixelSizes", tuple[PixelSize, ...])
 Definition = NewType("Definition", tuple[str, str])  # name, value
+
+VIDEO_SIZES = {"720p": "1280x720", "1080p": "1920x1080", "1440p": "2560x1440", "4k": "3840x2160"}
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,20 @@ def parse_size(text: str) -> PixelSize:
     if not match:
         raise typer.BadParameter(f"'{text}' is no size. Give WIDTHxHEIGHT, for example 320x192")
     return PixelSize((int(match[2]), int(match[1])))
+
+
+@text_parser
+def parse_sizes(text: str) -> PixelSizes:
+    """Heights and widths in pixels of a list: 192 is a square; 720p, 1080p and 4k are known.
+
+    >>> parse_sizes("192,640x480,1080p")
+    ((192, 192), (480, 640), (1080, 1920))
+    """
+    squares = (f"{part}x{part}" if part.isdecimal() else part for part in split_names([text]))
+    sizes = dict.fromkeys(parse_size(VIDEO_SIZES.get(part, part)) for part in squares)
+    if not sizes:
+        raise typer.BadParameter(f"'{text}' has no size. Give for example 192,640x480,1080p")
+    return PixelSizes(tuple(sizes))
 
 
 @text_parser

@@ -19,6 +19,7 @@ def run(
     methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
+    backend: options.Backend = "eager",
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
@@ -80,12 +81,14 @@ def run(
       rlbench run -m ours --scenes temple --pool live --out live
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run -m ours,oidn --bf16
+      rlbench run -m ours,oidn --backend openvino
       rlbench run -m ours,oidn --retime
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     load_plugins(plugin)
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
+    from rlbench.backends import select_backend
     from rlbench.benchmark.api import check_precision, select_clips, select_device
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.benchmark.runner import measure
@@ -107,6 +110,7 @@ def run(
             weights=chosen.file,
             weights_label=chosen.label,
             bf16=bf16,
+            backend=select_backend(backend, select_device(device)),
             limit_frames=limit_frames,
             repeats=repeats,
         )

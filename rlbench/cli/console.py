@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rlbench.training import Progress as TrainingProgress
 
 __all__ = [
-    "importing",
+    "counting",
     "measuring",
     "print_scores",
     "print_summary",
@@ -73,10 +73,10 @@ def training_status(progress: TrainingProgress, loss: float) -> str:
 
 
 @contextmanager
-def importing(frames: int) -> Iterator[Callable[[], None]]:
-    """A progress bar over imported frames, on the error stream."""
+def counting(title: str, total: int) -> Iterator[Callable[[], None]]:
+    """A progress bar over things to count, on the error stream."""
     with _progress_bar() as bar:
-        task = bar.add_task("importing", total=frames)
+        task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)
 
 

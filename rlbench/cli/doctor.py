@@ -57,11 +57,21 @@ def _check_devices() -> Iterator[CheckResult]:
     cores = f"{os.cpu_count()} cores, torch uses {torch.get_num_threads()} threads"
     yield passed("processor", f"{provenance.machine().cpu}, {cores}")
     yield passed("processor bfloat16", bfloat16.describe_bf16("cpu"))
+    yield _check_openvino()
     if torch.cuda.is_available():
         yield passed("cuda", provenance.machine().gpu)
         yield passed("cuda bfloat16", bfloat16.describe_bf16("cuda"))
     else:
         yield passed("cuda", "no device; everything runs on the processor")
+
+
+def _check_openvino() -> CheckResult:
+    try:
+        version = importlib.metadata.version("openvino")
+    except importlib.metadata.PackageNotFoundError:
+        hint = "pip install 'rlbench[openvino]'"
+        return warning("openvino", "not installed; --backend openvino needs it", hint)
+    return passed("openvino", f"{version}; --backend openvino can be used")
 
 
 def _check_path_tracer() -> Iterator[CheckResult]:

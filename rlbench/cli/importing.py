@@ -60,7 +60,7 @@ def import_(
     sequences = find_sequences(source, format_, frame_range)
     clips = [(s, writer.clip_header(s, samples, exposure), out / s.name) for s in sequences]
     missing = [clip for clip in clips if not writer.is_finished(*clip)]
-    with console.importing(sum(header.frames for _, header, _ in missing)) as on_frame:
+    with console.counting("importing", sum(header.frames for _, header, _ in missing)) as on_frame:
         for clip in missing:
             writer.write_clip(*clip, on_frame)
     for clip in clips:

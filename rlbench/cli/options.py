@@ -63,6 +63,14 @@ Bf16 = Annotated[
         "--bf16", help="run networks in bfloat16, for rows METHOD@bf16", rich_help_panel=METHODS
     ),
 ]
+Backend = Annotated[
+    Literal["eager", "openvino", "compile", "auto"],
+    typer.Option(
+        help="what runs networks: PyTorch, OpenVINO, torch.compile, or OpenVINO where it is "
+        "installed; for rows METHOD@openvino",
+        rich_help_panel=METHODS,
+    ),
+]
 
 # clips
 Scenes = Annotated[

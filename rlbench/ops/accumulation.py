@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.ops.box_filter import block_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.demodulation import demodulation_albedo
 from rlbench.ops.padding import crop, pad
@@ -104,7 +105,7 @@ def fill_holes(
     )
     levels = [pad(weighted, 2**PYRAMID_LEVELS)]
     for _ in range(PYRAMID_LEVELS):
-        levels.append(F.avg_pool2d(levels[-1], 2))
+        levels.append(block_mean(levels[-1], 2))
     levels.append(levels[-1].mean((2, 3), keepdim=True))
     coarse = _mean(levels.pop())
     for level in reversed(levels[1:]):

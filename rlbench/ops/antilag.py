@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rlbench.ops.accumulation import AccumulatedRadiance
+from rlbench.ops.box_filter import block_mean, box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.padding import crop
 from rlbench.ops.transfer import log_inverse
@@ -59,13 +60,13 @@ def relative_change(
         1 / new.accumulated_spp.clamp_min(1) + 1 / old.accumulated_spp.clamp_min(1)
     )
     terms = both * torch.cat((both, change, change.square(), predicted, then, now), 1)
-    cells = F.avg_pool2d(F.pad(terms, (0, -w % CELL, 0, -h % CELL)), CELL)
+    cells = block_mean(F.pad(terms, (0, -w % CELL, 0, -h % CELL)), CELL)
     return torch.stack([_window_change(cells, side) for side in WINDOWS]).amax(0)
 
 
 def _window_change(cells: Float[Tensor, "n 6 h w"], side: int) -> Float[Tensor, "n 1 h w"]:
     """The change of each window beyond chance, over the larger of its values before and now."""
-    share, *sums = F.avg_pool2d(cells, side, 1, side // 2).chunk(6, 1)
+    share, *sums = box_mean(cells, side, "constant").chunk(6, 1)
     change, square, predicted, then, now = (total / share.clamp_min(1e-6) for total in sums)
     pixels = share * (side * CELL) ** 2
     variance = torch.maximum((square - change.square()).clamp_min(0), predicted)

@@ -60,15 +60,23 @@ def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     light = luminance(mean)
     neighbours = _max_of_neighbours(light)
     brightest = torch.maximum(neighbours, _log_average(torch.minimum(light, neighbours)))
-    if not (light * counts > CONTRAST * brightest).any():  # no sample is brighter than the sum
+    suspects = light * counts > CONTRAST * brightest  # no sample is brighter than the sum
+    if not suspects.any():
         return radiance, mean
-    limit = CONTRAST * brightest.unsqueeze(1)
-    replacement = _window_mean(torch.minimum(light, brightest)).unsqueeze(1)
-    value = luminance(radiance)
+    image, _, y, x = suspects.nonzero(as_tuple=True)
+    pixels = (image, slice(None), y, x)
+    limit = CONTRAST * brightest[pixels].view(-1, 1, 1, 1, 1)
+    window = _window_mean(torch.minimum(light, brightest))
+    replacement = window[pixels].view(-1, 1, 1, 1, 1)
+    samples = radiance.movedim((3, 4), (1, 2))[image, y, x][..., None, None]  # k s 3 1 1
+    value = luminance(samples)
     excess = (value / limit).clamp_min(1)
     dimmed = replacement + (limit - replacement) * excess.pow(-FALLOFF)
-    limited = torch.where(excess > 1, radiance * (dimmed / value.clamp_min(1e-30)), radiance)
-    return limited, _mean(limited, counts)
+    limited = torch.where(excess > 1, samples * (dimmed / value.clamp_min(1e-30)), samples)
+    radiance, mean = radiance.clone(), mean.clone()
+    radiance.movedim((3, 4), (1, 2))[image, y, x] = limited[..., 0, 0]
+    mean[pixels] = limited.sum(1)[..., 0, 0] / counts[pixels].clamp_min(1)
+    return radiance, mean
 
 
 def mean_without_fireflies(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -12,6 +13,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 __all__ = ["ReprojectionMemo", "reproject", "reproject_bicubic", "reproject_or_fill"]
+
+MAX_STRIPS = 8  # that one image is cut into; a power of two
 
 G = TypeVar("G")  # G-buffer
 S = TypeVar("S")  # state
@@ -96,7 +99,17 @@ def _sample(history: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), dim=-1)
     dtype = torch.promote_types(history.dtype, grid.dtype)  # half floats cannot index all pixels
     values, grid = history.to(dtype), grid.to(dtype)
-    warped = F.grid_sample(values, grid, mode, padding_mode="border", align_corners=False)
+    # on a processor, grid_sample computes one image on one core: cut into strips, it uses all
+    strips = math.gcd(h, MAX_STRIPS) if len(history) == 1 else 1
+    warped = F.grid_sample(
+        values.expand(strips, -1, -1, -1) if strips > 1 else values,
+        grid.view(-1, h // strips, w, 2),
+        mode,
+        padding_mode="border",
+        align_corners=False,
+    )
+    if strips > 1:
+        warped = warped.transpose(0, 1).reshape(values.shape)
     return warped.to(history.dtype)
 
 

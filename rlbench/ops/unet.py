@@ -13,7 +13,15 @@ from rlbench.ops.init import kaiming_init
 from rlbench.ops.memory_format import to_channels_last
 from rlbench.ops.upsample import UpsampleConcatConv
 
-__all__ = ["BASE_WIDTHS", "FAST_WIDTHS", "SMALL_WIDTHS", "STRIDE", "UNet", "UNetWidths"]
+__all__ = [
+    "BASE_WIDTHS",
+    "FAST_WIDTHS",
+    "SMALL_WIDTHS",
+    "STRIDE",
+    "FeatureUNet",
+    "UNet",
+    "UNetWidths",
+]
 
 STRIDE = 16  # both sides of the input must be multiples of this: four poolings
 
@@ -104,6 +112,16 @@ class UNet(nn.Module):
         level2 = F.relu_(self.dec_conv2b(F.relu_(self.dec_conv2a(level3, half))))
         level1 = F.relu_(self.dec_conv1b(F.relu_(self.dec_conv1a(level2, x))))
         return [level4, level3, level2, level1]
+
+
+class FeatureUNet(UNet):
+    """The same network, called for the features of its decoder; `dec_conv0` is the caller's."""
+
+    def forward(  # type: ignore[override]
+        self, x: Float[Tensor, "n c h w"]
+    ) -> list[Float[Tensor, "n _ _ _"]]:
+        """`decoder_features`."""
+        return self.decoder_features(x)
 
 
 def _conv(in_channels: int, out_channels: int) -> nn.Conv2d:

@@ -178,7 +178,7 @@ PRESETS = {
             5,
             64,
             (),
-            tuple(range(80, 128)),
+            tuple(range(400, 448)),
         ),
     )
 }

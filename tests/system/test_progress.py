@@ -112,7 +112,7 @@ def test_a_terminal_gets_the_bar_and_no_lines(log):
     [
         (lambda: new_or_given_bar(None, LOCAL), "city"),
         (lambda: cli.training("ours", 100), "ours"),
-        (lambda: cli.importing(3), "importing"),
+        (lambda: cli.counting("importing", 3), "importing"),
     ],
     ids=["render", "train", "import"],
 )

@@ -4,7 +4,9 @@ Commands:
 
     rlbench train --plugin methods/ours/experiments/lean_search.py -m 'lean-search/*' --bf16
     rlbench run --plugin methods/ours/experiments/lean_search.py -m 'lean-search/*' ...
-    python -m methods.ours.experiments.lean_search  # multiply-adds per pixel of each
+    rlbench speed --plugin methods/ours/experiments/lean_search.py -m 'lean-search/*'
+
+The last one counts multiply-adds per pixel.
 """
 
 from __future__ import annotations
@@ -12,21 +14,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from rich.console import Console
-from torch.utils.flop_counter import FlopCounterMode
 
 from methods.ours import TRAITS
 from methods.ours.method import Ours, build_config
 from methods.ours.train import config_task
 from methods.ours.variants import VARIANTS
-from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.family import Family, Variant
-from rlbench.frames import Size
 from rlbench.ops.unet import FAST_WIDTHS
-from rlbench.run import run_clip
 from rlbench.training.task import TrainingTask
 
-__all__ = ["FAMILY", "build", "count_multiply_adds", "training_task"]
+__all__ = ["FAMILY", "build", "training_task"]
 
 LEAN = VARIANTS["lean"]
 BY_RULE = replace(LEAN, sampler=())  # the density of the contrast rule alone
@@ -47,7 +44,6 @@ CONFIGS = {
     ),
     "fast": replace(BY_RULE, latent=8, bptt=3, denoiser=FAST_WIDTHS),
 }
-SIDE = 192  # pixels, of the frame whose multiply-adds are counted
 
 
 def build(variant: str, device: torch.device, weights: str | None) -> Ours:
@@ -69,20 +65,3 @@ FAMILY = Family(
     build=f"{__name__}:build",
     train=f"{__name__}:training_task",
 )
-
-
-def count_multiply_adds(method: Ours) -> float:
-    """Multiply-adds per pixel of all convolutions in a frame with history, of 192 x 192 pixels."""
-    clip = procedural_clip(size=Size(1, SIDE, SIDE), frames=2)
-    results = run_clip(method, clip, 1.0)
-    next(results)
-    with FlopCounterMode(display=False) as counter:
-        next(results)
-    flops: int = counter.get_total_flops()
-    return flops / 2 / SIDE**2
-
-
-if __name__ == "__main__":
-    for name in CONFIGS:
-        count = count_multiply_adds(build(name, torch.device("cpu"), "random"))
-        Console().print(f"{name:12} {count / 1e3:6.1f} thousand multiply-adds per pixel")

@@ -1,0 +1,97 @@
+"""The command speed: times of methods by size, backend and precision, on generated frames."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.cli.arguments import PixelSize, PixelSizes
+from rlbench.cli.plugins import load_plugins
+
+__all__ = ["speed"]
+
+SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((1080, 1920))))
+
+
+def speed(
+    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    plugin: options.Plugins = None,
+    sizes: Annotated[
+        PixelSizes,
+        typer.Option(
+            parser=arguments.parse_sizes,
+            metavar="SIZES",
+            show_default=False,
+            help="192 (square), 640x480 or 1080p, a list a,b; default: 192,720,1080p",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = SIZES,
+    backend: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--backend",
+            metavar="NAMES",
+            help="what runs networks: a list of eager, openvino, compile; default: eager",
+            rich_help_panel=options.METHODS,
+        ),
+    ] = None,
+    bf16: Annotated[
+        bool,
+        typer.Option(
+            "--bf16",
+            help="measure networks in bfloat16 too",
+            rich_help_panel=options.METHODS,
+        ),
+    ] = False,
+    repeats: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="fewest timed frames of a row; more are timed until the median is steady",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = 10,
+    device: options.Device = "auto",
+    out: Annotated[
+        Path, typer.Option(help="folder of the table", rich_help_panel=options.OUTPUT)
+    ] = Path("results/speed"),
+) -> None:
+    """Time methods at several image sizes, backends and precisions; no score is measured.
+
+    Frames are generated, so nothing is rendered. Writes speed.csv and speed.md: times of the parts
+    of inference, multiply-adds per pixel, their share of the machine's peak, bytes of state per
+    pixel and memory. A time that a busy machine spoiled has a note.
+
+    Examples:
+
+    \b
+      rlbench speed -m ours/lean,oidn/tuned,oidn-intel
+      rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --bf16
+      rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
+    """
+    load_plugins(plugin)
+    names = arguments.expand_methods(methods, pretrained_only=False)
+    from rlbench import registry
+    from rlbench.backends import EAGER, select_backend
+    from rlbench.benchmark.api import check_precision, select_device
+    from rlbench.benchmark.speed import Configuration, measure_speed
+    from rlbench.benchmark.speed_page import write_speed
+    from rlbench.cli import console
+
+    target = select_device(device)
+    backends = [select_backend(name, target) for name in arguments.split_names(backend) or [EAGER]]
+    check_precision(names, bf16, device)
+    configurations = [
+        Configuration(name, each, half)
+        for name in names
+        for each, half in product(backends, (False, True) if bf16 else (False,))
+        if registry.get_variant(name).learned or (each, half) == (EAGER, False)
+    ]
+    with console.counting("timing", len(configurations) * len(sizes)) as advance:
+        table = measure_speed(configurations, sizes, target, repeats, advance)
+    for file in write_speed(table, target, out):
+        typer.echo(file)

@@ -1,0 +1,123 @@
+"""Speed: what is counted agrees with closed forms, and the table has every row."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from rlbench import registry
+from rlbench.benchmark.speed import COLUMNS, Configuration, count_multiply_adds, measure_speed
+from rlbench.benchmark.speed_page import speed_page, write_speed
+from rlbench.cli.app import app
+from rlbench.ops.unet import BASE_WIDTHS
+
+CPU = torch.device("cpu")
+SIZES = [(48, 64), (32, 32)]
+
+
+def unet_multiply_adds(inputs: int, outputs: int) -> float:
+    """Per pixel, of 3 x 3 convolutions; 2 x 2 products where an upsampled level is read."""
+    e1, e2, e3, e4, e5, (d4a, d4b), (d3a, d3b), (d2a, d2b), (d1a, d1b) = BASE_WIDTHS
+    full = inputs * e1 + e1 * e1 + inputs * d1a + d1a * d1b + d1b * outputs
+    half = e1 * e2 + e1 * d2a + d2a * d2b
+    quarter = e2 * e3 + e2 * d3a + d3a * d3b
+    eighth = e3 * e4 + e3 * d4a + d4a * d4b
+    bottom = e4 * e5 + e5 * e5
+    upsampled = d2b * d1a + d3b * d2a / 4 + d4b * d3a / 16 + e5 * d4a / 64
+    return 9 * (full + half / 4 + quarter / 16 + eighth / 64 + bottom / 256) + 4 * upsampled
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    configurations = [
+        Configuration("mean"),
+        Configuration("ours/lean"),
+        Configuration("ours/lean", "openvino"),
+        Configuration("oidn"),
+    ]
+    return measure_speed(configurations, SIZES, CPU, repeats=1)
+
+
+def test_multiply_adds_are_those_of_the_layers():
+    """Within a thousandth: the exposure is a small product too."""
+    method = registry.load_method("oidn", CPU, "random")
+    assert count_multiply_adds(method, CPU) == pytest.approx(unet_multiply_adds(9, 3), rel=1e-3)
+
+
+def test_the_table_has_each_configuration_at_each_size(table):
+    assert list(table.columns) == list(COLUMNS)
+    names = ["mean", "ours/lean", "ours/lean@openvino", "oidn"]
+    assert list(table.method) == names * 2
+    assert list(zip(table.height, table.width, strict=True)) == [s for s in SIZES for _ in names]
+
+
+def test_the_parts_of_inference_add_up(table):
+    parts = table.plan_ms + table.allocate_ms + table.denoise_ms
+    pd.testing.assert_series_equal(parts, table.inference_ms, check_names=False)
+    assert (table.inference_ms > 0).all()
+
+
+def test_state_is_counted_per_pixel(table):
+    """Lean: radiance 3 + 1 + 1, image 3 and G-buffer 7 in single precision, and one mean spp."""
+    first = table[table.height == 48].set_index("method").state_bytes
+    assert first["mean"] == first["oidn"] == 0
+    assert first["ours/lean"] == pytest.approx(15 * 4 + 4 / (48 * 64))
+
+
+def test_memory_of_a_frame_is_that_of_its_largest_layers(table):
+    """OIDN's first two layers are alive at once, with 32 channels each."""
+    memory = table[(table.method == "oidn") & (table.height == 48)].memory_mb.item()
+    assert 2 * 32 * 4 * 48 * 64 / 2**20 < memory < 20 * 32 * 4 * 48 * 64 / 2**20
+    assert math.isnan(table[table.method == "ours/lean@openvino"].memory_mb.iloc[0])
+
+
+def test_the_share_of_the_peak_is_work_over_time(table):
+    oidn = table[table.method == "oidn"].iloc[0]
+    rate = oidn.multiply_adds * 1e3 * 48 * 64 / (oidn.inference_ms / 1e3)
+    lean = table[table.method == "ours/lean"].iloc[0]
+    lean_rate = lean.multiply_adds * 1e3 * 48 * 64 / (lean.inference_ms / 1e3)
+    assert oidn.peak_share / lean.peak_share == pytest.approx(rate / lean_rate)
+    assert 0 < oidn.peak_share < 1.5  # of a matrix product measured at another moment
+
+
+def test_the_page_shows_every_size_and_marks_times_that_are_not_to_be_believed(table):
+    spoiled = table.copy()
+    spoiled["note"] = ["unreliable: the machine was busy", *[""] * (len(table) - 1)]
+    page = speed_page(spoiled, "a processor")
+    assert "## 64 x 48" in page
+    assert "## 32 x 32" in page
+    assert "| `mean`? |" in page
+    assert "? `mean`: unreliable: the machine was busy" in page
+    assert page.count("`ours/lean@openvino`") == 2
+
+
+def test_the_table_is_written_as_csv(table, tmp_path: Path):
+    rows, page = write_speed(table, CPU, tmp_path / "new")
+    read = pd.read_csv(rows)
+    assert list(read.method) == list(table.method)
+    assert page.read_text().startswith("# Speed of methods")
+
+
+def test_the_command_writes_both_files_and_names_them(tmp_path: Path):
+    out = tmp_path / "speed"
+    arguments = ["speed", "-m", "mean", "--sizes", "32x16,16", "--repeats", "1", "--out", str(out)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert str(out / "speed.md") in result.output
+    assert set(pd.read_csv(out / "speed.csv").width) == {32, 16}
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [("--sizes", "big", "is no size"), ("--backend", "onnx", "no backend 'onnx'")],
+)
+def test_the_command_refuses_what_it_does_not_know(option, value, message, tmp_path: Path):
+    arguments = ["speed", "-m", "mean", option, value, "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code != 0
+    assert message in result.output + str(result.exception)
