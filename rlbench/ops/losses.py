@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from rlbench.ops.color import encode_srgb
-from rlbench.ops.transfer import log_forward
+from rlbench.ops.transfer import LOG_SCALE, log_forward
 
 __all__ = [
     "UNIFORM_WEIGHTS",
@@ -33,6 +33,7 @@ L1_WEIGHT = 0.16  # in l1_ms_ssim_loss: Zhao et al. 2017
 SMAPE_EPS = 1e-2  # as in OIDN's training toolkit
 LOG_LOSS_SCALE = 0.02  # the loss at which log_loss has slope 1
 MIN_LOSS = 1e-6  # below this, log_loss is constant
+MIN_RADIANCE = -0.999 / LOG_SCALE  # in log transfer: its logarithm is finite down to -1/64
 
 
 def l1(image: Float[Tensor, "n c h w"], reference: Float[Tensor, "n c h w"]) -> Float[Tensor, ""]:
@@ -90,8 +91,12 @@ def l1_ms_ssim_loss(
 def log_transfer_loss(
     image: Float[Tensor, "n c h w"], reference: Float[Tensor, "n c h w"]
 ) -> Float[Tensor, ""]:
-    """`l1_ms_ssim_loss` of linear radiance in log transfer."""
-    return l1_ms_ssim_loss(log_forward(image), log_forward(reference))
+    """`l1_ms_ssim_loss` of linear radiance in log transfer.
+
+    A network that writes far below zero in log transfer has radiance -1/64, whose logarithm is not
+    finite; radiance counts as little more than that at least.
+    """
+    return l1_ms_ssim_loss(log_forward(image.clamp_min(MIN_RADIANCE)), log_forward(reference))
 
 
 def log_loss(loss: Float[Tensor, ""]) -> Float[Tensor, ""]:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 __all__ = [
     "HALF_MAX",
+    "LOG_SCALE",
     "log_forward",
     "log_inverse",
     "pu_forward",

@@ -18,10 +18,12 @@ from rlbench.ops.losses import (
     l1,
     l1_ms_ssim_loss,
     log_loss,
+    log_transfer_loss,
     ms_ssim,
     smape,
     temporal_l1,
 )
+from rlbench.ops.transfer import log_inverse
 
 
 def pair(h: int, w: int, noise: float = 0.1, n: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
@@ -201,3 +203,15 @@ def test_radiance_above_white_is_no_error_where_the_reference_is_white():
     image = torch.tensor([7.0, 1.0, 2.0]).view(1, 3, 1, 1).requires_grad_()
     display_mse(image, reference).backward()
     assert (image.grad.flatten() != 0).tolist() == [False, False, True]
+
+
+def test_the_loss_in_log_transfer_is_finite_where_a_network_writes_far_below_zero():
+    """log_inverse(-100) is -1/64, whose logarithm is not finite; other pixels keep learning."""
+    value = torch.full((1, 3, 32, 32), 0.5)
+    value[..., :4] = -100.0
+    value.requires_grad_()
+    loss = log_transfer_loss(log_inverse(value), torch.full((1, 3, 32, 32), 0.3))
+    loss.backward()
+    assert loss.isfinite()
+    assert value.grad.isfinite().all()
+    assert value.grad[..., 20:].abs().sum() > 0
