@@ -10,7 +10,7 @@ METHODS := ours,ntas,oidn,oidn/tuned,mean
 
 # what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule, or untrained
 RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule,ours/initial
-CONTROLS := ours,ours/lean,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
+CONTROLS := ours,ours/lean,ours/stateless,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
 
 # the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
 TABLE1 := ours,ours/lean,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/paper,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
@@ -18,6 +18,9 @@ BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
 # the nearest rivals, on many clips
 RIVALS := ours,ours/lean,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
+
+# learned rows near the front, in all backends
+SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours/lean,ours,ntas,svgf
 
 APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
@@ -33,7 +36,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen controls equal takes crossval appendix seeds gradients stress contact site test test-all format clean
+.PHONY: demo docs table1 unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -46,6 +49,8 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --out $(RESULTS)
 	$(BIN)/rlbench report summary --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
+	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report equal_time --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/results && rm -r docs/made
@@ -62,6 +67,11 @@ table1: .venv/dev.stamp
 unseen: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(RIVALS)' --preset unseen --spp 1,2,4 --out $(RESULTS)/unseen
 	$(call page,clips,$(RESULTS)/unseen,unseen)
+
+# times by size, backend and precision, and what a frame costs in work and memory: 10 minutes of a quiet machine
+speed: .venv/dev.stamp
+	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720,1080p --backend eager,openvino --bf16 --repeats 5 --out $(RESULTS)/speed
+	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
 
 # what learned memory and learned sampling give over rules, on the same scenes: 20 minutes of scoring
 controls: .venv/dev.stamp

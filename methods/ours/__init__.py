@@ -87,7 +87,6 @@ FAMILY = Family(
         "stateless": Variant(
             "What does the latent give beside accumulated radiance? (no latent)",
             TRAITS,
-            pretrained=False,
         ),
         "lean": Variant(
             "Do a memory by rule and a learned correction of the contrast rule suffice?",

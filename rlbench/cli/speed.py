@@ -60,11 +60,11 @@ def speed(
         Path, typer.Option(help="folder of the table", rich_help_panel=options.OUTPUT)
     ] = Path("results/speed"),
 ) -> None:
-    """Time methods at several image sizes, backends and precisions; no score is measured.
+    """Time methods by image size, backend and precision.
 
-    Frames are generated, so nothing is rendered. Writes speed.csv and speed.md: times of the parts
-    of inference, multiply-adds per pixel, their share of the machine's peak, bytes of state per
-    pixel and memory. A time that a busy machine spoiled has a note.
+    No score is measured. Frames are generated, so nothing is rendered. Writes speed.csv and
+    speed.md: times of the parts of inference, multiply-adds per pixel, their share of the machine's
+    peak, bytes of state per pixel, and memory. A time that a busy machine spoiled has a note.
 
     Examples:
 

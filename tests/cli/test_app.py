@@ -16,7 +16,7 @@ from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress"),
+    *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress", "speed"),
     *("train", "lr-find", "replay", "crossval", "run", "report", "decide", "images", "regress"),
 ]
 HELP_SECONDS = 0.5  # of processor time
