@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 __all__ = [
+    "ACCEPTED",
     "FLOOR_MS",
     "LEVEL",
     "TARGET",
@@ -20,7 +21,8 @@ __all__ = [
 
 T = TypeVar("T")
 LEVEL = 0.95  # of the interval of the median
-TARGET = 0.02  # largest half width of the interval, relative to the median
+TARGET = 0.02  # half width of the interval, relative to the median, at which measuring stops
+ACCEPTED = 0.05  # largest half width of a time that may be believed
 FLOOR_MS = 0.05  # a half width that is small enough for any time
 
 
@@ -77,10 +79,10 @@ def unreliable_reason(
     """
     if counted < min_rounds:
         return f"the machine was busy in {rounds - counted} of {rounds} rounds ({busy})"
-    if is_steady(times):
+    if is_steady(times, ACCEPTED):
         return ""
     share = half_width(times) / statistics.median(times)
     return (
         f"the {LEVEL:.0%} interval of the median is +-{share:.1%} after {counted} rounds, "
-        f"above {TARGET:.0%}"
+        f"above {ACCEPTED:.0%}"
     )

@@ -19,7 +19,6 @@ __all__ = ["Limits", "Session", "Track"]
 
 UNTIMED, TIMED = 1, 3  # frames of a row in each round
 MIN_ROUNDS = 3
-ROUNDS_PER_REPEAT = 3  # at most, per requested frame
 MAX_SECONDS = 20.0  # of one row, once it has `min_rounds`
 MAX_STRETCH_MS = 500.0  # between two calibrations, if a row's visit takes no longer
 WARM_UP = 2  # calibrations before the first that counts
@@ -37,10 +36,10 @@ class Limits(NamedTuple):
         """Limits for at least `repeats` timed frames.
 
         >>> Limits.of_repeats(10)
-        Limits(min_rounds=4, max_rounds=30, max_seconds=20.0)
+        Limits(min_rounds=4, max_rounds=10, max_seconds=20.0)
         """
         least = max(MIN_ROUNDS, math.ceil(repeats / TIMED))
-        return Limits(least, max(least, ROUNDS_PER_REPEAT * repeats))
+        return Limits(least, max(least, repeats))
 
 
 class Visit(NamedTuple):
