@@ -76,7 +76,7 @@ def test_a_time_that_never_gets_steady_is_reported_with_its_interval():
 
 def test_an_unsteady_time_runs_more_rounds_than_a_steady_one():
     machine = Machine()
-    steady, wavy = time_rows(machine, Worker(machine), Worker(machine, jitter=0.05))
+    steady, wavy = time_rows(machine, Worker(machine), Worker(machine, jitter=0.03))
     assert steady.rounds < wavy.rounds < Limits.of_repeats(10).max_rounds
     assert wavy.unreliable == ""
 
