@@ -81,7 +81,7 @@ def find_networks(method: object) -> Iterator[nn.Module]:
     branch. It stays in PyTorch, and networks inside it are found.
     """
     modules: dict[nn.Module, None] = {}
-    for value in vars(method).values():
+    for value in getattr(method, "__dict__", {}).values():
         if isinstance(value, nn.Module):
             modules.update(dict.fromkeys(_callable_modules(value)))
         elif isinstance(value, Method):
@@ -133,15 +133,17 @@ class OpenVinoForward:
         from openvino.frontend import FrontEndManager
         from openvino.frontend.pytorch.ts_decoder import TorchScriptPythonDecoder
 
-        # not openvino.convert_model, which reports its use to Intel
+        # not openvino.convert_model, which sends usage statistics
         examples = tuple(_as_input(each).clone() for each in inputs)
         shapes = [openvino.PartialShape(each.shape) for each in examples]
         with torch.no_grad(), torch.autocast("cpu", enabled=False), warnings.catch_warnings():
             # they say that the size is fixed
             warnings.simplefilter("ignore")
             self.network.forward = self._forward
-            decoder = TorchScriptPythonDecoder(self.network, example_input=examples)
-            self.network.forward = self
+            try:
+                decoder = TorchScriptPythonDecoder(self.network, example_input=examples)
+            finally:
+                self.network.forward = self
         frontend = FrontEndManager().load_by_framework("pytorch")
         model = frontend.convert(frontend.load(decoder))
         model.reshape(dict(zip(model.inputs, shapes, strict=True)))
