@@ -13,7 +13,8 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
 README = (ROOT / "README.md").read_text()
 COMPARING = re.compile(r"\b(leads?|ahead|behind|beats?|better|worse|best|within|ties?|gives)\b")
-NO_RESULT = {"Given your renderer's cost"}  # a sentence that states the question, not a result
+# sentences that state the question or what a command prints, not a result
+NO_RESULT = {"Given your renderer's cost", "`rlbench stress` gives verdicts"}
 
 
 def read_rows(page: str, title: str) -> list[list[str]]:

@@ -22,7 +22,7 @@ def box_mean(
     Sums of shifted rows, then of shifted columns, use all cores also for one channel: on two cores,
     a tenth of the time of `avg_pool2d` for a window of 3 x 3, a twentieth for 13 x 13.
 
-    >>> box_mean(torch.tensor([[[[0.0, 3.0, 6.0]]]]), 3)
+    >>> box_mean(Tensor([[[[0.0, 3.0, 6.0]]]]), 3)
     tensor([[[[1., 3., 5.]]]])
     """
     h, w = image.shape[-2:]
@@ -34,7 +34,7 @@ def box_mean(
 def block_mean(image: Float[Tensor, "n c h*b w*b"], side: int) -> Float[Tensor, "n c h w"]:
     """The mean of each block of side x side pixels; both sides of the image are multiples of it.
 
-    >>> block_mean(torch.tensor([[[[0.0, 2.0], [4.0, 6.0]]]]), 2)
+    >>> block_mean(Tensor([[[[0.0, 2.0], [4.0, 6.0]]]]), 2)
     tensor([[[[3.]]]])
     """
     rows = _sum([image[..., y::side, :] for y in range(side)])
