@@ -34,7 +34,7 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
         ),
         (("--holdout", "hall", "--seeds", "0:9"), "--seeds applies to generated scenes only"),
         (("--seeds", "7"), "error: --seeds 7 gives one clip. Training needs at least 2 clips"),
-        (("--seeds", "70:82"), "--seeds 80, 81: these belong to test set 'unseen'"),
+        (("--seeds", "390:402"), "--seeds 400, 401: these belong to test set 'unseen'"),
     ],
 )
 def test_clips_that_cannot_be_trained_on_are_refused(command, words, message):

@@ -55,7 +55,7 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(rendered):
         (("train", None, "hall"), "needs a preset with named scenes, and 'train' has none"),
         ((None, (0, 9), "hall"), "--seeds applies to generated scenes only"),
         (("mini", None, None), "preset 'mini' is a test set .*must not be trained on it"),
-        ((None, (79, 80, 81), None), "--seeds 80, 81: these belong to test set 'unseen'"),
+        ((None, (399, 400, 401), None), "--seeds 400, 401: these belong to test set 'unseen'"),
         ((None, (7,), None), "--seeds 7 gives one clip. Training needs at least 2 clips"),
     ],
 )
