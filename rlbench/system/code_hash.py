@@ -21,6 +21,8 @@ __all__ = ["CORE", "closure_of_file", "code_hash", "import_closure"]
 OWN = "rlbench"  # the top-level package that every closure follows
 INIT = ".__init__"  # suffix of a package that counts with its `__init__.py` alone
 
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
 CORE = (
     "rlbench.frames",
     "rlbench.method",
@@ -44,18 +46,32 @@ CORE = (
 
 
 def code_hash(modules: Iterable[str], core: Iterable[str] = CORE) -> str:
-    """Hash of the sources of `modules` and `core`, 16 hex digits.
+    """Hash of the code of `modules` and `core`, 16 hex digits.
 
-    A module counts with its own file, a package with all of its Python files, and
-    `package.__init__` with that file alone. Imports are not followed; see `import_closure`. No
-    module is imported. Raises LookupError for a module without a source.
+    Comments, docstrings and layout do not count, since no number depends on them. A module counts
+    with its own file, a package with all of its Python files, and `package.__init__` with that file
+    alone. Imports are not followed; see `import_closure`. No module is imported. Raises LookupError
+    for a module without a source.
     """
     digest = hashlib.sha256()
     for name in sorted({*modules, *core}):
         for label, path in _sources(name):
-            source = hashlib.sha256(path.read_bytes()).hexdigest()
-            digest.update(f"{name} {label} {source}\n".encode())
+            code = hashlib.sha256(_strip_prose(path.read_bytes())).hexdigest()
+            digest.update(f"{name} {label} {code}\n".encode())
     return digest.hexdigest()[:16]
+
+
+@lru_cache(maxsize=4096)
+def _strip_prose(source: bytes) -> bytes:
+    """The source without comments, docstrings and layout; as it is where Python cannot parse it."""
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):
+        return source
+    for node in ast.walk(tree):
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return ast.unparse(tree).encode()
 
 
 def import_closure(module: str, also: Collection[str] = ()) -> set[str]:

@@ -40,6 +40,28 @@ def test_every_change_to_the_files_of_a_package_changes_its_hash(plugin, change)
     assert code_hash(["stranger"]) != before
 
 
+@pytest.mark.parametrize(
+    "same",
+    [
+        '"""What it is."""\nWIDTH = 8\n',
+        "# narrower was worse\nWIDTH = 8  # channels\n",
+        "\n\nWIDTH = (\n    8\n)\n",
+    ],
+)
+def test_comments_docstrings_and_layout_do_not_change_the_hash(plugin, same):
+    before = code_hash(["stranger"])
+    (plugin / "net.py").write_text(same)
+    assert code_hash(["stranger"]) == before
+
+
+def test_a_string_that_is_no_docstring_changes_the_hash(plugin):
+    net, hashes = plugin / "net.py", set()
+    for name in ("relu", "gelu"):
+        net.write_text(f"def act():\n    'What it is.'\n    return '{name}'\n")
+        hashes.add(code_hash(["stranger"]))
+    assert len(hashes) == 2
+
+
 def test_files_other_than_python_do_not_change_the_hash(plugin):
     before = code_hash(["stranger"])
     (plugin / "notes.md").write_text("hello")
