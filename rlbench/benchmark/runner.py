@@ -28,7 +28,7 @@ from rlbench.benchmark.cell_store import CellStore
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import refusal_row, row_template, score_frame
+from rlbench.benchmark.scoring import compare_frame, refusal_row, row_template, score_frame
 from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.errors import OptionError
@@ -180,7 +180,7 @@ class CellRunner:
         """Load the metrics and prepare a row of each cell."""
         self.plan = plan
         self.keep_images = keep_images
-        self.metrics = list(registry.load_metrics().values())
+        self.metrics = list(registry.load_run_metrics().values())
         self.loader = CellLoader(plan)
         profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
         self.timings = TimingCache(self.loader, profile)
@@ -235,14 +235,15 @@ class CellRunner:
         return refusal_row(self.templates[cell.key], f"{type(error).__name__}: {error}")
 
     def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
-        clip = self.loader.clip(cell)
+        needs = frozenset().union(*(metric.needs for metric in self.metrics))
+        clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, frames, previous = self._remarks(cell), [], [], None
+        remarks, rows, frames, compared = self._remarks(cell), [], [], None
         for result in run_clip(method, clip, cell.target_spp):
-            scored = score_frame(template, self.metrics, result, previous, cell.header)
+            compared = compare_frame(self.metrics[0].compare, result, compared)
+            scored = score_frame(template, self.metrics, compared, result, cell.header)
             rows += [replace(row, note=row.note or remarks) for row in scored]
             frames += [KeptFrame.of(result)] if self.keep_images else []
-            previous = result
         images = CellImages(cell.traits.pool, clip.digest, frames) if self.keep_images else None
         return CellOutput(rows + self._time_rows(cell, template, rows), images)
 
