@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,10 +17,10 @@ __all__ = ["MAX_METHODS", "PicturesError", "ShownClip", "ShownImages", "pack_cli
 
 MAX_METHODS = 9  # at each clip and budget: one for each of the keys 1 to 9
 STEPS = (256, 128, 96, 64, 48, 32, 24, 20, 16, 14, 12, 10, 8)  # of radiance in an octave
-MARGIN = 0.02  # by which the size is overestimated from the first frames
+MARGIN = 0.01  # by which the size is overestimated from the middle frames
 SCALES = {
-    "albedo": LinearScale(1 / 255),
-    "normal": LinearScale(1 / 64),
+    "albedo": LinearScale(1 / 64),
+    "normal": LinearScale(1 / 32),
     "depth": LogScale(64),
     "motion": LinearScale(1 / 16),  # pixels
 }
@@ -57,49 +58,47 @@ def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], f
 
     Raises PicturesError if even the coarsest rounding does not fit.
     """
-    length = max((len(clip.reference) for clip in clips), default=0)
-    smallest = 0
-    for steps in STEPS:
+    def fits_roughly(steps: int) -> bool:
+        size = sum(len(clip.reference) * len(_pack_clip(clip, LogScale(steps), True)) for clip in clips)
+        return size * (1 + MARGIN) <= max_bytes
+
+    first = min(bisect_left(STEPS, True, key=fits_roughly), len(STEPS) - 1)
+    size = 0
+    for steps in STEPS[first:]:
         scale = LogScale(steps)
-        sample = sum(len(text) for text in _packed(clips, scale, frames=1))
-        smallest = int(sample * length * (1 + MARGIN))
-        if smallest > max_bytes:
-            continue
-        texts = list(_packed(clips, scale, frames=length))
-        smallest = sum(map(len, texts))
-        if smallest <= max_bytes:
+        texts = [_pack_clip(clip, scale) for clip in clips]
+        size = sum(map(len, texts))
+        if size <= max_bytes:
             return texts, scale.relative_error
     raise PicturesError(
-        f"the images need {smallest / 1e6:.0f} MB, and {max_bytes / 1e6:.0f} MB are left for them. "
+        f"the images need {size / 1e6:.0f} MB, and {max_bytes / 1e6:.0f} MB are left for them. "
         "Show fewer with --methods, --scenes or --spp, or allow a larger page with --max-mb"
     )
 
 
-def _packed(clips: Sequence[ShownClip], scale: LogScale, frames: int) -> Iterator[str]:
-    return (_pack_clip(clip, scale, min(frames, len(clip.reference))) for clip in clips)
-
-
-def _pack_clip(clip: ShownClip, scale: LogScale, frames: int) -> str:
-    _, _, height, width = clip.reference.shape
+def _pack_clip(clip: ShownClip, scale: LogScale, middle_only: bool = False) -> str:
+    """A clip as JSON text; `middle_only`: with its middle frame alone, to estimate its size."""
+    length, _, height, width = clip.reference.shape
+    part = slice(length // 2, length // 2 + 1) if middle_only else slice(None)
     document = {
         "name": clip.name,
         "scene": clip.scene,
         "fps": clip.fps,
         "cuts": list(clip.cuts),
-        "frames": frames,
+        "frames": length,
         "width": width,
         "height": height,
-        "reference": [encode(image, scale) for image in clip.reference[:frames]],
+        "reference": [encode(image, scale) for image in clip.reference[part]],
         "buffers": {
-            name: [encode(image, SCALES[name]) for image in images[:frames]]
+            name: [encode(image, SCALES[name]) for image in images[part]]
             for name, images in clip.buffers.items()
         },
         "images": [
             {
                 "method": each.method,
                 "spp": each.target_spp,
-                "frames": [encode(image, scale) for image in each.frames[:frames]],
-                "counts": [encode(counts[None], COUNTS) for counts in each.counts[:frames]],
+                "frames": [encode(image, scale) for image in each.frames[part]],
+                "counts": [encode(counts[None], COUNTS) for counts in each.counts[part]],
             }
             for each in clip.images
         ],

@@ -3,8 +3,8 @@
 Radiance and depth are rounded on a logarithmic scale, so that their relative error is bounded,
 other planes on a linear one. A pixel is predicted from its left, upper and upper left neighbours by
 the median edge detector of Weinberger, Seroussi and Sapiro 2000 (The LOCO-I Lossless Image
-Compression Algorithm, section III.A); the residuals of each plane have a Huffman code of their own.
-`assets/tiles.js` is the decoder.
+Compression Algorithm, section III.A). Residuals of each plane are grouped by how much the neighbours
+differ, and each group has a Huffman code of its own. `assets/tiles.js` is the decoder.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ __all__ = ["LinearScale", "LogScale", "encode"]
 
 DARK = 2.0**-7  # radiance below which the steps of LogScale are nearly equal
 LARGEST = 2.0**16  # larger values are stored as this
+GROUPS = (3, 7, 15)  # differences of neighbours at which the next group begins
 ESCAPE = 255  # in place of a residual that does not fit a byte; it follows at the end, in four
 
 Codes = NDArray[np.int32]
@@ -88,29 +89,39 @@ class LinearScale:
 
 
 def encode(planes: NDArray[np.floating[Any]], scale: LogScale | LinearScale) -> dict[str, Any]:
-    """An image [c h w] as a JSON object with its shape, its scale and a base64 blob."""
+    """An image [c h w] as a JSON object: shape, scale, sizes of the groups [c 4], base64 blob."""
     codes = scale.codes(planes)
     if len(codes) == 3:  # channels are alike
         codes = np.stack([codes[1], codes[0] - codes[1], codes[2] - codes[1]])
-    residual = codes - _predict(codes)
+    predicted, group = _predict(codes)
+    residual = codes - predicted
     folded = np.where(residual < 0, -2 * residual - 1, 2 * residual)
-    packed = min(_deflate(folded, zlib.Z_HUFFMAN_ONLY), _deflate(folded, zlib.Z_RLE), key=len)
-    blob = base64.b64encode(packed).decode()
-    return {"shape": list(planes.shape), "scale": asdict(scale), "blob": blob}
+    parts = [
+        plane[own == index]
+        for plane, own in zip(folded, group, strict=True)
+        for index in range(len(GROUPS) + 1)
+    ]
+    strategy = zlib.Z_HUFFMAN_ONLY if isinstance(scale, LogScale) else zlib.Z_RLE
+    blob = base64.b64encode(_deflate(parts, folded[folded >= ESCAPE], strategy)).decode()
+    groups = [len(part) for part in parts]
+    return {"shape": list(planes.shape), "scale": asdict(scale), "groups": groups, "blob": blob}
 
 
-def _predict(codes: Codes) -> Codes:
-    """The median of left, up and left + up - upper left; 0 outside of the image."""
+def _predict(codes: Codes) -> tuple[Codes, NDArray[np.intp]]:
+    """The median of left, up and left + up - upper left, 0 outside of the image; and the group."""
     padded = np.pad(codes, ((0, 0), (1, 0), (1, 0)))
     left, up, corner = padded[:, 1:, :-1], padded[:, :-1, 1:], padded[:, :-1, :-1]
     low, high = np.minimum(left, up), np.maximum(left, up)
-    return np.clip(left + up - corner, low, high)
+    differences = np.abs(left - corner) + np.abs(up - corner)
+    group = np.searchsorted(GROUPS, differences, side="right")
+    return np.clip(left + up - corner, low, high), group
 
 
-def _deflate(folded: Codes, strategy: int) -> bytes:
+def _deflate(parts: list[Codes], escaped: Codes, strategy: int) -> bytes:
     packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS, 9, strategy)
-    parts = []
-    for plane in np.minimum(folded, ESCAPE).astype(np.uint8):
-        parts += [packer.compress(plane.tobytes()), packer.flush(zlib.Z_BLOCK)]
-    escaped = folded[folded >= ESCAPE].astype("<u4")
-    return b"".join([*parts, packer.compress(escaped.tobytes()), packer.flush()])
+    packed = []
+    for part in parts:
+        packed.append(packer.compress(np.minimum(part, ESCAPE).astype(np.uint8).tobytes()))
+        packed.append(packer.flush(zlib.Z_BLOCK))
+    # in the order of planes, rows and columns, as the decoder meets them
+    return b"".join([*packed, packer.compress(escaped.astype("<u4").tobytes()), packer.flush()])
