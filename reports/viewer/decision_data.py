@@ -25,11 +25,14 @@ def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
     described = []
     for metric in metrics_with_values(rows):
         scores = Scores(rows, metric, device)
-        if not scores.direction or not curves_of(scores):
+        if not scores.direction:
             continue
         scenes = sorted(set(scores.measured["scene"]))
         parts = [(ALL_SCENES, scores)] if len(scenes) > 1 else []
         parts += [(s, Scores(rows[rows["scene"] == s], metric, device)) for s in scenes]
+        scopes = [_scope(name, part) for name, part in parts]
+        if not any(scope["curves"] for scope in scopes):
+            continue
         described.append(
             {
                 "metric": metric,
@@ -37,7 +40,7 @@ def decision_data(rows: pd.DataFrame, device: str) -> list[dict[str, Any]]:
                 "convention": scores.convention,
                 "sign": -1 if scores.direction == "lower" else 1,
                 "cost_source": scores.cost_source,
-                "scopes": [_scope(name, part) for name, part in parts],
+                "scopes": [scope for scope in scopes if scope["curves"]],
             }
         )
     return described

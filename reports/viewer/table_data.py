@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import Any
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores, metrics_with_values
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES
+from reports.analysis.aggregate import Scores, mean_over_scenes, metrics_with_values
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, interval_ends
 from reports.analysis.notes import remarks, skip_reasons
-from reports.analysis.ranking import ALL_SCENES, rank_methods
+from reports.analysis.ranking import ALL_SCENES, name_verdict
 
-__all__ = ["frame_scores", "provenance", "table_data"]
+__all__ = ["frame_scores", "provenance", "rank_at_once", "table_data"]
 
 TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
 RECORDED = ("device", "dtype", "code_hash", "weights_hash", "config", "size", "preset", "run_id")
@@ -27,24 +28,59 @@ def table_data(rows: pd.DataFrame, device: str, draws: int = BOOTSTRAP_SAMPLES) 
     metrics = []
     for metric in metrics_with_values(rows):
         scores = Scores(rows, metric, device)
-        ranked = rank_methods(scores, draws=draws)
-        ranked = ranked[(ranked["scene"] != ALL_SCENES) | (scores.measured["scene"].nunique() > 1)]
         times = pd.concat([scores.points, scores.overall.assign(scene=ALL_SCENES)])
-        table = ranked.merge(
-            times[["method", "scene", "target_spp", *TIMES]],
-            on=["method", "scene", "target_spp"],
-            how="left",
-        )
+        keys = ["method", "scene", "target_spp"]
+        table = rank_at_once(scores, draws).merge(times[[*keys, *TIMES]], on=keys, how="left")
         metrics.append(
             {
                 "metric": metric,
                 "unit": scores.column_text("unit"),
                 "direction": scores.direction,
                 "convention": scores.convention,
-                "records": table.drop(columns=["metric", "clips", "frames"]).to_dict("records"),
+                "records": table.to_dict("records"),
             }
         )
     return {"metrics": metrics, "notes": [*skip_reasons(rows), *remarks(rows)]}
+
+
+def rank_at_once(scores: Scores, draws: int = BOOTSTRAP_SAMPLES) -> pd.DataFrame:
+    """The ranking of `rank_methods` for all methods of a scene and budget together.
+
+    Every method of `Scores.clip_means` has the same frames, so the mean of paired differences is
+    the difference of means, and all methods share one call of the bootstrap.
+    """
+    clips, scenes = scores.clip_means, scores.scene_means
+    parts = [(str(scene), part, "clip") for scene, part in clips.groupby("scene")]
+    if scenes["scene"].nunique() > 1:
+        complete = mean_over_scenes(scenes)[["method", "target_spp"]]
+        parts.append((ALL_SCENES, scenes.merge(complete, on=["method", "target_spp"]), "scene"))
+    records = [
+        {"scene": scope, "target_spp": spp, **record}
+        for scope, part, unit in parts
+        for spp, rows in part.groupby("target_spp")
+        for record in _rank(rows.pivot(index=unit, columns="method", values="value"), scores, draws)
+    ]
+    return pd.DataFrame(records)
+
+
+def _rank(units: pd.DataFrame, scores: Scores, draws: int) -> list[dict[str, Any]]:
+    """A record of each method; `units` has a column for each method, a row for each unit."""
+    means = units.mean()
+    sign = {"higher": 1, "lower": -1}.get(scores.direction, 0)
+    best = (sign * means).idxmax()
+    gaps = units.sub(units[best], axis=0) if sign else units * math.nan
+    low, high = interval_ends(gaps.to_numpy(float), draws=draws)
+    unit = scores.column_text("unit")
+    records = []
+    for method, mean, gap, *ends in zip(units.columns, means, gaps.mean(), low, high, strict=True):
+        is_best = bool(sign) and mean == means[best]
+        interval = Interval(gap, *ends, len(units))
+        verdict = "" if is_best or not sign else name_verdict(interval, unit)
+        if is_best:
+            gap, ends = math.nan, [math.nan, math.nan]
+        record = {"method": method, "mean": mean, "difference": gap, "best": is_best}
+        records.append({**record, "low": ends[0], "high": ends[1], "verdict": verdict})
+    return records
 
 
 def frame_scores(rows: pd.DataFrame, clips: Collection[str]) -> list[dict[str, Any]]:

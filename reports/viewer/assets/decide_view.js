@@ -11,6 +11,21 @@ const MARKS = [[16.7, "60 fps"], [33.3, "30 fps"], [100, "10 fps"]]; // deadline
 const LISTED = 12; // methods in the ranking
 const NAMED = 8; // curves with a colour
 
+/** The measured cost of a sample, and the first usual deadline that half of the methods meet. */
+export function firstQuestion() {
+  const first = data.devices[0]?.decide[0]?.scopes[0];
+  if (!(first?.sample_ms > 0)) return {};
+  const sample = Number(first.sample_ms.toPrecision(3));
+  const least = first.curves.map((curve) => Math.min(...frameTimes(curve, sample))).sort((a, b) => a - b);
+  const needed = least[Math.floor(least.length / 2)];
+  return { sample, deadline: [16.7, 33.3, 100, 250, 500].find((time) => time >= needed) ?? 1000 };
+}
+
+function cheapest(curves, sampleMs) {
+  const points = curves.flatMap((curve) => frameTimes(curve, sampleMs).map((time, i) => ({ time, curve, spp: curve.spp[i] })));
+  return points.reduce((least, point) => (point.time < least.time ? point : least));
+}
+
 const device = () => data.devices[state.device] ?? data.devices[0];
 const metric = () => device().decide.find((each) => each.metric === state.metric) ?? device().decide[0];
 const scope = () => metric().scopes.find((each) => each.name === state.scope) ?? metric().scopes[0];
@@ -50,21 +65,25 @@ export function decideView() {
 }
 
 const unitText = () => (metric().unit ? ` ${metric().unit}` : "");
-const bracket = ({ low, high }) => (Number.isNaN(low) ? "" : ` [${short(low)}, ${short(high)}]`);
+const number = (value) => (metric().unit === "dB" ? value.toFixed(2) : short(value));
+const bracket = ({ low, high }) => (Number.isNaN(low) ? "" : ` [${number(low)}, ${number(high)}]`);
 const mark = (each) => (each.isUnreliable ? "†" : "");
 
 function describe(ranked) {
-  if (!ranked.length) return [h("strong", {}, "No method fits. "), `${short(state.deadline)} ms is too short at ${short(state.sample)} ms a sample.`];
+  if (!ranked.length) {
+    const { time, curve, spp } = cheapest(scope().curves, state.sample);
+    return [h("strong", {}, "No method fits. "), `The cheapest, ${curve.method} at ${short(spp)} spp, needs ${short(time)} ms.`];
+  }
   const [first, second] = ranked;
   const others = ranked.slice(1).filter((each) => each.verdict === "tie" || each.verdict === "not resolved");
   const parts = [h("strong", { "data-winner": first.method }, first.method + mark(first)),
-    ` at ${short(first.spp)} spp: ${short(first.mean, 4)}${unitText()}${bracket(first)} in ${short(first.frameMs)} ms`, first.isLargest ? ", its largest measured budget. " : ". "];
+    ` at ${short(first.spp)} spp: ${number(first.mean)}${unitText()}${bracket(first)} in ${short(first.frameMs)} ms`, first.isLargest ? ", its largest measured budget. " : ". "];
   if (second) {
     const gap = { mean: -second.gap.mean, low: -second.gap.high, high: -second.gap.low };
-    parts.push(`${second.verdict || "Ahead"} ${second.verdict ? "with" : "of"} ${second.method}${mark(second)}: `.replace(/^\w/, (letter) => letter.toUpperCase()),
-      `${short(gap.mean)}${unitText()}${bracket(gap)}.`);
+    const words = { "": "Ahead of", tie: "A tie with", "not resolved": "Not resolved from" }[second.verdict] ?? "Ahead, with one clip and no interval, of";
+    parts.push(`${words} ${second.method}${mark(second)}: ${number(gap.mean)}${unitText()}${bracket(gap)}.`);
   }
-  if (others.length > 1) parts.push(` In all ${others.length} methods tie with it or are not resolved from it.`);
+  if (others.length > 1) parts.push(` ${others.length} methods tie with it or are not resolved from it.`);
   return parts;
 }
 
@@ -74,8 +93,8 @@ function tabulate(ranked) {
     h("thead", {}, h("tr", {}, header.map((text) => h("th", { scope: "col" }, text)))),
     h("tbody", {}, ranked.slice(0, LISTED).map((each, i) => h("tr", { "data-row": each.method },
       h("td", {}, i + 1), h("th", { scope: "row" }, h("span", { class: "swatch", style: `background:${look(each.method).colour}` }), each.method + mark(each)),
-      h("td", {}, short(each.spp) + (each.isLargest ? " max" : "")), h("td", {}, short(each.mean, 4)),
-      h("td", {}, i ? short(each.gap.mean) + bracket(each.gap) : "–"), h("td", {}, short(each.frameMs)), h("td", {}, each.verdict)))));
+      h("td", {}, short(each.spp) + (each.isLargest ? " max" : "")), h("td", {}, number(each.mean)),
+      h("td", {}, i ? number(each.gap.mean) + bracket(each.gap) : "–"), h("td", {}, short(each.frameMs)), h("td", {}, each.verdict)))));
 }
 
 function drawCurves(ranked) {
@@ -83,7 +102,7 @@ function drawCurves(ranked) {
   const times = curves.flatMap((curve) => frameTimes(curve, state.sample));
   const scores = curves.flatMap((curve) => curve.units.map(mean));
   const [from, to] = span(scores);
-  const width = Math.min(700, document.documentElement.clientWidth - 32);
+  const width = Math.min(620, document.documentElement.clientWidth - 32);
   const least = Math.max(Math.min(...times, state.deadline), 0.01);
   const { svg, plot, px, py, box } = chart({ width, height: 420, label: "score against frame time",
     x: { from: least / 1.3, to: Math.max(...times, state.deadline) * 1.3, log: true, label: "frame time [ms]" },

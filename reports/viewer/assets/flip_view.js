@@ -11,7 +11,7 @@ export function extras() {
   const update = () => {
     const names = methods();
     buttons.replaceChildren(
-      ...names.map((name, i) => h("button", { type: "button", class: role(name), "aria-pressed": String(shown() === name), "data-method": name,
+      ...names.map((name, i) => h("button", { type: "button", class: role(name), "aria-pressed": String(state.show !== "all" && shown() === name), "data-method": name,
         onclick: (event) => (event.shiftKey ? compareWith(name) : showMethod(name)) }, h("kbd", {}, i + 1), ` ${name}`)),
       h("button", { type: "button", "aria-pressed": String(state.show === "ref"), "data-method": "reference", onclick: toggleReference }, h("kbd", {}, "R"), " reference"),
       h("button", { type: "button", "aria-pressed": String(state.show === "all"), onclick: toggleAll }, h("kbd", {}, "G"), " all"),

@@ -4,7 +4,7 @@ import { h } from "viewer/dom.js";
 import { set, start, state, subscribe } from "viewer/state.js";
 import { data } from "viewer/data.js";
 import { clip, settle, Workspace } from "viewer/workspace.js";
-import { decideView } from "viewer/decide_view.js";
+import { decideView, firstQuestion } from "viewer/decide_view.js";
 import { tableView } from "viewer/table_view.js";
 import { fillHelp, IMAGE_VIEWS, listen, VIEWS } from "viewer/keys.js";
 import * as flip from "viewer/flip_view.js";
@@ -12,11 +12,9 @@ import * as layers from "viewer/layers_view.js";
 import * as time from "viewer/time_view.js";
 
 const MODES = { flip, layers, time };
-const LOOK = ["view", "clip", "spp", "a", "b", "show", "split", "frame", "layer", "ev", "curve", "range"]; // that change panes
+const LOOK = ["clip", "spp", "a", "b", "show", "split", "frame", "layer", "ev", "curve", "range"]; // that change panes
 
-const firstScope = data.devices[0]?.decide[0]?.scopes[0];
-start({ view: data.devices[0]?.decide.length ? "decide" : "table",
-  ...(firstScope?.sample_ms > 0 && { sample: Number(firstScope.sample_ms.toPrecision(3)) }) });
+start({ view: data.devices[0]?.decide.length ? "decide" : "table", ...firstQuestion() });
 
 const hasImages = clip() !== null;
 const available = VIEWS.filter(([name]) => hasImages || !IMAGE_VIEWS.includes(name));
@@ -25,6 +23,7 @@ if (!available.some(([name]) => name === state.view)) set({ view: available[0][0
 
 const workspace = hasImages ? new Workspace() : null;
 const modes = {};
+let entered = ""; // the view that the page shows
 const pages = { decide: decideView(), table: tableView() };
 const views = document.getElementById("views");
 const tabs = available.map(([name, title]) => h("button", { type: "button", role: "tab", id: `tab-${name}`, "aria-controls": "views", onclick: () => set({ view: name }) }, title));
@@ -41,7 +40,7 @@ subscribe((changed) => {
   if (hasImages && ["clip", "spp", "a", "b", "frame"].some((key) => changed.has(key))) settle();
   show(changed);
 });
-show(new Set(["view"]));
+show(new Set());
 window.addEventListener("resize", () => pages[state.view]?.update());
 
 function show(changed) {
@@ -52,29 +51,32 @@ function show(changed) {
   });
   if (state.view in pages) {
     workspace?.play(false);
-    if (changed.has("view")) views.replaceChildren(pages[state.view].element);
+    if (entered !== state.view) views.replaceChildren(pages[state.view].element);
+    entered = state.view;
     pages[state.view].update();
     return;
   }
-  if (changed.has("view")) enter(state.view);
+  const isNew = entered !== state.view;
+  if (isNew) enter(state.view);
   const mode = MODES[state.view];
   workspace.update();
   modes[state.view].update();
-  if (LOOK.some((key) => changed.has(key))) arrange(mode);
+  if (isNew || LOOK.some((key) => changed.has(key))) arrange(mode);
   else workspace.stage.draw();
 }
 
 function enter(name) {
+  entered = name;
   modes[name] ??= MODES[name].extras();
   const { bar, stage, readout } = workspace;
   const isBelow = name === "time";
-  const side = h("div", { class: "work" }, stage.element, readout);
+  const side = h("div", { class: `work ${name}` }, stage.element, readout);
   views.replaceChildren(h("section", {}, bar, ...(isBelow ? [side, modes[name].element] : [modes[name].element, side])));
 }
 
 /** Show the panes of a view; where a scale has to be measured first, once more after it. */
 function arrange(mode) {
-  const put = () => workspace.stage.show(clip(), mode.panes(), mode.gesture);
+  const put = () => workspace.stage.show(clip(), mode.panes(), mode.gesture, mode.sliceLine);
   put();
   if (mode === layers) layers.rangeOf(state.layer, () => MODES[state.view] === mode && put());
 }

@@ -95,9 +95,9 @@ export class Renderer {
     for (const [name, value] of Object.entries(pairs)) gl.uniform2f(this.uniform(name), ...value);
     gl.uniform1i(this.uniform("layer"), LAYERS[look.layer]);
     gl.uniform1i(this.uniform("curve"), CURVES[look.curve]);
-    const bound = [images.image, images.reference ?? images.image, images.other ?? images.image];
-    bound.forEach((image, unit) => this.#bind(unit, this.#texture(image)));
-    this.#bind(3, this.maps[look.map]);
+    const shown = [images.image, images.reference ?? images.image, images.other ?? images.image];
+    const textures = [...shown.map((image) => this.#texture(image)), this.maps[look.map]]; // uploads bind unit 0
+    textures.forEach((texture, unit) => this.#bind(unit, texture));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 

@@ -23,15 +23,14 @@ export class Stage {
     this.#listen();
   }
 
-  /** Show panes of a clip: {label, image, reference?, other?: promises, look}; `gesture` is what a drag does. */
-  show(clip, panes, gesture) {
-    Object.assign(this, { clip, panes, gesture });
+  /** Show panes of a clip: {label, image, reference?, other?: promises, look}; `gesture` is what a
+   * drag does: split, pan or line; `line` gives the ends of the line, x0, y0, x1, y1. */
+  show(clip, panes, gesture, line = null) {
+    Object.assign(this, { clip, panes, gesture, line });
     if (!this.renderer) return;
     this.element.dataset.gesture = gesture;
     const boxes = panes.map((pane) => h("figure", { class: "pane", "data-pane": pane.label }, h("figcaption", {}, pane.label), s("svg", { class: "overlay" })));
     this.grid.replaceChildren(...boxes);
-    this.grid.style.setProperty("--columns", panes.length > 1 ? Math.ceil(Math.sqrt(panes.length * 1.6)) : 1);
-    this.grid.classList.toggle("many", panes.length > 1);
     this.draw();
   }
 
@@ -64,8 +63,16 @@ export class Stage {
     set({ zoom: view.zoom, x: clamp(view.x + dx, this.clip.width), y: clamp(view.y + dy, this.clip.height) });
   }
 
+  /** As many columns as make the images largest. */
+  #columns() {
+    const { clientWidth, clientHeight } = this.grid;
+    const fit = (columns) => Math.min(clientWidth / columns / this.clip.width, clientHeight / Math.ceil(this.panes.length / columns) / this.clip.height);
+    return this.panes.map((_, i) => i + 1).reduce((best, columns) => (fit(columns) > fit(best) ? columns : best));
+  }
+
   #draw() {
     const missing = new Set();
+    this.grid.style.setProperty("--columns", this.#columns());
     const view = this.view();
     const origin = this.canvas.getBoundingClientRect();
     this.renderer.begin();
@@ -96,8 +103,8 @@ export class Stage {
       const place = { x: px(state.px), y: py(state.py), width: view.zoom, height: view.zoom };
       marks.push(s("rect", { ...place, class: "halo" }), s("rect", place));
     }
-    if (this.gesture === "line" && state.line) {
-      const [x1, y1, x2, y2] = state.line.split(",").map((text, i) => (i % 2 ? py : px)(Number(text) + 0.5));
+    if (this.line) {
+      const [x1, y1, x2, y2] = this.line().map((value, i) => (i % 2 ? py : px)(value + 0.5));
       marks.push(s("line", { x1, y1, x2, y2, class: "halo" }), s("line", { x1, y1, x2, y2 }));
     }
     svg.replaceChildren(...marks);

@@ -59,7 +59,7 @@ export function tableView() {
     filters.forEach((button) => button.setAttribute("aria-pressed", String(chosen().includes(button.dataset.filter))));
     table.replaceChildren(draw(rows()));
     notes.replaceChildren(h("p", {}, `${metric().metric}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; † a time is unreliable, measured on a busy machine.`),
-      h("details", {}, h("summary", {}, `${device().table.notes.length} notes on the rows`), h("ul", {}, device().table.notes.map((note) => h("li", {}, note)))));
+      h("details", { hidden: !device().table.notes.length }, h("summary", {}, `${device().table.notes.length} notes on the rows`), h("ul", {}, device().table.notes.map((note) => h("li", {}, note)))));
   };
   const element = h("section", {}, h("div", { class: "toolbar" }, controls.map((each) => each.element), search),
     h("div", { class: "methods", role: "group", "aria-label": "filters by traits" }, filters),

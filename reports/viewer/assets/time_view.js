@@ -51,6 +51,7 @@ function scoreChart() {
   const names = methods();
   const shown = data.frames.filter((each) => each.clip === clip().name && each.spp === state.spp && each.metric === chosenMetric() && names.includes(each.method));
   if (!shown.length) return h("p", { class: "hint" }, "no scores of frames");
+  shown.sort((one, other) => names.indexOf(one.method) - names.indexOf(other.method));
   const unit = data.devices.flatMap((d) => d.table.metrics).find((m) => m.metric === chosenMetric())?.unit;
   const [from, to] = span(shown.flatMap((each) => each.values.filter((value) => value !== null)));
   const width = Math.min(900, document.documentElement.clientWidth - 32);
