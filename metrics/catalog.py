@@ -1,107 +1,69 @@
-"""The shipped metrics: each has a name, a unit, a direction, a convention, and a score function."""
+"""The shipped metrics."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-__all__ = ["BIAS", "MSE_DEBIASED", "MS_SSIM", "NONFINITE", "PSNR", "RELMSE", "TPSNR", "Metric"]
+from metrics.metric import Comparison, Metric
+
+__all__ = ["BIAS", "MSE_DEBIASED", "MS_SSIM", "NONFINITE", "PSNR", "RELMSE", "TPSNR"]
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
-Score = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
-@dataclass(frozen=True)
-class Metric:
-    """A metric: one number for each image of a batch.
-
-    `score(image, half_a, half_b)` takes the image and the two independent halves of its reference,
-    all [n 3 h w] in linear radiance where 1.0 is display white, and returns [n]. Scores are finite
-    for any image; they are NaN only at a size for which the metric is undefined. The halves must be
-    finite. A `temporal` metric takes two frames of each, the previous and the current one,
-    [n 2 3 h w]; the first frame of a clip has no score.
-
-    >>> import torch
-    >>> mean_error = Metric(
-    ...     name="l1",
-    ...     unit="",
-    ...     direction="lower",
-    ...     convention="linear radiance, mean of absolute differences",
-    ...     score=lambda image, a, b: (image - (a + b) / 2).abs().mean((1, 2, 3)),
-    ... )
-    >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
-    >>> mean_error.score(black, white, white)
-    tensor([1.])
-    """
-
-    name: str
-    unit: str  # "dB", or empty for a plain number
-    direction: str  # "higher" or "lower" is better; empty for a signed error, best at zero
-    convention: str  # what is needed to reproduce the number: colour space, peak, window
-    score: Score
-    fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
-    needs_reference_halves: bool = False  # undefined unless the halves are independent
-    temporal: bool = False  # compares the change from the previous frame
-    requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
-
-    def at(self, height: int, width: int) -> Metric:
-        """The metric to use at an image size: this one, or its substitute for small images.
-
-        A substitute has a different name, because its numbers are not comparable.
-
-        >>> MS_SSIM.at(1080, 1920).name, MS_SSIM.at(96, 128).name
-        ('ms_ssim', 'ms_ssim_4')
-        """
-        return self.fit(height, width) if self.fit else self
-
-
-def _psnr(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _psnr(frame: Comparison) -> Tensor:
     from metrics.image import psnr
 
-    return psnr(image, (half_a + half_b) / 2)
+    return psnr(frame.image, frame.reference)
 
 
-def _tpsnr(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _tpsnr(frame: Comparison) -> Tensor:
+    import torch
+
     from metrics.image import tpsnr
 
-    return tpsnr(image, (half_a + half_b) / 2)
+    pair: tuple[Any, ...] = (frame.previous, frame)
+    return tpsnr(
+        torch.stack([each.image for each in pair], 1),
+        torch.stack([each.reference for each in pair], 1),
+    )
 
 
-def _relmse(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _relmse(frame: Comparison) -> Tensor:
     from metrics.image import relmse
 
-    return relmse(image, (half_a + half_b) / 2)
+    return relmse(frame.image, frame.reference)
 
 
-def _mse_debiased(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _mse_debiased(frame: Comparison) -> Tensor:
     from metrics.image import mse_debiased
 
-    return mse_debiased(image, half_a, half_b)
+    return mse_debiased(frame.image, frame.half_a, frame.half_b)
 
 
-def _bias(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _bias(frame: Comparison) -> Tensor:
     from metrics.image import bias
 
-    return bias(image, (half_a + half_b) / 2)
+    return bias(frame.image, frame.reference)
 
 
-def _nonfinite(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _nonfinite(frame: Comparison) -> Tensor:
     from metrics.image import nonfinite
 
-    return nonfinite(image)
+    return nonfinite(frame.image)
 
 
-def _ms_ssim(image: Tensor, half_a: Tensor, half_b: Tensor, scales: int) -> Tensor:
+def _ms_ssim(frame: Comparison, scales: int) -> Tensor:
     from metrics.image import ms_ssim
 
-    return ms_ssim(image, (half_a + half_b) / 2, scales)
+    return ms_ssim(frame.image, frame.reference, scales)
 
 
-def _undefined(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
-    return image.new_full(image.shape[:1], math.nan)
+def _undefined(frame: Comparison) -> Tensor:
+    return frame.image.new_full(frame.image.shape[:1], math.nan)
 
 
 def _ms_ssim_at(height: int, width: int) -> Metric:

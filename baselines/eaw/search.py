@@ -32,13 +32,14 @@ def search(clips: Sequence[StoredClip], grid: Sequence[Config] = GRID) -> dict[C
 
 
 def _mean_psnr(method: Eaw, clips: Sequence[InMemoryClip]) -> float:
-    psnr = registry.load_plugin("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr")
     scores = []
     for spp in BUDGETS:
         for clip in clips:
             for result in run_clip(method, clip, spp):
-                reference = result.frame.reference
-                scores.append(float(psnr(result.image, reference.half_a, reference.half_b)))
+                truth = result.frame.reference
+                compared = psnr.compare(result.image, truth.half_a, truth.half_b)
+                scores.append(float(psnr.score(compared)))
     return sum(scores) / len(scores)
 
 

@@ -116,13 +116,14 @@ class CellIds:
 
     @cached_property
     def _metrics(self) -> str:
-        """Names of the metrics, hash of their code and of `SCORING`, versions of their packages."""
+        """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
+        metrics = registry.load_run_metrics()
         entries = registry.list_entries("metrics")
-        modules = [code_hash.import_closure(e.target.partition(":")[0]) for e in entries.values()]
-        hashed = code_hash.code_hash(set().union(*modules), core=SCORING)
-        metrics = registry.load_metrics().values()
-        packages = sorted({name for metric in metrics for name in getattr(metric, "requires", ())})
-        return f"{list(entries)} {hashed} {provenance.package_versions(packages)}"
+        targets = [entries[name].target.partition(":")[0] for name in metrics]
+        modules = set().union(*map(code_hash.import_closure, targets))
+        hashed = code_hash.code_hash(modules, core=SCORING)
+        packages = sorted({name for metric in metrics.values() for name in metric.requires})
+        return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
 
     def _charged(self, cell: ResolvedCell) -> tuple[object, ...]:
         """What the cost of a sample depends on, beyond the profile.

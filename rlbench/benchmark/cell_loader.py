@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rlbench import registry
 from rlbench.backends import use_backend
@@ -42,9 +42,15 @@ class CellLoader:
             raise method
         return method
 
-    def clip(self, cell: ResolvedCell) -> Clip:
-        """The cell's clip, with the frames of the plan and the data that the method can use."""
-        clip = cell.clip.open(cell.traits, cell.target_spp, cell.seed, self.plan.device)
+    def clip(self, cell: ResolvedCell, scored_buffers: frozenset[str] = frozenset()) -> Clip:
+        """The cell's clip, with the frames of the plan and the data that the method can use.
+
+        `scored_buffers` are read too, where the clip has them: for metrics, as a method receives
+        only the buffers that it declares.
+        """
+        inputs = cell.traits.inputs | (scored_buffers & set(cell.header.buffers))
+        traits = replace(cell.traits, inputs=inputs)
+        clip = cell.clip.open(traits, cell.target_spp, cell.seed, self.plan.device)
         return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
 
     def _build(self, resolved: ResolvedMethod) -> Method:

@@ -26,7 +26,7 @@ from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import refusal_row, row_template, score_frame
+from rlbench.benchmark.scoring import compare_frame, refusal_row, row_template, score_frame
 from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
@@ -184,7 +184,7 @@ class CellRunner:
     def __init__(self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds) -> None:
         """Load the metrics and prepare a row of each cell."""
         self.plan = plan
-        self.metrics = list(registry.load_metrics().values())
+        self.metrics = list(registry.load_run_metrics().values())
         self.loader = CellLoader(plan)
         profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
         self.timings = TimingCache(self.loader, profile)
@@ -238,13 +238,14 @@ class CellRunner:
         return refusal_row(self.templates[cell.key], f"{type(error).__name__}: {error}")
 
     def _measure(self, cell: ResolvedCell, method: Method) -> list[Row]:
-        clip = self.loader.clip(cell)
+        needs = frozenset().union(*(metric.needs for metric in self.metrics))
+        clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, previous = self._remarks(cell), [], None
+        remarks, rows, compared = self._remarks(cell), [], None
         for result in run_clip(method, clip, cell.target_spp):
-            scored = score_frame(template, self.metrics, result, previous, cell.header)
+            compared = compare_frame(self.metrics[0].compare, result, compared)
+            scored = score_frame(template, self.metrics, compared, result, cell.header)
             rows += [replace(row, note=row.note or remarks) for row in scored]
-            previous = result
         return rows + self._time_rows(cell, template, rows)
 
     def _with_new_times(

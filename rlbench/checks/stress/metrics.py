@@ -54,19 +54,18 @@ class StressedMetric:
     """A metric with its score of an equal image and of a slightly noisy one."""
 
     name: str
-    metric: Any  # as metrics.catalog.Metric
+    metric: Any  # as metrics.metric.Metric
     equal: float = field(default=math.nan)
     noisy: float = field(default=math.nan)
 
     def score(self, broken: Broken, size: tuple[int, int] = SIZE) -> float:
-        """The score of a broken copy of the reference; of both frames, if it is temporal."""
-        references = _references(*size)
-        if self.metric.temporal:
-            image = torch.stack([broken(reference) for reference in references], 1)
-            reference = torch.stack(references, 1)
-        else:
-            image, reference = broken(references[1]), references[1]
-        scores = self.metric.at(*size).score(image, reference, reference)
+        """The score of a broken copy of the reference; in a clip of two frames."""
+        compared = None
+        for reference in _references(*size):
+            compared = self.metric.compare(
+                broken(reference), reference, reference, static=True, previous=compared
+            )
+        scores = self.metric.at(*size).score(compared)
         if tuple(scores.shape) != (1,):
             raise ValueError(f"the score of one image has shape {list(scores.shape)}, not [1]")
         return float(scores[0])
