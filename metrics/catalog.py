@@ -21,15 +21,10 @@ def _psnr(frame: Comparison) -> Tensor:
 
 
 def _tpsnr(frame: Comparison) -> Tensor:
-    import torch
+    from metrics.temporal import tpsnr
 
-    from metrics.image import tpsnr
-
-    pair: tuple[Any, ...] = (frame.previous, frame)
-    return tpsnr(
-        torch.stack([each.image for each in pair], 1),
-        torch.stack([each.reference for each in pair], 1),
-    )
+    previous: Any = frame.previous
+    return tpsnr(frame.display_error, previous.display_error)
 
 
 def _relmse(frame: Comparison) -> Tensor:
@@ -94,7 +89,7 @@ TPSNR = Metric(
     "higher",
     "of the change from frame to frame, not moved; peak 1, clipped sRGB, at most 100 dB",
     _tpsnr,
-    temporal=True,
+    previous_frames=1,
 )
 MS_SSIM = Metric(
     "ms_ssim",

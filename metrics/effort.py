@@ -10,58 +10,51 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from metrics.display import encode_display
-from metrics.image import nonfinite_mask
-
 __all__ = ["at_cap", "effort_error", "effort_noise", "rank_correlation"]
 
 NOISE_WINDOW = 7  # pixels: side of the square over which the noise of the halves is averaged
 
 
 def effort_error(
-    counts: Int[Tensor, "n 1 h w"],
-    image: Float[Tensor, "n 3 h w"],
-    reference: Float[Tensor, "n 3 h w"],
+    counts: Int[Tensor, "n 1 h w"], error: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, " n"]:
     """Rank correlation of sample counts with the error that is left, in [-1, 1].
 
-    Spearman's, of the counts and the squared error of clipped sRGB, mean over channels, of each
-    pixel of the method's own image. Well above 0: where most samples went, most error is left. At 0
-    the error that is left does not depend on the effort. Neither end is best: an image by equal
-    counts scores 0 whatever its error, so read it beside `effort_noise` and PSNR. A pixel that is
-    not finite has the largest error, 1.
+    Spearman's, of the counts and the squared display error (`Comparison.display_error`), mean over
+    channels, of each pixel of the method's own image. Well above 0: most error is left where most
+    samples went, so these pixels still had too few. Near 0: effort has evened the error out, or
+    ignored it; `effort_noise` tells which. Equal counts score 0. A pixel that is not finite has the
+    largest error, 1.
 
-    >>> reference = torch.zeros(1, 3, 2, 2)
-    >>> image = torch.tensor([0.0, 0.1, 0.2, 0.3]).view(1, 1, 2, 2).expand(1, 3, 2, 2)
-    >>> effort_error(torch.tensor([[[[1, 2], [4, 8]]]]), image, reference)
+    >>> error = torch.tensor([0.0, -0.1, 0.2, 0.3]).view(1, 1, 2, 2).expand(1, 3, 2, 2)
+    >>> effort_error(torch.tensor([[[[1, 2], [4, 8]]]]), error)
     tensor([1.])
     """
-    error = (encode_display(image) - encode_display(reference)).square()
-    error = error.masked_fill(nonfinite_mask(image), 1.0)
-    return rank_correlation(counts, error.mean(1, keepdim=True))
+    squares = error.square().nan_to_num(nan=1.0)
+    return rank_correlation(counts, squares.mean(1, keepdim=True))
 
 
 def effort_noise(
     counts: Int[Tensor, "n 1 h w"],
-    half_a: Float[Tensor, "n 3 h w"],
-    half_b: Float[Tensor, "n 3 h w"],
+    display_a: Float[Tensor, "n 3 h w"],
+    display_b: Float[Tensor, "n 3 h w"],
 ) -> Float[Tensor, " n"]:
     """Rank correlation of sample counts with the noise of the scene, in [-1, 1].
 
-    Spearman's. The noise of a pixel is the squared difference of the two reference halves in
+    Spearman's. The noise of a pixel is the squared difference of the two reference halves, both in
     clipped sRGB, mean over channels and over NOISE_WINDOW x NOISE_WINDOW pixels: both halves have
     equally many samples in every pixel, so it is proportional to the variance of one sample. It is
     the same for all methods, unlike the error of their images, and so shows what a method meant to
     do. Equal counts score 0. Differs from the variance itself by the noise of one pair of halves,
     which lowers the score of a perfect density below 1.
 
-    >>> half_a = torch.zeros(1, 3, 1, 64)
-    >>> half_b = torch.linspace(0, 1, 64).expand(1, 3, 1, 64)
+    >>> display_a = torch.zeros(1, 3, 1, 64)
+    >>> display_b = torch.linspace(0, 1, 64).expand(1, 3, 1, 64)
     >>> rising = torch.arange(64).view(1, 1, 1, 64) // 8
-    >>> effort_noise(rising, half_a, half_b) > 0.95
+    >>> effort_noise(rising, display_a, display_b) > 0.95
     tensor([True])
     """
-    noise = (encode_display(half_a) - encode_display(half_b)).square().mean(1, keepdim=True)
+    noise = (display_a - display_b).square().mean(1, keepdim=True)
     blurred = F.avg_pool2d(noise, NOISE_WINDOW, 1, NOISE_WINDOW // 2, count_include_pad=False)
     return rank_correlation(counts, blurred)
 
@@ -98,10 +91,11 @@ def rank_correlation(
 
 def _centred_ranks(values: Tensor) -> Tensor:
     """Ranks less their mean, in double precision; equal values share their mean rank."""
-    _, group, sizes = values.unique(return_inverse=True, return_counts=True)
+    _, group, sizes = torch.unique(values, return_inverse=True, return_counts=True)
     last = sizes.cumsum(0).double()
     ranks = (last - (sizes - 1) / 2)[group]
-    return ranks - ranks.mean()
+    centred: Tensor = ranks - ranks.mean()
+    return centred
 
 
 def _correlate(a: Tensor, b: Tensor) -> Tensor:

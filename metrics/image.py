@@ -24,7 +24,6 @@ __all__ = [
     "nonfinite_mask",
     "psnr",
     "relmse",
-    "tpsnr",
 ]
 
 CAP_DB = 100.0  # PSNR of equal images; rounding to 8 bits alone gives 58.9 dB
@@ -51,32 +50,6 @@ def psnr(
     """
     error = (encode_display(image) - encode_display(reference)).square()
     error = error.masked_fill(nonfinite_mask(image), 1.0)
-    mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
-    return (-10 * mse.log10()).float()
-
-
-def tpsnr(
-    frames: Float[Tensor, "n 2 3 h w"], references: Float[Tensor, "n 2 3 h w"]
-) -> Float[Tensor, " n"]:
-    """Temporal PSNR in dB, in [-6, 100]: PSNR of the change between two frames; higher is better.
-
-    -10 log10 of the mean squared difference between the image's change and the reference's change,
-    both in clipped sRGB, peak 1. A flickering image scores low; an error that stays the same in
-    both frames does not count, as in the temporal loss of Chaitanya et al. 2017. A pixel that is
-    not finite in either frame has the largest error, 2 in every channel.
-
-    Frames are not reprojected by motion vectors, and the noise of the reference counts twice.
-    Temporal blur lowers the PSNR of the frames, not this score.
-
-    >>> references = torch.zeros(1, 2, 3, 8, 8)
-    >>> brighter = references + 0.214041  # wrong, but without flicker
-    >>> tpsnr(brighter, references), psnr(brighter[:, 1], references[:, 1])
-    (tensor([100.]), tensor([6.0206]))
-    """
-    change = encode_display(frames[:, 1]) - encode_display(frames[:, 0])
-    reference_change = encode_display(references[:, 1]) - encode_display(references[:, 0])
-    error = (change - reference_change).square()
-    error = error.masked_fill(nonfinite_mask(frames[:, 0]) | nonfinite_mask(frames[:, 1]), 4.0)
     mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
     return (-10 * mse.log10()).float()
 

@@ -1,7 +1,8 @@
 """Errors that change from frame to frame: what a viewer sees as flicker, boiling and ghosts.
 
-A display error is image minus reference in clipped sRGB, NaN in pixels that are not finite (see
-`display_error`). A surface that keeps its error looks steady; these metrics measure the rest.
+A display error is image minus reference in clipped sRGB, NaN in pixels that are not finite
+(`Comparison.display_error`). A surface that keeps its error looks steady; these metrics measure the
+rest.
 """
 
 from __future__ import annotations
@@ -14,13 +15,11 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from metrics.display import encode_display
-from metrics.image import CAP_DB, nonfinite_mask
+from metrics.image import CAP_DB
 
 __all__ = [
     "ErrorChange",
     "change_of_error",
-    "display_error",
     "flicker",
     "tpsnr",
     "warp",
@@ -40,14 +39,6 @@ class ErrorChange(NamedTuple):
     is_inside: Bool[Tensor, "n 1 h w"]  # the pixel's motion leads into the previous image
 
 
-def display_error(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
-) -> Float[Tensor, "n 3 h w"]:
-    """Image minus reference in clipped sRGB, in [-1, 1]; NaN in pixels that are not finite."""
-    error = encode_display(image) - encode_display(reference)
-    return error.masked_fill(nonfinite_mask(image), math.nan)
-
-
 def tpsnr(
     error: Float[Tensor, "n 3 h w"], previous_error: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, " n"]:
@@ -62,9 +53,8 @@ def tpsnr(
     Frames are not reprojected by motion vectors, as those of `warped_error` are, and the noise of
     the reference counts twice. Temporal blur lowers the PSNR of the frames, not this score.
 
-    >>> black = torch.zeros(1, 3, 8, 8)
-    >>> grey = black + 0.214041  # 0.5 in sRGB
-    >>> wrong, right = display_error(grey, black), display_error(black, black)
+    >>> right = torch.zeros(1, 3, 8, 8)
+    >>> wrong = right + 0.5
     >>> tpsnr(wrong, wrong), tpsnr(wrong, right)  # without flicker, and with it
     (tensor([100.]), tensor([6.0206]))
     """
@@ -119,12 +109,12 @@ def flicker(
 ) -> Float[Tensor, " n"]:
     """Flicker in percent of the display's range, in [0, 163]; lower is better.
 
-    The part of the display error that changes back and forth: with e the errors of one surface in
-    three successive frames, the root mean square of e0 - 2 e1 + e2 over pixels and channels, divided
-    by sqrt(6). This filter has no gain at a constant error or a steady drift and its largest gain
-    at half the frame rate, so a ghost that fades evenly is no flicker, unlike in `warped_error`.
-    Errors that are independent from frame to frame score their own standard deviation. The filter
-    is the second difference in time; the scale is ours.
+    The part of the display error that changes back and forth: with e0, e1, e2 the errors of one
+    surface in three successive frames, the root mean square of e0 - 2 e1 + e2 over pixels and
+    channels, divided by sqrt(6). This filter has no gain at a constant error or a steady drift, and
+    its largest at half the frame rate: a ghost that fades evenly is no flicker, though it is warped
+    error. Errors that are independent from frame to frame score their own standard deviation. The
+    filter is the second difference in time; definition and scale are ours.
 
     `step` and `previous_step` are the changes of the last two frames, `motion` is that of the last.
     Pixels whose motion leaves the image in either are left out; NaN if that is all. A pixel that is

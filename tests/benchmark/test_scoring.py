@@ -50,7 +50,7 @@ def test_a_score_has_the_samples_of_its_frame(frames, clip_folder):
 
 
 def test_a_temporal_metric_has_no_score_of_the_first_frame(frames, clip_folder):
-    metric, header = replace(BRIGHT, temporal=True), read_header(clip_folder)
+    metric, header = replace(BRIGHT, previous_frames=1), read_header(clip_folder)
     assert score(metric, frames[0], header) == []
     assert len(score(metric, frames[1], header, frames[0])) == 1
 

@@ -20,7 +20,6 @@ from metrics.image import (
     nonfinite,
     psnr,
     relmse,
-    tpsnr,
 )
 
 NONFINITE = (math.nan, math.inf, -math.inf)
@@ -70,35 +69,6 @@ def test_psnr_equals_scikit_image(size):
     ]
     # float32 display values against float64, about 1e-6 of the error
     assert psnr(image, reference).tolist() == pytest.approx(expected, abs=1e-4)
-
-
-def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
-    images, truths = (
-        torch.rand(2, 2, 3, 20, 24, generator=torch.Generator().manual_seed(i)) * 1.5
-        for i in (0, 1)
-    )
-    for n, score in enumerate(tpsnr(images, truths)):
-        changes = [
-            np.diff(encode_display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)
-        ]
-        expected = peak_signal_noise_ratio(*changes, data_range=1)
-        assert float(score) == pytest.approx(expected, abs=1e-4)  # float32
-
-
-def test_an_error_constant_over_time_does_not_lower_tpsnr():
-    truth = 0.2 + 0.3 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    constant = 0.5 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
-    frames = torch.cat((constant, constant), 1)
-    assert tpsnr(frames, truth.expand_as(frames)).item() == CAP_DB
-    assert psnr(frames[:, 0], truth[:, 0]).item() < 20
-
-
-@pytest.mark.parametrize("frame", [0, 1])
-def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
-    frames = torch.full((1, 2, 3, 4, 5), 0.5)
-    frames[0, frame, 1, 2, 3] = torch.nan
-    score = tpsnr(frames, torch.full_like(frames, 0.5)).item()
-    assert score == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
 
 
 def test_psnr_of_equal_images_is_the_cap():
