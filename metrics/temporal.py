@@ -29,7 +29,7 @@ __all__ = [
 WORST_CHANGE = 2.0  # of a display error, in [-1, 1], from one frame to the next
 WORST_SECOND_CHANGE = 4.0  # between two such changes
 FLICKER_GAIN = math.sqrt(6)  # of the taps 1, -2, 1 on white noise
-MIN_WEIGHT = 0.01  # of a bilinear tap that counts as read; smaller ones are rounding
+MIN_WEIGHT = 1e-3  # of a bilinear tap that counts as read; smaller ones are rounding
 
 
 class ErrorChange(NamedTuple):

@@ -13,7 +13,7 @@ from metrics.catalog_video import FLICKER, WARPED_ERROR
 from metrics.display import encode_display
 from metrics.image import CAP_DB
 from metrics.metric import Comparison
-from metrics.temporal import change_of_error, flicker, tpsnr, warp, warped_error
+from metrics.temporal import MIN_WEIGHT, change_of_error, flicker, tpsnr, warp, warped_error
 from rlbench.ops.reprojection import reproject
 
 SIZE = (1, 3, 9, 12)
@@ -60,18 +60,17 @@ def percent(changes):
 
 
 def flicker_by_loops(errors, motions):
-    """Flicker of three frames of errors, oldest first, whose changes are interpolated by hand."""
+    """Flicker of three frames of errors, oldest first; pixels that read no change are out."""
     older = changes_by_loops(errors[1], errors[0], motions[0])
     newer = changes_by_loops(errors[2], errors[1], motions[1])
-    image = torch.full(errors[0].shape[1:], math.nan)
+    image, unknown = torch.zeros(errors[0].shape[1:]), torch.ones(1, *errors[0].shape[2:])
     for (row, column), change in older.items():
-        image[:, row, column] = change
+        image[:, row, column], unknown[:, row, column] = change, 0.0
     seconds = []
     for (row, column), change in newer.items():
         dx, dy = motions[1][0, :, row, column].tolist()
-        before = bilinear(image, column + dx, row + dy)
-        if not before.isnan().any():
-            seconds.append(change - before)
+        if bilinear(unknown, column + dx, row + dy) <= MIN_WEIGHT:
+            seconds.append(change - bilinear(image, column + dx, row + dy))
     return percent(seconds) / math.sqrt(6)
 
 
