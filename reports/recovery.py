@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,7 @@ def write(
 def summarize(recoveries: pd.DataFrame, seed: int, draws: int) -> pd.DataFrame:
     """Mean over scenes of frames and loss, with interval, by method, budget and kind of event.
 
+    Frames are never negative, and so are the intervals of their means.
     Columns method, target_spp, event, column (frames or loss), mean, low, high, events, bounds.
     """
     records = []
@@ -76,10 +78,15 @@ def summarize(recoveries: pd.DataFrame, seed: int, draws: int) -> pd.DataFrame:
         for column in TITLES:
             values = group[["scene", "clip"]].assign(value=group[column].astype(float))
             interval = mean_with_interval(values, seed, draws)
+            lowest = 0.0 if column == "frames" else -math.inf
             records.append(
                 {
                     **{"event": event, "method": method, "target_spp": spp, "column": column},
-                    **{"mean": interval.mean, "low": interval.low, "high": interval.high},
+                    **{
+                        "mean": interval.mean,
+                        "low": max(interval.low, lowest),
+                        "high": interval.high,
+                    },
                     **{"events": len(group), "bounds": int(group["is_bound"].sum())},
                 }
             )
@@ -92,7 +99,7 @@ def _tables(summary: pd.DataFrame) -> list[Table]:
         header, rows = pivot_by_budget(records, _format)
         what = EVENTS.get(str(event), str(event))
         caption = (
-            f"Mean over scenes of {records['events'].max()} events; brackets: {INTERVAL_NOTE}. The "
+            f"Mean over scenes, {_count(int(records['events'].max()))}; brackets: {INTERVAL_NOTE}. The "
             "level is the method's own mean PSNR over the last quarter of the frames before the "
             f"next event or the end, at least {LEVEL_FRAMES}; a method has recovered in the first "
             f"frame that is at most {TOLERANCE_DB:g} dB below it. After `>=` some clips ended "
@@ -105,9 +112,12 @@ def _tables(summary: pd.DataFrame) -> list[Table]:
 
 def _format(record: Mapping[Hashable, Any]) -> str:
     bound = ">= " * (record["column"] == "frames" and record["bounds"] > 0)
-    text = f"{bound}{record['mean']:.1f}"
-    is_known = record["low"] == record["low"]
-    return f"{text} [{record['low']:.1f}, {record['high']:.1f}]" if is_known else text
+    mean, low, high = (round(record[name], 1) + 0.0 for name in ("mean", "low", "high"))  # no -0.0
+    return f"{bound}{mean:.1f}" if high != high else f"{bound}{mean:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _count(events: int) -> str:
+    return f"{events} event{'s' * (events != 1)}"
 
 
 def _left_out(scores: Scores) -> list[str]:

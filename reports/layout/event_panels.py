@@ -21,7 +21,7 @@ __all__ = ["MAX_PANELS", "draw_event_panels"]
 MAX_PANELS = 6
 COLUMNS = 2
 WIDTH, PANEL = 13.0, 3.5  # inches: of the figure, height of a row of panels
-WINDOW_DB = 12.0  # below the best score, that a panel shows
+WINDOW_DB = 12.0  # methods that are always further below the best score are below the axis
 LEGEND_COLUMNS = 5
 CAPTION_LETTERS = 160  # in a line
 
@@ -71,7 +71,8 @@ def _draw_panel(
             marker=line.marker, ms=4.5, mfc=line.face, mec=line.color, label=method,
         )  # fmt: skip
     high = float(curves["value"].max())
-    low = max(float(curves["value"].min()), high - WINDOW_DB)
+    best = curves.groupby("method")["value"].transform("max")
+    low = float(curves.loc[best > high - WINDOW_DB, "value"].min())  # shows how deep a curve falls
     margin = 0.06 * max(high - low, 1.0)
     axes.set_ylim(low - margin, high + 2.5 * margin)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
