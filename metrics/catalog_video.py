@@ -56,6 +56,7 @@ WARPED_ERROR = Metric(
     _warped_error,
     previous_frames=1,
     needs=("motion",),
+    source="Lai et al. 2018, relative to the reference's own change",
 )
 FLICKER = Metric(
     "flicker",
@@ -66,6 +67,7 @@ FLICKER = Metric(
     _flicker,
     previous_frames=2,
     needs=("motion",),
+    source="second difference in time; definition ours",
 )
 EFFORT_ERROR = Metric(
     "effort_error",
@@ -75,6 +77,7 @@ EFFORT_ERROR = Metric(
     "counts",
     _effort_error,
     needs=("counts",),
+    source="Spearman 1904",
 )
 EFFORT_NOISE = Metric(
     "effort_noise",
@@ -85,6 +88,7 @@ EFFORT_NOISE = Metric(
     _effort_noise,
     needs_reference_halves=True,
     needs=("counts",),
+    source="Spearman 1904",
 )
 AT_CAP = Metric(
     "at_cap",
@@ -93,4 +97,5 @@ AT_CAP = Metric(
     "pixels with as many samples as the clip has, or as the method allows",
     _at_cap,
     needs=("counts", "max_samples"),
+    source="Scardigli et al. 2023",
 )

@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from metrics.image import CAP_DB
+from metrics.psnr import decibels
 
 __all__ = [
     "ErrorChange",
@@ -59,8 +59,7 @@ def tpsnr(
     (tensor([100.]), tensor([6.0206]))
     """
     change = (error - previous_error).square().nan_to_num(nan=WORST_CHANGE**2)
-    mse = change.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
-    return (-10 * mse.log10()).float()
+    return decibels(change.flatten(1).mean(1, dtype=torch.float64))
 
 
 def change_of_error(

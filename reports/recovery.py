@@ -98,8 +98,9 @@ def _tables(summary: pd.DataFrame) -> list[Table]:
     for (event, column), records in summary.groupby(["event", "column"], sort=False):
         header, rows = pivot_by_budget(records, _format)
         what = EVENTS.get(str(event), str(event))
+        count = int(records["events"].max())
         caption = (
-            f"Mean over scenes, {_count(int(records['events'].max()))}; brackets: {INTERVAL_NOTE}. The "
+            f"Mean over scenes, {count} event{'s' * (count != 1)}; brackets: {INTERVAL_NOTE}. The "
             "level is the method's own mean PSNR over the last quarter of the frames before the "
             f"next event or the end, at least {LEVEL_FRAMES}; a method has recovered in the first "
             f"frame that is at most {TOLERANCE_DB:g} dB below it. After `>=` some clips ended "
@@ -114,10 +115,6 @@ def _format(record: Mapping[Hashable, Any]) -> str:
     bound = ">= " * (record["column"] == "frames" and record["bounds"] > 0)
     mean, low, high = (round(record[name], 1) + 0.0 for name in ("mean", "low", "high"))  # no -0.0
     return f"{bound}{mean:.1f}" if high != high else f"{bound}{mean:.1f} [{low:.1f}, {high:.1f}]"
-
-
-def _count(events: int) -> str:
-    return f"{events} event{'s' * (events != 1)}"
 
 
 def _left_out(scores: Scores) -> list[str]:

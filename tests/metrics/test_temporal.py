@@ -11,8 +11,8 @@ from skimage.metrics import peak_signal_noise_ratio
 from metrics.catalog import TPSNR
 from metrics.catalog_video import FLICKER, WARPED_ERROR
 from metrics.display import encode_display
-from metrics.image import CAP_DB
 from metrics.metric import Comparison
+from metrics.psnr import CAP_DB
 from metrics.temporal import MIN_WEIGHT, change_of_error, flicker, tpsnr, warp, warped_error
 from rlbench.ops.reprojection import reproject
 
