@@ -63,9 +63,16 @@ def test_every_frame_has_a_row_of_every_metric(tmp_path):
     assert {(f, m) for f, m in scored if f >= 0} == {
         (frame, metric)
         for frame in range(3)
-        for metric in registry.list_plugins("metrics")
-        if frame >= registry.load_plugin("metrics", metric).previous_frames
+        for metric, scorer in registry.load_run_metrics().items()
+        if frame >= scorer.previous_frames
     }
+
+
+def test_the_cap_is_that_of_the_clip_and_not_what_a_uniform_method_reads(clip_folder, tmp_path):
+    measure(run_plan(clip_folder, target_spp=(4.0, 8.0)), tmp_path / "r")  # of 8 stored samples
+    rows = table.read(tmp_path / "r")
+    shares = rows[rows["metric"] == "at_cap"].groupby("target_spp")["value"].mean()
+    assert shares.to_dict() == {4.0: 0.0, 8.0: 100.0}
 
 
 def test_psnr_of_the_mean_is_that_of_numpy(clip_folder, tmp_path):
