@@ -18,6 +18,7 @@ from rlbench.benchmark.cell_key import CellId, CellKey
 from rlbench.benchmark.row import (
     CLOCK_PREFIX,
     COLUMNS,
+    EVENT_PREFIX,
     TWO_DEVICES,
     UNRELIABLE,
     Row,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CLOCK_PREFIX",
     "COLUMNS",
+    "EVENT_PREFIX",
     "HELD_OUT_PREFIX",
     "TWO_DEVICES",
     "UNRELIABLE",

@@ -23,6 +23,7 @@ from rlbench.benchmark import cost, latency, results
 from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_key import CellsError, by_slot, check_no_overwrite, superseded_cells
 from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.clip_sources import samples_at_cap
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
@@ -242,8 +243,9 @@ class CellRunner:
         clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
         remarks, rows, compared = self._remarks(cell), [], None
+        max_samples = samples_at_cap(cell.traits, cell.header.pool_spp)
         for result in run_clip(method, clip, cell.target_spp):
-            compared = compare_frame(self.metrics[0].compare, result, compared)
+            compared = compare_frame(self.metrics[0].compare, result, compared, max_samples)
             scored = score_frame(template, self.metrics, compared, result, cell.header)
             rows += [replace(row, note=row.note or remarks) for row in scored]
         return rows + self._time_rows(cell, template, rows)

@@ -94,6 +94,8 @@ class Header:
         static: neither camera nor objects move; such a clip has no motion buffer.
         cuts: frames that begin a new shot, from 1 to `frames - 1`; all their motion points outside
             the image.
+        light_changes: frames from which on the lights differ from those of the frame before, from 1
+            to `frames - 1`.
         licence: licence of the images.
         sample_ms: time of one 1-spp trace of a full frame, milliseconds; nan for unknown.
         pools_ms: the same for each of `pools`; empty for a clip with one pool.
@@ -128,6 +130,7 @@ class Header:
     limitations: tuple[str, ...] = ()
     static: bool = False
     cuts: tuple[int, ...] = ()
+    light_changes: tuple[int, ...] = ()
     licence: str = ""
     sample_ms: float = math.nan
     pools_ms: tuple[float, ...] = ()
@@ -148,7 +151,7 @@ class Header:
             raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
         self._check_words("buffers", BUFFER_CHANNELS)
         self._check_words("limitations", LIMITATIONS)
-        self._check_cuts()
+        self._check_events()
 
     def _check_lengths(self) -> None:
         expected = {
@@ -169,11 +172,16 @@ class Header:
                 f"format version {VERSION} has: {', '.join(vocabulary)}"
             )
 
-    def _check_cuts(self) -> None:
+    def _check_events(self) -> None:
         if self.cuts and (self.static or not set(self.cuts) <= set(range(1, self.frames))):
             raise ClipError(
                 f"clip '{self.name}': cuts are {list(self.cuts)}; expected frames from 1 to "
                 f"{self.frames - 1}, and none in a static clip"
+            )
+        if not set(self.light_changes) <= set(range(1, self.frames)):
+            raise ClipError(
+                f"clip '{self.name}': light_changes are {list(self.light_changes)}; expected "
+                f"frames from 1 to {self.frames - 1}"
             )
 
     def sample_ms_of(self, pool: str) -> float:
