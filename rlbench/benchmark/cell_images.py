@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float16
@@ -49,8 +50,7 @@ class KeptImagesError(RlbenchError, ValueError):
     """Kept images that are missing, damaged, or written by a newer version."""
 
 
-@dataclass(frozen=True)
-class KeptFrame:
+class KeptFrame(NamedTuple):
     """One frame in half floats: relative rounding of at most 2^-11."""
 
     image: Float16[Array, "3 h w"]  # linear radiance; NaN and infinite values stay
@@ -112,7 +112,7 @@ class KeptImages:
                 f"{file} cannot be read: {error}. Delete {self.folder} and repeat `rlbench run "
                 "--keep-images`, which makes the images again"
             ) from error
-        return KeptFrame(np.stack(planes[:3]), planes[3])
+        return KeptFrame(np.stack(planes[:3]), planes[3].copy())
 
 
 def images_folder(results: Path, cell: CellId) -> Path:
