@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from functools import cached_property
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-__all__ = ["Comparison", "Metric"]
+if TYPE_CHECKING:
+    from metrics.conventions import Convention
+
+__all__ = ["Comparison", "Metric", "Shown"]
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
+
+
+class Shown(NamedTuple):
+    """An image and its reference as a convention shows them, [n 3 h w] in [0, 1]."""
+
+    image: Tensor
+    reference: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +34,8 @@ class Comparison:
     >>> import torch
     >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
     >>> first = Comparison(black, black, white)
-    >>> float(first.reference.mean()), float(first.display_reference.mean().round(decimals=4))
-    (0.5, 0.7354)
+    >>> first.reference.mean(), first.display_reference.mean()
+    (tensor(0.5000), tensor(0.7354))
     >>> second = Comparison(black, black, white, previous=first)
     >>> third = Comparison(black, black, white, previous=second)
     >>> third.previous.previous is None
@@ -39,34 +50,45 @@ class Comparison:
     static: bool = False  # nothing moves from the previous frame to this one
     previous: Comparison | None = field(default=None, repr=False)
 
+    _shown: dict[str, Shown] = field(default_factory=dict, init=False, repr=False)
+
     def __post_init__(self) -> None:
         """Keep of the previous frame what it computed, but not the frame before it."""
         if self.previous is not None and self.previous.previous is not None:
-            object.__setattr__(self, "previous", self.previous._without_previous())
+            before = copy.copy(self.previous)  # with the same cached images
+            object.__setattr__(before, "previous", None)
+            object.__setattr__(self, "previous", before)
 
     @cached_property
     def reference(self) -> Tensor:
         """The mean of both halves, [n 3 h w] in linear radiance."""
         return (self.half_a + self.half_b) / 2
 
-    @cached_property
+    @property
+    def display_image(self) -> Tensor:
+        """The image in clipped sRGB, [n 3 h w] in [0, 1], without a NaN (see `shown`)."""
+        return self.shown().image
+
+    @property
     def display_reference(self) -> Tensor:
         """The reference in clipped sRGB, [n 3 h w] in [0, 1]."""
-        from metrics.display import encode_display
+        return self.shown().reference
 
-        return encode_display(self.reference)
-
-    @cached_property
-    def display_image(self) -> Tensor:
-        """The image in clipped sRGB, [n 3 h w] in [0, 1], without a NaN.
+    def shown(self, convention: Convention | None = None) -> Shown:
+        """Image and reference under a convention of `metrics.conventions`, by default clipped sRGB.
 
         A pixel that is not finite has the largest error that a display can show: in each channel
         0 or 1, whichever is further from the reference.
         """
-        from metrics.display import encode_display
+        from metrics.conventions import SRGB
 
-        worst = (self.display_reference < 0.5).to(self.display_reference.dtype)
-        return encode_display(self.image).where(~self.nonfinite_mask, worst)
+        convention = convention or SRGB
+        if convention.name not in self._shown:
+            reference = convention.encode(self.reference)
+            worst = (reference < 0.5).to(reference.dtype)
+            image = convention.encode(self.image).where(~self.nonfinite_mask, worst)
+            self._shown[convention.name] = Shown(image, reference)
+        return self._shown[convention.name]
 
     @cached_property
     def nonfinite_mask(self) -> Tensor:
@@ -77,14 +99,8 @@ class Comparison:
         """True if `counts` or `motion` is known; that of a static frame is known to be 0."""
         return getattr(self, name) is not None or (name == "motion" and self.static)
 
-    def _without_previous(self) -> Comparison:
-        given = {each.name: getattr(self, each.name) for each in fields(self)} | {"previous": None}
-        frame = Comparison(**given)
-        frame.__dict__.update({k: v for k, v in self.__dict__.items() if k not in given})
-        return frame
 
-
-Score = Callable[[Comparison], Tensor]
+Score = Callable[..., Tensor]  # of a Comparison; of a convention too, with `takes_convention`
 ClipScore = Callable[[list[Comparison]], float]
 
 
@@ -122,6 +138,8 @@ class Metric:
     scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
     whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
     needs: tuple[str, ...] = ()  # of "counts" and "motion": no score of a frame that lacks one
+    takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
+    source: str = ""  # author and year of the definition
 
     compare: ClassVar[type[Comparison]] = Comparison  # what the benchmark hands to `score`
 
@@ -143,3 +161,33 @@ class Metric:
         ('ms_ssim', 'ms_ssim_4')
         """
         return self.fit(height, width) if self.fit else self
+
+    def under(self, name: str) -> Metric:
+        """This metric under a named convention, called `psnr@hable`; for `rlbench evaluate`.
+
+        >>> from metrics.catalog import MS_SSIM, PSNR
+        >>> PSNR.under("hable").name, MS_SSIM.under("linear").at(96, 128).name
+        ('psnr@hable', 'ms_ssim_4@linear')
+
+        Raises ValueError for an unknown convention, or a metric that is defined under one alone.
+        """
+        from metrics.conventions import convention_named
+
+        convention = convention_named(name)
+        if not self.takes_convention:
+            raise ValueError(
+                f"metric '{self.name}' has one convention ({self.convention}), so it has no score "
+                f"under '{name}'"
+            )
+        return replace(
+            self,
+            name=f"{self.name}@{name}",
+            convention=f"{convention.sentence}; else as {self.name}",
+            score=partial(self.score, convention=convention),  # type: ignore[call-arg]
+            fit=partial(_fit_under, self.fit, name) if self.fit else None,
+            scored_by_run=False,
+        )
+
+
+def _fit_under(fit: Callable[[int, int], Metric], name: str, height: int, width: int) -> Metric:
+    return fit(height, width).under(name)

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from metrics.image import psnr
+from metrics.catalog import PSNR
 from rlbench.clips.importers.sequence import SourceError
 from tests.clips.importers.sources import (
     DRIFT,
@@ -53,7 +53,8 @@ def test_psnr_is_that_of_the_png_values(clip):
     image = torch.from_numpy(pool(clip, 0)[0]).permute(2, 0, 1)[None]
     difference = (display(1, 0).astype(float) - display(1, 3)) / 255
     # samples are stored in half precision
-    assert psnr(image, reference).item() == pytest.approx(
+    frame = PSNR.compare(image, reference, reference)
+    assert PSNR.score(frame).item() == pytest.approx(
         -10 * np.log10((difference**2).mean()), abs=0.02
     )
 
