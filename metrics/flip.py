@@ -173,6 +173,7 @@ FLIP = Metric(
     direction="lower",
     convention=f"FLIP of clipped sRGB in float; {_VIEWING}",
     score=flip,
+    source="Andersson et al. 2020",
     requires=("flip-evaluator",),
     scored_by_run=False,
 )
@@ -183,6 +184,7 @@ HDR_FLIP = Metric(
     convention="HDR-FLIP of linear radiance, tone mapper ACES, exposures from the reference; "
     f"undefined for a black one; {_VIEWING}",
     score=hdr_flip,
+    source="Andersson et al. 2021",
     requires=("flip-evaluator",),
     scored_by_run=False,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from hashlib import sha256
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from rlbench.system import code_hash, provenance
 __all__ = ["EvaluatedMetric", "select_metrics"]
 
 SCORING = ("rlbench.benchmark.evaluation", "rlbench.benchmark.scoring")  # images to numbers
+OF_RUNS = "srgb"  # the convention in which a run scores
 
 
 class EvaluatedMetric(NamedTuple):
@@ -32,27 +33,36 @@ class EvaluatedMetric(NamedTuple):
 def select_metrics(names: Iterable[str], conventions: Iterable[str] = ()) -> list[EvaluatedMetric]:
     """The named metrics; those that take a convention, under each of `conventions`.
 
-    Without conventions each metric is as a run scores it. Raises PluginError for an unknown metric
-    and for one whose package is not installed, and OptionError for conventions that none takes.
+    Without conventions, and under srgb, each metric is as a run scores it. Raises PluginError for
+    an unknown metric and for one whose package is not installed, and OptionError for a convention
+    that is unknown or that none of the metrics takes.
     """
     loaded = {name: _load(name) for name in dict.fromkeys(names)}
     requested = list(dict.fromkeys(conventions))
-    taking = {name for name, metric in loaded.items() if getattr(metric, "takes_convention", False)}
-    if requested and not taking:
+    if requested and not any(metric.takes_convention for metric in loaded.values()):
         raise OptionError(
             f"--convention {','.join(requested)}: {', '.join(loaded)} takes no convention. Omit "
             "it, or add a metric such as psnr"
         )
-    selected = [
-        each
-        for name, metric in loaded.items()
-        for each in ([metric.under(c) for c in requested] if name in taking else []) or [metric]
-    ]
-    modules = {metric.name.partition("@")[0]: name for name, metric in loaded.items()}
     return [
-        EvaluatedMetric(metric, _content_hash(modules[metric.name.partition("@")[0]], metric))
-        for metric in selected
+        EvaluatedMetric(metric, _content_hash(name, metric))
+        for name, plain in loaded.items()
+        for metric in _variants(plain, requested)
     ]
+
+
+def _variants(metric: Any, conventions: Sequence[str]) -> list[Any]:
+    """The metric under each convention, if it takes one and there are any; else as it is."""
+    is_one = not conventions or not metric.takes_convention
+    return [metric] if is_one else [_under(metric, convention) for convention in conventions]
+
+
+def _under(metric: Any, convention: str) -> Any:
+    """The metric under a convention; under that of runs it has its plain name."""
+    try:
+        return metric if convention == OF_RUNS else metric.under(convention)
+    except ValueError as error:
+        raise OptionError(f"--convention {convention}: {error}") from error
 
 
 def _load(name: str) -> Any:
