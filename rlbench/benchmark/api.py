@@ -59,6 +59,7 @@ def run(
     backend: str = EAGER,
     limit_frames: int | None = None,
     retime: bool = False,
+    keep_images: bool = False,
     out: Path | str = RESULTS,
     executor: Executor = LOCAL,
     on_cell: CellCallback = lambda cell: None,
@@ -73,8 +74,9 @@ def run(
     "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
     where it is installed. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
-    `retime` measures the times of cells again whose scores are there, and no scores. `on_cell` is
-    called with each finished cell.
+    `retime` measures the times of cells again whose scores are there, and no scores. `keep_images`
+    keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
+    finished cell.
 
     A cell that an error stopped is one row with value nan, whose `note` is the error. It does not
     stop the other cells: a RunWarning names it, and cells with images that are not finite.
@@ -97,7 +99,7 @@ def run(
         backend=select_backend(backend, select_device(device)),
         limit_frames=limit_frames,
     )
-    summary = measure(plan, Path(out), on_cell, executor, retime=retime)
+    summary = measure(plan, Path(out), on_cell, executor, retime=retime, keep_images=keep_images)
     rows = read_cells(plan, Path(out))
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)

@@ -21,8 +21,10 @@ import torch
 from rlbench import registry
 from rlbench.benchmark import cost, latency, results
 from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.cell_key import CellsError, by_slot, check_no_overwrite, superseded_cells
+from rlbench.benchmark.cell_images import CellImages, KeptFrame
+from rlbench.benchmark.cell_key import CellsError, check_no_overwrite
 from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.cell_store import CellStore
 from rlbench.benchmark.clip_sources import samples_at_cap
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
@@ -30,6 +32,7 @@ from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.scoring import compare_frame, refusal_row, row_template, score_frame
 from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
+from rlbench.errors import OptionError
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
@@ -88,28 +91,36 @@ def measure(
     on_timing: TimingCallback = _ignore_timing,
     *,
     retime: bool = False,
+    keep_images: bool = False,
 ) -> RunSummary:
     """Measure every cell of `plan` that the results in `folder` do not have, and write its rows.
 
     A cell whose scores the results have is only timed where its times are out of date; with
     `retime`, all such cells are timed again, and no cell is scored. Scores stay as they are.
-    `on_cell` is called with each finished cell, `on_timing` with the number of timed rows.
+    With `keep_images`, the images of each cell are written too (`cell_images`), and a cell whose
+    scores the results have without its images is measured again. `on_cell` is called with each
+    finished cell, `on_timing` with the number of timed rows.
 
     Raises, before anything is measured: PluginError for an unknown method, CostError for an
     unknown cost profile, CellsError for clips with the same name, where scores of whole clips or
-    of another preset would be lost, or where `retime` finds no cell. Raises ExecutorError where no
-    cell can be run.
+    of another preset would be lost, or where `retime` finds no cell; OptionError for `retime` with
+    `keep_images`. Raises ExecutorError where no cell can be run.
     """
+    if retime and keep_images:
+        raise OptionError(
+            "--retime measures times alone, so it makes no images. Use --keep-images without it"
+        )
     plan.check_unique_names()
     cells, ids = resolve_cells(plan), CellIds(plan)
-    runner = CellRunner(plan, cells, ids)
-    store = _Store(folder)
+    runner = CellRunner(plan, cells, ids, keep_images)
+    store = CellStore(folder)
     cell_ids = {cell.key: ids.cell_id(cell) for cell in cells}
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
-    stored = {key: store.rows(cell_id) for key, cell_id in cell_ids.items()}
-    unscored = [cell for cell in cells if stored[cell.key] is None]
-    current = {key for key, cell_id in cell_ids.items() if cell_id in store.cells and not retime}
+    stored = {key: store.rows(cell_id, keep_images) for key, cell_id in cell_ids.items()}
+    known = {key: rows for key, rows in stored.items() if rows is not None}
+    unscored = [cell for cell in cells if cell.key not in known]
+    current = {key for key in known if cell_ids[key] in store.cells and not retime}
     due = [cell for cell in cells if cell.key not in current and not (retime and cell in unscored)]
     if retime and not due:
         raise CellsError(
@@ -122,15 +133,14 @@ def measure(
             replaced = store.drop_superseded(cell_ids[cell.key])
             summary += RunSummary(cached=1, replaced=replaced)
             on_cell(cell)
-    known = {key: rows for key, rows in stored.items() if rows is not None}
     for outcome in runner.run(due, executor, on_timing, known):
         if outcome.error:  # whatever a method may raise is reported in its row
-            cell_id, rows = ids.failed_id(outcome.job), [runner.failure(outcome.job, outcome.error)]
+            cell_id = ids.failed_id(outcome.job)
+            output = CellOutput([runner.failure(outcome.job, outcome.error)])
         else:
-            cell_id, rows = cell_ids[outcome.job.key], outcome.result()
-        results.write_cell(folder, cell_id, rows)
-        counts = _count_cell(cell_id, rows, is_timed=cell_id.key in known)
-        summary += replace(counts, replaced=store.drop_superseded(cell_id))
+            cell_id, output = cell_ids[outcome.job.key], outcome.result()
+        counts = _count_cell(cell_id, output.rows, is_timed=cell_id.key in known)
+        summary += replace(counts, replaced=store.write(cell_id, *output))
         on_cell(outcome.job)
     return summary
 
@@ -155,36 +165,22 @@ def read_cells(plan: RunPlan, folder: Path) -> pd.DataFrame:
     return table[is_planned].reset_index(drop=True)
 
 
-class _Store:
-    """The cells that a results folder held when the run began."""
+class CellOutput(NamedTuple):
+    """All rows of a cell, and its images where they are kept."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.set_aside = tuple(results.set_aside_damaged(folder))
-        self.cells = results.cells(folder)
-        self.slots = by_slot(self.cells)
-
-    def rows(self, cell: CellId) -> list[Row] | None:
-        """The stored rows of a cell with the same scores, or None."""
-        for stored in self.slots.get(cell.key.slot, ()):
-            if stored.has_scores_of(cell):
-                return results.read_cell_rows(self.folder, stored)
-        return None
-
-    def drop_superseded(self, cell: CellId) -> int:
-        """Remove the older versions of a cell; a kill may have left one beside its successor."""
-        superseded = superseded_cells(cell, self.slots)
-        for older in superseded:
-            results.drop_cell(self.folder, older)
-        return len(superseded)
+    rows: list[Row]
+    images: CellImages | None = None
 
 
 class CellRunner:
     """Measures the cells of one plan; every worker has a copy."""
 
-    def __init__(self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds) -> None:
+    def __init__(
+        self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds, keep_images: bool
+    ) -> None:
         """Load the metrics and prepare a row of each cell."""
         self.plan = plan
+        self.keep_images = keep_images
         self.metrics = list(registry.load_run_metrics().values())
         self.loader = CellLoader(plan)
         profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
@@ -203,7 +199,7 @@ class CellRunner:
         executor: Executor,
         on_timing: TimingCallback,
         stored: StoredRows,
-    ) -> Iterator[JobResult[ResolvedCell, list[Row]]]:
+    ) -> Iterator[JobResult[ResolvedCell, CellOutput]]:
         """The rows of each cell as it is done, or the error that stopped it.
 
         Cells that have `stored` rows keep their scores and get new times.
@@ -220,17 +216,18 @@ class CellRunner:
         for cell in cells:
             error = errors.get(cell.key)
             if cell.key in stored:
-                yield JobResult(cell, self._with_new_times(cell, stored[cell.key], error))
+                rows = self._with_new_times(cell, stored[cell.key], error)
+                yield JobResult(cell, CellOutput(rows))
             elif error:
                 yield JobResult(cell, error=error)
             else:
                 unscored.append(cell)
         yield from executor.map(self, unscored, resources)
 
-    def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> list[Row]:
+    def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> CellOutput:
         """Scores of each frame, then times; or one row with the reason why there are none."""
         if reason := self.loader.incompatibility(cell):
-            return [refusal_row(self.templates[cell.key], reason)]
+            return CellOutput([refusal_row(self.templates[cell.key], reason)])
         with registry.exits_as_errors():
             return self._measure(cell, self.loader.method(cell))
 
@@ -238,17 +235,19 @@ class CellRunner:
         """The only row of a cell that an error stopped."""
         return refusal_row(self.templates[cell.key], f"{type(error).__name__}: {error}")
 
-    def _measure(self, cell: ResolvedCell, method: Method) -> list[Row]:
+    def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
         needs = frozenset().union(*(metric.needs for metric in self.metrics))
         clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, compared = self._remarks(cell), [], None
+        remarks, rows, frames, compared = self._remarks(cell), [], [], None
         max_samples = samples_at_cap(cell.traits, cell.header.pool_spp)
         for result in run_clip(method, clip, cell.target_spp):
             compared = compare_frame(self.metrics[0].compare, result, compared, max_samples)
             scored = score_frame(template, self.metrics, compared, result, cell.header)
             rows += [replace(row, note=row.note or remarks) for row in scored]
-        return rows + self._time_rows(cell, template, rows)
+            frames += [KeptFrame.of(result)] if self.keep_images else []
+        images = CellImages(cell.traits.pool, clip.digest, frames) if self.keep_images else None
+        return CellOutput(rows + self._time_rows(cell, template, rows), images)
 
     def _with_new_times(
         self, cell: ResolvedCell, rows: Sequence[Row], error: Exception | None

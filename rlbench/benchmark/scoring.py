@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
 
-__all__ = ["compare_frame", "refusal_row", "row_template", "score_frame"]
+__all__ = ["compare_frame", "refusal_row", "row_template", "score_clip", "score_frame"]
 
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
 
@@ -95,6 +95,16 @@ def score_frame(
         yield _with_value(row, metric.name, score, metric.convention, note)
     yield from _event_rows(frame, header)
     yield from _repair_rows(frame, result.repairs)
+
+
+def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: Header) -> Row:
+    """The row of a metric of the whole clip, whose frames are in order."""
+    metric = generic.at(*comparisons[0].image.shape[-2:])
+    notes = (_missing_input(metric, comparison, header) for comparison in comparisons)
+    note = next(filter(None, notes), "")
+    score = math.nan if note else float(metric.score(list(comparisons)))
+    row = replace(template, frame=WHOLE_CLIP, unit=metric.unit, direction=metric.direction)
+    return _with_value(row, metric.name, score, metric.convention, note)
 
 
 def _missing_input(metric: Any, comparison: Any, header: Header) -> str:

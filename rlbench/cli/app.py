@@ -13,6 +13,7 @@ from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
+from rlbench.cli.evaluate import evaluate
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
@@ -88,6 +89,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "replay": replay,
     "crossval": crossval,
     "run": run,
+    "evaluate": evaluate,
     "report": report,
     "decide": decide,
     "images": images,

@@ -60,6 +60,14 @@ def run(
             rich_help_panel=options.MEASUREMENT,
         ),
     ] = False,
+    keep_images: Annotated[
+        bool,
+        typer.Option(
+            "--keep-images",
+            help="keep the image of each frame, for rlbench evaluate; cells without are run again",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
@@ -83,6 +91,7 @@ def run(
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m ours,oidn --retime
+      rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     load_plugins(plugin)
@@ -115,7 +124,15 @@ def run(
             repeats=repeats,
         )
         with console.measuring(plan) as bar:
-            summary = measure(plan, out, bar.on_cell, executor, bar.on_timing, retime=retime)
+            summary = measure(
+                plan,
+                out,
+                bar.on_cell,
+                executor,
+                bar.on_timing,
+                retime=retime,
+                keep_images=keep_images,
+            )
     console.print_summary(summary, out)
     if not console.print_scores(plan, summary, out):
         raise typer.Exit(1)
