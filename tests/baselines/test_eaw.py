@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from baselines.eaw import search
-from baselines.eaw.method import Config, Eaw, atrous_pass
+from baselines.eaw.filter import Config, atrous_pass
+from baselines.eaw.method import Eaw
 from rlbench.clips.stored import open_clip
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.demodulation import reflectance
