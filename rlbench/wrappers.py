@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -15,7 +16,7 @@ from rlbench.frames import GBuffer, Samples, Size
 from rlbench.method import Method, State
 from rlbench.ops.tiles import Window, cover_tiles, find_changed_tiles
 
-__all__ = ["HalfPrecision", "MethodWrapper", "SkipTiles", "TileMemory"]
+__all__ = ["HalfPrecision", "MethodWrapper", "SkipTiles", "TileMemory", "crop_inputs", "map_state"]
 
 HALF_DTYPE = torch.bfloat16  # range of float32, 8 bits of significand
 M = TypeVar("M", bound=Method)
@@ -152,17 +153,17 @@ class SkipTiles(MethodWrapper[Method]):
         if state.image is None or sum(read.area for read in reads) >= h * w:
             image, after = super().denoise(gbuffer, samples, state.state)
             return image, TileMemory(after, gbuffer, samples.counts, state.state, image)
-        parts = [part.clone() for part in (state.image, *_parts(state.state))]
+        image, next_state = state.image.clone(), map_state(torch.clone, state.state)
         kept = torch.ones(h, w, dtype=torch.bool)
         for window, read in zip(windows, reads, strict=True):
-            denoised, after = super().denoise(*_crop_inputs(gbuffer, samples, state.state, read))
+            denoised, after = super().denoise(*crop_inputs(gbuffer, samples, state.state, read))
             inner = window.relative_to(read)
-            for part, source in zip(parts, (denoised, *_parts(after)), strict=True):
-                part[..., window.rows, window.columns] = inner.crop(source)
+            targets, sources = (image, *_parts(next_state)), (denoised, *_parts(after))
+            for target, source in zip(targets, sources, strict=True):
+                target[..., window.rows, window.columns] = inner.crop(source)
             kept[window.rows, window.columns] = False
-        image, after = parts[0], _with_parts(state.state, parts[1:])
         skipped = float(kept.float().mean())
-        return image, TileMemory(after, gbuffer, samples.counts, state.state, image, skipped)
+        return image, TileMemory(next_state, gbuffer, samples.counts, state.state, image, skipped)
 
 
 def _find_changes(
@@ -180,27 +181,31 @@ def _find_changes(
     return changed
 
 
-def _crop_inputs(
+def crop_inputs(
     gbuffer: GBuffer, samples: Samples, state: State, window: Window
 ) -> tuple[GBuffer, Samples, State]:
-    """The arguments of `denoise` for a window of the image."""
+    """The arguments of `denoise` for a window of the image. Raises as `map_state` does."""
     buffers = {name: window.crop(buffer) for name, buffer in gbuffer.buffers.items()}
     cropped = Samples(window.crop(samples.radiance), window.crop(samples.counts))
-    parts = [window.crop(part) for part in _parts(state)]
-    return GBuffer(buffers, gbuffer.static), cropped, _with_parts(state, parts)
+    return GBuffer(buffers, gbuffer.static), cropped, map_state(window.crop, state)
+
+
+def map_state(function: Callable[[Tensor], Tensor], state: State) -> State:
+    """The state of a local method with `function` applied to each of its tensors.
+
+    Raises PluginError for a state other than None or a named tuple of tensors [n c h w].
+    """
+    return None if state is None else state._make(map(function, _parts(state)))
 
 
 def _parts(state: State) -> tuple[Tensor, ...]:
     """The tensors of a local method's state."""
+    if state is None:
+        return ()
     is_named_tuple = isinstance(state, tuple) and hasattr(state, "_make")
-    if state is None or (is_named_tuple and all(isinstance(part, Tensor) for part in state)):
-        return tuple(state or ())
+    if is_named_tuple and all(isinstance(part, Tensor) and part.ndim == 4 for part in state):
+        return state
     raise PluginError(
         f"the state of a method with a receptive field is {type(state).__name__}; "
         "return None or a named tuple of tensors [n c h w]"
     )
-
-
-def _with_parts(state: State, parts: list[Tensor]) -> State:
-    """A state of the same kind with other tensors."""
-    return None if state is None else state._make(parts)

@@ -16,8 +16,11 @@ from rlbench.benchmark.results import WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
+from rlbench.wrappers import TileMemory
 
 __all__ = ["refusal_row", "row_template", "score_frame"]
+
+SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
 def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
@@ -75,6 +78,8 @@ def score_frame(
         row = replace(frame, unit=metric.unit, direction=metric.direction)
         yield _with_value(row, metric.name, score, metric.convention, note)
     yield from _repair_rows(frame, result.repairs)
+    if isinstance(result.state, TileMemory):
+        yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
 
 
 def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
