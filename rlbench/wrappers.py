@@ -108,9 +108,10 @@ class SkipTiles(MethodWrapper[Method]):
     For methods with `Traits(receptive_field=...)`. A pixel is unchanged if it got no samples in
     this frame and in the last one, and its buffers and state are bit by bit those before the last
     frame. Tiles of 32 x 32 pixels with a changed pixel in reach of the receptive field are denoised
-    in windows, which hold all pixels in reach; the others keep image and state. Both are equal to
-    those of the method itself; convolutions may round differently in windows. A frame whose windows
-    have as many pixels as the image is denoised as a whole.
+    in windows, which hold all pixels in reach; the others keep image and state. Both are those of
+    the method itself, bit by bit if its operations are elementwise. In windows torch's sums over a
+    dimension round their last 64 elements in another way, and convolutions all. A frame whose
+    windows have as many pixels as the image is denoised as a whole.
 
     Raises PluginError for a method without a receptive field, and for a state other than None or a
     named tuple of tensors [n c h w].
@@ -204,7 +205,7 @@ def _parts(state: State) -> tuple[Tensor, ...]:
         return ()
     is_named_tuple = isinstance(state, tuple) and hasattr(state, "_make")
     if is_named_tuple and all(isinstance(part, Tensor) and part.ndim == 4 for part in state):
-        return state
+        return tuple(state)
     raise PluginError(
         f"the state of a method with a receptive field is {type(state).__name__}; "
         "return None or a named tuple of tensors [n c h w]"

@@ -107,8 +107,7 @@ def test_a_run_decodes_no_buffer_that_no_method_declares(clip_folder, tmp_path, 
     measure(run_plan(clip_folder, "mean", target_spp=(1.0,)), tmp_path / "r")
     assert decoded_images(decoded, "view") == set()
     measure(run_plan(clip_folder, "eaw", target_spp=(1.0,)), tmp_path / "r")
-    names = decoded_images(decoded, "view")
-    assert names == {"albedo", "N", "Z"} or names == {"albedo", "normal", "depth"}
+    assert decoded_images(decoded, "view") == {"albedo", "normal", "depth"}
 
 
 @pytest.mark.parametrize(("budgets", "slots"), [((0.25, 1.0), 1), ((1.0, 2.5), 3)])
@@ -135,7 +134,8 @@ def test_a_finished_cell_runs_no_frame_and_decodes_nothing(
     measure(plan, tmp_path / "r")
     assert calls
     assert decoded
-    calls.clear(), decoded.clear()
+    calls.clear()
+    decoded.clear()
     assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
     assert (calls, decoded) == ([], Counter())
     measure(replace(plan, target_spp=(1.0, 2.0)), tmp_path / "r")

@@ -16,6 +16,7 @@ from rlbench.ops.stencils import atrous_taps
 __all__ = ["Config", "atrous_pass", "filter_irradiance"]
 
 NO_SURFACE = 1e4  # log depth of pixels without a surface: weights to them are exactly 0
+ALIGNMENT = 64  # elements: torch sums and exponentiates the last few of others in another way
 LOG2E = 1 / math.log(2)  # exp(x) = 2^(LOG2E x)
 
 
@@ -75,13 +76,15 @@ def atrous_pass(
     values = torch.cat((irradiance, torch.ones_like(irradiance[:1])))
     before, after = torch.zeros_like(values), values.clone()
     for start, stop in rows.chunks(irradiance):
-        difference = torch.empty(len(features), stop - start, device=irradiance.device)
-        weight = difference[:1].clone()
-        for tap in reversed(list(atrous_taps(step))):
+        length = stop - start
+        difference = irradiance.new_zeros(len(features), length + -length % ALIGNMENT)
+        decay = difference[:1].clone()
+        for tap in reversed(atrous_taps(step)):
             shift = rows.offset(tap.down, tap.right)
             p, q = slice(start, stop), slice(start + shift, stop + shift)
-            torch.sub(features[:, p], features[:, q], out=difference).square_()
-            torch.sum(difference, 0, keepdim=True, out=weight).neg_().exp2_().mul_(tap.weight)
+            torch.sub(features[:, p], features[:, q], out=difference[:, :length])
+            torch.sum(difference.square_(), 0, keepdim=True, out=decay).neg_().exp2_()
+            weight = decay[:, :length].mul_(tap.weight)
             after[:, p].addcmul_(values[:, q], weight)
             before[:, q].addcmul_(values[:, p], weight)
     total = before.add_(after)

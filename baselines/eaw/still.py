@@ -86,7 +86,9 @@ class Still:
         weight = known.clamp_max(MAX_SPP)
         share = weight / (weight + new).clamp_min(1)
         old = repair_history(state.radiance, 0.0, HALF_MAX)
-        radiance = torch.lerp(sanitize_radiance(samples.mean), old, share)
+        # slot by slot: torch's sums round the last pixels of a window in another way
+        noisy = sum(samples.radiance.unbind(1)) / samples.counts.clamp_min(1)
+        radiance = torch.lerp(sanitize_radiance(noisy), old, share)
         spp = known + new
 
         surface = surface_mask(gbuffer.albedo, gbuffer.depth)
@@ -120,7 +122,7 @@ def _find_turns(
     """True in the blocks with the fewest samples per still pixel; in reading order if equal."""
     h, w = spp.shape[-2:]
     known = pad(torch.cat((spp * still, still.float()), 1), BLOCK_SIDE)
-    total, count = block_mean(known, BLOCK_SIDE).split(1, dim=1)
+    total, count = block_mean(known, BLOCK_SIDE).chunk(2, dim=1)
     turns = torch.where(count > 0, total / count.clamp_min(1e-6) / TURN_SPP, torch.inf).floor()
     first = turns.flatten(1).argsort(dim=1, stable=True)
     chosen = torch.zeros_like(turns, dtype=torch.bool).flatten(1)

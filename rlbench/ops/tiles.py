@@ -25,7 +25,8 @@ class Window(NamedTuple):
     @property
     def area(self) -> int:
         """Number of pixels."""
-        return (self.rows.stop - self.rows.start) * (self.columns.stop - self.columns.start)
+        height, width = (side.stop - side.start for side in self)
+        return int(height * width)
 
     def grow(self, radius: int, h: int, w: int) -> Window:
         """The window and all pixels at most `radius` away that an image of h x w pixels has.
@@ -101,9 +102,7 @@ def cover_tiles(
     return windows
 
 
-def _reach(
-    length: int, radius: int, side: int, device: torch.device
-) -> tuple[Tensor, Tensor]:
+def _reach(length: int, radius: int, side: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """First and one past the last pixel that each tile along an axis depends on."""
     start = torch.arange(0, length, side, device=device)
     return (start - radius).clamp_min(0), (start + side + radius).clamp_max(length)

@@ -30,8 +30,7 @@ def test_a_tile_is_changed_if_a_dilated_change_touches_it(h, w, radius):
     changed = scattered(h, w, seed=radius, n=2)
     near = dilate(changed, radius)
     expected = [
-        [bool(near[y : y + 32, x : x + 32].any()) for x in range(0, w, 32)]
-        for y in range(0, h, 32)
+        [bool(near[y : y + 32, x : x + 32].any()) for x in range(0, w, 32)] for y in range(0, h, 32)
     ]
     assert find_changed_tiles(changed, radius).tolist() == expected
 
@@ -40,7 +39,9 @@ def test_a_tile_is_changed_if_a_dilated_change_touches_it(h, w, radius):
 @settings(max_examples=30, deadline=None)
 def test_windows_cover_every_changed_tile_and_read_no_more_than_tiles_apart(seed, size, radius):
     h, w = size
-    tiles = torch.rand(-(-h // 32), -(-w // 32), generator=torch.Generator().manual_seed(seed)) > 0.6
+    tiles = (
+        torch.rand(-(-h // 32), -(-w // 32), generator=torch.Generator().manual_seed(seed)) > 0.6
+    )
     windows = cover_tiles(tiles, radius, h, w)
     covered = torch.zeros(h, w, dtype=torch.bool)
     for window in windows:

@@ -57,7 +57,9 @@ def check_receptive_field(method_under_test: MethodUnderTest) -> str | None:
         near = Window(slice(size.h // 2, size.h // 2 + 1), slice(0, 1)).grow(radius, size.h, size.w)
         far = torch.ones(size.h, size.w, dtype=torch.bool, device=method_under_test.device)
         far[near.rows, near.columns] = False
-        changed = torch.stack([(a != b).flatten(0, -3).any(0) for a, b in zip(before, after, strict=True)])
+        changed = torch.stack(
+            [(a != b).flatten(0, -3).any(0) for a, b in zip(before, after, strict=True)]
+        )
         if reached := int((changed.any(0) & far).sum()):
             return (
                 f"expected one pixel to change none farther away than {radius} pixels, found "
