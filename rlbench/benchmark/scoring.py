@@ -14,10 +14,13 @@ from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
+from rlbench.wrappers import TileMemory
 
 __all__ = ["compare_frame", "refusal_row", "row_template", "score_clip", "score_frame"]
 
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
+
+SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
 def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
@@ -95,6 +98,8 @@ def score_frame(
         yield _with_value(row, metric.name, score, metric.convention, note)
     yield from _event_rows(frame, header)
     yield from _repair_rows(frame, result.repairs)
+    if isinstance(result.state, TileMemory):
+        yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
 
 
 def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: Header) -> Row:

@@ -20,6 +20,14 @@ def run(
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
     backend: options.Backend = "eager",
+    skip_tiles: Annotated[
+        bool,
+        typer.Option(
+            "--skip-tiles",
+            help="keep unchanged tiles of methods with a receptive field, for rows METHOD@tiles",
+            rich_help_panel=options.METHODS,
+        ),
+    ] = False,
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
@@ -90,6 +98,7 @@ def run(
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
+      rlbench run -m eaw/still --spp 0.25 --skip-tiles
       rlbench run -m ours,oidn --retime
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
@@ -120,6 +129,7 @@ def run(
             weights_label=chosen.label,
             bf16=bf16,
             backend=select_backend(backend, select_device(device)),
+            skip_tiles=skip_tiles,
             limit_frames=limit_frames,
             repeats=repeats,
         )

@@ -30,6 +30,7 @@ class World:
     colour: Float[Tensor, "n o 2 3"]  # the two albedos of each object
     gain: Float[Tensor, "n o"]  # factor on the light on each object; one sphere is bright
     camera: Float[Tensor, " n"]  # phase of the camera's path, radians
+    camera_speed: float = 1.0  # factor on the camera's movement; 0 for a still camera
 
 
 def random_world(seeds: list[str], device: torch.device) -> World:
@@ -69,7 +70,7 @@ def object_centres(world: World, time: float) -> Float[Tensor, "n o 3"]:
 
 def camera_pose(world: World, time: float) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3 3"]]:
     """The origin of the camera, metres, and its axes right, down and forward as rows."""
-    phase = world.camera + 0.12 * time
+    phase = world.camera + 0.12 * world.camera_speed * time
     origin = torch.stack((0.9 * phase.sin(), -5 + 0.6 * (0.7 * phase).cos(), 1.6 + 0 * phase), -1)
     yaw, pitch = 0.18 * (0.9 * phase).cos(), 0.12
     c, s, zero = yaw.cos(), yaw.sin(), torch.zeros_like(yaw)
