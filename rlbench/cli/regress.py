@@ -43,7 +43,7 @@ def regress(
         bool,
         typer.Option(
             "--update",
-            help="rewrite the baseline FILE from the results",
+            help="rewrite the baseline FILE from the results; with --methods, their entries alone",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
@@ -89,15 +89,16 @@ def regress(
     """Compare scores, and ratios of times, with a baseline.
 
     The exit code is 1 if a score fell by more than its cell is allowed, if a cell is missing, or if
-    a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. Write a baseline of your
-    own by --update; measured with several seeds, each cell gets the fall that reruns may show.
+    a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. --update writes a
+    baseline of your own; where the results have several seeds, each cell is allowed what reruns
+    vary by.
 
     Examples:
 
     \b
       rlbench regress --results results/ --junit regress.xml --summary regress.md
       rlbench regress --methods mean,ours
-      rlbench run -m mine --plugin mine.py --seed 0:4 && rlbench regress --update --baseline mine.json
+      rlbench regress --results mine/ --update --baseline mine.json
       rlbench regress --speed 'ours/lean / ours <= 0.9'
     """
     load_plugins(plugin)
@@ -108,7 +109,7 @@ def regress(
 
     names = arguments.split_names(methods)
     if update:
-        _update(results, baseline, bool(names))
+        _update(results, baseline, names)
         return
     rows = read(results)
     expected = load_baseline(find_baseline(baseline, only_preset(rows)))
@@ -148,21 +149,17 @@ def select_baseline(
     return table[table["method"].isin(methods)], replace(baseline, entries=entries)
 
 
-def _update(results: Path, baseline: str, selects_methods: bool) -> None:
+def _update(results: Path, baseline: str, methods: list[str]) -> None:
     from rlbench.benchmark.regression.baseline import shipped_baselines
     from rlbench.benchmark.regression.update import update_baseline
     from rlbench.benchmark.results import read
 
-    if selects_methods:
-        raise OptionError(
-            "--update rewrites the whole baseline, but --methods selects a part of it. Omit one"
-        )
     if not baseline or baseline in shipped_baselines():
         raise OptionError(
             "--update writes a file and leaves shipped baselines as they are. Name it: --baseline "
             "FILE.json"
         )
-    entries = update_baseline(read(results), Path(baseline)).entries
+    entries = update_baseline(read(results), Path(baseline), methods).entries
     typer.echo(f"{baseline}: {len(entries)} entries written")
 
 

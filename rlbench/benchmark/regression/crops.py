@@ -129,9 +129,11 @@ def select_tile(values: Float[Array, "h w"]) -> tuple[slice, slice]:
     (slice(32, 96, None), slice(88, 152, None))
     """
     side = min(SIDE, *values.shape)
-    windows = np.lib.stride_tricks.sliding_window_view(values, (side, side))[::STEP, ::STEP]
-    sums = windows.sum((-2, -1))
-    row, column = (int(i) * STEP for i in np.unravel_index(sums.argmax(), sums.shape))
+    tops, lefts = ([*range(0, n - side, STEP), n - side] for n in values.shape)
+    windows = np.lib.stride_tricks.sliding_window_view(values, (side, side))
+    sums = windows[np.ix_(tops, lefts)].sum((-2, -1))
+    top, left = np.unravel_index(sums.argmax(), sums.shape)
+    row, column = tops[top], lefts[left]
     return slice(row, row + side), slice(column, column + side)
 
 

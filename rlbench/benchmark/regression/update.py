@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, variance
@@ -34,65 +34,77 @@ __all__ = ["FALSE_ALARMS", "allowed_falls", "update_baseline"]
 FALSE_ALARMS = 0.05  # probability that a rerun in another sample order fails any entry
 
 
-def update_baseline(table: pd.DataFrame, path: Path) -> Baseline:
+def update_baseline(table: pd.DataFrame, path: Path, methods: Collection[str] = ()) -> Baseline:
     """Rewrite the baseline at `path` from the results of their smallest seed.
 
-    Cells that were measured with more seeds get a tolerance from them (`allowed_falls`); others
-    keep theirs, as do the command, the speed gates and the tolerance between machines. Entries
-    without a result are dropped, so run the whole preset first. Cells that were skipped, such as
-    budgets a method does not support, are left out. Raises BaselineError if a frame has no value,
-    if a skipped cell has an entry in the old baseline, and as `scores` does.
+    Only the entries of `methods` are rewritten, or all if none are given. Cells that were measured
+    with more seeds get a tolerance from them (`allowed_falls`); others keep theirs, as do the
+    command, the speed gates and the tolerance between machines. Rewritten entries without a result
+    are dropped. Cells that were skipped, such as budgets a method does not support, are left out.
+    Raises BaselineError if a frame has no value, if a skipped cell has an entry in the old
+    baseline, if entries that stay are of another preset or seed, and as `scores` does.
     """
     old = load_baseline(path) if path.exists() else Baseline()
-    tolerances = {entry.key: entry.tolerance_db for entry in old.entries}
+    kept = [entry for entry in old.entries if methods and entry.method not in methods]
+    if methods:
+        table = table[table["method"].isin(methods)]
+    tolerances = {e.key: e.tolerance_db for e in old.entries if e not in kept}
     found = seeds(table)
     seed = found[0] if found else old.seed
+    if kept and (only_preset(table), seed) != (old.preset, old.seed):
+        raise BaselineError(
+            f"{path} is of preset {old.preset or 'none'} and seed {old.seed}, the results of "
+            f"{only_preset(table) or 'none'} and {seed}. Measure those, or rewrite all methods"
+        )
     measured = scores(table[table["frame"] != WHOLE_CLIP], seed)
     lost = {key for key, score in scores(table, seed).items() if score is None} & tolerances.keys()
     holes = sorted({key for key, score in measured.items() if score is None} | lost)
     if holes or not measured:
         named = ", ".join(map(str, holes)) or "anything"
         raise BaselineError(f"the results cannot be a baseline: no PSNR of {named}")
-    tolerances |= allowed_falls(_scores_by_seed(table, found), old.tolerance_db)
-    entries = tuple(
+    cells = len(kept) + len(measured)
+    tolerances |= allowed_falls(_scores_by_seed(table, found), old.tolerance_db, cells)
+    entries = [
         BaselineEntry(*key, score.psnr, tolerances.get(key), score.stderr_db, score.frames)
-        for key, score in sorted(measured.items())
+        for key, score in measured.items()
         if score is not None
-    )
-    new = replace(old, preset=only_preset(table), seed=seed, entries=entries)
+    ]
+    entries = sorted([*kept, *entries], key=lambda entry: entry.key)
+    new = replace(old, preset=only_preset(table), seed=seed, entries=tuple(entries))
     write_baseline(new, path)
     return new
 
 
 def allowed_falls(
-    by_seed: Mapping[ScoreKey, Sequence[float]], machine_db: float
+    by_seed: Mapping[ScoreKey, Sequence[float]], machine_db: float, cells: int
 ) -> dict[ScoreKey, float]:
     """The fall in dB that each cell with scores of two or more seeds is allowed.
 
-    It is `machine_db`, plus the largest fall between two draws of one sample order each, exceeded
-    in any of the cells with probability 0.05: t s sqrt(2), with s the standard deviation between
-    seeds and t the one-sided quantile of Student's distribution at 0.05 / cells (Bonferroni).
-    s is the larger of the cell's own and that of its method, pooled over its cells, whose degrees
-    of freedom t has: that of a few seeds alone is often too small by chance.
+    It is `machine_db`, plus the largest fall between two sample orders, exceeded in any of `cells`
+    with probability 0.05: t s sqrt(2), with s the standard deviation between seeds and t the
+    one-sided quantile of Student's distribution at 0.05 / cells (Bonferroni). A few seeds alone
+    often give too small an s by chance, so its square is the average of the cell's own and of that
+    of its method at the budget, over all scenes, whose degrees of freedom t has (a moderated t:
+    Smyth 2004, Statistical Applications in Genetics and Molecular Biology 3, with equal weights).
 
     >>> cell = ScoreKey("mean", "city", 1.0)
-    >>> {str(key): round(fall, 3) for key, fall in allowed_falls({cell: [20.0, 20.02]}, 0.05).items()}
-    {'mean on city at 1 spp': 0.176}
+    >>> allowed_falls({cell: [20.0, 20.02]}, machine_db=0.05, cells=1)[cell]
+    0.1763
     """
     from scipy.stats import t as student
 
     repeated = {key: variance(psnrs) for key, psnrs in by_seed.items() if len(psnrs) > 1}
-    cells: dict[str, list[ScoreKey]] = defaultdict(list)
+    groups: dict[tuple[str, float], list[ScoreKey]] = defaultdict(list)
     for key in repeated:
-        cells[key.method].append(key)
+        groups[key.method, key.target_spp].append(key)
     falls = {}
-    for keys in cells.values():
+    for keys in groups.values():
         weights = [len(by_seed[key]) - 1 for key in keys]
-        quantile = float(student.isf(FALSE_ALARMS / len(repeated), sum(weights)))
+        quantile = float(student.isf(FALSE_ALARMS / cells, sum(weights)))
         pooled = fmean([repeated[key] for key in keys], weights)
         for key in keys:
-            spread = math.sqrt(2 * max(repeated[key], pooled))
-            falls[key] = round(machine_db + quantile * spread, DECIMALS)
+            fall = quantile * math.sqrt(repeated[key] + pooled)  # s sqrt(2), s^2 their average
+            falls[key] = round(machine_db + fall, DECIMALS)
     return falls
 
 
