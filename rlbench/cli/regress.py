@@ -11,7 +11,7 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.cli.plugins import load_plugins
-from rlbench.errors import OptionError
+from rlbench.errors import OptionError, RlbenchError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -193,7 +193,8 @@ def _crop_worst(
         sources = _stored_clips(rows, clips)
         return write_crops(worst, rows, seed, sources, results, folder, before)
     except Exception as error:  # whatever a method may raise: the comparison is told without crops
-        return f"{type(error).__name__}: {error}"
+        prefix = "" if isinstance(error, RlbenchError) else f"{type(error).__name__}: "
+        return f"{prefix}{error}"
 
 
 def _stored_clips(rows: pd.DataFrame, clips: list[Path] | None) -> list[StoredSource]:
