@@ -100,8 +100,8 @@ def write_crops(
         _save(values, files[name])
     rows, columns = tile
     where = f"pixels ({columns.start}, {rows.start}) to ({columns.stop}, {rows.stop})"
-    made = "computed again" if kept is None else "as stored"
-    title = f"{diff.key}, clip {key.clip}, frame {key.frame} ({key.psnr:.2f} dB), {where}, {made}"
+    origin = "computed again" if kept is None else "as stored"
+    title = f"{diff.key}, clip {key.clip}, frame {key.frame} ({key.psnr:.2f} dB), {where}, {origin}"
     return Crops(title, files)
 
 
