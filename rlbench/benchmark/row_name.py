@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["BF16", "CROSSVAL", "RESERVED_LABELS", "TILES", "RowName"]
+__all__ = ["BF16", "COMPILERS", "CROSSVAL", "RESERVED_LABELS", "TILES", "RowName"]
 
 BF16 = "bf16"  # label of rows whose networks ran in bfloat16
 COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran

@@ -17,7 +17,8 @@ from rlbench.cli.evaluate import evaluate
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
-from rlbench.cli.reports import regress, report
+from rlbench.cli.regress import regress
+from rlbench.cli.reports import report
 from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
 from rlbench.cli.training import lr_find, replay, train
