@@ -61,7 +61,7 @@ def test_the_interval_is_that_of_scenes_and_of_differences_between_them():
 
 @pytest.mark.parametrize(
     ("distance", "by_scene", "verdict"),
-    [(0.05, 0.0, "tie"), (0.3, 0.0, ""), (0.3, 0.2, "not resolved")],
+    [(0.05, 0.0, "tie"), (0.3, 0.0, "trails"), (0.3, 0.2, "not resolved")],
 )
 def test_ties_and_unresolved_differences_are_named_as_in_the_other_reports(
     distance, by_scene, verdict

@@ -1,4 +1,4 @@
-"""Intervals: their coverage, their units, and pairs of frames."""
+"""Intervals: equal to scipy's, their units, pairs of frames, and their verdicts' conditions."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_equal_seeds_give_equal_intervals():
 
 def test_one_clip_has_no_interval_and_is_no_tie():
     estimate = mean_with_interval(frames([1.0]))
-    assert (estimate.mean, estimate.is_tie(2.0), math.isnan(estimate.low)) == (1.0, False, True)
+    assert (estimate.mean, estimate.is_within(2.0), math.isnan(estimate.low)) == (1.0, False, True)
 
 
 def test_pairing_removes_what_is_common_to_both_methods():
@@ -91,7 +91,7 @@ def test_pairs_are_matched_by_clip_and_frame_not_by_row():
     [([0.0] * 8, False), ([-1.0, 1.0] * 4, False), ([0.9, 1.1] * 4, True)],
 )
 def test_a_difference_is_resolved_if_its_interval_excludes_zero(differences, is_resolved):
-    assert mean_with_interval(frames(differences)).is_resolved is is_resolved
+    assert mean_with_interval(frames(differences)).excludes_zero is is_resolved
 
 
 @pytest.mark.parametrize(
@@ -99,4 +99,4 @@ def test_a_difference_is_resolved_if_its_interval_excludes_zero(differences, is_
     [([-0.02, 0.02] * 4, True), ([0.05, 0.06] * 4, True), ([-1.0, 1.0] * 4, False)],
 )
 def test_a_tie_is_an_interval_within_the_margin(differences, is_tie):
-    assert mean_with_interval(frames(differences)).is_tie(0.1) is is_tie
+    assert mean_with_interval(frames(differences)).is_within(0.1) is is_tie
