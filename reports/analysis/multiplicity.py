@@ -65,7 +65,7 @@ def difference_notes(records: pd.DataFrame) -> list[str]:
     leads = compared[compared["verdict"].isin([LEADS, TRAILS])]
     kept = leads[leads["mark"] == ""]
     lines = [
-        VERDICT_NOTE,
+        f"{VERDICT_NOTE} Bold differences: one leads.",
         f"{HOLM_MARK}: resolved by itself, but not after Holm's correction for the {len(compared)} "
         f"differences of this page, which keeps {len(kept)} of {len(leads)} leads (5 % over all; p "
         "of the paired t-test).",

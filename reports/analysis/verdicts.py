@@ -19,7 +19,7 @@ TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 LEADS, TRAILS, TIE, NOT_RESOLVED = "leads", "trails", "tie", "not resolved"
 VERDICT_NOTE = (
     f"Brackets: {INTERVAL_NOTE}. Tie: the interval lies within +-{TIE_DB:g} dB. Not resolved: it "
-    "reaches further and includes zero. Otherwise one method leads, and the difference is bold."
+    "reaches further and includes zero. Otherwise one method leads."
 )
 
 

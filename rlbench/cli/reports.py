@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rlbench.benchmark.baseline import Baseline
 
-__all__ = ["regress", "report", "select_baseline", "select_rows"]
+__all__ = ["regress", "report", "select_baseline", "select_budgets", "select_rows"]
 
 
 def report(
@@ -146,6 +146,17 @@ def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) ->
             f"available: {_join(available)}"
         )
     return rows
+
+
+def select_budgets(table: pd.DataFrame, spp: Collection[float], results: Path) -> pd.DataFrame:
+    """The rows of these budgets. Raises OptionError for a budget without rows."""
+    available = set(table["target_spp"])
+    if unknown := [f"{budget:g}" for budget in spp if budget not in available]:
+        raise OptionError(
+            f"--spp {','.join(unknown)}: {results} has no rows of it; "
+            f"available: {', '.join(f'{budget:g}' for budget in sorted(available))}"
+        )
+    return table[table["target_spp"].isin(list(spp))]
 
 
 def select_baseline(
