@@ -23,6 +23,7 @@ from rlbench.benchmark import cost, latency, results
 from rlbench.benchmark.cell_ids import CellIds
 from rlbench.benchmark.cell_key import CellsError, by_slot, check_no_overwrite, superseded_cells
 from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
@@ -31,6 +32,7 @@ from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_row
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
+from rlbench.render.presets import is_test_split
 from rlbench.run import run_clip
 
 if TYPE_CHECKING:
@@ -121,6 +123,9 @@ def measure(
             replaced = store.drop_superseded(cell_ids[cell.key])
             summary += RunSummary(cached=1, replaced=replaced)
             on_cell(cell)
+    if not retime:
+        tested = [cell for cell in unscored if is_test_split(cell.header.preset)]
+        record_looks(folder, tested, ids.code_hashes)
     known = {key: rows for key, rows in stored.items() if rows is not None}
     for outcome in runner.run(due, executor, on_timing, known):
         if outcome.error:  # whatever a method may raise is reported in its row
