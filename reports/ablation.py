@@ -18,6 +18,7 @@ from reports.analysis.variant_differences import (
     differences,
     families_with_scores,
 )
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
     UNRELIABLE_MARK,
@@ -85,7 +86,8 @@ def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     header, rows = pivot_by_budget(records, format_difference)
     caption = (
         f"PSNR in dB ({scores.convention}) of each variant minus that of {family}, paired by "
-        "scene, clip, frame, budget and seed; mean over scenes. Another training would differ too."
+        "scene, clip, frame, budget and seed; mean over scenes. Another training would differ too. "
+        f"{VERDICT_NOTE}"
     )
     printed = {row[0]: paper.find(row[0]) for row in rows}
     if base and any(printed.values()):

@@ -10,6 +10,7 @@ from reports.analysis.aggregate import Scores, mean_over_scenes
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, mean_with_interval, pair
 from reports.analysis.multiplicity import correct_by_holm, difference_columns, difference_notes
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import Bold, Table, format_difference
 
@@ -84,7 +85,7 @@ def _clip_table(
     )
     caption = (
         f"{scores.convention}; mean over frames, the best of a row bold. Last row: mean over "
-        f"scenes of the difference to {base}, paired by frame."
+        f"scenes of the difference to {base}, paired by frame. {VERDICT_NOTE}"
     )
     return Table(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), rows)
 

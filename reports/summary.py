@@ -15,7 +15,7 @@ from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.analysis.ranking import ALL_SCENES, rank_methods
 from reports.analysis.time_notes import unreliable_times
-from reports.analysis.verdicts import LEADS, TRAILS
+from reports.analysis.verdicts import LEADS, TRAILS, VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
     UNRELIABLE_MARK,
@@ -38,7 +38,7 @@ TIME_COLUMNS = {
     "inference_p95_ms": "inference p95",
 }
 RULES = {"higher": "Higher is better. ", "lower": "Lower is better. "}
-OVERALL_CAPTION = "Bold is best at its budget. Brackets: interval of the paired difference to it."
+OVERALL_CAPTION = f"Bold is best at its budget; others are compared with it. {VERDICT_NOTE}"
 
 
 def write(

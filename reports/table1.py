@@ -21,6 +21,7 @@ from reports.analysis.intervals import (
 )
 from reports.analysis.method_names import label_of
 from reports.analysis.multiplicity import correct_by_holm, difference_columns, difference_notes
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
     UNRELIABLE_MARK,
@@ -155,7 +156,7 @@ def _table(scores: Scores, records: pd.DataFrame, orders: str) -> Table:
     caption = (
         f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + allocate + "
         f"denoise, on {scores.device_name}; {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}. "
-        f"Differences are paired. Paper: {paper.title}, {paper.source}; {paper.conditions}. "
+        f"{VERDICT_NOTE} Paper: {paper.title}, {paper.source}; {paper.conditions}. "
         f"{WARNING} " + orders
     )
     return Table(f"Table 1 of {paper.title}, measured and published", caption, header, rows)

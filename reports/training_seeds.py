@@ -10,8 +10,8 @@ from reports.analysis.aggregate import Scores, mean_over_scenes
 from reports.analysis.comparability import ReportError, check_comparable, split_by_device
 from reports.analysis.correlation import std_with_interval
 from reports.analysis.method_names import label_of, training_series_of, without_label
-from reports.analysis.multiplicity import HOLM_MARK
 from reports.analysis.training_differences import BASE, differences_to
+from reports.analysis.verdicts import HOLM_MARK
 from reports.layout.page import Section, write_page
 from reports.layout.tables import Table, format_difference, pivot_by_budget
 from reports.published import published

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from reports.analysis.intervals import LEVEL, Interval
 from reports.analysis.power import POWER, smallest_resolvable
-from reports.analysis.verdicts import LEADS, TRAILS, VERDICT_NOTE, name_verdict
+from reports.analysis.verdicts import HOLM_MARK, LEADS, TRAILS, name_verdict
 
-__all__ = ["HOLM_MARK", "correct_by_holm", "difference_columns", "difference_notes", "holm"]
-
-HOLM_MARK = "†"  # after a difference that is resolved by itself, but not after the correction
+__all__ = ["correct_by_holm", "difference_columns", "difference_notes", "holm"]
 
 
 def difference_columns(
@@ -58,23 +56,21 @@ def correct_by_holm(records: pd.DataFrame) -> pd.DataFrame:
 
 
 def difference_notes(records: pd.DataFrame) -> list[str]:
-    """How to read the differences of a page, after `correct_by_holm`; empty without any."""
+    """What the differences of a page resolve, after `correct_by_holm`; empty without any."""
     compared = records[records["p_value"].notna()]
     if compared.empty:
         return []
     leads = compared[compared["verdict"].isin([LEADS, TRAILS])]
     kept = leads[leads["mark"] == ""]
     lines = [
-        f"{VERDICT_NOTE} Bold differences: one leads.",
-        f"{HOLM_MARK}: resolved by itself, but not after Holm's correction for the {len(compared)} "
-        f"differences of this page, which keeps {len(kept)} of {len(leads)} leads (5 % over all; p "
-        "of the paired t-test).",
+        f"Holm's correction for the {len(compared)} differences of this page keeps {len(kept)} of "
+        f"{len(leads)} leads at 5 % over all (p of the paired t-test); {HOLM_MARK} marks the others"
     ]
     sizes = records.loc[records["unit"] == "dB", "resolvable"].dropna()
     if len(sizes):
         lines.append(
             f"With power {POWER:.0%}, these clips resolve differences from {sizes.median():.2f} dB "
             f"(median; {sizes.min():.2f} to {sizes.max():.2f} dB, by how much a pair of methods "
-            "varies between scenes).".replace("%", " %")
+            "varies between scenes)".replace("%", " %")
         )
     return lines

@@ -5,6 +5,7 @@ from __future__ import annotations
 from reports.analysis.intervals import INTERVAL_NOTE, Interval
 
 __all__ = [
+    "HOLM_MARK",
     "LEADS",
     "NOT_RESOLVED",
     "TIE",
@@ -17,9 +18,11 @@ __all__ = [
 
 TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 LEADS, TRAILS, TIE, NOT_RESOLVED = "leads", "trails", "tie", "not resolved"
+HOLM_MARK = "†"  # after a difference that is resolved by itself, but not after the correction
 VERDICT_NOTE = (
     f"Brackets: {INTERVAL_NOTE}. Tie: the interval lies within +-{TIE_DB:g} dB. Not resolved: it "
-    "reaches further and includes zero. Otherwise one method leads."
+    "reaches further and includes zero. Otherwise one method leads; "
+    f"{HOLM_MARK}: not after Holm's correction."
 )
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from reports.analysis.comparison import BudgetComparison, Comparison
 from reports.analysis.intervals import LEVEL
-from reports.analysis.multiplicity import HOLM_MARK
 from reports.analysis.power import POWER
 from reports.analysis.verdicts import (
+    HOLM_MARK,
     LEADS,
     TIE_DB,
     TRAILS,
@@ -61,9 +61,8 @@ def _reading(comparison: Comparison) -> Iterator[str]:
         f"over the frames of a clip, the clips of a scene, and scenes. {VERDICT_NOTE}"
     )
     yield (
-        f"{HOLM_MARK}: resolved by itself, but not after Holm's correction for these "
-        f"{_count(len(comparison.budgets), 'budget')}. Resolvable: the smallest difference that "
-        f"these clips resolve with power {100 * POWER:.0f} %."
+        f"The correction is for {_count(len(comparison.budgets), 'budget')}. Resolvable: the "
+        f"smallest difference that these clips resolve with power {100 * POWER:.0f} %."
     )
     yield from comparison.notes
 

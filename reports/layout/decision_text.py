@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 from reports.analysis.decision import BreakEven, Candidate, Decision
 from reports.analysis.intervals import LEVEL, Interval
-from reports.analysis.multiplicity import HOLM_MARK
-from reports.analysis.verdicts import LEADS, TRAILS, VERDICT_NOTE, describe_difference
+from reports.analysis.verdicts import HOLM_MARK, LEADS, TRAILS, VERDICT_NOTE, describe_difference
 
 __all__ = ["decision_text"]
 
@@ -110,8 +109,8 @@ def _basis(decision: Decision, sample_device: str) -> Iterator[str]:
         )
     yield (
         f"{_metric(decision)}: {decision.convention}; between measured budgets linear in log spp. "
-        f"Differences are paired by scene. {VERDICT_NOTE} {HOLM_MARK}: resolved by itself, but not "
-        "after Holm's correction for all methods that fit."
+        f"Differences are paired by scene. {VERDICT_NOTE} It is for all "
+        "methods that fit."
     )
     yield from decision.notes
 

