@@ -88,6 +88,7 @@ def run(
       rlbench run -m ours,oidn --retime
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
+    seeds = _orders(seed, draws)
     load_plugins(plugin)
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
@@ -107,7 +108,7 @@ def run(
             methods=names,
             clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),
             target_spp=spp,
-            seeds=_orders(seed, draws),
+            seeds=seeds,
             device=select_device(device),
             cost=cost,
             weights=chosen.file,
