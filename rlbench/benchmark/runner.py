@@ -26,6 +26,7 @@ from rlbench.benchmark.cell_key import CellsError, check_no_overwrite
 from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.cell_store import CellStore
 from rlbench.benchmark.clip_sources import samples_at_cap
+from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
@@ -35,6 +36,7 @@ from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.errors import OptionError
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
+from rlbench.render.presets import is_test_split
 from rlbench.run import run_clip
 
 if TYPE_CHECKING:
@@ -133,6 +135,9 @@ def measure(
             replaced = store.drop_superseded(cell_ids[cell.key])
             summary += RunSummary(cached=1, replaced=replaced)
             on_cell(cell)
+    if not retime:
+        tested = [cell for cell in unscored if is_test_split(cell.header.preset)]
+        record_looks(folder, tested, ids.code_hashes)
     for outcome in runner.run(due, executor, on_timing, known):
         if outcome.error:  # whatever a method may raise is reported in its row
             cell_id = ids.failed_id(outcome.job)

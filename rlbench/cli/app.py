@@ -11,6 +11,7 @@ from rlbench.cli import options
 from rlbench.cli.benchmark import run
 from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
+from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
 from rlbench.cli.evaluate import evaluate
@@ -93,6 +94,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "evaluate": evaluate,
     "report": report,
     "decide": decide,
+    "compare": compare,
     "images": images,
     "regress": regress,
 }

@@ -14,7 +14,7 @@ from rlbench.errors import OptionError, RlbenchError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["report", "select_rows"]
+__all__ = ["report", "select_budgets", "select_rows"]
 
 
 def report(
@@ -89,6 +89,17 @@ def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) ->
             f"available: {_join(available)}"
         )
     return rows
+
+
+def select_budgets(table: pd.DataFrame, spp: Collection[float], results: Path) -> pd.DataFrame:
+    """The rows of these budgets. Raises OptionError for a budget without rows."""
+    available = set(table["target_spp"])
+    if unknown := [f"{budget:g}" for budget in spp if budget not in available]:
+        raise OptionError(
+            f"--spp {','.join(unknown)}: {results} has no rows of it; "
+            f"available: {', '.join(f'{budget:g}' for budget in sorted(available))}"
+        )
+    return table[table["target_spp"].isin(list(spp))]
 
 
 def _join(names: Iterable[str]) -> str:
