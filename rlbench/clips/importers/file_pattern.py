@@ -30,7 +30,7 @@ PLACEHOLDERS = {
     "sample": r"\d{1,18}",
     "half": r"[A-Za-z]|\d{1,18}",
     "spp": r"\d{1,9}",
-    "clip": r".+?",
+    "clip": r".*?",
 }
 TOKEN = re.compile(r"\{(\w*)\}|(\*\*/)|(\*)|(\[)|(\])")
 
@@ -74,7 +74,7 @@ def _compile(pattern: str) -> re.Pattern[str]:
             parts.append(f"(?P={name})" if name in names else f"(?P<{name}>{PLACEHOLDERS[name]})")
             names.add(name)
         else:
-            parts.append({"**/": "(?:.*/)?", "*": "[^/]*", "[": "(?:", "]": ")?"}[token[0]])
+            parts.append({"**/": "(?:.*?/)??", "*": "[^/]*?", "[": "(?:", "]": ")?"}[token[0]])
     if pattern.count("[") != pattern.count("]"):
         raise SourceError(f"'{pattern}' has {pattern.count('[')} [ and {pattern.count(']')} ]")
     return re.compile("".join([*parts, re.escape(pattern[position:])]))

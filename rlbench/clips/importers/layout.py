@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -14,9 +14,8 @@ from typing import Any, Literal
 from rlbench.clips.importers.sequence import SourceError
 from rlbench.system.documents import decode, read_toml
 
-__all__ = ["READY", "Image", "Layout", "decode_layout", "read_layout"]
+__all__ = ["Image", "Layout", "decode_layout", "read_layout", "ready_layouts"]
 
-READY = resources.files("rlbench.clips.importers") / "layouts"
 Words = str | tuple[str, ...]
 Curve = Literal["linear", "srgb"]
 
@@ -149,16 +148,28 @@ class Layout:
         return {name: value for name, value in values.items() if isinstance(value, Image)}
 
 
-def read_layout(name_or_file: str) -> Layout:
-    """A ready layout by its name, or one from a TOML file. Raises SourceError."""
-    ready = {Path(str(file)).stem: file for file in READY.iterdir() if str(file).endswith(".toml")}
-    path = Path(name_or_file)
-    if name_or_file in ready:
-        path = Path(str(ready[name_or_file]))
-    elif not path.is_file():
+def ready_layouts() -> dict[str, Path]:
+    """The files of the ready layouts, by name.
+
+    >>> "blender" in ready_layouts()
+    True
+    """
+    folder = Path(str(resources.files("rlbench.clips.importers") / "layouts"))
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def read_layout(name_or_file: str, names: Sequence[str] = ()) -> Layout:
+    """A ready layout by its name, or one from a TOML file.
+
+    Raises SourceError; the message lists `names`, by default those of the ready layouts.
+    """
+    ready = ready_layouts()
+    path = ready.get(name_or_file, Path(name_or_file))
+    if not path.is_file():
+        names = names or list(ready)
         raise SourceError(
-            f"no layout '{name_or_file}'{_suggest(name_or_file, ready)}; ready ones: "
-            f"{', '.join(sorted(ready))}; or name a TOML file, which rlbench lint --guess writes"
+            f"no layout '{name_or_file}'{_suggest(name_or_file, names)}; there are: "
+            f"{', '.join(sorted(names))}; or name a TOML file, as rlbench lint --guess writes"
         )
     try:
         document = read_toml(path)
@@ -185,7 +196,7 @@ def decode_layout(document: Mapping[str, Any], file: str) -> Layout:
     for name, kind in _tables(Layout).items():
         if name in document:
             if not isinstance(document[name], Mapping):
-                raise SourceError(f"{file}: {name} is {document[name]!r}, expected a table [{name}]")
+                raise SourceError(f"{file}: {name} is {document[name]!r}, expected a table")
             _check_table(file, f"[{name}] ", document[name], kind)
     try:
         return decode(document, Layout)
