@@ -158,7 +158,8 @@ def _view_distance(values: Pixels, depth: Depth) -> Pixels:
     if depth.near is None:
         raise SourceError(f"[depth] kind '{depth.kind}' needs near, the distance of the near plane")
     window = 1 - values if depth.kind.startswith("reversed") else values
-    return np.asarray(depth.scale * depth.near / (1 - window * (1 - depth.near / depth.far_plane)))
+    distance = depth.near / (1 - window * (1 - depth.near / depth.far_plane))
+    return np.where(window < 1, depth.scale * distance, np.inf)  # a cleared buffer is background
 
 
 def _ray_length(h: int, w: int, fov: float) -> Float[Array, "h w 1"]:

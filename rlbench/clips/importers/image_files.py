@@ -74,7 +74,7 @@ def _find_channels(
         f"{header.name + ': ' if header.name else ''}{', '.join(_readable(header)[:24])}"
         for header in headers
     )
-    expected = " or ".join(", ".join(names) for names in alternatives)
+    expected = " or ".join(", ".join(names).replace("*.", "") for names in alternatives)
     where = f" in the part '{part}'" if part else ""
     raise SourceError(f"{path}: expected channels {expected}{where}; it has: {parts}")
 
