@@ -76,6 +76,7 @@ def guess_layout(source: Path) -> Guess:
         _read_encodings,
         _read_depth,
         _read_motion,
+        _read_handedness,
         _read_normal_space,
         _read_demodulation,
     ]
@@ -208,13 +209,20 @@ def _write_motion(best: MotionConvention, table: Tables) -> None:
         table["scale"] = scale
 
 
-def _read_normal_space(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+def _read_handedness(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
     if "normal" not in arrays.gbuffer:
         return {}
     result = check_normals(arrays, fit_depth(arrays))
     if result.verdict is Verdict.FAILED and result.found.startswith("mirrored"):
         tables["normal"]["axes"] = ["x", "-y", "z"]  # negating another one only rotates the world
         return {"normal": "likely: mirrored, as in a left-handed world"}
+    return {}
+
+
+def _read_normal_space(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    if "normal" not in arrays.gbuffer:
+        return {}
+    result = check_normals(arrays, fit_depth(arrays))
     if result.verdict is Verdict.FAILED and result.found.startswith("in camera space"):
         tables["normal"]["space"] = "view"
         return {"normal": f"sure: {result.found}; add `camera`, a file of matrices, to rotate them"}
