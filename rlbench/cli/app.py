@@ -15,6 +15,7 @@ from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
 from rlbench.cli.evaluate import evaluate
+from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
@@ -86,6 +87,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "stress": stress,
     "speed": speed,
+    "fingerprint": fingerprint,
     "train": train,
     "lr-find": lr_find,
     "replay": replay,

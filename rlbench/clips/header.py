@@ -49,6 +49,11 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
         name: f"{name} has another space, scale or range, or an unknown one"
         for name in BUFFER_CHANNELS
     },
+    **{
+        f"no {name}": f"the source has no {name}, so {name} is a constant without information"
+        for name in STANDARD_BUFFERS
+    },
+    "flow": "motion was estimated by optical flow of albedo, because the source has none",
 }
 RENAMED_FIELDS = {"lacks": "limitations"}  # version 1: today
 RENAMED_BUFFERS = {  # version 1: today
