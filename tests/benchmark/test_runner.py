@@ -159,7 +159,7 @@ def test_retiming_runs_no_frame_for_scores(clip_folder, tmp_path, monkeypatch):
     def refuse(*arguments):
         raise AssertionError("a frame was scored")
 
-    monkeypatch.setattr("rlbench.benchmark.runner.score_frame", refuse)
+    monkeypatch.setattr("rlbench.benchmark.cell_runner.score_frame", refuse)
     assert measure(plan, tmp_path / "r", retime=True) == RunSummary(timed=1)
 
 
