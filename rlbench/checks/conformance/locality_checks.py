@@ -78,14 +78,14 @@ def skip_without_field(traits: Traits) -> str | None:
 
 
 def _compare_to_window(
-    method: Method, inputs: Inputs, whole: list[Tensor], radius: int, size: Size
+    method: Method, inputs: Inputs, images: list[Tensor], radius: int, size: Size
 ) -> str | None:
     """How a window on the right differs from the image, or None."""
     core = Window(slice(0, size.h), slice(min(size.w - 1, radius + 3), size.w))
     read = core.grow(radius, size.h, size.w)
     inner = core.relative_to(read)
     parts = _outputs(method, Inputs(*crop_inputs(*inputs, read)))
-    for image, part in zip(whole, parts, strict=True):
+    for image, part in zip(images, parts, strict=True):
         expected, found = core.crop(image), inner.crop(part)
         if not torch.allclose(found, expected, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True):
             difference = float((found - expected).abs().max())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -95,12 +95,10 @@ class _Renderer:
         """The worlds before the cut, and from the cut on."""
         camera_speed = 0.0 if self.still_camera else 1.0
         first, second = (
-            world.random_world([f"{s}/{shot}" for s in self._seeds], self.device) for shot in (0, 1)
+            world.random_world([f"{s}/{shot}" for s in self._seeds], self.device, camera_speed)
+            for shot in (0, 1)
         )
-        return (
-            replace(first, camera_speed=camera_speed),
-            replace(second, camera_speed=camera_speed),
-        )
+        return first, second
 
     @property
     def _seeds(self) -> range:

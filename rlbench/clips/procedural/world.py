@@ -30,11 +30,11 @@ class World:
     colour: Float[Tensor, "n o 2 3"]  # the two albedos of each object
     gain: Float[Tensor, "n o"]  # factor on the light on each object; one sphere is bright
     camera: Float[Tensor, " n"]  # phase of the camera's path, radians
-    camera_speed: float = 1.0  # factor on the camera's movement; 0 for a still camera
+    camera_speed: Float[Tensor, " n"]  # factor on the camera's movement; 0 for a still camera
 
 
-def random_world(seeds: list[str], device: torch.device) -> World:
-    """One random world for each seed."""
+def random_world(seeds: list[str], device: torch.device, camera_speed: float = 1.0) -> World:
+    """One random world for each seed; the camera moves `camera_speed` times as fast as usual."""
     generators = [random.Random(seed) for seed in seeds]
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
@@ -57,6 +57,7 @@ def random_world(seeds: list[str], device: torch.device) -> World:
         colour=uniform(0.05, 0.95, OBJECTS, 2, 3),
         gain=gain,
         camera=uniform(0, 2 * math.pi),
+        camera_speed=torch.full_like(gain[:, 0], camera_speed),
     )
 
 
