@@ -38,7 +38,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs baseline table1 unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
+.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -114,6 +114,11 @@ appendix: .venv/dev.stamp
 	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
+
+# parts of variance by scene and order of samples: 5 minutes
+variance: .venv/dev.stamp
+	$(BIN)/rlbench run -m mean,accumulate/contrast,ours --preset mini --spp 1 --draws 4 --out $(RESULTS)/draws
+	$(call page,variance,$(RESULTS)/draws,variance)
 
 # the effect of the training seed, on unseen scenes: five short trainings of three rows; resumes if it was killed
 seeds: .venv/dev.stamp

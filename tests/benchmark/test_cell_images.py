@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from metrics.image import psnr
+from metrics.psnr import psnr
 from rlbench import registry
 from rlbench.benchmark import cell_images
 from rlbench.benchmark import results as table
