@@ -129,12 +129,11 @@ def _window_means(image: Tensor, reference: Tensor) -> Iterator[Tensor]:
 
 def _band(outputs: int, like: Tensor) -> Tensor:
     """[outputs + 10, outputs]: a product with it takes Gaussian means of 11 values each."""
-    distance = torch.arange(WINDOW) - WINDOW // 2
-    gaussian = torch.exp(-(distance**2) / (2 * SIGMA**2)).to(like)
-    band = like.new_zeros(outputs + WINDOW - 1, outputs)
-    for column in range(outputs):
-        band[column : column + WINDOW, column] = gaussian / gaussian.sum()
-    return band
+    reach = WINDOW // 2
+    inputs = torch.arange(outputs + 2 * reach, device=like.device).unsqueeze(1)
+    distance = inputs - reach - torch.arange(outputs, device=like.device)
+    weights = torch.exp(-(distance**2) / (2 * SIGMA**2)).where(distance.abs() <= reach, 0.0)
+    return (weights / weights.sum(0)).to(like.dtype)
 
 
 def _halve(image: Tensor) -> Tensor:

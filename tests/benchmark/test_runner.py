@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from metrics.metric import Metric
 from reports.analysis.aggregate import Scores
 from rlbench import registry
 from rlbench.benchmark import latency
@@ -73,6 +74,19 @@ def test_the_cap_is_that_of_the_clip_and_not_what_a_uniform_method_reads(clip_fo
     rows = table.read(tmp_path / "r")
     shares = rows[rows["metric"] == "at_cap"].groupby("target_spp")["value"].mean()
     assert shares.to_dict() == {4.0: 0.0, 8.0: 100.0}
+
+
+def test_a_metric_reads_motion_that_its_method_does_not_receive(tmp_path, monkeypatch):
+    moved = Metric("moved", "px", "", "x", lambda c: c.motion[:, 0].mean((1, 2)), needs=("motion",))
+    monkeypatch.setattr(registry, "load_run_metrics", lambda: {"psnr": moved})
+    body = "assert not gbuffer.buffers\n        return samples.mean, None"
+    registry.use_plugin(write_plugin(tmp_path / "blind.py", "blind", body=body))
+    folder = write_noise(tmp_path / "noise", frames=1)
+    assert measure(run_plan(folder, "blind"), tmp_path / "r") == RunSummary(measured=1)
+    rows = table.read(tmp_path / "r")
+    (frame,) = open_clip(folder)
+    expected = float(frame.gbuffer.motion[:, 0].mean())
+    assert rows[rows["metric"] == "moved"]["value"].tolist() == pytest.approx([expected])
 
 
 def test_psnr_of_the_mean_is_that_of_numpy(clip_folder, tmp_path):
