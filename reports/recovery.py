@@ -134,9 +134,9 @@ def _draw(scores: Scores) -> Any:
     order = spans.assign(count=-counts).sort_values(["count", "clip", "frame"])
     spp = min(set(curves["target_spp"]), key=lambda budget: (abs(budget - FIGURE_SPP), budget))
     clips = order["clip"].nunique()
-    shown = f"{min(clips, MAX_PANELS)} of {clips} clips with events" if clips > MAX_PANELS else ""
+    selection = f"{MAX_PANELS} of {clips} clips with events." if clips > MAX_PANELS else ""
     caption = (
         f"PSNR of each frame at {spp:g} spp, {describe_clips(scores.measured)}. Dashed: the first "
-        f"frame after a cut or a light change. {shown}"
+        f"frame after a cut or a light change. {selection}"
     )
     return draw_event_panels(curves[curves["target_spp"] == spp], order, caption.strip())
