@@ -35,13 +35,13 @@ def test_a_nonfinite_pixel_is_displayed_as_far_from_the_reference_as_possible(va
 def test_two_frames_before_keep_what_they_computed_and_older_ones_are_forgotten():
     first = comparison()
     second = comparison(previous=first)
-    shown, change = second.display_image, second.change_of_error
+    encoded, change = second.display_image, second.change_of_error
     third = comparison(previous=second)
     assert third.previous is second
     assert third.previous.previous is first
     fourth = comparison(previous=third)
     assert fourth.frames_before == MAX_PREVIOUS == 2
-    assert fourth.previous.previous.display_image is shown
+    assert fourth.previous.previous.display_image is encoded
     assert fourth.previous.previous.change_of_error is change
 
 
