@@ -86,7 +86,7 @@ def rank_correlation(
     tensor([0.5000])
     """
     pairs = zip(x.flatten(1), y.flatten(1), strict=True)
-    return torch.stack([_correlate(_centred_ranks(a), _centred_ranks(b)) for a, b in pairs])
+    return torch.stack([_correlate_ranks(a, b) for a, b in pairs])
 
 
 def _centred_ranks(values: Tensor) -> Tensor:
@@ -98,7 +98,10 @@ def _centred_ranks(values: Tensor) -> Tensor:
     return centred
 
 
-def _correlate(a: Tensor, b: Tensor) -> Tensor:
-    """Correlation of two vectors with mean zero; 0 if one of them is zero."""
-    scale = (a.square().sum() * b.square().sum()).sqrt()
-    return torch.where(scale > 0, (a * b).sum() / scale.clamp_min(1.0), 0.0).float()
+def _correlate_ranks(x: Tensor, y: Tensor) -> Tensor:
+    """Correlation of the ranks of two vectors; 0, without ranking, if one has a single value."""
+    if bool(x.min() == x.max()) or bool(y.min() == y.max()):
+        return torch.zeros((), device=x.device)
+    a, b = _centred_ranks(x), _centred_ranks(y)
+    correlation: Tensor = (a * b).sum() / (a.square().sum() * b.square().sum()).sqrt()
+    return correlation.float()
