@@ -110,7 +110,8 @@ class CellRunner:
             scored = score_frame(template, self.metrics, compared, result, cell.header)
             rows += [replace(row, note=row.note or remarks) for row in scored]
             frames += [KeptFrame.of(result)] if self.keep_images else []
-        images = CellImages(cell.traits.pool, clip.digest, frames) if self.keep_images else None
+        shared = cell.traits.pool, clip.digest, max_samples
+        images = CellImages(*shared, frames) if self.keep_images else None
         return CellOutput(rows + self._time_rows(cell, template, rows), images)
 
     def _with_new_times(

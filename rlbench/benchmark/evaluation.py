@@ -219,5 +219,5 @@ def _compare_frames(
         frame = clip.frame_with_pool(index, StoredPool(no_samples, (0,)))
         samples = Samples(no_samples[:, :0], counts.long()[None, None])
         result = FrameResult(frame, samples, image[None], repairs={})
-        compared = compare_frame(compare, result, compared)
+        compared = compare_frame(compare, result, compared, kept.images.max_samples)
         yield result, compared
