@@ -286,9 +286,7 @@ def _decode_header(path: Path, document: Mapping[str, Any]) -> Header:
 def _rename_buffers(document: Mapping[str, Any]) -> dict[str, Any]:
     """A document whose lists name buffers as this version does."""
     return {
-        key: [RENAMED_BUFFERS.get(str(word), word) for word in value]
-        if isinstance(value, list)
-        else value
+        key: [RENAMED_BUFFERS.get(str(w), w) for w in value] if isinstance(value, list) else value
         for key, value in document.items()
     }
 
