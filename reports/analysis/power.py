@@ -24,7 +24,7 @@ def smallest_resolvable(
     the result. The interval is Student's t, the differences normal. Nan with fewer than two units.
 
     >>> round(smallest_resolvable(0.2, 4), 3)
-    0.401
+    0.426
     """
     return deviation * standardised_resolvable(units, level, power)
 
