@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -45,20 +46,20 @@ def _predictor(device: str) -> Any:
     return pycvvdp.cvvdp(display_name=DISPLAY, device=torch.device(device), quiet=True)
 
 
-def _version() -> str:
-    try:
-        return importlib.metadata.version("cvvdp")
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
+def _with_version(height: int, width: int) -> Metric:
+    """The metric whose convention names the installed version of the package."""
+    version = importlib.metadata.version("cvvdp")
+    return replace(CVVDP, convention=f"cvvdp {version}; {CVVDP.convention}", fit=None)
 
 
 CVVDP = Metric(
     name="cvvdp",
     unit="JOD",
     direction="higher",
-    convention=f"ColorVideoVDP {_version()} of clipped sRGB in float, display {DISPLAY}, "
-    f"{FRAMES_PER_SECOND:g} frames per second",
+    convention="ColorVideoVDP of clipped sRGB in float, all frames of a clip; display "
+    f"{DISPLAY}, {FRAMES_PER_SECOND:g} frames per second",
     score=cvvdp,
+    fit=_with_version,
     source="Mantiuk et al. 2024",
     requires=("cvvdp",),
     scored_by_run=False,

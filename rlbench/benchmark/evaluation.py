@@ -93,12 +93,12 @@ def find_kept_cells(
         if images and is_selected and cell.key.clip in by_name:
             kept.append(KeptCell(cell, images, by_name[cell.key.clip]))
     if not kept:
-        with_images = {images.cell.key for images in cell_images.list_images(folder)}
+        keys = [images.cell.key for images in cell_images.list_images(folder)]
+        stored_methods, stored_clips = {key.method for key in keys}, {key.clip for key in keys}
         raise EvaluationError(
             f"{folder} has no images of {', '.join(methods) or 'any method'} on "
-            f"{', '.join(by_name)}; it has {', '.join(sorted({key.method for key in with_images}))} on "
-            f"{', '.join(sorted({key.clip for key in with_images}))}. `rlbench run --keep-images` makes "
-            "images"
+            f"{', '.join(by_name)}; it has {', '.join(sorted(stored_methods))} on "
+            f"{', '.join(sorted(stored_clips))}. `rlbench run --keep-images` makes images"
         )
     for cell, images, clip in kept:
         if (digest := clip.content(images.pool)) != images.clip_digest:

@@ -58,6 +58,6 @@ def test_a_clip_of_one_frame_and_a_pixel_that_is_not_finite_have_a_score(clip):
 
 
 def test_the_convention_names_version_display_and_frame_rate():
-    version = importlib.metadata.version("cvvdp")
-    assert f"ColorVideoVDP {version}" in CVVDP.convention
-    assert f"display {module.DISPLAY}, 24 frames per second" in CVVDP.convention
+    convention = CVVDP.at(*SIZE[1:]).convention
+    assert convention.startswith(f"cvvdp {importlib.metadata.version('cvvdp')}; ColorVideoVDP")
+    assert convention.endswith(f"display {module.DISPLAY}, 24 frames per second")
