@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float16
@@ -49,8 +50,7 @@ class KeptImagesError(RlbenchError, ValueError):
     """Kept images that are missing, damaged, or written by a newer version."""
 
 
-@dataclass(frozen=True)
-class KeptFrame:
+class KeptFrame(NamedTuple):
     """One frame in half floats: relative rounding of at most 2^-11."""
 
     image: Float16[Array, "3 h w"]  # linear radiance; NaN and infinite values stay
@@ -71,6 +71,7 @@ class CellImages:
 
     pool: str  # kind of the samples
     clip_digest: str  # of the clip with the samples of `pool`
+    max_samples: int  # most that one pixel could have, at any budget
     frames: Sequence[KeptFrame]
 
 
@@ -83,6 +84,7 @@ class _Record:
     content_hash: str
     pool: str
     clip_digest: str
+    max_samples: int
     checksums: tuple[str, ...]  # SHA-256 of 0000.exr, 0001.exr, ...
 
 
@@ -94,6 +96,7 @@ class KeptImages:
     cell: CellId  # without the hash of its times
     pool: str
     clip_digest: str
+    max_samples: int
     checksums: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -112,7 +115,7 @@ class KeptImages:
                 f"{file} cannot be read: {error}. Delete {self.folder} and repeat `rlbench run "
                 "--keep-images`, which makes the images again"
             ) from error
-        return KeptFrame(np.stack(planes[:3]), planes[3])
+        return KeptFrame(np.stack(planes[:3]), planes[3].copy())
 
 
 def images_folder(results: Path, cell: CellId) -> Path:
@@ -136,9 +139,8 @@ def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
     shutil.rmtree(unfinished, ignore_errors=True)  # that a killed run left
     try:
         checksums = tuple(_write_frame(unfinished, *each) for each in enumerate(images.frames))
-        record = _Record(
-            SCHEMA, cell.key, cell.content_hash, images.pool, images.clip_digest, checksums
-        )
+        shared = images.pool, images.clip_digest, images.max_samples
+        record = _Record(SCHEMA, cell.key, cell.content_hash, *shared, checksums)
         with paths.atomic_write(unfinished / RECORD) as temporary:
             temporary.write_text(json.dumps(asdict(record), indent=1))
         drop_images(results, cell)
@@ -197,4 +199,5 @@ def _read_record(folder: Path) -> KeptImages:
             "--keep-images`, or update rlbench"
         ) from error
     cell = CellId(record.key, record.content_hash)
-    return KeptImages(folder, cell, record.pool, record.clip_digest, record.checksums)
+    shared = record.pool, record.clip_digest, record.max_samples
+    return KeptImages(folder, cell, *shared, record.checksums)

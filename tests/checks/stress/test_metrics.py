@@ -112,7 +112,9 @@ def test_a_metric_that_is_undefined_at_a_size_says_why():
 
 def test_every_installed_metric_passes():
     results = list(metrics.SECTION.run(True))
-    assert {result.test.rpartition("-")[0] for result in results} > set(
-        registry.list_plugins("metrics")
-    )
-    assert [result for result in results if result.verdict is not Verdict.PASSED] == []
+    tested = {result.test.rpartition("-")[0] for result in results}
+    assert tested > set(registry.load_run_metrics())
+    of_effort = {"effort_error", "effort_noise", "at_cap"}  # judge no image
+    skipped = {r.test.rpartition("-")[0] for r in results if r.verdict is Verdict.SKIPPED}
+    assert skipped == of_effort
+    assert {r.verdict for r in results} == {Verdict.PASSED, Verdict.SKIPPED}
