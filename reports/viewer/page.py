@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.ranking import TIE_DB
+from reports.analysis.verdicts import TIE_DB
 from reports.layout.page import describe_clips
+from reports.layout.tables import UNRELIABLE_MARK
 from reports.viewer.decision_data import decision_data, student_factors
 from reports.viewer.pictures import MAX_METHODS, ShownClip, pack_clips
 from reports.viewer.table_data import frame_scores, provenance, table_data
@@ -58,6 +59,7 @@ def write(
         ],
         "student": student_factors(max(results["scene"].nunique(), results["clip"].nunique())),
         "tie_db": TIE_DB,
+        "unreliable_mark": UNRELIABLE_MARK,
         "frames": frame_scores(results, [clip.name for clip in shown]),
         "provenance": provenance(results),
         "traits": traits or {},
@@ -84,7 +86,9 @@ def _select_methods(
         images = []
         for spp in sorted({each.target_spp for each in clip.images}):
             at_budget = [each for each in clip.images if each.target_spp == spp]
-            at_budget.sort(key=lambda each: (-means.get((spp, each.method), -math.inf), each.method))
+            at_budget.sort(
+                key=lambda each: (-means.get((spp, each.method), -math.inf), each.method)
+            )
             images += at_budget[:MAX_METHODS]
             left_out |= {each.method for each in at_budget[MAX_METHODS:]}
         kept.append(replace(clip, images=tuple(images)))  # type: ignore[type-var]
@@ -123,7 +127,9 @@ def _data_url(module: str) -> str:
 
 def _json(document: Any) -> str:
     """JSON that may stand in a script element; numbers that are not finite are null."""
-    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).replace(
+        "</", "<\\/"
+    )
 
 
 def _finite(value: Any) -> Any:

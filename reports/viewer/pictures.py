@@ -18,7 +18,7 @@ __all__ = ["MAX_METHODS", "PicturesError", "ShownClip", "ShownImages", "pack_cli
 MAX_METHODS = 9  # at each clip and budget: one for each of the keys 1 to 9
 STEPS = (256, 128, 96, 64, 48, 32, 24, 20, 16, 14, 12, 10, 8)  # of radiance in an octave
 MARGIN = 0.01  # by which the size is overestimated from the middle frames
-SCALES = {
+SCALES: dict[str, LinearScale | LogScale] = {
     "albedo": LinearScale(1 / 64),
     "normal": LinearScale(1 / 32),
     "depth": LogScale(64),
@@ -58,8 +58,11 @@ def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], f
 
     Raises PicturesError if even the coarsest rounding does not fit.
     """
+
     def fits_roughly(steps: int) -> bool:
-        size = sum(len(clip.reference) * len(_pack_clip(clip, LogScale(steps), True)) for clip in clips)
+        size = sum(
+            len(clip.reference) * len(_pack_clip(clip, LogScale(steps), True)) for clip in clips
+        )
         return size * (1 + MARGIN) <= max_bytes
 
     first = min(bisect_left(STEPS, True, key=fits_roughly), len(STEPS) - 1)

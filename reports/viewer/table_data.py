@@ -9,13 +9,16 @@ from typing import Any
 import pandas as pd
 
 from reports.analysis.aggregate import Scores, mean_over_scenes, metrics_with_values
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, interval_ends
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, Interval, interval_ends
+from reports.analysis.multiplicity import correct_by_holm
 from reports.analysis.notes import remarks, skip_reasons
-from reports.analysis.ranking import ALL_SCENES, name_verdict
+from reports.analysis.ranking import ALL_SCENES
+from reports.analysis.verdicts import name_verdict
 
 __all__ = ["frame_scores", "provenance", "rank_at_once", "table_data"]
 
 TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
+SHOWN = ["mean", "difference", "low", "high", "best", "verdict", "mark"]
 RECORDED = ("device", "dtype", "code_hash", "weights_hash", "config", "size", "preset", "run_id")
 
 
@@ -30,14 +33,15 @@ def table_data(rows: pd.DataFrame, device: str, draws: int = BOOTSTRAP_SAMPLES) 
         scores = Scores(rows, metric, device)
         times = pd.concat([scores.points, scores.overall.assign(scene=ALL_SCENES)])
         keys = ["method", "scene", "target_spp"]
-        table = rank_at_once(scores, draws).merge(times[[*keys, *TIMES]], on=keys, how="left")
+        ranked = correct_by_holm(rank_at_once(scores, draws))
+        table = ranked.merge(times[[*keys, *TIMES]], on=keys, how="left")
         metrics.append(
             {
                 "metric": metric,
                 "unit": scores.column_text("unit"),
                 "direction": scores.direction,
                 "convention": scores.convention,
-                "records": table.to_dict("records"),
+                "records": table[[*keys, *SHOWN, *TIMES]].to_dict("records"),
             }
         )
     return {"metrics": metrics, "notes": [*skip_reasons(rows), *remarks(rows)]}
@@ -70,16 +74,26 @@ def _rank(units: pd.DataFrame, scores: Scores, draws: int) -> list[dict[str, Any
     best = (sign * means).idxmax()
     gaps = units.sub(units[best], axis=0) if sign else units * math.nan
     low, high = interval_ends(gaps.to_numpy(float), draws=draws)
-    unit = scores.column_text("unit")
-    records = []
-    for method, mean, gap, *ends in zip(units.columns, means, gaps.mean(), low, high, strict=True):
-        is_best = bool(sign) and mean == means[best]
-        interval = Interval(gap, *ends, len(units))
-        verdict = "" if is_best or not sign else name_verdict(interval, unit)
-        if is_best:
-            gap, ends = math.nan, [math.nan, math.nan]
-        record = {"method": method, "mean": mean, "difference": gap, "best": is_best}
-        records.append({**record, "low": ends[0], "high": ends[1], "verdict": verdict})
+    deviations = gaps.std(ddof=1)
+    unit, records = scores.column_text("unit"), []
+    for index, method in enumerate(map(str, units.columns)):
+        is_best = bool(sign) and means[method] == means[best]
+        gap = UNKNOWN
+        if not is_best:
+            ends = (float(low[index]), float(high[index]))
+            gap = Interval(gaps[method].mean(), *ends, len(units), float(deviations[method]))
+        records.append(
+            {
+                "method": method,
+                "mean": means[method],
+                "best": is_best,
+                "difference": gap.mean,
+                "low": gap.low,
+                "high": gap.high,
+                "verdict": name_verdict(gap, unit, scores.direction),
+                "p_value": gap.p_value,
+            }
+        )
     return records
 
 

@@ -3,8 +3,8 @@
 Radiance and depth are rounded on a logarithmic scale, so that their relative error is bounded,
 other planes on a linear one. A pixel is predicted from its left, upper and upper left neighbours by
 the median edge detector of Weinberger, Seroussi and Sapiro 2000 (The LOCO-I Lossless Image
-Compression Algorithm, section III.A). Residuals of each plane are grouped by how much the neighbours
-differ, and each group has a Huffman code of its own. `assets/tiles.js` is the decoder.
+Compression Algorithm, section III.A). Residuals of each plane are grouped by how much these
+neighbours differ, and each group has a Huffman code. `assets/tiles.js` is the decoder.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ GROUPS = (3, 7, 15)  # differences of neighbours at which the next group begins
 ESCAPE = 255  # in place of a residual that does not fit a byte; it follows at the end, in four
 
 Codes = NDArray[np.int32]
+Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -52,20 +53,26 @@ class LogScale:
         """The largest code of a finite value; the next is infinity, and then NaN."""
         return round(self.steps * float(np.log2(1 + LARGEST / DARK)))
 
-    def codes(self, values: NDArray[np.floating[Any]]) -> Codes:
+    def codes(self, values: Floats) -> Codes:
         """The nearest code of each value."""
         size = np.abs(values.astype(np.float64))
         logs = np.log2(1 + np.minimum(np.nan_to_num(size), LARGEST) / DARK)
         codes = np.minimum(np.rint(self.steps * logs), self.top)
-        codes = np.where(np.isinf(size), self.top + 1, np.where(np.isnan(size), self.top + 2, codes))
-        return np.where(values < 0, -codes, codes).astype(np.int32)
+        codes = np.where(
+            np.isinf(size), self.top + 1, np.where(np.isnan(size), self.top + 2, codes)
+        )
+        signed: Codes = np.where(values < 0, -codes, codes).astype(np.int32)
+        return signed
 
-    def values(self, codes: Codes) -> NDArray[np.float64]:
+    def values(self, codes: Codes) -> Floats:
         """The value of each code."""
         size = np.abs(codes).astype(np.float64)
         values = DARK * (2 ** (size / self.steps) - 1)
-        values = np.where(size == self.top + 1, np.inf, np.where(size > self.top + 1, np.nan, values))
-        return np.where(codes < 0, -values, values)
+        values = np.where(
+            size == self.top + 1, np.inf, np.where(size > self.top + 1, np.nan, values)
+        )
+        signed: Floats = np.where(codes < 0, -values, values)
+        return signed
 
 
 @dataclass(frozen=True)
@@ -79,16 +86,16 @@ class LinearScale:
     step: float
     kind: str = "linear"
 
-    def codes(self, values: NDArray[np.floating[Any]]) -> Codes:
+    def codes(self, values: Floats) -> Codes:
         """The nearest code of each value."""
         return np.clip(np.rint(np.nan_to_num(values) / self.step), -32000, 32000).astype(np.int32)
 
-    def values(self, codes: Codes) -> NDArray[np.float64]:
+    def values(self, codes: Codes) -> Floats:
         """The value of each code."""
-        return codes * self.step
+        return codes.astype(np.float64) * self.step
 
 
-def encode(planes: NDArray[np.floating[Any]], scale: LogScale | LinearScale) -> dict[str, Any]:
+def encode(planes: Floats, scale: LogScale | LinearScale) -> dict[str, Any]:
     """An image [c h w] as a JSON object: shape, scale, sizes of the groups [c 4], base64 blob."""
     codes = scale.codes(planes)
     if len(codes) == 3:  # channels are alike

@@ -59,7 +59,7 @@ def read_shown_clips(
     methods: Collection[str] = (),
     target_spp: Collection[float] = (),
 ) -> list[ShownClip]:
-    """Each of `clips` with the images that a results folder keeps of it; clips without are left out.
+    """Each of `clips` with the images that a results folder keeps of it; others are left out.
 
     Empty `methods` and `target_spp` select all. Of several seeds or devices the first is shown.
     Raises ShownClipError for images of a clip that has changed since.
@@ -68,7 +68,9 @@ def read_shown_clips(
     kept: dict[tuple[str, str, float], KeptImages] = {}
     for cell in sorted(current, key=lambda cell: (cell.key.seed, cell.file_stem)):
         key = (cell.key.clip, cell.key.method, cell.key.target_spp)
-        is_selected = (not methods or key[1] in methods) and (not target_spp or key[2] in target_spp)
+        is_selected = (not methods or key[1] in methods) and (
+            not target_spp or key[2] in target_spp
+        )
         if is_selected and key not in kept and (images := cell_images.find_images(folder, cell)):
             kept[key] = images
     shown = []

@@ -155,7 +155,11 @@ def read_images(
     sources = (
         select_clips(clips)
         if clips
-        else [s for each in sorted(presets) for s in select_clips(None, names, each, None, "stored", pools)]
+        else [
+            s
+            for each in sorted(presets)
+            for s in select_clips(None, names, each, None, "stored", pools)
+        ]
     )
     budgets = spp or (nearest_to_one({each.cell.key.target_spp for each in kept}),)
     return read_shown_clips(results, sources, methods, budgets), []

@@ -51,9 +51,9 @@ export function interval(units, student) {
 
 /** What a difference to the winner is called. */
 export function verdict(gap, unit, tie) {
-  if (Number.isNaN(gap.low)) return "no interval: one clip";
+  if (Number.isNaN(gap.low)) return "";
   if (unit === "dB" && gap.low >= -tie && gap.high <= tie) return "tie";
-  return gap.low <= 0 && gap.high >= 0 ? "not resolved" : "";
+  return gap.low <= 0 && gap.high >= 0 ? "not resolved" : "trails";
 }
 
 /** Every method that fits the deadline at its best budget, the best first. */

@@ -59,7 +59,7 @@ export function decideView() {
     notes.textContent = [`${metric().metric}: ${metric().convention}.`,
       `Frame time: inference on ${device().name || "an unnamed device"} + drawn samples x cost of a sample (measured: ${short(scope().sample_ms)} ms, ${metric().cost_source || "no source"}).`,
       `Intervals: 95 %, Student's t over ${scope().unit}. Between measured budgets scores are linear in log spp; none is extrapolated.`,
-      "† a time of this method is unreliable.", ...scope().missing.map((each) => `${each}.`)].join(" ");
+      `${data.unreliable_mark} a time of this method is unreliable.`, ...scope().missing.map((each) => `${each}.`)].join(" ");
   };
   return { element, update };
 }
@@ -67,7 +67,7 @@ export function decideView() {
 const unitText = () => (metric().unit ? ` ${metric().unit}` : "");
 const number = (value) => (metric().unit === "dB" ? value.toFixed(2) : short(value));
 const bracket = ({ low, high }) => (Number.isNaN(low) ? "" : ` [${number(low)}, ${number(high)}]`);
-const mark = (each) => (each.isUnreliable ? "†" : "");
+const mark = (each) => (each.isUnreliable ? data.unreliable_mark : "");
 
 function describe(ranked) {
   if (!ranked.length) {
@@ -80,7 +80,7 @@ function describe(ranked) {
     ` at ${short(first.spp)} spp: ${number(first.mean)}${unitText()}${bracket(first)} in ${short(first.frameMs)} ms`, first.isLargest ? ", its largest measured budget. " : ". "];
   if (second) {
     const gap = { mean: -second.gap.mean, low: -second.gap.high, high: -second.gap.low };
-    const words = { "": "Ahead of", tie: "A tie with", "not resolved": "Not resolved from" }[second.verdict] ?? "Ahead, with one clip and no interval, of";
+    const words = { trails: "Leads", tie: "A tie with", "not resolved": "Not resolved from" }[second.verdict] ?? "No interval, since there is one clip, to";
     parts.push(`${words} ${second.method}${mark(second)}: ${number(gap.mean)}${unitText()}${bracket(gap)}.`);
   }
   if (others.length > 1) parts.push(` ${others.length} methods tie with it or are not resolved from it.`);

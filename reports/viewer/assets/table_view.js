@@ -58,7 +58,7 @@ export function tableView() {
     if (search.value !== state.search) search.value = state.search;
     filters.forEach((button) => button.setAttribute("aria-pressed", String(chosen().includes(button.dataset.filter))));
     table.replaceChildren(draw(rows()));
-    notes.replaceChildren(h("p", {}, `${metric().metric}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; † a time is unreliable, measured on a busy machine.`),
+    notes.replaceChildren(h("p", {}, `${metric().metric}: ${metric().convention}. Bars: 95 % interval of the paired difference to the best at its budget; ${data.unreliable_mark} a time is unreliable, measured on a busy machine; † not resolved after Holm's correction for the comparisons of this table.`),
       h("details", { hidden: !device().table.notes.length }, h("summary", {}, `${device().table.notes.length} notes on the rows`), h("ul", {}, device().table.notes.map((note) => h("li", {}, note)))));
   };
   const element = h("section", {}, h("div", { class: "toolbar" }, controls.map((each) => each.element), search),
@@ -74,7 +74,7 @@ function toggle(name) {
   set({ filter: (now.includes(name) ? now.filter((each) => each !== name) : [...now, name]).join(",") });
 }
 
-/** A row name without its label, as methods are declared. */
+/** The rows that are shown, in their order. */
 function rows() {
   const shown = metric().records.filter((each) => each.scene === scope()
     && (state.tspp === "" || each.target_spp === Number(state.tspp)) && each.method.includes(state.search)
@@ -89,13 +89,13 @@ function rows() {
 }
 
 const score = (value) => (value === null || value === undefined ? "–" : metric().unit === "dB" ? value.toFixed(2) : short(value));
-const time = (row, value) => (value === null || value === undefined ? "–" : short(value) + (row.unreliable ? "†" : ""));
+const time = (row, value) => (value === null || value === undefined ? "–" : short(value) + (row.unreliable ? data.unreliable_mark : ""));
 const difference = (row) => (row.best ? "best" : score(row.difference) + (row.low === null ? "" : ` [${score(row.low)}, ${score(row.high)}]`));
 
 function texts(shown) {
   const title = `${metric().metric}${metric().unit ? ` [${metric().unit}]` : ""}`;
   return [["method", "spp", title, "to the best", "inference ms", "frame ms", "verdict"],
-    ...shown.map((row) => [row.method, short(row.target_spp), score(row.mean), difference(row), time(row, row.inference_ms), time(row, row.frame_ms), row.verdict])];
+    ...shown.map((row) => [row.method, short(row.target_spp), score(row.mean), difference(row), time(row, row.inference_ms), time(row, row.frame_ms), row.verdict + row.mark])];
 }
 
 function draw(shown) {
@@ -110,7 +110,7 @@ function draw(shown) {
   const reach = [Math.min(0, ...ends), Math.max(0, ...ends)];
   const body = shown.map((row) => h("tr", { "data-row": row.method, class: row.best ? "is-best" : "" },
     h("th", { scope: "row" }, named(row.method)), h("td", {}, short(row.target_spp)), h("td", {}, score(row.mean)), h("td", {}, difference(row)),
-    h("td", {}, bar(row, reach)), h("td", {}, time(row, row.inference_ms)), h("td", {}, time(row, row.frame_ms)), h("td", {}, row.verdict)));
+    h("td", {}, bar(row, reach)), h("td", {}, time(row, row.inference_ms)), h("td", {}, time(row, row.frame_ms)), h("td", {}, row.verdict + row.mark)));
   return h("table", {}, h("caption", {}, `${shown.length} rows`), h("thead", {}, h("tr", {}, head)), h("tbody", {}, body));
 }
 
