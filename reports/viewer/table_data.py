@@ -69,9 +69,9 @@ def rank_at_once(scores: Scores, draws: int = BOOTSTRAP_SAMPLES) -> pd.DataFrame
 
 def _rank(units: pd.DataFrame, scores: Scores, draws: int) -> list[dict[str, Any]]:
     """A record of each method; `units` has a column for each method, a row for each unit."""
-    means = units.mean()
-    sign = {"higher": 1, "lower": -1}.get(scores.direction, 0)
-    best = (sign * means).idxmax()
+    means, direction = units.mean(), scores.direction
+    sign = {"higher": 1, "lower": -1}.get(direction, 0)
+    best = str((sign * means).idxmax())
     gaps = units.sub(units[best], axis=0) if sign else units * math.nan
     low, high = interval_ends(gaps.to_numpy(float), draws=draws)
     deviations = gaps.std(ddof=1)
@@ -90,7 +90,7 @@ def _rank(units: pd.DataFrame, scores: Scores, draws: int) -> list[dict[str, Any
                 "difference": gap.mean,
                 "low": gap.low,
                 "high": gap.high,
-                "verdict": name_verdict(gap, unit, scores.direction),
+                "verdict": name_verdict(gap, unit, direction),
                 "p_value": gap.p_value,
             }
         )
