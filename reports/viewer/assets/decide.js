@@ -16,7 +16,14 @@ export function frameTimeAt(curve, spp, sampleMs) {
 
 /** The scores of all scenes (or clips) at any budget; NaN outside of the measured ones. */
 export function unitsAt(curve, spp) {
-  return curve.units[0].map((_, unit) => interpolate(spp, curve.spp, curve.units.map((row) => row[unit]), logs));
+  return curve.units[0].map((_, unit) =>
+    interpolate(
+      spp,
+      curve.spp,
+      curve.units.map((row) => row[unit]),
+      logs,
+    ),
+  );
 }
 
 export const mean = (numbers) => numbers.reduce((sum, number) => sum + number, 0) / numbers.length;
@@ -62,13 +69,25 @@ export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
     const spp = bestSpp(curve, sampleMs, deadline, sign);
     if (Number.isNaN(spp)) return [];
     const units = unitsAt(curve, spp);
-    return [{ curve, method: curve.method, spp, units, ...interval(units, student),
-      frameMs: frameTimeAt(curve, spp, sampleMs), isLargest: spp === curve.spp.at(-1),
-      isUnreliable: curve.unreliable.some(Boolean) }];
+    return [
+      {
+        curve,
+        method: curve.method,
+        spp,
+        units,
+        ...interval(units, student),
+        frameMs: frameTimeAt(curve, spp, sampleMs),
+        isLargest: spp === curve.spp.at(-1),
+        isUnreliable: curve.unreliable.some(Boolean),
+      },
+    ];
   });
   fitting.sort((a, b) => sign * (b.mean - a.mean));
   for (const each of fitting) {
-    each.gap = interval(each.units.map((value, i) => value - fitting[0].units[i]), student);
+    each.gap = interval(
+      each.units.map((value, i) => value - fitting[0].units[i]),
+      student,
+    );
     each.verdict = each === fitting[0] ? "" : verdict(each.gap, unit, tie);
   }
   return fitting;
@@ -76,8 +95,11 @@ export function rank(curves, sampleMs, deadline, { sign, unit, student, tie }) {
 
 /** Points [time, score, curve, budget index] that no cheaper point beats, reliable times only. */
 export function paretoFront(curves, sampleMs, sign) {
-  const points = curves.flatMap((curve) => frameTimes(curve, sampleMs).flatMap((time, i) =>
-    curve.unreliable[i] ? [] : [{ time, score: mean(curve.units[i]), curve, index: i }]));
+  const points = curves.flatMap((curve) =>
+    frameTimes(curve, sampleMs).flatMap((time, i) =>
+      curve.unreliable[i] ? [] : [{ time, score: mean(curve.units[i]), curve, index: i }],
+    ),
+  );
   points.sort((a, b) => a.time - b.time || sign * (b.score - a.score));
   const front = [];
   for (const point of points) {

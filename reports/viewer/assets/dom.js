@@ -35,15 +35,23 @@ export function select(label, choices, read, write) {
 /** A labelled slider with its value as text. */
 export function slider(label, bounds, read, write, text) {
   const output = h("output");
-  const input = h("input", { type: "range", "aria-label": label, ...bounds,
-    oninput: () => write(Number(input.value)) });
+  const input = h("input", {
+    type: "range",
+    "aria-label": label,
+    ...bounds,
+    oninput: () => write(Number(input.value)),
+  });
   const update = () => {
     input.value = read();
     output.textContent = text(read());
     input.setAttribute("aria-valuetext", output.textContent);
   };
   update();
-  return { element: h("label", { class: "field slider" }, h("span", {}, label), input, output), update, input };
+  return {
+    element: h("label", { class: "field slider" }, h("span", {}, label), input, output),
+    update,
+    input,
+  };
 }
 
 /** A number with few digits. */

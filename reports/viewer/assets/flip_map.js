@@ -13,7 +13,8 @@ const TO_XYZ = [
   [2613072 / 12288897, 8788810 / 12288897, 887015 / 12288897],
   [1425312 / 73733382, 8788810 / 73733382, 70074185 / 73733382],
 ];
-const CSF = [ // of achromatic, red-green and blue-yellow: [a1, b1, a2, b2]
+const CSF = [
+  // of achromatic, red-green and blue-yellow: [a1, b1, a2, b2]
   [1.0, 0.0047, 0, 1e-5],
   [1.0, 0.0053, 0, 1e-5],
   [34.1, 0.04, 13.5, 0.025],
@@ -56,7 +57,9 @@ function fromYcxcz(y, cx, cz) {
 }
 
 function toHuntLab(linear) {
-  const [x, y, z] = toXyz(linear.map((v) => Math.min(Math.max(v, 0), 1))).map((v, k) => v / WHITE[k]);
+  const [x, y, z] = toXyz(linear.map((v) => Math.min(Math.max(v, 0), 1))).map(
+    (v, k) => v / WHITE[k],
+  );
   const f = (t) => (t > (6 / 29) ** 3 ? Math.cbrt(t) : t / (3 * (6 / 29) ** 2) + 4 / 29);
   const light = 116 * f(y) - 16;
   return [light, 0.01 * light * 500 * (f(x) - f(y)), 0.01 * light * 200 * (f(y) - f(z))];
@@ -83,11 +86,19 @@ function filterColour(planes, width, height) {
   const radius = Math.ceil(3 * Math.sqrt(0.04 / (2 * Math.PI ** 2)) * PPD);
   return planes.map((plane, k) => {
     const [a1, b1, a2, b2] = CSF[k];
-    const parts = [[a1, b1], [a2, b2]].filter(([a]) => a > 0).map(([a, b]) => {
-      const taps = kernel(radius, (x) => Math.exp((-(Math.PI ** 2) * (x / PPD) ** 2) / b));
-      const sum = taps.reduce((total, tap) => total + tap, 0);
-      return { taps: taps.map((tap) => tap / sum), weight: a * Math.sqrt(Math.PI / b) * sum * sum };
-    });
+    const parts = [
+      [a1, b1],
+      [a2, b2],
+    ]
+      .filter(([a]) => a > 0)
+      .map(([a, b]) => {
+        const taps = kernel(radius, (x) => Math.exp((-(Math.PI ** 2) * (x / PPD) ** 2) / b));
+        const sum = taps.reduce((total, tap) => total + tap, 0);
+        return {
+          taps: taps.map((tap) => tap / sum),
+          weight: a * Math.sqrt(Math.PI / b) * sum * sum,
+        };
+      });
     const total = parts.reduce((sum, part) => sum + part.weight, 0);
     const result = new Float32Array(plane.length);
     for (const { taps, weight } of parts) {
@@ -107,11 +118,13 @@ function featureDifference(grey, other, width, height) {
   const at = (i) => i - radius;
   const edge = balance(gauss.map((tap, i) => -at(i) * tap));
   const point = balance(gauss.map((tap, i) => ((at(i) * at(i)) / (sigma * sigma) - 1) * tap));
-  const sizes = [edge, point].map((taps) => [grey, other].map((plane) => {
-    const across = separable(plane, width, height, taps, smooth);
-    const down = separable(plane, width, height, smooth, taps);
-    return across.map((value, i) => Math.hypot(value, down[i]));
-  }));
+  const sizes = [edge, point].map((taps) =>
+    [grey, other].map((plane) => {
+      const across = separable(plane, width, height, taps, smooth);
+      const down = separable(plane, width, height, smooth, taps);
+      return across.map((value, i) => Math.hypot(value, down[i]));
+    }),
+  );
   return grey.map((_, i) => {
     const differences = sizes.map(([a, b]) => Math.abs(a[i] - b[i]));
     return (Math.max(...differences) / Math.SQRT2) ** QF;

@@ -3,9 +3,16 @@
 import { h } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
 import { clip, methods } from "viewer/workspace.js";
+import { CURVES } from "viewer/tone.js";
 import * as flip from "viewer/flip_view.js";
 
-export const VIEWS = [["decide", "Decide"], ["flip", "Flip"], ["layers", "Layers"], ["time", "Time"], ["table", "Table"]];
+export const VIEWS = [
+  ["decide", "Decide"],
+  ["flip", "Flip"],
+  ["layers", "Layers"],
+  ["time", "Time"],
+  ["table", "Table"],
+];
 export const IMAGE_VIEWS = ["flip", "layers", "time"];
 
 const HELP = [
@@ -20,12 +27,22 @@ const HELP = [
   [", and .", "frame before, after"],
   ["P", "play and stop"],
   ["+ - 0", "zoom in, out, fit; so does the wheel"],
-  ["arrows", "pixel whose values are listed; with shift, move the image, and so does a drag with shift"],
+  [
+    "arrows",
+    "pixel whose values are listed; with shift, move the image, and so does a drag with shift",
+  ],
 ];
 
 export function fillHelp(dialog) {
-  dialog.replaceChildren(h("h2", {}, "Keys"), h("dl", {}, HELP.map(([key, text]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, text)])),
-    h("form", { method: "dialog" }, h("button", {}, "Close")));
+  dialog.replaceChildren(
+    h("h2", {}, "Keys"),
+    h(
+      "dl",
+      {},
+      HELP.map(([key, text]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, text)]),
+    ),
+    h("form", { method: "dialog" }, h("button", {}, "Close")),
+  );
 }
 
 /** Act on keys; those that a control of the page uses itself are left to it. */
@@ -54,26 +71,42 @@ function act(event, workspace, dialog) {
   return true;
 }
 
-function actions(shift, { stage, play, timer, ...workspace }) {
+function actions(shift, { stage }) {
   const step = (by) => () => set({ frame: (state.frame + by + clip().frames) % clip().frames });
   const move = (dx, dy) => () => (shift ? stage.panBy(8 * dx, 8 * dy) : movePixel(dx, dy));
-  const split = (by) => () => set({ split: Math.min(Math.max((state.split < 0 ? 0.5 : state.split) + by, 0), 1) });
-  const curves = ["srgb", "reinhard", "hable"];
+  const split = (by) => () =>
+    set({ split: Math.min(Math.max((state.split < 0 ? 0.5 : state.split) + by, 0), 1) });
+  const curves = CURVES.map(([name]) => name);
   return {
-    r: flip.toggleReference, " ": flip.blink, g: flip.toggleAll, s: flip.toggleSplit,
-    "[": split(-0.05), "]": split(0.05),
+    r: flip.toggleReference,
+    " ": flip.blink,
+    g: flip.toggleAll,
+    s: flip.toggleSplit,
+    "[": split(-0.05),
+    "]": split(0.05),
     e: () => set({ ev: Math.min(Math.max(state.ev + (shift ? -0.5 : 0.5), -8), 8) }),
     c: () => set({ curve: curves[(curves.indexOf(state.curve) + 1) % curves.length] }),
-    ",": step(-1), ".": step(1), "<": step(-1), ">": step(1),
+    ",": step(-1),
+    ".": step(1),
+    "<": step(-1),
+    ">": step(1),
     p: () => document.getElementById("play").click(),
-    "+": () => stage.zoomBy(1.5), "=": () => stage.zoomBy(1.5), "-": () => stage.zoomBy(1 / 1.5),
+    "+": () => stage.zoomBy(1.5),
+    "=": () => stage.zoomBy(1.5),
+    "-": () => stage.zoomBy(1 / 1.5),
     0: () => set({ zoom: 0, x: -1, y: -1 }),
-    ArrowLeft: move(-1, 0), ArrowRight: move(1, 0), ArrowUp: move(0, -1), ArrowDown: move(0, 1),
+    ArrowLeft: move(-1, 0),
+    ArrowRight: move(1, 0),
+    ArrowUp: move(0, -1),
+    ArrowDown: move(0, 1),
   };
 }
 
 function movePixel(dx, dy) {
   const { width, height } = clip();
   const from = state.px < 0 ? [width >> 1, height >> 1] : [state.px + dx, state.py + dy];
-  set({ px: Math.min(Math.max(from[0], 0), width - 1), py: Math.min(Math.max(from[1], 0), height - 1) });
+  set({
+    px: Math.min(Math.max(from[0], 0), width - 1),
+    py: Math.min(Math.max(from[1], 0), height - 1),
+  });
 }

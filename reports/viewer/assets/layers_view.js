@@ -24,9 +24,23 @@ const LAYERS = {
 };
 
 export function extras() {
-  const present = () => Object.keys(LAYERS).filter((name) => !BUFFERS.includes(name) || clip().buffersPresent.includes(name));
-  const layer = select("layer", () => present().map((name) => [name, LAYERS[name][0]]), () => state.layer, (value) => set({ layer: value }));
-  const scale = slider("end of the error scale", { min: -7, max: 0, step: 0.5 }, () => Math.log2(state.range), (power) => set({ range: 2 ** power }), (power) => short(2 ** power, 2));
+  const present = () =>
+    Object.keys(LAYERS).filter(
+      (name) => !BUFFERS.includes(name) || clip().buffersPresent.includes(name),
+    );
+  const layer = select(
+    "layer",
+    () => present().map((name) => [name, LAYERS[name][0]]),
+    () => state.layer,
+    (value) => set({ layer: value }),
+  );
+  const scale = slider(
+    "end of the error scale",
+    { min: -7, max: 0, step: 0.5 },
+    () => Math.log2(state.range),
+    (power) => set({ range: 2 ** power }),
+    (power) => short(2 ** power, 2),
+  );
   const bar = h("canvas", { width: 256, height: 1, class: "colour-bar" });
   const [low, high, meaning] = [h("span"), h("span"), h("span", { class: "hint" })];
   const legend = h("div", { class: "legend" }, low, bar, high, meaning);
@@ -50,11 +64,24 @@ export function panes() {
   const { layer } = state;
   const map = data.map_of[LAYERS[layer][2] ?? "error"];
   const shader = layer === "flip" || layer === "counts" ? "scalar" : layer;
-  const look = { layer: shader, curve: state.curve, ev: state.ev, map, split: -1, range: ranges.get(rangeKey(layer)) ?? [0, 1] };
+  const look = {
+    layer: shader,
+    curve: state.curve,
+    ev: state.ev,
+    map,
+    split: -1,
+    range: ranges.get(rangeKey(layer)) ?? [0, 1],
+  };
   if (BUFFERS.includes(layer)) return [{ label: LAYERS[layer][0], image: picture(layer), look }];
-  if (layer === "image") return ["reference", ...methods()].map((name) => ({ label: name, image: picture(name), look }));
+  if (layer === "image")
+    return ["reference", ...methods()].map((name) => ({ label: name, image: picture(name), look }));
   const kind = layer === "flip" || layer === "counts" ? layer : "image";
-  return methods().map((name) => ({ label: name, image: picture(name, kind), reference: picture("reference"), look }));
+  return methods().map((name) => ({
+    label: name,
+    image: picture(name, kind),
+    reference: picture("reference"),
+    look,
+  }));
 }
 
 const ranges = new Map();
@@ -79,12 +106,23 @@ async function measure(layer) {
     return [0, Math.max(1, ...images.map((image) => largest(image.planes[0], Infinity)))];
   }
   if (layer === "depth") {
-    const depths = (await picture("depth")).planes[0].filter((value) => Number.isFinite(value) && value > 0);
+    const depths = (await picture("depth")).planes[0].filter(
+      (value) => Number.isFinite(value) && value > 0,
+    );
     return [Math.log2(smallest(depths)), Math.log2(largest(depths, Infinity)) + 1e-3];
   }
   if (layer === "motion") {
     const [x, y] = (await picture("motion")).planes;
-    return [0, Math.max(1, largest(x.map((value, i) => Math.hypot(value, y[i])), OUTSIDE))];
+    return [
+      0,
+      Math.max(
+        1,
+        largest(
+          x.map((value, i) => Math.hypot(value, y[i])),
+          OUTSIDE,
+        ),
+      ),
+    ];
   }
   return [0, 1];
 }

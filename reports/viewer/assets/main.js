@@ -26,7 +26,19 @@ const modes = {};
 let entered = ""; // the view that the page shows
 const pages = { decide: decideView(), table: tableView() };
 const views = document.getElementById("views");
-const tabs = available.map(([name, title]) => h("button", { type: "button", role: "tab", id: `tab-${name}`, "aria-controls": "views", onclick: () => set({ view: name }) }, title));
+const tabs = available.map(([name, title]) =>
+  h(
+    "button",
+    {
+      type: "button",
+      role: "tab",
+      id: `tab-${name}`,
+      "aria-controls": "views",
+      onclick: () => set({ view: name }),
+    },
+    title,
+  ),
+);
 document.getElementById("tabs").append(...tabs);
 views.setAttribute("role", "tabpanel");
 document.getElementById("remarks").append(...remarks().map((text) => h("li", {}, text)));
@@ -71,7 +83,9 @@ function enter(name) {
   const { bar, stage, readout } = workspace;
   const isBelow = name === "time";
   const side = h("div", { class: `work ${name}` }, stage.element, readout);
-  views.replaceChildren(h("section", {}, bar, ...(isBelow ? [side, modes[name].element] : [modes[name].element, side])));
+  views.replaceChildren(
+    h("section", {}, bar, ...(isBelow ? [side, modes[name].element] : [modes[name].element, side])),
+  );
 }
 
 /** Show the panes of a view; where a scale has to be measured first, once more after it. */
@@ -83,7 +97,11 @@ function arrange(mode) {
 
 function remarks() {
   const error = data.relative_error;
-  const rounding = error ? [`Images are rounded: a value is within ${(100 * error).toPrecision(2)} % (near black within ${(error / 128).toPrecision(1)} of display white).`] : [];
+  const rounding = error
+    ? [
+        `Images are rounded: a value is within ${(100 * error).toPrecision(2)} % (near black within ${(error / 128).toPrecision(1)} of display white).`,
+      ]
+    : [];
   return [...data.remarks, ...rounding];
 }
 

@@ -34,7 +34,8 @@ class Clip {
     const key = [source, spp, frame, kind].join("|");
     const known = this.cache.get(key);
     if (known) this.cache.delete(key); // to the end of the order
-    const promise = known ?? this.#read(source, spp, frame, kind).then((image) => (promise.image = image));
+    const promise =
+      known ?? this.#read(source, spp, frame, kind).then((image) => (promise.image = image));
     this.cache.set(key, promise);
     if (this.cache.size > LIMIT) this.cache.delete(this.cache.keys().next().value);
     return promise;

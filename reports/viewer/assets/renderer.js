@@ -51,22 +51,38 @@ void main() {
 }`;
 
 /** Numbers of the layers in the shader. */
-export const LAYERS = { image: 0, signed: 1, squared: 2, albedo: 3, normal: 4, scalar: 5, depth: 6, motion: 7 };
+export const LAYERS = {
+  image: 0,
+  signed: 1,
+  squared: 2,
+  albedo: 3,
+  normal: 4,
+  scalar: 5,
+  depth: 6,
+  motion: 7,
+};
 const CURVES = { srgb: 0, reinhard: 1, hable: 2 };
 const TEXTURES = 300; // that are kept
 
 export class Renderer {
   constructor(canvas, maps) {
     this.canvas = canvas;
-    const gl = canvas.getContext("webgl2", { preserveDrawingBuffer: true, premultipliedAlpha: false });
+    const gl = canvas.getContext("webgl2", {
+      preserveDrawingBuffer: true,
+      premultipliedAlpha: false,
+    });
     if (!gl) throw new Error("images need WebGL2, which this browser has not, or not switched on");
     this.gl = gl;
     this.program = link(gl);
     gl.useProgram(this.program);
     this.uniform = (name) => gl.getUniformLocation(this.program, name);
-    ["image", "reference", "other", "colours"].forEach((name, unit) => gl.uniform1i(this.uniform(name), unit));
+    ["image", "reference", "other", "colours"].forEach((name, unit) =>
+      gl.uniform1i(this.uniform(name), unit),
+    );
     this.textures = new Map();
-    this.maps = Object.fromEntries(Object.entries(maps).map(([name, bytes]) => [name, this.#colours(bytes)]));
+    this.maps = Object.fromEntries(
+      Object.entries(maps).map(([name, bytes]) => [name, this.#colours(bytes)]),
+    );
     gl.enable(gl.SCISSOR_TEST);
   }
 
@@ -74,8 +90,11 @@ export class Renderer {
   begin() {
     const { gl, canvas } = this;
     this.scale = window.devicePixelRatio || 1;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((n) => Math.max(1, Math.round(n * this.scale)));
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((n) =>
+      Math.max(1, Math.round(n * this.scale)),
+    );
+    if (canvas.width !== width || canvas.height !== height)
+      Object.assign(canvas, { width, height });
     gl.scissor(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
@@ -89,8 +108,13 @@ export class Renderer {
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
     const numbers = { zoom: view.zoom * scale, exposure: look.ev, split: look.split };
-    const pairs = { origin: [x, y], extent: [width, height], centre: [view.x, view.y],
-      size: [images.image.width, images.image.height], range: look.range };
+    const pairs = {
+      origin: [x, y],
+      extent: [width, height],
+      centre: [view.x, view.y],
+      size: [images.image.width, images.image.height],
+      range: look.range,
+    };
     for (const [name, value] of Object.entries(numbers)) gl.uniform1f(this.uniform(name), value);
     for (const [name, value] of Object.entries(pairs)) gl.uniform2f(this.uniform(name), ...value);
     gl.uniform1i(this.uniform("layer"), LAYERS[look.layer]);
@@ -124,12 +148,12 @@ export class Renderer {
     const { gl } = this;
     const pixels = new Float32Array(4 * width * height);
     for (let i = 0; i < width * height; i++) {
-      let isFinite = 1;
+      let alpha = 1;
       planes.forEach((plane, c) => {
         pixels[4 * i + c] = Math.min(Math.max(plane[i] || 0, -65504), 65504);
-        if (!Number.isFinite(plane[i])) isFinite = 0;
+        if (!Number.isFinite(plane[i])) alpha = 0;
       });
-      pixels[4 * i + 3] = isFinite;
+      pixels[4 * i + 3] = alpha;
     }
     const texture = this.#empty();
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, width, height, 0, gl.RGBA, gl.FLOAT, pixels);
@@ -149,19 +173,25 @@ export class Renderer {
     const texture = gl.createTexture();
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, texture);
-    for (const name of ["MIN_FILTER", "MAG_FILTER"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.NEAREST);
-    for (const name of ["WRAP_S", "WRAP_T"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.CLAMP_TO_EDGE);
+    for (const name of ["MIN_FILTER", "MAG_FILTER"])
+      gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.NEAREST);
+    for (const name of ["WRAP_S", "WRAP_T"])
+      gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.CLAMP_TO_EDGE);
     return texture;
   }
 }
 
 function link(gl) {
   const program = gl.createProgram();
-  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+  for (const [kind, source] of [
+    [gl.VERTEX_SHADER, VERTEX],
+    [gl.FRAGMENT_SHADER, FRAGMENT],
+  ]) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, source);
     gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS))
+      throw new Error(gl.getShaderInfoLog(shader));
     gl.attachShader(program, shader);
   }
   gl.linkProgram(program);

@@ -11,7 +11,12 @@ export class Stage {
   constructor() {
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.grid = h("div", { class: "panes" });
-    this.element = h("div", { class: "stage", tabindex: 0, role: "application", "aria-label": "images" }, this.canvas, this.grid);
+    this.element = h(
+      "div",
+      { class: "stage", tabindex: 0, role: "application", "aria-label": "images" },
+      this.canvas,
+      this.grid,
+    );
     this.panes = [];
     this.pointers = new Map();
     try {
@@ -29,7 +34,14 @@ export class Stage {
     Object.assign(this, { clip, panes, gesture, line });
     if (!this.renderer) return;
     this.element.dataset.gesture = gesture;
-    const boxes = panes.map((pane) => h("figure", { class: "pane", "data-pane": pane.label }, h("figcaption", {}, pane.label), s("svg", { class: "overlay" })));
+    const boxes = panes.map((pane) =>
+      h(
+        "figure",
+        { class: "pane", "data-pane": pane.label },
+        h("figcaption", {}, pane.label),
+        s("svg", { class: "overlay" }),
+      ),
+    );
     this.grid.replaceChildren(...boxes);
     this.draw();
   }
@@ -39,7 +51,12 @@ export class Stage {
     const box = this.grid.firstElementChild?.getBoundingClientRect() ?? { width: 1, height: 1 };
     const { width, height } = this.clip;
     const fit = Math.min(box.width / width, box.height / height);
-    return { zoom: state.zoom || fit, fit, x: state.x < 0 ? width / 2 : state.x, y: state.y < 0 ? height / 2 : state.y };
+    return {
+      zoom: state.zoom || fit,
+      fit,
+      x: state.x < 0 ? width / 2 : state.x,
+      y: state.y < 0 ? height / 2 : state.y,
+    };
   }
 
   draw() {
@@ -60,14 +77,24 @@ export class Stage {
   panBy(dx, dy) {
     const view = this.view();
     const clamp = (value, size) => Math.min(Math.max(value, 0), size);
-    set({ zoom: view.zoom, x: clamp(view.x + dx, this.clip.width), y: clamp(view.y + dy, this.clip.height) });
+    set({
+      zoom: view.zoom,
+      x: clamp(view.x + dx, this.clip.width),
+      y: clamp(view.y + dy, this.clip.height),
+    });
   }
 
   /** As many columns as make the images largest. */
   #columns() {
     const { clientWidth, clientHeight } = this.grid;
-    const fit = (columns) => Math.min(clientWidth / columns / this.clip.width, clientHeight / Math.ceil(this.panes.length / columns) / this.clip.height);
-    return this.panes.map((_, i) => i + 1).reduce((best, columns) => (fit(columns) > fit(best) ? columns : best));
+    const fit = (columns) =>
+      Math.min(
+        clientWidth / columns / this.clip.width,
+        clientHeight / Math.ceil(this.panes.length / columns) / this.clip.height,
+      );
+    return this.panes
+      .map((_, i) => i + 1)
+      .reduce((best, columns) => (fit(columns) > fit(best) ? columns : best));
   }
 
   #draw() {
@@ -86,7 +113,12 @@ export class Stage {
         else missing.add(pane[name]);
       }
       if (images.image && (!pane.other || images.other) && (!pane.reference || images.reference)) {
-        const place = { x: box.x - origin.x, y: box.y - origin.y, width: box.width, height: box.height };
+        const place = {
+          x: box.x - origin.x,
+          y: box.y - origin.y,
+          width: box.width,
+          height: box.height,
+        };
         this.renderer.draw(place, images, view, pane.look);
       }
       this.#mark(figure.querySelector("svg"), box, view);
@@ -117,7 +149,11 @@ export class Stage {
       const [left, top] = [event.clientX - box.left, event.clientY - box.top];
       if (left < 0 || top < 0 || left > box.width || top > box.height) continue;
       const view = this.view();
-      return { x: (left - box.width / 2) / view.zoom + view.x, y: (top - box.height / 2) / view.zoom + view.y, share: left / box.width };
+      return {
+        x: (left - box.width / 2) / view.zoom + view.x,
+        y: (top - box.height / 2) / view.zoom + view.y,
+        share: left / box.width,
+      };
     }
     return null;
   }
@@ -130,12 +166,16 @@ export class Stage {
 
   #listen() {
     const { element } = this;
-    element.addEventListener("wheel", (event) => {
-      const at = this.#locate(event);
-      if (!at) return;
-      event.preventDefault();
-      this.zoomBy(2 ** (-event.deltaY / 300), at);
-    }, { passive: false });
+    element.addEventListener(
+      "wheel",
+      (event) => {
+        const at = this.#locate(event);
+        if (!at) return;
+        event.preventDefault();
+        this.zoomBy(2 ** (-event.deltaY / 300), at);
+      },
+      { passive: false },
+    );
     element.addEventListener("dblclick", () => set({ zoom: 0, x: -1, y: -1, split: -1 }));
     element.addEventListener("contextmenu", (event) => event.preventDefault());
     element.addEventListener("pointerdown", (event) => {
@@ -155,7 +195,10 @@ export class Stage {
   #move(event) {
     const at = this.#locate(event);
     const before = this.pointers.get(event.pointerId);
-    if (!before) { if (at) this.#pick(at); return; }
+    if (!before) {
+      if (at) this.#pick(at);
+      return;
+    }
     this.pointers.set(event.pointerId, event);
     if (this.pointers.size === 2) return this.#pinch(before, event);
     const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
@@ -167,15 +210,23 @@ export class Stage {
 
   #drawLine(at) {
     const clamp = (value, size) => Math.min(Math.max(Math.floor(value), 0), size - 1);
-    const [from, to] = [this.from, at].map(({ x, y }) => `${clamp(x, this.clip.width)},${clamp(y, this.clip.height)}`);
+    const [from, to] = [this.from, at].map(
+      ({ x, y }) => `${clamp(x, this.clip.width)},${clamp(y, this.clip.height)}`,
+    );
     if (from !== to) set({ line: `${from},${to}` });
   }
 
   #pinch(before, now) {
-    const [other] = [...this.pointers].filter(([id]) => id !== now.pointerId).map(([, event]) => event);
-    const distance = (event) => Math.hypot(event.clientX - other.clientX, event.clientY - other.clientY);
+    const [other] = [...this.pointers]
+      .filter(([id]) => id !== now.pointerId)
+      .map(([, event]) => event);
+    const distance = (event) =>
+      Math.hypot(event.clientX - other.clientX, event.clientY - other.clientY);
     const { zoom } = this.view();
-    this.panBy((before.clientX - now.clientX) / 2 / zoom, (before.clientY - now.clientY) / 2 / zoom);
+    this.panBy(
+      (before.clientX - now.clientX) / 2 / zoom,
+      (before.clientY - now.clientY) / 2 / zoom,
+    );
     if (distance(before) > 0) this.zoomBy(distance(now) / distance(before));
   }
 }

@@ -8,7 +8,9 @@ export async function decode(tile) {
   const [channels, height, width] = tile.shape;
   const bytes = await inflate(tile.blob);
   const area = width * height;
-  const starts = tile.groups.map((_, i) => tile.groups.slice(0, i).reduce((sum, size) => sum + size, 0));
+  const starts = tile.groups.map((_, i) =>
+    tile.groups.slice(0, i).reduce((sum, size) => sum + size, 0),
+  );
   const escaped = new DataView(bytes.buffer, channels * area);
   let next = 0;
   const codes = [];
@@ -20,7 +22,14 @@ export async function decode(tile) {
         const up = y ? plane[i - width] : 0;
         const corner = x && y ? plane[i - width - 1] : 0;
         const differences = Math.abs(left - corner) + Math.abs(up - corner);
-        const group = differences < GROUPS[0] ? 0 : differences < GROUPS[1] ? 1 : differences < GROUPS[2] ? 2 : 3;
+        const group =
+          differences < GROUPS[0]
+            ? 0
+            : differences < GROUPS[1]
+              ? 1
+              : differences < GROUPS[2]
+                ? 2
+                : 3;
         let folded = bytes[starts[4 * c + group]++];
         if (folded === ESCAPE) folded = escaped.getUint32(4 * next++, true);
         const residual = folded & 1 ? -((folded + 1) >> 1) : folded >> 1;
@@ -54,7 +63,10 @@ function linearValues(scale) {
 
 function logValues(scale) {
   const top = Math.round(scale.steps * Math.log2(1 + 2 ** 16 / scale.dark));
-  const table = Float32Array.from({ length: top + 3 }, (_, code) => scale.dark * (2 ** (code / scale.steps) - 1));
+  const table = Float32Array.from(
+    { length: top + 3 },
+    (_, code) => scale.dark * (2 ** (code / scale.steps) - 1),
+  );
   table[top + 1] = Infinity;
   table[top + 2] = NaN;
   return (codes) => Float32Array.from(codes, (code) => (code < 0 ? -table[-code] : table[code]));

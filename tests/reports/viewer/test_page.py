@@ -12,7 +12,7 @@ from reports.viewer import write
 from reports.viewer.page import ASSETS
 from reports.viewer.pictures import MAX_METHODS
 
-LONGEST_MODULE = 200  # lines
+LONGEST_MODULE = 300  # lines, as of Python's
 
 
 def data_of(file):
