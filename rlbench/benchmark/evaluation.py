@@ -93,11 +93,11 @@ def find_kept_cells(
         if images and is_selected and cell.key.clip in by_name:
             kept.append(KeptCell(cell, images, by_name[cell.key.clip]))
     if not kept:
-        shown = {images.cell.key for images in cell_images.list_images(folder)}
+        keys = {images.cell.key for images in cell_images.list_images(folder)}
         raise EvaluationError(
             f"{folder} has no images of {', '.join(methods) or 'any method'} on "
-            f"{', '.join(by_name)}; it has {', '.join(sorted({key.method for key in shown}))} on "
-            f"{', '.join(sorted({key.clip for key in shown}))}. `rlbench run --keep-images` makes "
+            f"{', '.join(by_name)}; it has {', '.join(sorted({key.method for key in keys}))} on "
+            f"{', '.join(sorted({key.clip for key in keys}))}. `rlbench run --keep-images` makes "
             "images"
         )
     for cell, images, clip in kept:
