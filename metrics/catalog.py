@@ -33,15 +33,15 @@ Tensor = Any  # torch.Tensor; the first score imports torch, so that listing met
 def _mse(frame: Comparison, convention: Convention | None = None) -> Tensor:
     from metrics.psnr import mse
 
-    return mse(*frame.shown(convention), frame.nonfinite_mask)
+    return mse(*frame.encode(convention), frame.nonfinite_mask)
 
 
 def _psnr(frame: Comparison, convention: Convention | None = None) -> Tensor:
     from metrics.conventions import SRGB
     from metrics.psnr import psnr
 
-    shown = frame.shown(convention)
-    return psnr(*shown, frame.nonfinite_mask, (convention or SRGB).peak(shown.reference))
+    pair = frame.encode(convention)
+    return psnr(*pair, frame.nonfinite_mask, (convention or SRGB).peak(pair.reference))
 
 
 def _psnr_debiased(frame: Comparison) -> Tensor:
@@ -67,7 +67,7 @@ def _tpsnr(frame: Comparison) -> Tensor:
 def _ssim(frame: Comparison, convention: Convention | None = None) -> Tensor:
     from metrics.ssim import ssim
 
-    return ssim(*frame.shown(convention))
+    return ssim(*frame.encode(convention))
 
 
 def _relmse(frame: Comparison) -> Tensor:
@@ -109,7 +109,7 @@ def _nonfinite(frame: Comparison) -> Tensor:
 def _ms_ssim(frame: Comparison, scales: int, convention: Convention | None = None) -> Tensor:
     from metrics.ssim import ms_ssim
 
-    return ms_ssim(*frame.shown(convention), scales)
+    return ms_ssim(*frame.encode(convention), scales)
 
 
 def _undefined(frame: Comparison, convention: Convention | None = None) -> Tensor:
@@ -117,7 +117,9 @@ def _undefined(frame: Comparison, convention: Convention | None = None) -> Tenso
 
 
 def _ssim_at(height: int, width: int) -> Metric:
-    return SSIM if min(height, width) >= 11 else replace(SSIM, fit=None, **_TOO_SMALL)
+    from metrics.ssim import max_scales
+
+    return SSIM if max_scales(height, width) else replace(SSIM, fit=None, **_TOO_SMALL)
 
 
 def _ms_ssim_at(height: int, width: int) -> Metric:
@@ -140,13 +142,13 @@ def _ms_ssim_at(height: int, width: int) -> Metric:
 
 _TOO_SMALL: dict[str, Any] = {"convention": "not defined below 11 pixels", "score": _undefined}
 _SSIM_CONVENTION = "clipped sRGB, range 1, window 11, sigma 1.5"
-_SHOWN = "peak 1, clipped sRGB, 1.0 = display white"
+_DISPLAY = "peak 1, clipped sRGB, 1.0 = display white"
 
 PSNR = Metric(
     "psnr",
     "dB",
     "higher",
-    f"{_SHOWN}, at most 100 dB",
+    f"{_DISPLAY}, at most 100 dB",
     _psnr,
     takes_convention=True,
     source="mean squared error of clipped sRGB, the peak of Scardigli et al. 2023 fixed at 1",
@@ -155,7 +157,7 @@ PSNR_DEBIASED = Metric(
     "psnr_debiased",
     "dB",
     "higher",
-    f"{_SHOWN}, of mean((x-a)(x-b)) with half references shown, at most 100 dB",
+    f"{_DISPLAY}, of mean((x-a)(x-b)) with half references, at most 100 dB",
     _psnr_debiased,
     needs_reference_halves=True,
     source="this project; halves as in mse_debiased",
@@ -164,7 +166,7 @@ MSE = Metric(
     "mse",
     "",
     "lower",
-    _SHOWN,
+    _DISPLAY,
     _mse,
     takes_convention=True,
     scored_by_run=False,  # it is psnr without the logarithm

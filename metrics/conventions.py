@@ -19,7 +19,7 @@ __all__ = ["CONVENTIONS", "SRGB", "Convention", "convention_named", "quantize"]
 
 @dataclass(frozen=True)
 class Convention:
-    """How linear radiance is shown, and what PSNR takes as its peak.
+    """How linear radiance is encoded, and what PSNR takes as its peak.
 
     `encode` maps any finite linear radiance, and infinity, into [0, 1]. SSIM and MS-SSIM take 1 as
     the range of values under every convention.
@@ -31,7 +31,7 @@ class Convention:
     has_floating_peak: bool = False  # PSNR's peak is the range of the reference, with 0 in it
 
     def peak(self, reference: Tensor) -> Tensor:
-        """The peak of PSNR for each shown reference [n 3 h w], as [n]; at least 1e-3.
+        """The peak of PSNR for each encoded reference [n 3 h w], as [n]; at least 1e-3.
 
         >>> dim = torch.tensor([0.2, 0.6]).expand(1, 3, 4, 2)
         >>> CONVENTIONS["srgb"].peak(dim), CONVENTIONS["paper2023"].peak(dim)
@@ -42,13 +42,13 @@ class Convention:
         return reference.flatten(1).amax(1).clamp_min(MIN_PEAK)  # the smallest is 0, as values >= 0
 
 
-def quantize(shown: Tensor, rounding: Callable[[Tensor], Tensor] = torch.round) -> Tensor:
+def quantize(values: Tensor, rounding: Callable[[Tensor], Tensor] = torch.round) -> Tensor:
     """Values in [0, 1] as multiples of 1/255, as a PNG stores them.
 
     >>> quantize(torch.tensor([0.0, 0.5, 1.0])) * 255
     tensor([  0., 128., 255.])
     """
-    return rounding(shown * 255) / 255
+    return rounding(values * 255) / 255
 
 
 def convention_named(name: str) -> Convention:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 if TYPE_CHECKING:
     from metrics.conventions import Convention
 
-__all__ = ["Comparison", "Metric", "Shown"]
+__all__ = ["Comparison", "Metric", "EncodedPair"]
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
 
 
-class Shown(NamedTuple):
+class EncodedPair(NamedTuple):
     """An image and its reference as a convention shows them, [n 3 h w] in [0, 1]."""
 
     image: Tensor
@@ -50,7 +50,7 @@ class Comparison:
     static: bool = False  # nothing moves from the previous frame to this one
     previous: Comparison | None = field(default=None, repr=False)
 
-    _shown: dict[str, Shown] = field(default_factory=dict, init=False, repr=False)
+    _encoded: dict[str, EncodedPair] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Keep of the previous frame what it computed, but not the frame before it."""
@@ -66,15 +66,15 @@ class Comparison:
 
     @property
     def display_image(self) -> Tensor:
-        """The image in clipped sRGB, [n 3 h w] in [0, 1], without a NaN (see `shown`)."""
-        return self.shown().image
+        """The image in clipped sRGB, [n 3 h w] in [0, 1], without a NaN (see `encode`)."""
+        return self.encode().image
 
     @property
     def display_reference(self) -> Tensor:
         """The reference in clipped sRGB, [n 3 h w] in [0, 1]."""
-        return self.shown().reference
+        return self.encode().reference
 
-    def shown(self, convention: Convention | None = None) -> Shown:
+    def encode(self, convention: Convention | None = None) -> EncodedPair:
         """Image and reference under a convention of `metrics.conventions`, by default clipped sRGB.
 
         A pixel that is not finite has the largest error that a display can show: in each channel
@@ -83,12 +83,12 @@ class Comparison:
         from metrics.conventions import SRGB
 
         convention = convention or SRGB
-        if convention.name not in self._shown:
+        if convention.name not in self._encoded:
             reference = convention.encode(self.reference)
             worst = (reference < 0.5).to(reference.dtype)
             image = convention.encode(self.image).where(~self.nonfinite_mask, worst)
-            self._shown[convention.name] = Shown(image, reference)
-        return self._shown[convention.name]
+            self._encoded[convention.name] = EncodedPair(image, reference)
+        return self._encoded[convention.name]
 
     @cached_property
     def nonfinite_mask(self) -> Tensor:

@@ -1,6 +1,6 @@
-"""Squared errors of shown images, and PSNR: with and without the noise of the reference.
+"""Squared errors of encoded images, and PSNR: with and without the noise of the reference.
 
-All images are shown, which is in [0, 1] after a transform of `conventions`. `nonfinite` marks
+All images are in [0, 1], as a convention of `metrics.conventions` encodes them. `nonfinite` marks
 pixels whose radiance was NaN or infinite; they have the largest error, 1 in every channel.
 """
 
@@ -55,7 +55,7 @@ def psnr_debiased(
 ) -> Float[Tensor, " n"]:
     """PSNR in dB without the noise of the reference, at most 100; higher is better.
 
-    -10 log10(mean((x - a)(x - b))) for two independent halves a and b of the reference, all shown.
+    -10 log10(mean((x - a)(x - b))) for two independent halves a and b of the reference.
     Noise of the reference adds its variance to the squared error of `psnr`, which nears the
     clip's noise ceiling however good the image is, and shrinks the lead of a better one. Noise of
     one half is independent of the other's, so its mean drops out of the product (as in

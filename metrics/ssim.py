@@ -1,4 +1,4 @@
-"""SSIM and MS-SSIM of shown images.
+"""SSIM and MS-SSIM of images that a convention has encoded, in [0, 1].
 
 Four Gaussian means are enough: of x, y, xy and x^2 + y^2, since both variances occur as their sum.
 A Gaussian is separable, and each pass is a product with a banded matrix, in blocks of 32 outputs
@@ -29,7 +29,7 @@ BLOCK = 32  # rows of a strip, and columns of a block
 def ssim(
     image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
 ) -> Float[Tensor, " n"]:
-    """Structural similarity of shown images, in [-1, 1]; higher is better.
+    """Structural similarity of encoded images, in [-1, 1]; higher is better.
 
     Wang, Bovik, Sheikh, Simoncelli 2004, Image Quality Assessment: From Error Visibility to
     Structural Similarity: the mean over channels and windows, those that lie inside the image, of
@@ -48,7 +48,7 @@ def ssim(
 def ms_ssim(
     image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"], scales: int = 5
 ) -> Float[Tensor, " n"]:
-    """Multi-scale structural similarity of shown images, in [0, 1]; higher is better.
+    """Multi-scale structural similarity of encoded images, in [0, 1]; higher is better.
 
     Wang, Simoncelli, Bovik 2003, Multiscale Structural Similarity for Image Quality Assessment:
     the product over scales of contrast and structure terms, and the luminance term at the coarsest
@@ -111,19 +111,19 @@ def _terms(image: Tensor, reference: Tensor, keep_channels: bool = False) -> _Te
 def _window_means(image: Tensor, reference: Tensor) -> Iterator[Tensor]:
     """Gaussian means of x, y, x^2 + y^2 and xy over all windows, by tiles [4 tiles n 3 r c]."""
     (n, channels, height, width), reach = image.shape, WINDOW - 1
-    whole, rest = divmod(width - reach, BLOCK)
-    to_block = _band(BLOCK, image).expand(whole, -1, -1)
+    blocks, rest = divmod(width - reach, BLOCK)
+    to_block = _band(BLOCK, image).expand(blocks, -1, -1)
     for top in range(0, height - reach, BLOCK):
         rows = min(BLOCK, height - reach - top)
         x, y = (each[..., top : top + rows + reach, :] for each in (image, reference))
         moments = torch.stack((x, y, x * x + y * y, x * y))
         columns = (_band(rows, image).mT @ moments).flatten(0, -2)  # [4 n 3 rows, width]
         shape = (4, n, channels, rows)
-        if whole:
+        if blocks:
             inputs = columns.unfold(1, BLOCK + reach, BLOCK).transpose(0, 1)
-            yield torch.bmm(inputs, to_block).view(whole, *shape, BLOCK).movedim(1, 0)
+            yield torch.bmm(inputs, to_block).view(blocks, *shape, BLOCK).movedim(1, 0)
         if rest:
-            edge = columns[:, whole * BLOCK :] @ _band(rest, image)
+            edge = columns[:, blocks * BLOCK :] @ _band(rest, image)
             yield edge.view(4, 1, n, channels, rows, rest)
 
 

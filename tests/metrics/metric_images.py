@@ -21,6 +21,6 @@ def frame_of(image, reference):
     return Comparison(image, reference, reference)
 
 
-def shown_pair(*size, convention=SRGB, **options):
+def encoded_pair(*size, convention=SRGB, **options):
     """The images of `image_pair` as a convention shows them."""
-    return frame_of(*image_pair(*size, **options)).shown(convention)
+    return frame_of(*image_pair(*size, **options)).encode(convention)

@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from metric_images import frame_of, image_pair, shown_pair
+from metric_images import encoded_pair, frame_of, image_pair
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from metrics.catalog import MS_SSIM, MSE, PSNR, RELMSE, SSIM
@@ -25,25 +25,25 @@ def test_the_conventions_have_these_names():
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [0.0, 1.0, 3e38, math.inf, -1.0])
 def test_every_convention_shows_any_radiance_within_the_display(name, value):
-    shown = CONVENTIONS[name].encode(torch.full((1, 3, 2, 2), value))
-    assert ((shown >= 0) & (shown <= 1)).all()
+    encoded = CONVENTIONS[name].encode(torch.full((1, 3, 2, 2), value))
+    assert ((encoded >= 0) & (encoded <= 1)).all()
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_convention_brightens_with_radiance(name):
     ramp = torch.logspace(-4, 2, 200).expand(1, 3, 1, 200)
-    shown = CONVENTIONS[name].encode(ramp)[0, 0, 0]
-    assert (shown.diff() >= -1e-6).all()  # float32
-    assert shown[0] < 0.05
-    assert shown[-1] > 0.9
+    encoded = CONVENTIONS[name].encode(ramp)[0, 0, 0]
+    assert (encoded.diff() >= -1e-6).all()  # float32
+    assert encoded[0] < 0.05
+    assert encoded[-1] > 0.9
 
 
 @pytest.mark.parametrize(("name", "levels"), [("paper2023", 256), ("noisebase-v1", 256)])
 def test_8_bit_conventions_have_256_levels(name, levels):
-    shown = CONVENTIONS[name].encode(
+    encoded = CONVENTIONS[name].encode(
         torch.linspace(0, 60, 9000).view(1, 1, 1, -1).expand(1, 3, 1, -1)
     )
-    steps = shown * 255
+    steps = encoded * 255
     torch.testing.assert_close(steps, steps.round(), atol=1e-4, rtol=0)  # float32 of a level
     assert len(steps.round().unique()) <= levels
 
@@ -116,7 +116,7 @@ def test_a_metric_under_a_convention_says_so_and_is_finite(metric, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_ssim_under_a_convention_equals_scikit_image(name):
-    x, y = shown_pair(40, 50, n=1, convention=CONVENTIONS[name])
+    x, y = encoded_pair(40, 50, n=1, convention=CONVENTIONS[name])
     expected = structural_similarity(
         x[0].double().numpy(), y[0].double().numpy(), data_range=1.0, gaussian_weights=True,
         sigma=1.5, use_sample_covariance=False, channel_axis=0,
@@ -137,5 +137,5 @@ def test_a_metric_of_linear_radiance_has_one_convention():
 
 def test_a_convention_is_encoded_once_for_all_metrics_of_a_frame():
     frame = frame_of(*image_pair(20, 20))
-    assert frame.shown(CONVENTIONS["hable"]) is frame.shown(CONVENTIONS["hable"])
-    assert frame.shown() is frame.shown(SRGB)
+    assert frame.encode(CONVENTIONS["hable"]) is frame.encode(CONVENTIONS["hable"])
+    assert frame.encode() is frame.encode(SRGB)

@@ -35,11 +35,11 @@ def test_a_nonfinite_pixel_is_displayed_as_far_from_the_reference_as_possible(va
 def test_a_previous_frame_keeps_its_images_and_forgets_the_frame_before_it():
     first = comparison()
     second = comparison(previous=first)
-    shown = second.display_image
+    encoded = second.display_image
     third = comparison(previous=second)
     assert second.previous is first
     assert third.previous.previous is None
-    assert third.previous.display_image is shown
+    assert third.previous.display_image is encoded
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,8 @@ def score(metric, image, reference):
 @pytest.mark.parametrize("size", [(32, 48), (31, 57), (1, 1)])
 def test_psnr_and_mse_equal_scikit_image(size):
     image, reference = image_pair(*size)
-    shown = [encode_display(each).double().numpy() for each in (reference, image)]
-    pairs = list(zip(*shown, strict=True))
+    encoded = [encode_display(each).double().numpy() for each in (reference, image)]
+    pairs = list(zip(*encoded, strict=True))
     expected = [peak_signal_noise_ratio(*pair, data_range=1.0) for pair in pairs]
     # float32 display values against float64, about 1e-6 of the error
     assert score(PSNR, image, reference).tolist() == pytest.approx(expected, abs=1e-4)
@@ -112,7 +112,7 @@ def test_halves_of_64_spp_give_the_psnr_and_the_lead_of_a_truth_of_16384_spp():
     assert debiased - debiased_worse == pytest.approx(true - true_worse, abs=0.4)
 
 
-def test_the_bias_of_a_shown_half_is_its_variance_times_the_bend_of_the_curve():
+def test_the_bias_of_an_encoded_half_is_its_variance_times_the_bend_of_the_curve():
     render = monte_carlo_scene()
     truth = render(TRUTH_SPP).double()
     bias = torch.stack([encode_display(render(HALF_SPP)) for _ in range(20)]).double().mean(0)
