@@ -210,9 +210,9 @@ class Metric:
 
         Raises ValueError for an unknown convention, or a metric that is defined under one alone.
         """
-        from metrics.conventions import convention_named
+        from metrics.conventions import get_convention
 
-        convention = convention_named(name)
+        convention = get_convention(name)
         if not self.takes_convention:
             raise ValueError(
                 f"metric '{self.name}' has one convention ({self.convention}), so it has no score "
