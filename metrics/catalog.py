@@ -1,130 +1,171 @@
-"""The shipped metrics: each has a name, a unit, a direction, a convention, and a score function."""
+"""The shipped metrics."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["BIAS", "MSE_DEBIASED", "MS_SSIM", "NONFINITE", "PSNR", "RELMSE", "TPSNR", "Metric"]
+from metrics.metric import Comparison, Metric
+
+if TYPE_CHECKING:
+    from metrics.conventions import Convention
+
+__all__ = [
+    "BIAS",
+    "MSE",
+    "MSE_DEBIASED",
+    "MS_SSIM",
+    "NONFINITE",
+    "PSNR",
+    "PSNR_DEBIASED",
+    "RELMSE",
+    "RELMSE_TRIMMED",
+    "SMAPE",
+    "SSIM",
+    "TPSNR",
+]
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
-Score = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
-@dataclass(frozen=True)
-class Metric:
-    """A metric: one number for each image of a batch.
+def _mse(frame: Comparison, convention: Convention | None = None) -> Tensor:
+    from metrics.psnr import mse
 
-    `score(image, half_a, half_b)` takes the image and the two independent halves of its reference,
-    all [n 3 h w] in linear radiance where 1.0 is display white, and returns [n]. Scores are finite
-    for any image; they are NaN only at a size for which the metric is undefined. The halves must be
-    finite. A `temporal` metric takes two frames of each, the previous and the current one,
-    [n 2 3 h w]; the first frame of a clip has no score.
-
-    >>> import torch
-    >>> mean_error = Metric(
-    ...     name="l1",
-    ...     unit="",
-    ...     direction="lower",
-    ...     convention="linear radiance, mean of absolute differences",
-    ...     score=lambda image, a, b: (image - (a + b) / 2).abs().mean((1, 2, 3)),
-    ... )
-    >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
-    >>> mean_error.score(black, white, white)
-    tensor([1.])
-    """
-
-    name: str
-    unit: str  # "dB", or empty for a plain number
-    direction: str  # "higher" or "lower" is better; empty for a signed error, best at zero
-    convention: str  # what is needed to reproduce the number: colour space, peak, window
-    score: Score
-    fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
-    needs_reference_halves: bool = False  # undefined unless the halves are independent
-    temporal: bool = False  # compares the change from the previous frame
-    requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
-
-    def at(self, height: int, width: int) -> Metric:
-        """The metric to use at an image size: this one, or its substitute for small images.
-
-        A substitute has a different name, because its numbers are not comparable.
-
-        >>> MS_SSIM.at(1080, 1920).name, MS_SSIM.at(96, 128).name
-        ('ms_ssim', 'ms_ssim_4')
-        """
-        return self.fit(height, width) if self.fit else self
+    return mse(*frame.encode(convention), frame.nonfinite_mask)
 
 
-def _psnr(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
-    from metrics.image import psnr
+def _psnr(frame: Comparison, convention: Convention | None = None) -> Tensor:
+    from metrics.conventions import SRGB
+    from metrics.psnr import psnr
 
-    return psnr(image, (half_a + half_b) / 2)
-
-
-def _tpsnr(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
-    from metrics.image import tpsnr
-
-    return tpsnr(image, (half_a + half_b) / 2)
+    pair = frame.encode(convention)
+    return psnr(*pair, frame.nonfinite_mask, (convention or SRGB).peak(pair.reference))
 
 
-def _relmse(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _psnr_debiased(frame: Comparison) -> Tensor:
+    from metrics.display import encode_display
+    from metrics.psnr import psnr_debiased
+
+    halves = encode_display(frame.half_a), encode_display(frame.half_b)
+    return psnr_debiased(frame.display_image, *halves, frame.nonfinite_mask)
+
+
+def _tpsnr(frame: Comparison) -> Tensor:
+    from metrics.temporal import tpsnr
+
+    previous: Any = frame.previous
+    return tpsnr(frame.display_error, previous.display_error)
+
+
+def _ssim(frame: Comparison, convention: Convention | None = None) -> Tensor:
+    from metrics.ssim import ssim
+
+    return ssim(*frame.encode(convention))
+
+
+def _relmse(frame: Comparison) -> Tensor:
     from metrics.image import relmse
 
-    return relmse(image, (half_a + half_b) / 2)
+    return relmse(frame.image, frame.reference)
 
 
-def _mse_debiased(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _relmse_trimmed(frame: Comparison) -> Tensor:
+    from metrics.image import relmse_trimmed
+
+    return relmse_trimmed(frame.image, frame.reference)
+
+
+def _smape(frame: Comparison) -> Tensor:
+    from metrics.image import smape
+
+    return smape(frame.image, frame.reference)
+
+
+def _mse_debiased(frame: Comparison) -> Tensor:
     from metrics.image import mse_debiased
 
-    return mse_debiased(image, half_a, half_b)
+    return mse_debiased(frame.image, frame.half_a, frame.half_b)
 
 
-def _bias(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _bias(frame: Comparison) -> Tensor:
     from metrics.image import bias
 
-    return bias(image, (half_a + half_b) / 2)
+    return bias(frame.image, frame.reference)
 
 
-def _nonfinite(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
+def _nonfinite(frame: Comparison) -> Tensor:
     from metrics.image import nonfinite
 
-    return nonfinite(image)
+    return nonfinite(frame.image)
 
 
-def _ms_ssim(image: Tensor, half_a: Tensor, half_b: Tensor, scales: int) -> Tensor:
-    from metrics.image import ms_ssim
+def _ms_ssim(frame: Comparison, scales: int, convention: Convention | None = None) -> Tensor:
+    from metrics.ssim import ms_ssim
 
-    return ms_ssim(image, (half_a + half_b) / 2, scales)
+    return ms_ssim(*frame.encode(convention), scales)
 
 
-def _undefined(image: Tensor, half_a: Tensor, half_b: Tensor) -> Tensor:
-    return image.new_full(image.shape[:1], math.nan)
+def _undefined(frame: Comparison, convention: Convention | None = None) -> Tensor:
+    return frame.image.new_full(frame.image.shape[:1], math.nan)
+
+
+def _ssim_at(height: int, width: int) -> Metric:
+    from metrics.ssim import max_scales
+
+    return SSIM if max_scales(height, width) else replace(SSIM, fit=None, **_TOO_SMALL)
 
 
 def _ms_ssim_at(height: int, width: int) -> Metric:
     """MS-SSIM with as many scales as fit, named ms_ssim_4 to ms_ssim_1; NaN if none fits."""
-    from metrics.image import max_scales
+    from metrics.ssim import max_scales
 
     scales = max_scales(height, width)
     if scales == 5:
-        return MS_SSIM
+        return replace(MS_SSIM, fit=None)
     if scales == 0:
-        return replace(MS_SSIM, convention="not defined below 11 pixels", score=_undefined)
+        return replace(MS_SSIM, fit=None, **_TOO_SMALL)
     return replace(
         MS_SSIM,
         name=f"ms_ssim_{scales}",
         convention=f"{scales} of 5 scales, as sides are 160 pixels or less; {_SSIM_CONVENTION}",
         score=partial(_ms_ssim, scales=scales),
+        fit=None,
     )
 
 
-_SSIM_CONVENTION = "pytorch-msssim, clipped sRGB, range 1, window 11, sigma 1.5"
+_TOO_SMALL: dict[str, Any] = {"convention": "not defined below 11 pixels", "score": _undefined}
+_SSIM_CONVENTION = "clipped sRGB, range 1, window 11, sigma 1.5"
+_DISPLAY = "peak 1, clipped sRGB, 1.0 = display white"
 
 PSNR = Metric(
-    "psnr", "dB", "higher", "peak 1, clipped sRGB, 1.0 = display white, at most 100 dB", _psnr
+    "psnr",
+    "dB",
+    "higher",
+    f"{_DISPLAY}, at most 100 dB",
+    _psnr,
+    takes_convention=True,
+    source="mean squared error of clipped sRGB, the peak of Scardigli et al. 2023 fixed at 1",
+)
+PSNR_DEBIASED = Metric(
+    "psnr_debiased",
+    "dB",
+    "higher",
+    f"{_DISPLAY}, of mean((x-a)(x-b)) with half references, at most 100 dB",
+    _psnr_debiased,
+    needs_reference_halves=True,
+    source="this project; halves as in mse_debiased",
+)
+MSE = Metric(
+    "mse",
+    "",
+    "lower",
+    _DISPLAY,
+    _mse,
+    takes_convention=True,
+    scored_by_run=False,  # it is psnr without the logarithm
+    source="mean squared error of clipped sRGB",
 )
 TPSNR = Metric(
     "tpsnr",
@@ -132,7 +173,18 @@ TPSNR = Metric(
     "higher",
     "of the change from frame to frame, not moved; peak 1, clipped sRGB, at most 100 dB",
     _tpsnr,
-    temporal=True,
+    previous_frames=1,
+    source="temporal loss of Chaitanya et al. 2017, as a PSNR",
+)
+SSIM = Metric(
+    "ssim",
+    "",
+    "higher",
+    _SSIM_CONVENTION,
+    _ssim,
+    _ssim_at,
+    takes_convention=True,
+    source="Wang, Bovik, Sheikh, Simoncelli 2004",
 )
 MS_SSIM = Metric(
     "ms_ssim",
@@ -141,9 +193,33 @@ MS_SSIM = Metric(
     f"5 scales; {_SSIM_CONVENTION}",
     partial(_ms_ssim, scales=5),
     _ms_ssim_at,
-    requires=("pytorch-msssim",),
+    takes_convention=True,
+    source="Wang, Simoncelli, Bovik 2003",
 )
-RELMSE = Metric("relmse", "", "lower", "linear radiance, per channel, reference^2 + 0.01", _relmse)
+RELMSE = Metric(
+    "relmse",
+    "",
+    "lower",
+    "linear radiance, per channel, reference^2 + 0.01",
+    _relmse,
+    source="Rousselle, Knaus, Zwicker 2011",
+)
+RELMSE_TRIMMED = Metric(
+    "relmse_trimmed",
+    "",
+    "lower",
+    "relmse of radiance over the reference's mean, without the worst 0.1 % of finite pixels",
+    _relmse_trimmed,
+    source="relmse; the trimming and the division are this project's",
+)
+SMAPE = Metric(
+    "smape",
+    "",
+    "lower",
+    "linear radiance, per channel, |x-r| / (|x| + |r| + 0.01)",
+    _smape,
+    source="Vogels et al. 2018",
+)
 MSE_DEBIASED = Metric(
     "mse_debiased",
     "",
@@ -151,6 +227,7 @@ MSE_DEBIASED = Metric(
     "linear radiance, mean((x-a)(x-b)) of half references",
     _mse_debiased,
     needs_reference_halves=True,
+    source="this project: the product of two independent errors",
 )
 BIAS = Metric(
     "bias",
@@ -158,7 +235,13 @@ BIAS = Metric(
     "",
     "linear radiance, (mean of image - mean of reference) / mean of reference; best at 0",
     _bias,
+    source="relative error of the mean",
 )
 NONFINITE = Metric(
-    "nonfinite", "pixels", "lower", "pixels with a NaN or infinite channel", _nonfinite
+    "nonfinite",
+    "pixels",
+    "lower",
+    "pixels with a NaN or infinite channel",
+    _nonfinite,
+    source="a count",
 )

@@ -1,4 +1,4 @@
-"""Error and quality measures of one image against its reference, one score per image of a batch.
+"""Errors of linear radiance against the reference, one score per image of a batch.
 
 All functions take linear radiance, where 1.0 is display white. A pixel with a NaN or infinite
 channel counts as an error, never as missing.
@@ -6,124 +6,25 @@ channel counts as an error, never as missing.
 
 from __future__ import annotations
 
-import math
-
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from metrics.display import encode_display
-
 __all__ = [
     "bias",
-    "max_scales",
-    "ms_ssim",
     "mse_debiased",
     "nonfinite",
     "nonfinite_mask",
-    "psnr",
     "relmse",
-    "tpsnr",
+    "relmse_trimmed",
+    "smape",
 ]
 
-CAP_DB = 100.0  # PSNR of equal images; rounding to 8 bits alone gives 58.9 dB
 HALF_MAX = 65504.0  # largest half float, the brightest value in a clip's EXR files
 RELMSE_EPS = 1e-2  # avoids division by zero where the reference is black
-SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # Wang et al. 2003, from fine to coarse
-WINDOW = 11  # taps of the Gaussian, sigma 1.5
 MIN_REFERENCE_MEAN = 1e-4  # lower bound of the divisor of `bias`, times display white
-K1_WITHOUT_LUMINANCE = 1e6  # as K1 of SSIM it makes the luminance term 1 and leaves contrast
-
-
-def psnr(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
-) -> Float[Tensor, " n"]:
-    """Peak signal-to-noise ratio in dB, in [0, 100]; higher is better.
-
-    -10 log10(MSE), the mean squared error of clipped sRGB (`display`) over pixels and channels, so
-    the peak is 1. A pixel that is not finite has the largest error, 1 in every channel. Equal
-    images score 100 dB.
-
-    >>> black = torch.zeros(1, 3, 8, 8)
-    >>> psnr(black + 0.214041, black), psnr(black, black)  # 0.5 in sRGB
-    (tensor([6.0206]), tensor([100.]))
-    """
-    error = (encode_display(image) - encode_display(reference)).square()
-    error = error.masked_fill(nonfinite_mask(image), 1.0)
-    mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
-    return (-10 * mse.log10()).float()
-
-
-def tpsnr(
-    frames: Float[Tensor, "n 2 3 h w"], references: Float[Tensor, "n 2 3 h w"]
-) -> Float[Tensor, " n"]:
-    """Temporal PSNR in dB, in [-6, 100]: PSNR of the change between two frames; higher is better.
-
-    -10 log10 of the mean squared difference between the image's change and the reference's change,
-    both in clipped sRGB, peak 1. A flickering image scores low; an error that stays the same in
-    both frames does not count, as in the temporal loss of Chaitanya et al. 2017. A pixel that is
-    not finite in either frame has the largest error, 2 in every channel.
-
-    Frames are not reprojected by motion vectors, and the noise of the reference counts twice.
-    Temporal blur lowers the PSNR of the frames, not this score.
-
-    >>> references = torch.zeros(1, 2, 3, 8, 8)
-    >>> brighter = references + 0.214041  # wrong, but without flicker
-    >>> tpsnr(brighter, references), psnr(brighter[:, 1], references[:, 1])
-    (tensor([100.]), tensor([6.0206]))
-    """
-    change = encode_display(frames[:, 1]) - encode_display(frames[:, 0])
-    reference_change = encode_display(references[:, 1]) - encode_display(references[:, 0])
-    error = (change - reference_change).square()
-    error = error.masked_fill(nonfinite_mask(frames[:, 0]) | nonfinite_mask(frames[:, 1]), 4.0)
-    mse = error.flatten(1).mean(1, dtype=torch.float64).clamp_min(10 ** (-CAP_DB / 10))
-    return (-10 * mse.log10()).float()
-
-
-def ms_ssim(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"], scales: int = 5
-) -> Float[Tensor, " n"]:
-    """Multi-scale structural similarity of clipped sRGB, in [0, 1]; higher is better.
-
-    Wang, Simoncelli, Bovik 2003, Multiscale Structural Similarity for Image Quality Assessment:
-    the product over scales of contrast and structure terms, and the luminance term at the coarsest
-    scale, with the exponents SCALE_WEIGHTS. Computed by pytorch-msssim with an 11 x 11 Gaussian
-    window of sigma 1.5 and range 1. There negative contrast counts as 0, so that no power of it is
-    NaN, and odd sides are padded with zeros before they are halved.
-
-    With fewer than 5 `scales` the coarsest are left out, and the other weights are scaled to the
-    sum of all; that is a different metric and needs a different name. A pixel that is not finite is
-    replaced by black or white, whichever is further from the reference. Raises ValueError if a side
-    is too small for `scales`.
-
-    >>> image = torch.rand(1, 3, 64, 96)
-    >>> [round(score, 4) for score in ms_ssim(image, image, max_scales(64, 96)).tolist()]
-    [1.0]
-    """
-    h, w = image.shape[-2:]
-    if scales > max_scales(h, w):
-        raise ValueError(
-            f"MS-SSIM with {scales} scales needs sides above {(WINDOW - 1) << (scales - 1)} "
-            f"pixels, found {h} x {w}, which allow {max_scales(h, w)}. Use "
-            "MS_SSIM.at(height, width) of metrics.catalog"
-        )
-    reference_srgb = encode_display(reference)
-    furthest = (reference_srgb < 0.5).to(reference_srgb.dtype)
-    image_srgb = torch.where(nonfinite_mask(image), furthest, encode_display(image))
-    if scales == len(SCALE_WEIGHTS):
-        return _five_scales(image_srgb, reference_srgb)
-    return _fewer_scales(image_srgb, reference_srgb, scales)
-
-
-def max_scales(height: int, width: int) -> int:
-    """Largest number of scales of MS-SSIM, 0 to 5, whose coarsest image holds a whole window.
-
-    >>> max_scales(1080, 1920), max_scales(96, 128), max_scales(10, 10)
-    (5, 4, 0)
-    """
-    halvings = (min(height, width) - 1) // (WINDOW - 1)
-    return min(halvings.bit_length(), len(SCALE_WEIGHTS))
+SMAPE_EPS = 1e-2  # as in the loss of Open Image Denoise (Afra 2019, training/loss.py)
+TRIMMED_SHARE = 1e-3  # of the pixels, those with the largest error
 
 
 def relmse(
@@ -142,6 +43,52 @@ def relmse(
     truth = _clamp_to_half(reference)
     error = (_clamp_to_half(image) - truth).square() / (truth.square() + RELMSE_EPS)
     return error.flatten(1).mean(1).float()
+
+
+def relmse_trimmed(
+    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, " n"]:
+    """Relative squared error without the worst 0.1 % of pixels, at unit brightness; 0 is best.
+
+    Both images are divided by the mean of the reference, so that the score is the same at every
+    exposure and a dark scene weighs as much as a bright one; then the error of a pixel is that of
+    `relmse`, the mean over channels, and the floor(0.001 h w) finite pixels of largest error are
+    left out, since a single firefly can outweigh the rest of an image. A pixel that is not finite
+    is never left out. The mean of the reference is at least 1e-4.
+
+    >>> reference = torch.full((1, 3, 40, 50), 0.5)
+    >>> image = 1.5 * reference
+    >>> image[..., 3, 4] = 1e4  # a firefly, two of 2000 pixels are left out
+    >>> relmse_trimmed(image, reference), relmse(image, reference)  # 0.25 / 1.01
+    (tensor([0.2475]), tensor([192288.7031]))
+    """
+    truth = _clamp_to_half(reference)
+    scale = truth.mean((1, 2, 3), keepdim=True).clamp_min(MIN_REFERENCE_MEAN)
+    truth = truth / scale
+    error = (_clamp_to_half(image) / scale - truth).square() / (truth.square() + RELMSE_EPS)
+    by_pixel = error.mean(1).flatten(1)
+    trimmed = int(TRIMMED_SHARE * by_pixel.shape[1])
+    finite = by_pixel.masked_fill(nonfinite_mask(image).flatten(1), 0.0)
+    kept = by_pixel.sum(1) - finite.topk(trimmed, 1).values.sum(1)
+    return (kept / (by_pixel.shape[1] - trimmed)).float()
+
+
+def smape(
+    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, " n"]:
+    """Symmetric mean absolute percentage error of linear radiance, in [0, 1]; 0 is best.
+
+    mean(|x - r| / (|x| + |r| + 0.01)) over pixels and channels (Vogels et al. 2018, section 4),
+    with the constant of Open Image Denoise's loss. Values beyond half floats are treated as in
+    `relmse`; a pixel that is not finite has error 1.
+
+    >>> reference = torch.ones(1, 3, 8, 8)
+    >>> smape(1.5 * reference, reference)  # 0.5 / 2.51
+    tensor([0.1992])
+    """
+    x, truth = _clamp_to_half(image), _clamp_to_half(reference)
+    error = (x - truth).abs() / (x.abs() + truth.abs() + SMAPE_EPS)
+    return error.masked_fill(nonfinite_mask(image), 1.0).flatten(1).mean(1).float()
 
 
 def mse_debiased(
@@ -204,27 +151,3 @@ def _clamp_to_half(image: Tensor) -> Tensor:
     """The image clamped to the range of half floats, in float64 so that its square is finite."""
     clamped = image.double().clamp(-HALF_MAX, HALF_MAX)
     return clamped.masked_fill(nonfinite_mask(image), -HALF_MAX)
-
-
-def _five_scales(image: Tensor, reference: Tensor) -> Tensor:
-    from pytorch_msssim import ms_ssim as library_ms_ssim
-
-    score: Tensor = library_ms_ssim(image, reference, data_range=1.0, size_average=False)
-    return score
-
-
-def _fewer_scales(image: Tensor, reference: Tensor, scales: int) -> Tensor:
-    """pytorch-msssim's SSIM at each scale, because its MS-SSIM rejects fewer than five scales."""
-    from pytorch_msssim import ssim
-
-    n = image.shape[0]
-    x, y = image.flatten(0, 1).unsqueeze(1), reference.flatten(0, 1).unsqueeze(1)  # n*3 1 h w
-    normalisation = math.fsum(SCALE_WEIGHTS) / math.fsum(SCALE_WEIGHTS[:scales])
-    score = torch.ones_like(x[:, 0, 0, 0])
-    for scale, weight in enumerate(SCALE_WEIGHTS[:scales]):
-        k1 = 0.01 if scale == scales - 1 else K1_WITHOUT_LUMINANCE  # luminance: coarsest scale only
-        term = ssim(x, y, data_range=1.0, size_average=False, K=(k1, 0.03))
-        score = score * term.clamp_min(0) ** (weight * normalisation)
-        odd = [side % 2 for side in x.shape[2:]]
-        x, y = F.avg_pool2d(x, 2, padding=odd), F.avg_pool2d(y, 2, padding=odd)
-    return score.view(n, 3).mean(1)

@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from baselines.eaw.method import Config, Eaw
+from baselines.eaw.filter import Config
+from baselines.eaw.method import Eaw
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import StoredClip, open_clip
@@ -32,13 +33,14 @@ def search(clips: Sequence[StoredClip], grid: Sequence[Config] = GRID) -> dict[C
 
 
 def _mean_psnr(method: Eaw, clips: Sequence[InMemoryClip]) -> float:
-    psnr = registry.load_plugin("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr")
     scores = []
     for spp in BUDGETS:
         for clip in clips:
             for result in run_clip(method, clip, spp):
-                reference = result.frame.reference
-                scores.append(float(psnr(result.image, reference.half_a, reference.half_b)))
+                truth = result.frame.reference
+                compared = psnr.compare(result.image, truth.half_a, truth.half_b)
+                scores.append(float(psnr.score(compared)))
     return sum(scores) / len(scores)
 
 

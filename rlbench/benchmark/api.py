@@ -57,8 +57,10 @@ def run(
     weights_label: str = "",
     bf16: bool = False,
     backend: str = EAGER,
+    skip_tiles: bool = False,
     limit_frames: int | None = None,
     retime: bool = False,
+    keep_images: bool = False,
     out: Path | str = RESULTS,
     executor: Executor = LOCAL,
     on_cell: CellCallback = lambda cell: None,
@@ -71,10 +73,12 @@ def run(
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights. `backend` runs the networks: "eager" is PyTorch, "openvino" and
     "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
-    where it is installed. `cost` is "measured", the name of a cost profile, or a TOML file.
+    where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
+    rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
-    `retime` measures the times of cells again whose scores are there, and no scores. `on_cell` is
-    called with each finished cell.
+    `retime` measures the times of cells again whose scores are there, and no scores. `keep_images`
+    keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
+    finished cell.
 
     A cell that an error stopped is one row with value nan, whose `note` is the error. It does not
     stop the other cells: a RunWarning names it, and cells with images that are not finite.
@@ -95,9 +99,10 @@ def run(
         weights_label=weights_label,
         bf16=bf16,
         backend=select_backend(backend, select_device(device)),
+        skip_tiles=skip_tiles,
         limit_frames=limit_frames,
     )
-    summary = measure(plan, Path(out), on_cell, executor, retime=retime)
+    summary = measure(plan, Path(out), on_cell, executor, retime=retime, keep_images=keep_images)
     rows = read_cells(plan, Path(out))
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)

@@ -20,7 +20,7 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-SCORING = ("rlbench.benchmark.runner", "rlbench.benchmark.scoring")  # images to numbers
+SCORING = ("rlbench.benchmark.cell_runner", "rlbench.benchmark.scoring")  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",
@@ -49,6 +49,7 @@ class CellIds:
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
             self._bf16 if method.bf16 else "",
             *((self._backend,) if method.backend != EAGER else ()),
+            *((self._skip_tiles,) if method.skip_tiles else ()),
         )
         times = (self._cost, plan.repeats, self._charged(cell), self._timing)
         return CellId(cell.key, _short_hash(content), _short_hash(times))
@@ -98,6 +99,11 @@ class CellIds:
         return code_hash.code_hash(["rlbench.wrappers"], core=())
 
     @cached_property
+    def _skip_tiles(self) -> str:
+        """Hash of the code that keeps unchanged tiles."""
+        return code_hash.code_hash(["rlbench.wrappers", "rlbench.ops.tiles"], core=())
+
+    @cached_property
     def _backend(self) -> str:
         """Hash of the code of the plan's backend, and the version of its package."""
         hashed = code_hash.code_hash(["rlbench.backends"], core=())
@@ -116,13 +122,14 @@ class CellIds:
 
     @cached_property
     def _metrics(self) -> str:
-        """Names of the metrics, hash of their code and of `SCORING`, versions of their packages."""
+        """Names of the run's metrics, hash of their code and of `SCORING`, and package versions."""
+        metrics = registry.load_run_metrics()
         entries = registry.list_entries("metrics")
-        modules = [code_hash.import_closure(e.target.partition(":")[0]) for e in entries.values()]
-        hashed = code_hash.code_hash(set().union(*modules), core=SCORING)
-        metrics = registry.load_metrics().values()
-        packages = sorted({name for metric in metrics for name in getattr(metric, "requires", ())})
-        return f"{list(entries)} {hashed} {provenance.package_versions(packages)}"
+        targets = [entries[name].target.partition(":")[0] for name in metrics]
+        modules = set().union(*map(code_hash.import_closure, targets))
+        hashed = code_hash.code_hash(modules, core=SCORING)
+        packages = sorted({name for metric in metrics.values() for name in metric.requires})
+        return f"{list(metrics)} {hashed} {provenance.package_versions(packages)}"
 
     def _charged(self, cell: ResolvedCell) -> tuple[object, ...]:
         """What the cost of a sample depends on, beyond the profile.

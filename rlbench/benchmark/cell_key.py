@@ -36,6 +36,7 @@ class CellKey:
     device: str  # model name
     preset: str = ""  # of the clip; empty for a clip without one
     first_frames_only: bool = False  # was the clip cut short by --limit-frames?
+    metric: str = ""  # of a cell that `rlbench evaluate` scored; empty for all metrics of a run
 
     @property
     def slot(self) -> CellKey:
@@ -44,7 +45,8 @@ class CellKey:
 
     def __str__(self) -> str:
         """The key in words, for messages."""
-        return f"{self.method} on {self.clip} at {self.target_spp:g} spp, seed {self.seed}"
+        metric = f", {self.metric}" if self.metric else ""
+        return f"{self.method} on {self.clip} at {self.target_spp:g} spp, seed {self.seed}{metric}"
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,13 @@ class CellId:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The identity as JSON; without the hash of its times where an older file has none."""
+        """The identity as JSON; without the fields that older files lack, where they are empty."""
         document = asdict(self)
-        return (
-            document
-            if self.times_hash
-            else {k: v for k, v in document.items() if k != "times_hash"}
-        )
+        if not self.key.metric:
+            del document["key"]["metric"]
+        if not self.times_hash:
+            del document["times_hash"]
+        return document
 
     def has_scores_of(self, cell: CellId) -> bool:
         """Do both have the same scores, whatever their times?"""
@@ -81,7 +83,7 @@ class CellId:
     def file_stem(self) -> str:
         """A file name without suffix: readable, unique, and never parsed."""
         key = self.key
-        words = f"{key.method} {key.clip} {key.target_spp:g}spp seed{key.seed}"
+        words = f"{key.method} {key.clip} {key.target_spp:g}spp seed{key.seed} {key.metric}".strip()
         readable = re.sub(r"^\.|[^\w.+@= -]", "-", words, flags=re.ASCII)[:MAX_STEM_LENGTH]
         content = json.dumps(self.document, sort_keys=True)
         return f"{readable} {sha256(content.encode()).hexdigest()[:16]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rlbench import registry
 from rlbench.backends import use_backend
@@ -13,7 +13,7 @@ from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.system.bfloat16 import require_native_bf16
-from rlbench.wrappers import HalfPrecision
+from rlbench.wrappers import HalfPrecision, SkipTiles
 
 __all__ = ["CellLoader"]
 
@@ -42,15 +42,21 @@ class CellLoader:
             raise method
         return method
 
-    def clip(self, cell: ResolvedCell) -> Clip:
-        """The cell's clip, with the frames of the plan and the data that the method can use."""
-        clip = cell.clip.open(cell.traits, cell.target_spp, cell.seed, self.plan.device)
+    def clip(self, cell: ResolvedCell, scored_buffers: frozenset[str] = frozenset()) -> Clip:
+        """The cell's clip, with the frames of the plan and the data that the method can use.
+
+        `scored_buffers` are read too, where the clip has them: for metrics, as a method receives
+        only the buffers that it declares.
+        """
+        inputs = cell.traits.inputs | (scored_buffers & set(cell.header.buffers))
+        traits = replace(cell.traits, inputs=inputs)
+        clip = cell.clip.open(traits, cell.target_spp, cell.seed, self.plan.device)
         return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
 
     def _build(self, resolved: ResolvedMethod) -> Method:
         method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
         use_backend(method, resolved.backend, self.plan.device, resolved.bf16)
-        if not resolved.bf16:
-            return method
-        require_native_bf16(self.plan.device)  # also on the workers of an executor
-        return HalfPrecision(method, self.plan.device)
+        if resolved.bf16:
+            require_native_bf16(self.plan.device)  # also on the workers of an executor
+            method = HalfPrecision(method, self.plan.device)
+        return SkipTiles(method) if resolved.skip_tiles else method

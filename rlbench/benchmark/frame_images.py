@@ -63,7 +63,7 @@ def method_image(row_name: str, result: FrameResult) -> MethodImage:
     """The image of a frame with its PSNR and sample counts."""
     reference = result.frame.reference
     psnr = registry.load_or_explain("metrics", "psnr")
-    score = psnr.score(result.image, reference.half_a, reference.half_b)
+    score = psnr.score(psnr.compare(result.image, reference.half_a, reference.half_b))
     counts = result.samples.counts[0, 0].cpu().numpy()
     return MethodImage(row_name, _linear_image(result.image), counts, float(score[0]))
 

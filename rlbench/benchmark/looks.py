@@ -18,6 +18,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rlbench.render.presets import is_test_split
 from rlbench.system.paths import write_error
 
 if TYPE_CHECKING:
@@ -32,13 +33,13 @@ COLUMNS = ("date", "preset", "methods", "cells", "code_hash")
 def record_looks(
     folder: Path, cells: Collection[ResolvedCell], code_hashes: Mapping[str, str]
 ) -> None:
-    """Append a line for each preset of `cells`: those of test presets that are about to be scored.
+    """Append a line for each test preset of `cells`, which are about to be scored.
 
     Runs in parallel may append to one file: each locks it, and writes its lines at once. Raises
     WriteError where the folder takes no file.
     """
     lines = []
-    for preset in sorted({cell.header.preset for cell in cells}):
+    for preset in filter(is_test_split, sorted({cell.header.preset for cell in cells})):
         scored = [cell for cell in cells if cell.header.preset == preset]
         names = sorted({cell.key.method for cell in scored})
         hashes = sorted({code_hashes[cell.method.name] for cell in scored})

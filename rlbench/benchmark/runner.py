@@ -11,29 +11,23 @@ damaged row file is set aside, and its cell counts as missing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import torch
-
-from rlbench import registry
-from rlbench.benchmark import cost, latency, results
+from rlbench.benchmark import results
 from rlbench.benchmark.cell_ids import CellIds
-from rlbench.benchmark.cell_key import CellsError, by_slot, check_no_overwrite, superseded_cells
-from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.cell_key import CellsError, check_no_overwrite
+from rlbench.benchmark.cell_runner import CellOutput, CellRunner
+from rlbench.benchmark.cell_store import CellStore
 from rlbench.benchmark.looks import record_looks
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import refusal_row, row_template, score_frame
-from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
-from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
-from rlbench.method import Method, config_json
-from rlbench.parallel.executor import LOCAL, Executor, JobResult, ProgressCallback, Resources
-from rlbench.render.presets import is_test_split
-from rlbench.run import run_clip
+from rlbench.benchmark.timing_cache import TimingCallback
+from rlbench.errors import OptionError
+from rlbench.parallel.executor import LOCAL, Executor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,9 +35,6 @@ if TYPE_CHECKING:
 __all__ = ["CellCallback", "ProgressCallbacks", "RunSummary", "measure", "read_cells"]
 
 CellCallback = Callable[[ResolvedCell], None]
-
-
-StoredRows = Mapping[CellKey, Sequence[Row]]  # of cells that keep their scores
 
 
 def _ignore(cell: ResolvedCell) -> None:
@@ -89,28 +80,36 @@ def measure(
     on_timing: TimingCallback = _ignore_timing,
     *,
     retime: bool = False,
+    keep_images: bool = False,
 ) -> RunSummary:
     """Measure every cell of `plan` that the results in `folder` do not have, and write its rows.
 
     A cell whose scores the results have is only timed where its times are out of date; with
     `retime`, all such cells are timed again, and no cell is scored. Scores stay as they are.
-    `on_cell` is called with each finished cell, `on_timing` with the number of timed rows.
+    With `keep_images`, the images of each cell are written too (`cell_images`), and a cell whose
+    scores the results have without its images is measured again. `on_cell` is called with each
+    finished cell, `on_timing` with the number of timed rows.
 
     Raises, before anything is measured: PluginError for an unknown method, CostError for an
     unknown cost profile, CellsError for clips with the same name, where scores of whole clips or
-    of another preset would be lost, or where `retime` finds no cell. Raises ExecutorError where no
-    cell can be run.
+    of another preset would be lost, or where `retime` finds no cell; OptionError for `retime` with
+    `keep_images`. Raises ExecutorError where no cell can be run.
     """
+    if retime and keep_images:
+        raise OptionError(
+            "--retime measures times alone, so it makes no images. Use --keep-images without it"
+        )
     plan.check_unique_names()
     cells, ids = resolve_cells(plan), CellIds(plan)
-    runner = CellRunner(plan, cells, ids)
-    store = _Store(folder)
+    runner = CellRunner(plan, cells, ids, keep_images)
+    store = CellStore(folder)
     cell_ids = {cell.key: ids.cell_id(cell) for cell in cells}
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
-    stored = {key: store.rows(cell_id) for key, cell_id in cell_ids.items()}
-    unscored = [cell for cell in cells if stored[cell.key] is None]
-    current = {key for key, cell_id in cell_ids.items() if cell_id in store.cells and not retime}
+    stored = {key: store.rows(cell_id, keep_images) for key, cell_id in cell_ids.items()}
+    known = {key: rows for key, rows in stored.items() if rows is not None}
+    unscored = [cell for cell in cells if cell.key not in known]
+    current = {key for key in known if cell_ids[key] in store.cells and not retime}
     due = [cell for cell in cells if cell.key not in current and not (retime and cell in unscored)]
     if retime and not due:
         raise CellsError(
@@ -123,18 +122,15 @@ def measure(
             replaced = store.drop_superseded(cell_ids[cell.key])
             summary += RunSummary(cached=1, replaced=replaced)
             on_cell(cell)
-    if not retime:
-        tested = [cell for cell in unscored if is_test_split(cell.header.preset)]
-        record_looks(folder, tested, ids.code_hashes)
-    known = {key: rows for key, rows in stored.items() if rows is not None}
+    record_looks(folder, [cell for cell in due if cell.key not in known], ids.code_hashes)
     for outcome in runner.run(due, executor, on_timing, known):
         if outcome.error:  # whatever a method may raise is reported in its row
-            cell_id, rows = ids.failed_id(outcome.job), [runner.failure(outcome.job, outcome.error)]
+            cell_id = ids.failed_id(outcome.job)
+            output = CellOutput([runner.failure(outcome.job, outcome.error)])
         else:
-            cell_id, rows = cell_ids[outcome.job.key], outcome.result()
-        results.write_cell(folder, cell_id, rows)
-        counts = _count_cell(cell_id, rows, is_timed=cell_id.key in known)
-        summary += replace(counts, replaced=store.drop_superseded(cell_id))
+            cell_id, output = cell_ids[outcome.job.key], outcome.result()
+        counts = _count_cell(cell_id, output.rows, is_timed=cell_id.key in known)
+        summary += replace(counts, replaced=store.write(cell_id, *output))
         on_cell(outcome.job)
     return summary
 
@@ -157,129 +153,3 @@ def read_cells(plan: RunPlan, folder: Path) -> pd.DataFrame:
     keys = {tuple(getattr(cell.key, name) for name in columns) for cell in resolve_cells(plan)}
     is_planned = [row in keys for row in table[columns].itertuples(index=False, name=None)]
     return table[is_planned].reset_index(drop=True)
-
-
-class _Store:
-    """The cells that a results folder held when the run began."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.set_aside = tuple(results.set_aside_damaged(folder))
-        self.cells = results.cells(folder)
-        self.slots = by_slot(self.cells)
-
-    def rows(self, cell: CellId) -> list[Row] | None:
-        """The stored rows of a cell with the same scores, or None."""
-        for stored in self.slots.get(cell.key.slot, ()):
-            if stored.has_scores_of(cell):
-                return results.read_cell_rows(self.folder, stored)
-        return None
-
-    def drop_superseded(self, cell: CellId) -> int:
-        """Remove the older versions of a cell; a kill may have left one beside its successor."""
-        superseded = superseded_cells(cell, self.slots)
-        for older in superseded:
-            results.drop_cell(self.folder, older)
-        return len(superseded)
-
-
-class CellRunner:
-    """Measures the cells of one plan; every worker has a copy."""
-
-    def __init__(self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds) -> None:
-        """Load the metrics and prepare a row of each cell."""
-        self.plan = plan
-        self.metrics = list(registry.load_metrics().values())
-        self.loader = CellLoader(plan)
-        profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
-        self.timings = TimingCache(self.loader, profile)
-        codes, weights = ids.code_hashes, ids.weights_hashes
-        self.templates = {
-            cell.key: row_template(
-                cell, ids.run_id, codes[cell.method.name], weights[cell.method.name]
-            )
-            for cell in cells
-        }
-
-    def run(
-        self,
-        cells: list[ResolvedCell],
-        executor: Executor,
-        on_timing: TimingCallback,
-        stored: StoredRows,
-    ) -> Iterator[JobResult[ResolvedCell, list[Row]]]:
-        """The rows of each cell as it is done, or the error that stopped it.
-
-        Cells that have `stored` rows keep their scores and get new times.
-        """
-        if not cells:
-            return
-        gpus = 1 if self.plan.device.type == "cuda" else 0
-        resources = Resources(torch.get_num_threads(), gpus)
-        errors = {
-            cell.key: error
-            for cell, error in self.timings.measure_all(cells, executor, resources, on_timing)
-        }
-        unscored = []
-        for cell in cells:
-            error = errors.get(cell.key)
-            if cell.key in stored:
-                yield JobResult(cell, self._with_new_times(cell, stored[cell.key], error))
-            elif error:
-                yield JobResult(cell, error=error)
-            else:
-                unscored.append(cell)
-        yield from executor.map(self, unscored, resources)
-
-    def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> list[Row]:
-        """Scores of each frame, then times; or one row with the reason why there are none."""
-        if reason := self.loader.incompatibility(cell):
-            return [refusal_row(self.templates[cell.key], reason)]
-        with registry.exits_as_errors():
-            return self._measure(cell, self.loader.method(cell))
-
-    def failure(self, cell: ResolvedCell, error: Exception) -> Row:
-        """The only row of a cell that an error stopped."""
-        return refusal_row(self.templates[cell.key], f"{type(error).__name__}: {error}")
-
-    def _measure(self, cell: ResolvedCell, method: Method) -> list[Row]:
-        clip = self.loader.clip(cell)
-        template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, previous = self._remarks(cell), [], None
-        for result in run_clip(method, clip, cell.target_spp):
-            scored = score_frame(template, self.metrics, result, previous, cell.header)
-            rows += [replace(row, note=row.note or remarks) for row in scored]
-            previous = result
-        return rows + self._time_rows(cell, template, rows)
-
-    def _with_new_times(
-        self, cell: ResolvedCell, rows: Sequence[Row], error: Exception | None
-    ) -> list[Row]:
-        """The stored scores of a cell with new times, or with the reason why it has none."""
-        if self.loader.incompatibility(cell):
-            return list(rows)
-        scores = drop_times(rows)
-        template = replace(self.templates[cell.key], config=scores[0].config)
-        if error:
-            return scores + failed_time_rows(template, f"{type(error).__name__}: {error}")
-        return scores + self._time_rows(cell, template, scores)
-
-    def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:
-        mean_spp = sum(row.mean_spp for row in scores) / len(scores)
-        times = self.timings
-        return timing_rows(
-            replace(template, mean_spp=mean_spp),
-            times.timing(cell),
-            times.cost(cell),
-            times.published_inference(cell),
-        )
-
-    def _remarks(self, cell: ResolvedCell) -> str:
-        """What to know of all scores of a cell; empty for an ordinary test."""
-        remarks = []
-        if cell.is_trained_on_clip:
-            remarks.append(f"no test: its weights were trained on {cell.header.name}")
-        here = latency.device_name(self.plan.device)
-        if here != cell.key.device:  # this worker is another machine than the rows name
-            remarks.append(f"scored on {here}")
-        return "; ".join(remarks)

@@ -7,17 +7,20 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from rlbench import registry
 from rlbench.benchmark.resolve import ResolvedCell
-from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.results import EVENT_PREFIX, WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
+from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
+from rlbench.wrappers import TileMemory
 
-__all__ = ["refusal_row", "row_template", "score_frame"]
+__all__ = ["compare_frame", "refusal_row", "row_template", "score_clip", "score_frame"]
+
+EVENTS = {"cut": "another shot begins", "light": "lights change"}
+
+SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
 def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
@@ -47,34 +50,83 @@ def refusal_row(template: Row, reason: str) -> Row:
     return replace(template, metric="psnr", value=math.nan, note=reason)
 
 
+def compare_frame(
+    compare: Any, result: FrameResult, previous: Any | None, max_samples: int | None = None
+) -> Any:
+    """A frame as metrics receive it: `compare` is Metric.compare, `previous` the frame before.
+
+    `max_samples` is the most that one pixel can have, None if that is not known.
+    """
+    frame = result.frame
+    buffers, static = frame.gbuffer.buffers, frame.gbuffer.static
+    motion = sanitize_motion(buffers["motion"]) if "motion" in buffers and not static else None
+    return compare(
+        result.image,
+        frame.reference.half_a,
+        frame.reference.half_b,
+        counts=result.samples.counts,
+        motion=motion,
+        static=static,
+        max_samples=max_samples,
+        previous=previous,
+    )
+
+
 def score_frame(
     template: Row,
-    metrics: Iterable[Any],  # as metrics.catalog.Metric
+    metrics: Iterable[Any],  # as metrics.metric.Metric
+    comparison: Any,  # as metrics.metric.Comparison
     result: FrameResult,
-    previous: FrameResult | None,
     header: Header,
 ) -> Iterator[Row]:
-    """One row of each metric; temporal metrics need the `previous` frame.
+    """One row of each metric that has the previous frames that it reads, and of each event.
 
     Raises PluginError for an image of another shape or dtype than the reference.
     """
-    images = _images(result)
-    _check_image(template.method, images[0], images[1])
+    _check_image(template.method, result)
     mean_spp = float(result.samples.counts.double().mean())
     frame = replace(template, frame=result.frame.index, mean_spp=mean_spp)
     for generic in metrics:
-        metric = generic.at(*result.image.shape[-2:])  # as defined at this size
-        if metric.temporal and previous is None:
+        metric = generic.at(*comparison.image.shape[-2:])  # as defined at this size
+        if comparison.frames_before < metric.previous_frames:
             continue
-        scored = _paired(_images(previous), images) if metric.temporal and previous else images
-        undefined = metric.needs_reference_halves and "halves" in header.limitations
-        score = math.nan if undefined else float(metric.score(*scored)[0])
-        note = LIMITATIONS["halves"] if undefined else ""
-        if math.isnan(score) and not undefined:
+        note = _missing_input(metric, comparison, header)
+        score = math.nan if note else float(metric.score(comparison)[0])
+        if math.isnan(score) and not note:
             note = f"the value is nan: {metric.convention}"
         row = replace(frame, unit=metric.unit, direction=metric.direction)
         yield _with_value(row, metric.name, score, metric.convention, note)
+    yield from _event_rows(frame, header)
     yield from _repair_rows(frame, result.repairs)
+    if isinstance(result.state, TileMemory):
+        yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
+
+
+def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: Header) -> Row:
+    """The row of a metric of the whole clip, whose frames are in order."""
+    metric = generic.at(*comparisons[0].image.shape[-2:])
+    notes = (_missing_input(metric, comparison, header) for comparison in comparisons)
+    note = next(filter(None, notes), "")
+    score = math.nan if note else float(metric.score(list(comparisons)))
+    row = replace(template, frame=WHOLE_CLIP, unit=metric.unit, direction=metric.direction)
+    return _with_value(row, metric.name, score, metric.convention, note)
+
+
+def _missing_input(metric: Any, comparison: Any, header: Header) -> str:
+    """Why a metric has no score of a frame; empty if it has one."""
+    if metric.needs_reference_halves and "halves" in header.limitations:
+        return LIMITATIONS["halves"]
+    lacks = [name for name in metric.needs if not comparison.has(name)]
+    return f"the clip has no {' and no '.join(lacks)}, which the metric reads" if lacks else ""
+
+
+def _event_rows(frame: Row, header: Header) -> Iterator[Row]:
+    """A row for each event with which the frame begins, from the clip's header."""
+    events = {"cut": header.cuts, "light": header.light_changes}
+    for event, frames in events.items():
+        if frame.frame in frames:
+            convention = f"the clip's header: {EVENTS[event]}"
+            yield _with_value(frame, f"{EVENT_PREFIX}{event}", 1.0, convention)
 
 
 def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:
@@ -92,19 +144,9 @@ def _with_value(row: Row, metric: str, value: float, convention: str, note: str 
     return replace(row, metric=metric, value=value, convention=convention, note=note)
 
 
-def _images(result: FrameResult) -> list[Tensor]:
-    """The image and both halves of its reference."""
-    reference = result.frame.reference
-    return [result.image, reference.half_a, reference.half_b]
-
-
-def _paired(previous: Sequence[Tensor], images: Sequence[Tensor]) -> list[Tensor]:
-    """Each image with that of the previous frame: [n 2 3 h w]."""
-    return [torch.stack(pair, 1) for pair in zip(previous, images, strict=True)]
-
-
-def _check_image(method: str, image: Tensor, reference: Tensor) -> None:
+def _check_image(method: str, result: FrameResult) -> None:
     """Raise PluginError for an image that metrics would silently broadcast or round."""
+    image, reference = result.image, result.frame.reference.half_a
     if image.shape != reference.shape or image.dtype != reference.dtype:
         raise registry.PluginError(
             f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "

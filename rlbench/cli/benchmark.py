@@ -21,6 +21,14 @@ def run(
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
     backend: options.Backend = "eager",
+    skip_tiles: Annotated[
+        bool,
+        typer.Option(
+            "--skip-tiles",
+            help="keep unchanged tiles of methods with a receptive field, for rows METHOD@tiles",
+            rich_help_panel=options.METHODS,
+        ),
+    ] = False,
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
@@ -62,6 +70,14 @@ def run(
             rich_help_panel=options.MEASUREMENT,
         ),
     ] = False,
+    keep_images: Annotated[
+        bool,
+        typer.Option(
+            "--keep-images",
+            help="keep the image of each frame, for rlbench evaluate; cells without are run again",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
@@ -85,7 +101,9 @@ def run(
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
+      rlbench run -m eaw/still --spp 0.25 --skip-tiles
       rlbench run -m ours,oidn --retime
+      rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     seeds = _orders(seed, draws)
@@ -115,11 +133,20 @@ def run(
             weights_label=chosen.label,
             bf16=bf16,
             backend=select_backend(backend, select_device(device)),
+            skip_tiles=skip_tiles,
             limit_frames=limit_frames,
             repeats=repeats,
         )
         with console.measuring(plan) as bar:
-            summary = measure(plan, out, bar.on_cell, executor, bar.on_timing, retime=retime)
+            summary = measure(
+                plan,
+                out,
+                bar.on_cell,
+                executor,
+                bar.on_timing,
+                retime=retime,
+                keep_images=keep_images,
+            )
     console.print_summary(summary, out)
     if not console.print_scores(plan, summary, out):
         raise typer.Exit(1)

@@ -22,6 +22,9 @@ EXTRAS = {  # extra: what it adds, and a module of each of its packages
     "train": ("reinforcement learning with Ray RLlib", ("ray", "gymnasium")),
     "ray": ("parallel workers for render and run", ("ray",)),
     "noisebase": ("clips of Noisebase", ("numcodecs",)),
+    "flip": ("FLIP and HDR-FLIP in rlbench evaluate", ("flip_evaluator",)),
+    "cvvdp": ("ColorVideoVDP in rlbench evaluate", ("pycvvdp",)),
+    "lpips": ("LPIPS in rlbench evaluate", ("lpips",)),
     "dev": ("tools for make test", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
 }
 

@@ -18,6 +18,7 @@ from rlbench.registry.lookup import (
     load_metrics,
     load_or_explain,
     load_plugin,
+    load_run_metrics,
 )
 from rlbench.registry.method_code import method_code_hash
 from rlbench.registry.methods import (
@@ -49,6 +50,7 @@ __all__ = [
     "load_or_explain",
     "load_method",
     "load_metrics",
+    "load_run_metrics",
     "module_file",
     "list_plugins",
     "method_code_hash",

@@ -18,6 +18,7 @@ __all__ = [
     "load_plugin",
     "load_or_explain",
     "load_metrics",
+    "load_run_metrics",
     "list_plugins",
     "get_variant",
 ]
@@ -104,6 +105,11 @@ def get_variant(name: str) -> Variant:
         near = suggest(name, parent.method_names())
         raise PluginError(f"'{parent.name}' has no variant '{key}'; it has: {known}{near}")
     return parent.variants[key]
+
+
+def load_run_metrics() -> dict[str, Any]:
+    """The metrics that `rlbench run` scores, by name. Raises PluginError as `load_metrics` does."""
+    return {name: metric for name, metric in load_metrics().items() if metric.scored_by_run}
 
 
 def load_metrics() -> dict[str, Any]:

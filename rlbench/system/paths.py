@@ -19,6 +19,7 @@ __all__ = [
     "cache_write",
     "clips_folder",
     "decoded_folder",
+    "publish_folder",
     "write_error",
 ]
 
@@ -75,6 +76,17 @@ def cache_write(path: Path) -> Iterator[Path]:
     """
     with _written_aside(path) as temporary:
         yield temporary
+
+
+def publish_folder(unfinished: Path, folder: Path) -> None:
+    """Give a finished folder its name, at which there is none; the name reaches the disk.
+
+    The files in it must have been written by `atomic_write`, so that they are on the disk already.
+    Raises WriteError where the disk or the folder takes no file.
+    """
+    with _explained(folder):
+        unfinished.rename(folder)
+        _synchronize(folder.parent)
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def validate(
     `networks` are the ones that `method` uses. They get their own weights back, and are left in
     evaluation mode.
     """
-    psnr = registry.load_plugin("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr")
     trained = copy.deepcopy(networks.state_dict())
     networks.load_state_dict(ema_networks.state_dict())
     networks.eval()
@@ -67,7 +67,8 @@ def validate(
             clip = open_clip(folder, traits.inputs, pool=traits.pool, device=device)
             for result in run_clip(method, clip, budget):
                 reference = result.frame.reference
-                scores += psnr(result.image, reference.half_a, reference.half_b).tolist()
+                compared = psnr.compare(result.image, reference.half_a, reference.half_b)
+                scores += psnr.score(compared).tolist()
             if folder == clips[0] and budget == spp[0]:
                 preview = torch.cat((result.image[0], reference.mean[0]), dim=-1)
     networks.load_state_dict(trained)

@@ -11,7 +11,6 @@ import pytest
 
 from rlbench.benchmark import looks, results
 from rlbench.benchmark.runner import measure
-from rlbench.render.presets import is_test_split
 from rlbench.system.paths import WriteError
 from tests.benchmark.test_runner import run_plan
 from tests.conftest import write_noise
@@ -57,8 +56,9 @@ def test_nothing_new_is_no_look(tmp_path):
 
 
 @pytest.mark.parametrize(("preset", "is_test"), [("mini", True), ("train", False), ("", False)])
-def test_only_test_presets_are_counted(preset, is_test):
-    assert is_test_split(preset) is is_test
+def test_only_test_presets_are_counted(tmp_path, preset, is_test):
+    looks.record_looks(tmp_path, [cell(preset=preset)], HASHES)
+    assert looks.count_looks(tmp_path) == ({preset: 1} if is_test else {})
 
 
 def test_parallel_runs_lose_no_line_and_write_one_header(tmp_path):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 import torch
 
+from metrics.metric import Metric
 from rlbench import registry
 from rlbench.benchmark.results import Row
-from rlbench.benchmark.scoring import refusal_row, score_frame
+from rlbench.benchmark.scoring import compare_frame, refusal_row, score_frame
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import read_header
 from rlbench.frames import Size
@@ -19,22 +20,20 @@ from rlbench.run import run_clip
 TEMPLATE = Row("r", "mean", "noise", "noise", 2.0, 1.5, -1, "", math.nan)
 
 
-@dataclass(frozen=True)
-class Bright:
-    """A metric of the image's mean, or of the halves of the reference."""
+BRIGHT = Metric(
+    "bright", "", "higher", "mean of all channels", lambda c: c.image.flatten(1).mean(1)
+)
+MOVED = Metric(
+    "moved", "", "", "mean motion", lambda c: c.motion.mean((1, 2, 3)), needs=("motion",)
+)
 
-    name: str = "bright"
-    unit: str = ""
-    direction: str = "higher"
-    convention: str = "mean of all channels"
-    temporal: bool = False
-    needs_reference_halves: bool = False
 
-    def at(self, height, width):
-        return self
+def score(metric, result, header, previous=None):
+    return list(score_frame(TEMPLATE, [metric], compared(result, previous), result, header))
 
-    def score(self, image, a, b):
-        return image.flatten(1).mean(1)
+
+def compared(result, previous=None):
+    return compare_frame(Metric.compare, result, previous and compared(previous))
 
 
 @pytest.fixture
@@ -45,20 +44,35 @@ def frames():
 
 def test_a_score_has_the_samples_of_its_frame(frames, clip_folder):
     header = read_header(clip_folder)
-    (row,) = score_frame(TEMPLATE, [Bright()], frames[1], frames[0], header)
+    (row,) = score(BRIGHT, frames[1], header, frames[0])
     assert row.value == float(frames[1].image.mean())
     assert (row.frame, row.mean_spp, row.direction) == (1, 2.0, "higher")
 
 
 def test_a_temporal_metric_has_no_score_of_the_first_frame(frames, clip_folder):
-    metrics, header = [Bright(temporal=True)], read_header(clip_folder)
-    assert not list(score_frame(TEMPLATE, metrics, frames[0], None, header))
-    assert len(list(score_frame(TEMPLATE, metrics, frames[1], frames[0], header))) == 1
+    metric, header = replace(BRIGHT, previous_frames=1), read_header(clip_folder)
+    assert score(metric, frames[0], header) == []
+    assert len(score(metric, frames[1], header, frames[0])) == 1
+
+
+def test_a_metric_is_handed_the_counts_and_valid_motion_of_the_frame(frames):
+    comparison = compared(frames[1])
+    assert comparison.counts is frames[1].samples.counts
+    assert comparison.motion.shape == (1, 2, 16, 16)
+    assert comparison.motion.isfinite().all()
+
+
+def test_a_metric_without_the_motion_that_it_needs_has_a_reason_and_no_score(frames, clip_folder):
+    gbuffer = frames[1].frame.gbuffer.select(frozenset())
+    result = replace(frames[1], frame=replace(frames[1].frame, gbuffer=gbuffer))
+    (row,) = score(MOVED, result, read_header(clip_folder))
+    assert math.isnan(row.value)
+    assert row.note == "the clip has no motion, which the metric reads"
 
 
 def test_an_infinite_score_is_nan_with_a_note(frames, clip_folder):
     result = replace(frames[0], image=torch.full_like(frames[0].image, torch.inf))
-    (row,) = score_frame(TEMPLATE, [Bright()], result, None, read_header(clip_folder))
+    (row,) = score(BRIGHT, result, read_header(clip_folder))
     assert math.isnan(row.value)
     assert row.note == "the value is inf"
 
@@ -70,6 +84,21 @@ def test_a_skipped_cell_has_a_reason_and_no_value():
 
 def test_repaired_pixels_are_counted_in_a_row(frames, clip_folder):
     result = replace(frames[1], repairs={"depth": 2, "radiance": 1})
-    *_, row = score_frame(TEMPLATE, [Bright()], result, frames[0], read_header(clip_folder))
+    *_, row = score(BRIGHT, result, read_header(clip_folder), frames[0])
     assert (row.metric, row.value) == ("repaired", 3.0)
     assert row.convention.endswith("depth 2, radiance 1")
+
+
+def test_an_event_of_the_header_is_a_row_of_its_frame(frames, clip_folder):
+    header = replace(read_header(clip_folder), cuts=(1,), light_changes=(1,))
+    assert [row.metric for row in score(BRIGHT, frames[0], header)] == ["bright"]
+    _, *events = score(BRIGHT, frames[1], header)
+    assert [(row.metric, row.frame, row.value) for row in events] == [
+        ("event_cut", 1, 1.0),
+        ("event_light", 1, 1.0),
+    ]
+
+
+def test_a_metric_without_enough_previous_frames_has_no_row(frames, clip_folder):
+    metric, header = replace(BRIGHT, previous_frames=2), read_header(clip_folder)
+    assert score(metric, frames[1], header, frames[0]) == []

@@ -135,6 +135,7 @@ def test_seeds_may_be_a_range(run_mean, tmp_path):
         (("--engine", "steam"), "'steam' is not one of 'local', 'ray'"),
         (("--weights", "none.safetensors"), "file 'none.safetensors' does not exist"),
         (("--limit-frames", 0), "Invalid value for '--limit-frames'"),
+        (("--retime", "--keep-images"), "error: --retime measures times alone"),
         (("--out", __file__), "Invalid value for '--out'"),
     ],
 )

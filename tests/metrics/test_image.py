@@ -1,174 +1,23 @@
-"""Image metrics: equal to other libraries and to loops, and sensitive to non-finite pixels."""
+"""Errors of linear radiance: equal to loops, and sensitive to non-finite pixels."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from metric_images import image_pair
 
-from metrics.display import encode_display
 from metrics.image import (
-    CAP_DB,
-    SCALE_WEIGHTS,
     bias,
-    max_scales,
-    ms_ssim,
     mse_debiased,
     nonfinite,
-    psnr,
     relmse,
-    tpsnr,
+    relmse_trimmed,
+    smape,
 )
 
 NONFINITE = (math.nan, math.inf, -math.inf)
-
-
-def image_pair(h, w, noise=0.3, seed=0, n=2):
-    """Image and reference [n 3 h w]: blocks, some above white, and noise on the image."""
-    g = torch.Generator().manual_seed(seed)
-    blocks = torch.rand(n, 3, h // 7 + 1, w // 7 + 1, generator=g) ** 3 * 2
-    reference = blocks.repeat_interleave(7, 2).repeat_interleave(7, 3)[..., :h, :w]
-    return reference * (1 + noise * torch.randn(n, 3, h, w, generator=g)), reference
-
-
-def srgb_array(image):
-    return encode_display(image).permute(0, 2, 3, 1).double().numpy()
-
-
-def skimage_ms_ssim(x, y, scales):
-    """MS-SSIM of one channel by scikit-image, scale by scale; x, y [h w] in [0, 1]."""
-    total = sum(SCALE_WEIGHTS) / sum(SCALE_WEIGHTS[:scales])
-    score = 1.0
-    for scale in range(scales):
-        k1 = 0.01 if scale == scales - 1 else 1e6  # a huge K1 leaves contrast only
-        term = structural_similarity(
-            x, y, data_range=1.0, gaussian_weights=True, sigma=1.5,
-            use_sample_covariance=False, K1=k1, K2=0.03,
-        )  # fmt: skip
-        score *= max(term, 0.0) ** (SCALE_WEIGHTS[scale] * total)
-        x, y = halve(x), halve(y)
-    return score
-
-
-def halve(x):
-    """Mean over 2 x 2 pixels; an odd side is first padded with a row of zeros at both ends."""
-    x = np.pad(x, [(side % 2, side % 2) for side in x.shape])
-    rows, columns = (side // 2 * 2 for side in x.shape)
-    x = x[:rows, :columns]
-    return (x[::2, ::2] + x[1::2, ::2] + x[::2, 1::2] + x[1::2, 1::2]) / 4
-
-
-@pytest.mark.parametrize("size", [(32, 48), (31, 57), (1, 1)])
-def test_psnr_equals_scikit_image(size):
-    image, reference = image_pair(*size)
-    expected = [
-        peak_signal_noise_ratio(y, x, data_range=1.0)
-        for x, y in zip(srgb_array(image), srgb_array(reference), strict=True)
-    ]
-    # float32 display values against float64, about 1e-6 of the error
-    assert psnr(image, reference).tolist() == pytest.approx(expected, abs=1e-4)
-
-
-def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
-    images, truths = (
-        torch.rand(2, 2, 3, 20, 24, generator=torch.Generator().manual_seed(i)) * 1.5
-        for i in (0, 1)
-    )
-    for n, score in enumerate(tpsnr(images, truths)):
-        changes = [
-            np.diff(encode_display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)
-        ]
-        expected = peak_signal_noise_ratio(*changes, data_range=1)
-        assert float(score) == pytest.approx(expected, abs=1e-4)  # float32
-
-
-def test_an_error_constant_over_time_does_not_lower_tpsnr():
-    truth = 0.2 + 0.3 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    constant = 0.5 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
-    frames = torch.cat((constant, constant), 1)
-    assert tpsnr(frames, truth.expand_as(frames)).item() == CAP_DB
-    assert psnr(frames[:, 0], truth[:, 0]).item() < 20
-
-
-@pytest.mark.parametrize("frame", [0, 1])
-def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
-    frames = torch.full((1, 2, 3, 4, 5), 0.5)
-    frames[0, frame, 1, 2, 3] = torch.nan
-    score = tpsnr(frames, torch.full_like(frames, 0.5)).item()
-    assert score == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
-
-
-def test_psnr_of_equal_images_is_the_cap():
-    image, _ = image_pair(16, 16)
-    assert psnr(image, image).tolist() == [CAP_DB, CAP_DB]
-
-
-def test_psnr_of_black_against_white_is_zero():
-    black = torch.zeros(1, 3, 8, 8)
-    assert psnr(black, black + 1).tolist() == pytest.approx([0.0], abs=1e-5)  # float32 white
-
-
-def test_psnr_ignores_radiance_above_display_white():
-    reference = torch.full((1, 3, 8, 8), 1.0)
-    assert psnr(reference * 1e30, reference).tolist() == [CAP_DB]
-
-
-@pytest.mark.parametrize("value", NONFINITE)
-def test_a_nonfinite_pixel_has_display_error_one(value):
-    reference = torch.full((1, 3, 10, 10), 0.3)
-    image = reference.clone()
-    image[0, 1, 4, 4] = value  # one channel invalidates the pixel: MSE 1/100
-    assert psnr(image, reference).tolist() == pytest.approx([20.0], abs=1e-4)
-
-
-@pytest.mark.parametrize("size", [(176, 176), (163, 181)])
-def test_ms_ssim_equals_scikit_image_over_five_scales(size):
-    image, reference = image_pair(*size, n=1)
-    x, y = srgb_array(image)[0], srgb_array(reference)[0]
-    expected = np.mean([skimage_ms_ssim(x[..., c], y[..., c], 5) for c in range(3)])
-    # variances are differences of float32 squares: 1e-7 over C2 = 9e-4
-    assert float(ms_ssim(image, reference)) == pytest.approx(expected, abs=5e-4)
-
-
-@pytest.mark.parametrize(
-    ("size", "scales"), [((96, 128), 4), ((57, 70), 3), ((21, 40), 2), ((11, 11), 1)]
-)
-def test_ms_ssim_of_a_small_image_equals_scikit_image(size, scales):
-    image, reference = image_pair(*size, n=1)
-    x, y = srgb_array(image)[0], srgb_array(reference)[0]
-    expected = np.mean([skimage_ms_ssim(x[..., c], y[..., c], scales) for c in range(3)])
-    assert float(ms_ssim(image, reference, scales)) == pytest.approx(expected, abs=5e-4)
-
-
-@pytest.mark.parametrize(
-    ("side", "scales"),
-    [(10, 0), (11, 1), (20, 1), (21, 2), (40, 2), (80, 3), (81, 4), (160, 4), (161, 5), (2160, 5)],
-)
-def test_max_scales_keeps_a_whole_window_at_the_coarsest_scale(side, scales):
-    assert max_scales(side, 5000) == scales
-
-
-def test_ms_ssim_with_too_many_scales_names_the_alternative():
-    image, reference = image_pair(160, 200)
-    with pytest.raises(ValueError, match=r"sides above 160 pixels, found 160 x 200, which allow 4"):
-        ms_ssim(image, reference)
-
-
-@pytest.mark.parametrize("scales", [5, 4])
-def test_ms_ssim_of_an_inverted_image_is_finite(scales):
-    image, reference = image_pair(170, 170, n=1)
-    assert 0 <= float(ms_ssim(1 - reference, reference, scales)) < 0.5
-
-
-@pytest.mark.parametrize("value", NONFINITE)
-def test_a_nonfinite_pixel_lowers_ms_ssim(value):
-    image, reference = image_pair(176, 176, noise=0.05, n=1)
-    damaged = image.clone()
-    damaged[0, :, 80, 80] = value
-    assert 0 < float(ms_ssim(damaged, reference)) < float(ms_ssim(image, reference))
 
 
 @pytest.mark.parametrize("size", [(5, 9), (1, 1)])
@@ -181,6 +30,47 @@ def test_relmse_equals_a_loop(size):
         ]
         expected.append(float(sum(terms) / len(terms)))
     assert relmse(image, reference).tolist() == pytest.approx(expected, rel=1e-6)  # float32 result
+
+
+@pytest.mark.parametrize("exposure", [1.0, 0.01])
+def test_trimmed_relmse_equals_a_loop_over_sorted_pixels(exposure):
+    image, reference = image_pair(40, 60)
+    expected = []
+    for x, r in zip(image.double(), reference.double(), strict=True):
+        x, r = x / r.mean(), r / r.mean()
+        errors = sorted(((x - r) ** 2 / (r * r + 0.01)).mean(0).flatten().tolist())
+        expected.append(sum(errors[:-2]) / (2400 - 2))  # 0.1 % of 2400 pixels
+    scores = relmse_trimmed(exposure * image, exposure * reference)
+    assert scores.tolist() == pytest.approx(expected, rel=1e-5)  # float32 images
+
+
+def test_trimmed_relmse_leaves_out_fireflies_but_no_pixel_that_is_not_finite():
+    image, reference = image_pair(40, 60, n=1)
+    clean = float(relmse_trimmed(image, reference))
+    image[0, :, 3, 3] = 6e4
+    assert float(relmse_trimmed(image, reference)) == pytest.approx(clean, rel=0.1)
+    image[0, :, 3, 3] = math.nan
+    assert float(relmse_trimmed(image, reference)) > 1e4 * clean
+
+
+@pytest.mark.parametrize("size", [(5, 9), (1, 1)])
+def test_smape_equals_a_loop(size):
+    image, reference = image_pair(*size)
+    pairs = zip(image.double().flatten(1), reference.double().flatten(1), strict=True)
+    expected = [
+        sum(float(abs(p - q) / (abs(p) + abs(q) + 0.01)) for p, q in zip(x, r, strict=True))
+        / len(x)
+        for x, r in pairs
+    ]
+    assert smape(image, reference).tolist() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("value", NONFINITE)
+def test_a_nonfinite_pixel_has_the_largest_symmetric_error(value):
+    reference = torch.full((1, 3, 10, 10), 0.3)
+    image = reference.clone()
+    image[0, 1, 4, 4] = value
+    assert float(smape(image, reference)) == pytest.approx(0.01)
 
 
 def test_relmse_of_black_against_black_is_zero():

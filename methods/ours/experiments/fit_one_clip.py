@@ -54,15 +54,15 @@ def fit(
 
 def score(method: Method, state: TrainState, folder: Path) -> list[float]:
     """PSNR in dB at each budget, the mean over the frames of the clip, with the trained weights."""
-    psnr = registry.load_plugin("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr")
     state.networks.eval()
     scores = []
     for spp in BUDGETS:
         clip = open_clip(folder, method.traits.inputs, pool=method.traits.pool, seed=ORDER_SEED)
-        frames = [
-            psnr(result.image, result.frame.reference.half_a, result.frame.reference.half_b)
-            for result in run_clip(method, clip, spp)
-        ]
+        frames = []
+        for result in run_clip(method, clip, spp):
+            truth = result.frame.reference
+            frames.append(psnr.score(psnr.compare(result.image, truth.half_a, truth.half_b)))
         scores.append(float(torch.cat(frames).mean()))
     return scores
 

@@ -129,9 +129,10 @@ def _state_before_last(method: Ours, frames: Sequence[Frame], spp: float) -> Rec
 
 
 def _psnr(problems: Sequence[FrameProblem], action: Float[Tensor, "n 1 h w"]) -> float:
-    score = registry.load_plugin("metrics", "psnr").score
+    psnr = registry.load_plugin("metrics", "psnr")
     results = [(problem.render(action), problem.frame.reference) for problem in problems]
-    scores = [float(score(image, truth.half_a, truth.half_b)) for image, truth in results]
+    frames = [psnr.compare(image, truth.half_a, truth.half_b) for image, truth in results]
+    scores = [float(psnr.score(frame)) for frame in frames]
     return sum(scores) / len(scores)
 
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from metrics.image import psnr
+from metrics.catalog import PSNR
 from rlbench.clips.importers.sequence import SourceError
 from tests.clips.importers.sources import (
     DRIFT,
@@ -53,7 +53,8 @@ def test_psnr_is_that_of_the_png_values(clip):
     image = torch.from_numpy(pool(clip, 0)[0]).permute(2, 0, 1)[None]
     difference = (display(1, 0).astype(float) - display(1, 3)) / 255
     # samples are stored in half precision
-    assert psnr(image, reference).item() == pytest.approx(
+    frame = PSNR.compare(image, reference, reference)
+    assert PSNR.score(frame).item() == pytest.approx(
         -10 * np.log10((difference**2).mean()), abs=0.02
     )
 
@@ -100,13 +101,14 @@ def test_motion_files_may_have_the_name_that_the_script_writes(tmp_path):
     assert stored(clip, 1, "motion")[0, 0, 0] == pytest.approx(DRIFT[0], abs=1e-5)
 
 
-def test_a_source_without_motion_is_a_clip_without_motion(tmp_path):
+def test_a_source_without_motion_is_a_clip_with_zero_motion(tmp_path):
     source = write_rl_path_tracing(tmp_path / "source")
     for path in source.rglob("*.pt"):
         path.unlink()
     clip = imported(source, "rl-path-tracing", tmp_path / "out")
-    assert clip.header.buffers == ("albedo", "normal", "depth")
     assert not clip.header.static
+    assert "no motion" in clip.header.limitations
+    assert not stored(clip, 1, "motion").any()
 
 
 def test_only_the_upper_left_720_are_kept(tmp_path):

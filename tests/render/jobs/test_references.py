@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from metrics.image import psnr
+from metrics.catalog import PSNR
 from rlbench.clips.stored import open_clip, read_header
 from rlbench.render.jobs import references
 from rlbench.render.jobs.job import Job
@@ -31,8 +31,11 @@ def noisy(sigma, seed, h=100, w=100):
 def test_the_noise_ceiling_is_the_psnr_of_the_noise_free_image(sigma):
     truth, a, b = noisy(sigma, seed=1)
     images = [torch.from_numpy(i).permute(2, 0, 1)[None] for i in (truth, (a + b) / 2)]
+    frame = PSNR.compare(images[0], images[1], images[1])
     # the deviation of a mean of 30000 squares, which is below 0.05 dB, and the curve's bend
-    assert references.noise_ceiling_db(a, b, 1.0) == pytest.approx(float(psnr(*images)), abs=0.1)
+    assert references.noise_ceiling_db(a, b, 1.0) == pytest.approx(
+        float(PSNR.score(frame)), abs=0.1
+    )
 
 
 def test_the_noise_ceiling_takes_exposure_and_clipping_into_account():
@@ -75,6 +78,19 @@ def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     fewer = replace(preset, max_reference_rounds=total_spp // 8 - 1, min_noise_ceiling_db=math.inf)
     before = references.trace_reference(tracer, fewer, room().exposure)
     assert references.noise_ceiling_db(*before[:2], room().exposure) < 25.0
+
+
+def test_nothing_is_traced_once_the_reference_is_good_enough(llvm, monkeypatch):
+    tracer, traced = open_tracer(room(), H, W), []
+    trace_sum = tracer.trace_sum
+    monkeypatch.setattr(
+        tracer,
+        "trace_sum",
+        lambda spp, *rest, **on: traced.append(spp) or trace_sum(spp, *rest, **on),
+    )
+    preset = replace(PRESET, max_reference_rounds=50, min_noise_ceiling_db=25.0)
+    *_, total_spp = references.trace_reference(tracer, preset, room().exposure)
+    assert sum(traced) == total_spp < 2 * 50 * 4
 
 
 def test_progress_counts_the_samples_that_were_not_needed(llvm):

@@ -1,0 +1,232 @@
+"""What a metric is, and what it is handed: one frame beside its reference."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+if TYPE_CHECKING:
+    from metrics.conventions import Convention
+
+__all__ = ["MAX_PREVIOUS", "Comparison", "EncodedPair", "Metric"]
+
+MAX_PREVIOUS = 2  # frames before this one that a comparison keeps
+Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
+
+
+class EncodedPair(NamedTuple):
+    """An image and its reference as a convention shows them, [n 3 h w] in [0, 1]."""
+
+    image: Tensor
+    reference: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """An image beside its reference, and what metrics derive from both, each computed once.
+
+    `image` and the two independent halves of the reference are [n 3 h w] in linear radiance, where
+    1.0 is display white. The halves must be finite. `previous` is the frame before, with what it
+    computed; of a chain of frames MAX_PREVIOUS are kept before this one, and older ones forgotten.
+
+    >>> import torch
+    >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
+    >>> first = Comparison(black, black, white)
+    >>> first.reference.mean(), first.display_reference.mean()
+    (tensor(0.5000), tensor(0.7354))
+    >>> second = Comparison(black, black, white, previous=first)
+    >>> third = Comparison(black, black, white, previous=second)
+    >>> third.frames_before, Comparison(black, black, white, previous=third).frames_before
+    (2, 2)
+    """
+
+    image: Tensor
+    half_a: Tensor
+    half_b: Tensor
+    counts: Tensor | None = None  # [n 1 h w] samples drawn; None where they are not known
+    motion: Tensor | None = None  # [n 2 h w] pixels to the previous frame; None if static, unknown
+    static: bool = False  # nothing moves from the previous frame to this one
+    max_samples: int | None = None  # most samples that one pixel can have; None: not known
+    previous: Comparison | None = field(default=None, repr=False)
+
+    _encoded: dict[str, EncodedPair] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Forget frames that are too old."""
+        if self.previous is not None:
+            object.__setattr__(self, "previous", self.previous._keep_before(MAX_PREVIOUS - 1))
+
+    @property
+    def frames_before(self) -> int:
+        """Number of frames before this one that are known, 0 to MAX_PREVIOUS."""
+        return 0 if self.previous is None else 1 + self.previous.frames_before
+
+    @cached_property
+    def reference(self) -> Tensor:
+        """The mean of both halves, [n 3 h w] in linear radiance."""
+        return (self.half_a + self.half_b) / 2
+
+    @property
+    def display_image(self) -> Tensor:
+        """The image in clipped sRGB, [n 3 h w] in [0, 1], without a NaN (see `encode`)."""
+        return self.encode().image
+
+    @property
+    def display_reference(self) -> Tensor:
+        """The reference in clipped sRGB, [n 3 h w] in [0, 1]."""
+        return self.encode().reference
+
+    def encode(self, convention: Convention | None = None) -> EncodedPair:
+        """Image and reference under a convention of `metrics.conventions`, by default clipped sRGB.
+
+        A pixel that is not finite has the largest error that a display can show: in each channel
+        0 or 1, whichever is further from the reference.
+        """
+        from metrics.conventions import SRGB
+
+        convention = convention or SRGB
+        if convention.name not in self._encoded:
+            reference = convention.encode(self.reference)
+            worst = (reference < 0.5).to(reference.dtype)
+            image = convention.encode(self.image).where(~self.nonfinite_mask, worst)
+            self._encoded[convention.name] = EncodedPair(image, reference)
+        return self._encoded[convention.name]
+
+    @cached_property
+    def nonfinite_mask(self) -> Tensor:
+        """[n 1 h w]: True where a channel of the image's pixel is NaN or infinite."""
+        return ~self.image.isfinite().all(1, keepdim=True)
+
+    @cached_property
+    def display_error(self) -> Tensor:
+        """Image minus reference in clipped sRGB, [n 3 h w]; NaN in pixels that are not finite."""
+        return (self.display_image - self.display_reference).masked_fill(
+            self.nonfinite_mask, math.nan
+        )
+
+    @cached_property
+    def change_of_error(self) -> Any:
+        """How the display error changed along the motion, a `metrics.temporal.ErrorChange`.
+
+        There must be a `previous` frame, and motion must be known.
+        """
+        from metrics.temporal import change_of_error
+
+        previous: Any = self.previous
+        return change_of_error(self.display_error, previous.display_error, self.motion)
+
+    def has(self, name: str) -> bool:
+        """True if `counts`, `max_samples` or `motion` is known; a static frame's motion is 0."""
+        return getattr(self, name) is not None or (name == "motion" and self.static)
+
+    def _keep_before(self, count: int) -> Comparison:
+        """This frame and all that it computed, with at most `count` frames before it."""
+        if self.previous is None or self.frames_before <= count:
+            return self
+        frame = copy.copy(self)  # with the same cached images
+        previous = self.previous._keep_before(count - 1) if count else None
+        object.__setattr__(frame, "previous", previous)
+        return frame
+
+
+Score = Callable[..., Tensor]  # of a Comparison; of a convention too, with `takes_convention`
+ClipScore = Callable[[list[Comparison]], float]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric: one number for each image of a batch.
+
+    `score` takes a `Comparison` and returns [n]. Scores are finite for any image; they are NaN only
+    where the metric is undefined for every image: at a size, or in a frame without motion from the
+    one before. A metric that reads one or two `previous_frames` has no score of the first frames of
+    a clip. The `score` of a `whole_clip` metric takes the comparisons of all frames, each with one
+    image, and returns one number.
+
+    >>> import torch
+    >>> mean_error = Metric(
+    ...     name="l1",
+    ...     unit="",
+    ...     direction="lower",
+    ...     convention="linear radiance, mean of absolute differences",
+    ...     score=lambda c: (c.image - c.reference).abs().mean((1, 2, 3)),
+    ... )
+    >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
+    >>> mean_error.score(mean_error.compare(black, white, white))
+    tensor([1.])
+    """
+
+    name: str
+    unit: str  # "dB", or empty for a plain number
+    direction: str  # "higher" or "lower" is better; empty where neither is
+    convention: str  # what is needed to reproduce the number: colour space, peak, window
+    score: Score | ClipScore
+    fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
+    needs_reference_halves: bool = False  # undefined unless the halves are independent
+    previous_frames: int = 0  # that the score reads, 0 to MAX_PREVIOUS
+    requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
+    scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
+    whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
+    needs: tuple[str, ...] = ()  # counts, max_samples, motion: no score of a frame that lacks one
+    takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
+    source: str = ""  # author and year of the definition
+
+    compare: ClassVar[type[Comparison]] = Comparison  # what the benchmark hands to `score`
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a metric that is never handed the frames that it needs."""
+        if not 0 <= self.previous_frames <= MAX_PREVIOUS:
+            raise ValueError(
+                f"metric '{self.name}' reads previous_frames={self.previous_frames}, but a "
+                f"comparison keeps 0 to {MAX_PREVIOUS}; score whole clips with whole_clip=True"
+            )
+        if self.whole_clip and self.scored_by_run:
+            raise ValueError(
+                f"metric '{self.name}' has whole_clip=True and scored_by_run=True, but a run "
+                "scores frame by frame; give it scored_by_run=False"
+            )
+
+    def at(self, height: int, width: int) -> Metric:
+        """The metric to use at an image size: this one, or its substitute for small images.
+
+        A substitute has a different name, because its numbers are not comparable.
+
+        >>> from metrics.catalog import MS_SSIM
+        >>> MS_SSIM.at(1080, 1920).name, MS_SSIM.at(96, 128).name
+        ('ms_ssim', 'ms_ssim_4')
+        """
+        return self.fit(height, width) if self.fit else self
+
+    def under(self, name: str) -> Metric:
+        """This metric under a named convention, called `psnr@hable`; for `rlbench evaluate`.
+
+        >>> from metrics.catalog import MS_SSIM, PSNR
+        >>> PSNR.under("hable").name, MS_SSIM.under("linear").at(96, 128).name
+        ('psnr@hable', 'ms_ssim_4@linear')
+
+        Raises ValueError for an unknown convention, or a metric that is defined under one alone.
+        """
+        from metrics.conventions import get_convention
+
+        convention = get_convention(name)
+        if not self.takes_convention:
+            raise ValueError(
+                f"metric '{self.name}' has one convention ({self.convention}), so it has no score "
+                f"under '{name}'"
+            )
+        return replace(
+            self,
+            name=f"{self.name}@{name}",
+            convention=f"{convention.sentence}; else as {self.name}",
+            score=partial(self.score, convention=convention),  # type: ignore[call-arg]
+            fit=partial(_fit_under, self.fit, name) if self.fit else None,
+            scored_by_run=False,
+        )
+
+
+def _fit_under(fit: Callable[[int, int], Metric], name: str, height: int, width: int) -> Metric:
+    return fit(height, width).under(name)

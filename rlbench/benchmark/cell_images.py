@@ -1,0 +1,203 @@
+"""Images of a cell, kept beside its rows: RESULTS/images/NAME/0000.exr ..., and NAME/cell.json.
+
+NAME is the file stem of the cell without its times, so images stay when a cell is timed again. A
+frame is one OpenEXR file of half floats: R, G, B in linear radiance, and `counts`, the samples of
+each pixel. `cell.json` names the cell, the clip's digest and a checksum of each file. The folder
+appears whole or not at all, before the rows of its cell.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float16
+from numpy import ndarray as Array
+
+from rlbench.benchmark.cell_key import CellId, CellKey
+from rlbench.clips.exr import read_planes, write_exr
+from rlbench.clips.exr_header import read_exr_header
+from rlbench.errors import RlbenchError
+from rlbench.run import FrameResult
+from rlbench.system import documents, paths
+
+__all__ = [
+    "CellImages",
+    "KeptFrame",
+    "KeptImages",
+    "KeptImagesError",
+    "drop_images",
+    "find_images",
+    "images_folder",
+    "list_images",
+    "write_images",
+]
+
+FOLDER = "images"  # in a results folder
+RECORD = "cell.json"
+SCHEMA = 1  # of the record and of the channels
+CHANNELS = ("R", "G", "B", "counts")
+HALF_MAX = 65504.0  # largest half float; brighter finite values are stored as this
+
+
+class KeptImagesError(RlbenchError, ValueError):
+    """Kept images that are missing, damaged, or written by a newer version."""
+
+
+class KeptFrame(NamedTuple):
+    """One frame in half floats: relative rounding of at most 2^-11."""
+
+    image: Float16[Array, "3 h w"]  # linear radiance; NaN and infinite values stay
+    counts: Float16[Array, "h w"]  # samples of each pixel, exact up to 2048
+
+    @classmethod
+    def of(cls, result: FrameResult) -> KeptFrame:
+        """The image of a processed frame, and where its samples went."""
+        image = result.image[0].float()
+        largest = image.clamp(-HALF_MAX, HALF_MAX).where(image.isfinite(), image)
+        counts = result.samples.counts[0, 0].clamp(max=int(HALF_MAX))
+        return cls(largest.half().cpu().numpy(), counts.half().cpu().numpy())
+
+
+@dataclass(frozen=True)
+class CellImages:
+    """All images of a cell, in order, and the content of the clip that they show."""
+
+    pool: str  # kind of the samples
+    clip_digest: str  # of the clip with the samples of `pool`
+    max_samples: int  # most that one pixel could have, at any budget
+    frames: Sequence[KeptFrame]
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What cell.json says of a folder of images."""
+
+    schema: int
+    key: CellKey
+    content_hash: str
+    pool: str
+    clip_digest: str
+    max_samples: int
+    checksums: tuple[str, ...]  # SHA-256 of 0000.exr, 0001.exr, ...
+
+
+@dataclass(frozen=True)
+class KeptImages:
+    """A folder with the images of a cell; frames are read when they are asked for."""
+
+    folder: Path
+    cell: CellId  # without the hash of its times
+    pool: str
+    clip_digest: str
+    max_samples: int
+    checksums: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.checksums)
+
+    def frame(self, index: int) -> KeptFrame:
+        """Frame `index`, from 0. Raises KeptImagesError for a missing or damaged file."""
+        file = frame_file(self.folder, index)
+        try:
+            if sha256(file.read_bytes()).hexdigest() != self.checksums[index]:
+                raise ValueError("its content is not what was written")
+            planes = read_planes(file, read_exr_header(file), CHANNELS)
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            raise KeptImagesError(
+                f"{file} cannot be read: {error}. Delete {self.folder} and repeat `rlbench run "
+                "--keep-images`, which makes the images again"
+            ) from error
+        return KeptFrame(np.stack(planes[:3]), planes[3].copy())
+
+
+def images_folder(results: Path, cell: CellId) -> Path:
+    """The folder of a cell's images, whether or not it exists; times do not change its name."""
+    return results / FOLDER / _untimed(cell).file_stem
+
+
+def frame_file(folder: Path, index: int) -> Path:
+    """The file of one frame in a folder of images."""
+    return folder / f"{index:04}.exr"
+
+
+def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
+    """Write all images of a cell, in place of older ones of the same cell; returns the folder.
+
+    All content reaches the disk before the folder has its name, so a folder with this name is
+    complete even after a power failure.
+    """
+    folder = images_folder(results, cell)
+    unfinished = folder.with_name(f".{folder.name}")
+    shutil.rmtree(unfinished, ignore_errors=True)  # that a killed run left
+    try:
+        checksums = tuple(_write_frame(unfinished, *each) for each in enumerate(images.frames))
+        shared = images.pool, images.clip_digest, images.max_samples
+        record = _Record(SCHEMA, cell.key, cell.content_hash, *shared, checksums)
+        with paths.atomic_write(unfinished / RECORD) as temporary:
+            temporary.write_text(json.dumps(asdict(record), indent=1))
+        drop_images(results, cell)
+        paths.publish_folder(unfinished, folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return folder
+
+
+def find_images(results: Path, cell: CellId) -> KeptImages | None:
+    """The images of a cell, or None where it has none or a file is missing."""
+    folder = images_folder(results, cell)
+    if not (folder / RECORD).is_file():
+        return None
+    kept = _read_record(folder)
+    files = [frame_file(folder, index) for index in range(len(kept))]
+    return kept if all(file.is_file() for file in files) else None
+
+
+def list_images(results: Path) -> list[KeptImages]:
+    """All images in a results folder, sorted by name; frames are not read."""
+    return [
+        _read_record(file.parent) for file in sorted((results / FOLDER).glob(f"[!.]*/{RECORD}"))
+    ]
+
+
+def drop_images(results: Path, cell: CellId) -> None:
+    """Remove the images of a cell, if there are any; a kill leaves no folder that looks whole."""
+    folder = images_folder(results, cell)
+    (folder / RECORD).unlink(missing_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _untimed(cell: CellId) -> CellId:
+    return replace(cell, times_hash="")
+
+
+def _write_frame(folder: Path, index: int, frame: KeptFrame) -> str:
+    """Write a frame; returns its checksum."""
+    file = frame_file(folder, index)
+    write_exr(file, dict(zip(CHANNELS, [*frame.image, frame.counts], strict=True)))
+    return sha256(file.read_bytes()).hexdigest()
+
+
+def _read_record(folder: Path) -> KeptImages:
+    """The record of a folder. Raises KeptImagesError for one that cannot be used."""
+    file = folder / RECORD
+    try:
+        document = documents.read_json(file)
+        if document["schema"] != SCHEMA:
+            raise ValueError(f"it has schema {document['schema']}, this version reads {SCHEMA}")
+        record = documents.decode(document, _Record)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise KeptImagesError(
+            f"{file} cannot be used: {error}. Delete {folder} and repeat `rlbench run "
+            "--keep-images`, or update rlbench"
+        ) from error
+    cell = CellId(record.key, record.content_hash)
+    shared = record.pool, record.clip_digest, record.max_samples
+    return KeptImages(folder, cell, *shared, record.checksums)

@@ -1,0 +1,95 @@
+"""The command evaluate: score kept images again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.cli.plugins import load_plugins
+
+__all__ = ["evaluate"]
+
+
+def evaluate(
+    results: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULTS",
+            file_okay=False,
+            help="results folder of rlbench run --keep-images",
+        ),
+    ] = Path("results"),
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--metrics",
+            metavar="NAMES",
+            help="metrics a,b; can be repeated; default: psnr; rlbench list metrics has all",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = None,
+    convention: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--convention",
+            metavar="NAMES",
+            help="conventions a,b of metrics that take one; default: srgb; can be repeated",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = None,
+    methods: options.RowMethods = None,
+    plugin: options.Plugins = None,
+    scenes: options.Scenes = None,
+    preset: options.Preset = "mini",
+    takes: options.Takes = None,
+    clips: options.Clips = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="results folder to write to; default: RESULTS/evaluated",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+) -> None:
+    """Score kept images again, by other metrics and conventions; no method is run.
+
+    The clips must be those that the images show. Rows have the format of a run, so reports read
+    them: rlbench report --results RESULTS/evaluated. Scores that are there already stay. The exit
+    code is 1 if a metric failed; the last lines say why.
+
+    Examples:
+
+    \b
+      rlbench evaluate results --metrics psnr --convention srgb,hable,linear
+      rlbench evaluate results --metrics flip,hdr_flip --scenes city -m ours,ntas
+      rlbench evaluate mine --metrics mymetric --plugin mymetric.py --clips my_renders/
+    """
+    load_plugins(plugin)
+    from rlbench.benchmark.api import select_clips
+    from rlbench.benchmark.evaluated_metrics import select_metrics
+    from rlbench.benchmark.evaluation import evaluate as score
+    from rlbench.benchmark.evaluation import find_kept_cells, image_pools
+    from rlbench.cli import console
+
+    selected = select_metrics(
+        arguments.split_names(metrics) or ["psnr"], arguments.split_names(convention)
+    )
+    scene_names = arguments.split_names(scenes)
+    sources = select_clips(clips, scene_names, preset, takes, pool_kinds=image_pools(results))
+    cells = find_kept_cells(results, sources, arguments.split_names(methods))
+    target = out or results / "evaluated"
+    with console.counting("scoring images", len(cells)) as advance:
+        summary = score(results, cells, selected, target, lambda kept: advance())
+    names = ", ".join(each.name for each in selected)
+    typer.echo(
+        f"{names}: {summary.scored} scored, {summary.cached} already in the results; "
+        f"results are in {target}"
+    )
+    for failure in summary.failures:
+        typer.echo(f"failed: {failure}", err=True)
+    raise typer.Exit(1 if summary.failures else 0)

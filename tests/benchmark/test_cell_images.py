@@ -1,0 +1,187 @@
+"""Kept images: they are those that were scored, and a cell has all of them or none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from metrics.catalog import PSNR
+from metrics.metric import Comparison
+from rlbench import registry
+from rlbench.benchmark import cell_images
+from rlbench.benchmark import results as table
+from rlbench.benchmark.cell_images import KeptFrame, KeptImagesError
+from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.clips.exr import read_exr
+from rlbench.clips.stored import open_clip
+from rlbench.frames import Samples
+from rlbench.run import FrameResult, run_clip
+from rlbench.system import paths
+from tests.benchmark.test_runner import run_plan, scores
+from tests.conftest import write_noise, write_plugin
+
+
+def keep(plan, folder: Path, **options: object) -> RunSummary:
+    return measure(plan, folder, keep_images=True, **options)
+
+
+def kept(folder: Path) -> dict[str, bytes]:
+    """Content of all files of images."""
+    files = (file for file in (folder / "images").rglob("*") if file.is_file())
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(files)}
+
+
+@pytest.fixture
+def plan(clip_folder):
+    return run_plan(clip_folder, target_spp=(1.5,))
+
+
+def test_kept_images_are_those_of_the_method_and_counts_sum_to_the_budget(plan, tmp_path):
+    assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
+    (cell,) = table.cells(tmp_path / "r")
+    images = cell_images.find_images(tmp_path / "r", cell)
+    clip = open_clip(plan.clips[0].folder)
+    assert (images.clip_digest, images.pool, len(images)) == (clip.digest, "path", len(clip))
+    for result in run_clip(registry.load_method("mean"), clip, 1.5):
+        frame = images.frame(result.frame.index)
+        np.testing.assert_array_equal(frame.image, result.image[0].half().numpy())
+        np.testing.assert_array_equal(frame.counts, result.samples.counts[0, 0].numpy())
+        assert frame.counts.sum(dtype=np.float64) == round(1.5 * 20 * 24)
+
+
+def test_a_kept_frame_is_an_exr_file_with_named_channels(plan, tmp_path):
+    keep(plan, tmp_path / "r")
+    (folder,) = (tmp_path / "r" / "images").iterdir()
+    (row_file,) = (tmp_path / "r").glob("*.parquet")
+    assert sorted(file.name for file in folder.iterdir()) == [
+        *(f"{index:04}.exr" for index in range(3)),
+        "cell.json",
+    ]
+    assert folder.name.rpartition(" ")[0] == row_file.stem.rpartition(" ")[0]
+    stored = read_exr(folder / "0001.exr", ("R", "G", "B", "counts"), 20, 24)
+    assert stored.dtype == np.float16
+
+
+def frame_result(image: torch.Tensor, counts: int = 1) -> FrameResult:
+    samples = Samples(image[:, None], torch.full_like(image[:, :1], counts).long())
+    return FrameResult(None, samples, image, {})
+
+
+def test_finite_values_stay_finite_and_others_stay_visible():
+    values = [math.nan, math.inf, -math.inf, 1e6, -1e6, 0.5]
+    image = torch.tensor(values).view(1, 1, 1, -1).expand(1, 3, 1, -1)
+    stored = KeptFrame.of(frame_result(image, counts=2048))
+    expected = [math.nan, math.inf, -math.inf, 65504, -65504, 0.5]
+    np.testing.assert_array_equal(stored.image[0, 0], np.array(expected, np.float16))
+    assert (stored.counts == 2048).all()
+
+
+@pytest.mark.parametrize("target_db", [20, 30, 40, 50])
+def test_half_floats_change_psnr_by_less_than_a_hundredth_of_a_decibel(target_db):
+    random = torch.Generator().manual_seed(0)
+    reference = torch.rand(1, 3, 64, 64, generator=random) ** 2.2
+    noise = torch.randn(1, 3, 64, 64, generator=random) * 10 ** (-target_db / 20)
+    image = (reference + noise * reference.sqrt()).clamp_min(0)
+    stored = torch.from_numpy(KeptFrame.of(frame_result(image)).image).float()[None]
+    plain, halved = (PSNR.score(Comparison(x, reference, reference)) for x in (image, stored))
+    assert target_db - 6 < plain < target_db + 10
+    # rounding adds at most (2^-11 relative)^2 of sRGB's square, -75 dB of white, independent noise
+    assert abs(plain - halved) < 0.01
+
+
+def test_a_cell_with_scores_but_without_images_is_run_again_and_keeps_its_scores(plan, tmp_path):
+    measure(plan, tmp_path / "r")
+    before = scores(tmp_path / "r")
+    assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
+    assert scores(tmp_path / "r") == before
+    assert kept(tmp_path / "r")
+    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
+
+
+@pytest.mark.parametrize("name", ["0001.exr", "cell.json"])
+def test_a_cell_that_lacks_a_file_of_its_images_is_run_again(plan, tmp_path, name):
+    keep(plan, tmp_path / "r")
+    before = kept(tmp_path / "r")
+    next((tmp_path / "r" / "images").glob(f"*/{name}")).unlink()
+    assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
+    assert kept(tmp_path / "r") == before
+
+
+def test_a_run_without_the_option_and_new_times_leave_images_as_they_are(plan, tmp_path):
+    keep(plan, tmp_path / "r")
+    before = kept(tmp_path / "r")
+    assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
+    assert measure(plan, tmp_path / "r", retime=True) == RunSummary(timed=1)
+    assert measure(replace(plan, cost="paper-2080ti"), tmp_path / "r") == RunSummary(timed=1)
+    assert kept(tmp_path / "r") == before
+    assert keep(replace(plan, cost="paper-2080ti"), tmp_path / "r") == RunSummary(cached=1)
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_images_of_a_superseded_cell_are_removed(clip_folder, tmp_path, keeps):
+    file = write_plugin(tmp_path / "gain.py", "gain", gain=1.0)
+    registry.use_plugin(file)
+    keep(run_plan(clip_folder, "gain"), tmp_path / "r")
+    (older,) = (tmp_path / "r" / "images").iterdir()
+    write_plugin(file, "gain", gain=2.0)
+    registry.clear_plugins()
+    registry.use_plugin(file)
+    measure(run_plan(clip_folder, "gain"), tmp_path / "r", keep_images=keeps)
+    assert not older.exists()
+    assert len(list((tmp_path / "r" / "images").iterdir())) == keeps
+
+
+def test_a_run_that_is_killed_between_images_and_rows_leaves_an_unfinished_cell(
+    plan, tmp_path, monkeypatch
+):
+    class KillError(Exception):
+        pass
+
+    def kill(*args: object) -> None:
+        raise KillError
+
+    monkeypatch.setattr(table, "write_cell", kill)
+    with pytest.raises(KillError):
+        keep(plan, tmp_path / "r")
+    assert not table.cells(tmp_path / "r")
+    monkeypatch.undo()
+    assert keep(plan, tmp_path / "r") == RunSummary(measured=1)
+    assert len(list((tmp_path / "r" / "images").iterdir())) == 1
+
+
+def test_images_have_their_name_only_when_all_are_written(plan, tmp_path, monkeypatch):
+    def kill(unfinished: Path, folder: Path) -> None:
+        raise paths.WriteError("the disk is full")
+
+    monkeypatch.setattr(paths, "publish_folder", kill)
+    with pytest.raises(paths.WriteError):
+        keep(plan, tmp_path / "r")
+    assert not kept(tmp_path / "r")
+
+
+def test_a_cell_that_cannot_run_has_no_images_and_is_not_run_for_them(tmp_path):
+    folder = write_noise(tmp_path / "noise")
+    plan = run_plan(folder, "eaw", target_spp=(0.5,))  # eaw takes no half samples
+    assert keep(plan, tmp_path / "r") == RunSummary(skipped=1)
+    assert not kept(tmp_path / "r")
+    assert keep(plan, tmp_path / "r") == RunSummary(cached=1)
+
+
+def test_a_changed_byte_is_found_when_the_image_is_read(plan, tmp_path):
+    keep(plan, tmp_path / "r")
+    (images,) = cell_images.list_images(tmp_path / "r")
+    file = cell_images.frame_file(images.folder, 2)
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+    assert images.frame(1).image.shape == (3, 20, 24)
+    with pytest.raises(KeptImagesError, match=r"0002\.exr cannot be read: its content is not"):
+        images.frame(2)
+    (images.folder / "cell.json").write_text('{"schema": 9}')
+    with pytest.raises(KeptImagesError, match="it has schema 9, this version reads 1"):
+        cell_images.list_images(tmp_path / "r")

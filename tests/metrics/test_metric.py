@@ -1,0 +1,70 @@
+"""What a metric is handed: derived images are computed once, and a chain of frames is cut."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from metrics.metric import MAX_PREVIOUS, Comparison, Metric
+
+
+def comparison(value=0.5, previous=None, **given):
+    half = torch.full((1, 3, 4, 5), 0.3)
+    return Comparison(torch.full_like(half, value), half, half + 0.2, previous=previous, **given)
+
+
+def test_derived_images_are_computed_once():
+    frame = comparison()
+    assert frame.display_image is frame.display_image
+    assert frame.reference is frame.reference
+    assert frame.reference.unique().tolist() == pytest.approx([0.4])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_nonfinite_pixel_is_displayed_as_far_from_the_reference_as_possible(value):
+    half = torch.tensor([0.9, 0.1, 0.9]).view(1, 3, 1, 1).repeat(1, 1, 2, 2)
+    image = half.clone()
+    image[0, 1, 0, 0] = value  # one channel invalidates the pixel
+    frame = Comparison(image, half, half)
+    assert frame.display_image[0, :, 0, 0].tolist() == [0, 1, 0]
+    assert frame.nonfinite_mask.flatten().tolist() == [True, False, False, False]
+
+
+def test_two_frames_before_keep_what_they_computed_and_older_ones_are_forgotten():
+    first = comparison()
+    second = comparison(previous=first)
+    encoded, change = second.display_image, second.change_of_error
+    third = comparison(previous=second)
+    assert third.previous is second
+    assert third.previous.previous is first
+    fourth = comparison(previous=third)
+    assert fourth.frames_before == MAX_PREVIOUS == 2
+    assert fourth.previous.previous.display_image is encoded
+    assert fourth.previous.previous.change_of_error is change
+
+
+def test_a_metric_cannot_read_more_frames_than_a_comparison_keeps():
+    with pytest.raises(ValueError, match="previous_frames=3"):
+        Metric("drift", "", "lower", "four frames", lambda c: c.image, previous_frames=3)
+
+
+@pytest.mark.parametrize(
+    ("given", "known"),
+    [
+        ({}, set()),
+        ({"static": True}, {"motion"}),
+        ({"motion": torch.zeros(1, 2, 4, 5)}, {"motion"}),
+        ({"counts": torch.ones(1, 1, 4, 5)}, {"counts"}),
+        ({"max_samples": 8}, {"max_samples"}),
+    ],
+)
+def test_a_comparison_says_what_it_has(given, known):
+    frame = comparison(**given)
+    assert {name for name in ("counts", "max_samples", "motion") if frame.has(name)} == known
+
+
+def test_a_metric_of_whole_clips_cannot_be_scored_by_a_run():
+    with pytest.raises(ValueError, match="give it scored_by_run=False"):
+        Metric("vdp", "JOD", "higher", "all frames", lambda frames: 0.0, whole_clip=True)
