@@ -24,6 +24,8 @@ SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours/lean,ours,ntas,svgf
 
 APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
+BASELINE := rlbench/benchmark/regression/baselines/mini.json
+
 # $(call page,REPORT,RESULTS,NAME): write a report as the page docs/results/NAME.md
 define page
 $(BIN)/rlbench report $(1) --results $(2) --out docs/made
@@ -36,7 +38,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs table1 unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
+.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
@@ -55,6 +57,11 @@ docs: .venv/dev.stamp
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/made/winners.csv docs/results && rm -r docs/made
 	$(call page,clips -m '$(RIVALS)',$(RESULTS),mini)
+
+# the baseline that ships: every row on mini, with four orders of the samples
+baseline: .venv/dev.stamp
+	$(BIN)/rlbench run --methods 'all/*' --preset mini --spp 0.5,1,2,4 --seed 0:4 --repeats 1 --out $(RESULTS)/baseline
+	$(BIN)/rlbench regress --results $(RESULTS)/baseline --update --baseline $(BASELINE)
 
 # the paper's table, figures and ablations anew, on larger clips: 45 minutes of rendering, 15 to 45 of scoring
 table1: .venv/dev.stamp
@@ -107,6 +114,11 @@ appendix: .venv/dev.stamp
 	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset standard --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
+
+# parts of variance by scene and order of samples: 5 minutes
+variance: .venv/dev.stamp
+	$(BIN)/rlbench run -m mean,accumulate/contrast,ours --preset mini --spp 1 --draws 4 --out $(RESULTS)/draws
+	$(call page,variance,$(RESULTS)/draws,variance)
 
 # the effect of the training seed, on unseen scenes: five short trainings of three rows; resumes if it was killed
 seeds: .venv/dev.stamp

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FAMILY", "Mean", "build"]
 
-TRAITS = Traits()
+TRAITS = Traits(receptive_field=0)
 
 FAMILY = Family(
     name="mean",

@@ -53,15 +53,10 @@ def _psnr_debiased(frame: Comparison) -> Tensor:
 
 
 def _tpsnr(frame: Comparison) -> Tensor:
-    import torch
+    from metrics.temporal import tpsnr
 
-    from metrics.image import tpsnr
-
-    pair: tuple[Any, ...] = (frame.previous, frame)
-    return tpsnr(
-        torch.stack([each.image for each in pair], 1),
-        torch.stack([each.reference for each in pair], 1),
-    )
+    previous: Any = frame.previous
+    return tpsnr(frame.display_error, previous.display_error)
 
 
 def _ssim(frame: Comparison, convention: Convention | None = None) -> Tensor:
@@ -178,7 +173,7 @@ TPSNR = Metric(
     "higher",
     "of the change from frame to frame, not moved; peak 1, clipped sRGB, at most 100 dB",
     _tpsnr,
-    temporal=True,
+    previous_frames=1,
     source="temporal loss of Chaitanya et al. 2017, as a PSNR",
 )
 SSIM = Metric(

@@ -10,9 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from metrics.display import encode_display
-from metrics.psnr import decibels
-
 __all__ = [
     "bias",
     "mse_debiased",
@@ -21,7 +18,6 @@ __all__ = [
     "relmse",
     "relmse_trimmed",
     "smape",
-    "tpsnr",
 ]
 
 HALF_MAX = 65504.0  # largest half float, the brightest value in a clip's EXR files
@@ -29,31 +25,6 @@ RELMSE_EPS = 1e-2  # avoids division by zero where the reference is black
 MIN_REFERENCE_MEAN = 1e-4  # lower bound of the divisor of `bias`, times display white
 SMAPE_EPS = 1e-2  # as in the loss of Open Image Denoise (Afra 2019, training/loss.py)
 TRIMMED_SHARE = 1e-3  # of the pixels, those with the largest error
-
-
-def tpsnr(
-    frames: Float[Tensor, "n 2 3 h w"], references: Float[Tensor, "n 2 3 h w"]
-) -> Float[Tensor, " n"]:
-    """Temporal PSNR in dB, in [-6, 100]: PSNR of the change between two frames; higher is better.
-
-    -10 log10 of the mean squared difference between the image's change and the reference's change,
-    both in clipped sRGB, peak 1. A flickering image scores low; an error that stays the same in
-    both frames does not count, as in the temporal loss of Chaitanya et al. 2017. A pixel that is
-    not finite in either frame has the largest error, 2 in every channel.
-
-    Frames are not reprojected by motion vectors, and the noise of the reference counts twice.
-    Temporal blur lowers the PSNR of the frames, not this score.
-
-    >>> references = torch.zeros(1, 2, 3, 8, 8)
-    >>> brighter = references + 0.214041  # wrong, but without flicker
-    >>> tpsnr(brighter, references)
-    tensor([100.])
-    """
-    change = encode_display(frames[:, 1]) - encode_display(frames[:, 0])
-    reference_change = encode_display(references[:, 1]) - encode_display(references[:, 0])
-    error = (change - reference_change).square()
-    error = error.masked_fill(nonfinite_mask(frames[:, 0]) | nonfinite_mask(frames[:, 1]), 4.0)
-    return decibels(error.flatten(1).mean(1, dtype=torch.float64))
 
 
 def relmse(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 if TYPE_CHECKING:
     from metrics.conventions import Convention
 
-__all__ = ["Comparison", "Metric", "EncodedPair"]
+__all__ = ["MAX_PREVIOUS", "Comparison", "EncodedPair", "Metric"]
 
+MAX_PREVIOUS = 2  # frames before this one that a comparison keeps
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
 
 
@@ -28,8 +30,8 @@ class Comparison:
     """An image beside its reference, and what metrics derive from both, each computed once.
 
     `image` and the two independent halves of the reference are [n 3 h w] in linear radiance, where
-    1.0 is display white. The halves must be finite. `previous` is the frame before; it keeps its
-    images but forgets its own `previous`, so that a chain of frames needs the memory of two.
+    1.0 is display white. The halves must be finite. `previous` is the frame before, with what it
+    computed; of a chain of frames MAX_PREVIOUS are kept before this one, and older ones forgotten.
 
     >>> import torch
     >>> black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
@@ -38,8 +40,8 @@ class Comparison:
     (tensor(0.5000), tensor(0.7354))
     >>> second = Comparison(black, black, white, previous=first)
     >>> third = Comparison(black, black, white, previous=second)
-    >>> third.previous.previous is None
-    True
+    >>> third.frames_before, Comparison(black, black, white, previous=third).frames_before
+    (2, 2)
     """
 
     image: Tensor
@@ -48,16 +50,20 @@ class Comparison:
     counts: Tensor | None = None  # [n 1 h w] samples drawn; None where they are not known
     motion: Tensor | None = None  # [n 2 h w] pixels to the previous frame; None if static, unknown
     static: bool = False  # nothing moves from the previous frame to this one
+    max_samples: int | None = None  # most samples that one pixel can have; None: not known
     previous: Comparison | None = field(default=None, repr=False)
 
     _encoded: dict[str, EncodedPair] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Keep of the previous frame what it computed, but not the frame before it."""
-        if self.previous is not None and self.previous.previous is not None:
-            before = copy.copy(self.previous)  # with the same cached images
-            object.__setattr__(before, "previous", None)
-            object.__setattr__(self, "previous", before)
+        """Forget frames that are too old."""
+        if self.previous is not None:
+            object.__setattr__(self, "previous", self.previous._keep_before(MAX_PREVIOUS - 1))
+
+    @property
+    def frames_before(self) -> int:
+        """Number of frames before this one that are known, 0 to MAX_PREVIOUS."""
+        return 0 if self.previous is None else 1 + self.previous.frames_before
 
     @cached_property
     def reference(self) -> Tensor:
@@ -95,9 +101,36 @@ class Comparison:
         """[n 1 h w]: True where a channel of the image's pixel is NaN or infinite."""
         return ~self.image.isfinite().all(1, keepdim=True)
 
+    @cached_property
+    def display_error(self) -> Tensor:
+        """Image minus reference in clipped sRGB, [n 3 h w]; NaN in pixels that are not finite."""
+        return (self.display_image - self.display_reference).masked_fill(
+            self.nonfinite_mask, math.nan
+        )
+
+    @cached_property
+    def change_of_error(self) -> Any:
+        """How the display error changed along the motion, a `metrics.temporal.ErrorChange`.
+
+        There must be a `previous` frame, and motion must be known.
+        """
+        from metrics.temporal import change_of_error
+
+        previous: Any = self.previous
+        return change_of_error(self.display_error, previous.display_error, self.motion)
+
     def has(self, name: str) -> bool:
-        """True if `counts` or `motion` is known; that of a static frame is known to be 0."""
+        """True if `counts`, `max_samples` or `motion` is known; a static frame's motion is 0."""
         return getattr(self, name) is not None or (name == "motion" and self.static)
+
+    def _keep_before(self, count: int) -> Comparison:
+        """This frame and all that it computed, with at most `count` frames before it."""
+        if self.previous is None or self.frames_before <= count:
+            return self
+        frame = copy.copy(self)  # with the same cached images
+        previous = self.previous._keep_before(count - 1) if count else None
+        object.__setattr__(frame, "previous", previous)
+        return frame
 
 
 Score = Callable[..., Tensor]  # of a Comparison; of a convention too, with `takes_convention`
@@ -109,9 +142,10 @@ class Metric:
     """A metric: one number for each image of a batch.
 
     `score` takes a `Comparison` and returns [n]. Scores are finite for any image; they are NaN only
-    at a size for which the metric is undefined. A `temporal` metric also reads `previous`; the
-    first frame of a clip has no score. The `score` of a `whole_clip` metric takes the comparisons
-    of all frames, each with one image, and returns one number.
+    where the metric is undefined for every image: at a size, or in a frame without motion from the
+    one before. A metric that reads one or two `previous_frames` has no score of the first frames of
+    a clip. The `score` of a `whole_clip` metric takes the comparisons of all frames, each with one
+    image, and returns one number.
 
     >>> import torch
     >>> mean_error = Metric(
@@ -128,23 +162,28 @@ class Metric:
 
     name: str
     unit: str  # "dB", or empty for a plain number
-    direction: str  # "higher" or "lower" is better; empty for a signed error, best at zero
+    direction: str  # "higher" or "lower" is better; empty where neither is
     convention: str  # what is needed to reproduce the number: colour space, peak, window
     score: Score | ClipScore
     fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
     needs_reference_halves: bool = False  # undefined unless the halves are independent
-    temporal: bool = False  # compares the change from the previous frame
+    previous_frames: int = 0  # that the score reads, 0 to MAX_PREVIOUS
     requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
     scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
     whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
-    needs: tuple[str, ...] = ()  # of "counts" and "motion": no score of a frame that lacks one
+    needs: tuple[str, ...] = ()  # counts, max_samples, motion: no score of a frame that lacks one
     takes_convention: bool = False  # `score` takes `convention=`, of metrics.conventions
     source: str = ""  # author and year of the definition
 
     compare: ClassVar[type[Comparison]] = Comparison  # what the benchmark hands to `score`
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a metric of whole clips that a run would hand single frames."""
+        """Raise ValueError for a metric that is never handed the frames that it needs."""
+        if not 0 <= self.previous_frames <= MAX_PREVIOUS:
+            raise ValueError(
+                f"metric '{self.name}' reads previous_frames={self.previous_frames}, but a "
+                f"comparison keeps 0 to {MAX_PREVIOUS}; score whole clips with whole_clip=True"
+            )
         if self.whole_clip and self.scored_by_run:
             raise ValueError(
                 f"metric '{self.name}' has whole_clip=True and scored_by_run=True, but a run "
@@ -171,9 +210,9 @@ class Metric:
 
         Raises ValueError for an unknown convention, or a metric that is defined under one alone.
         """
-        from metrics.conventions import convention_named
+        from metrics.conventions import get_convention
 
-        convention = convention_named(name)
+        convention = get_convention(name)
         if not self.takes_convention:
             raise ValueError(
                 f"metric '{self.name}' has one convention ({self.convention}), so it has no score "

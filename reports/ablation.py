@@ -9,14 +9,16 @@ import pandas as pd
 
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, INTERVAL_NOTE
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.method_names import family_of, label_of, without_label
+from reports.analysis.multiplicity import difference_notes
 from reports.analysis.variant_differences import (
     choose_family,
     config_changes,
     differences,
     families_with_scores,
 )
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
     UNRELIABLE_MARK,
@@ -81,13 +83,11 @@ def _only_label(methods: set[str]) -> str:
 def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     paper = published()
     base = paper.find(family)
-    header, rows = pivot_by_budget(
-        records, lambda row: format_difference(row["difference"], row["low"], row["high"])
-    )
+    header, rows = pivot_by_budget(records, format_difference)
     caption = (
         f"PSNR in dB ({scores.convention}) of each variant minus that of {family}, paired by "
-        f"scene, clip, frame, budget and seed; mean over scenes. Brackets: {INTERVAL_NOTE}; bold "
-        "if it excludes zero. Another training would differ too."
+        "scene, clip, frame, budget and seed; mean over scenes. Another training would differ too. "
+        f"{VERDICT_NOTE}"
     )
     printed = {row[0]: paper.find(row[0]) for row in rows}
     if base and any(printed.values()):
@@ -147,6 +147,7 @@ def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list
         if family_of(p.row) == family and p.row != family and p.row not in variants
     ]
     return {
+        "Differences": difference_notes(records),
         "Scores without a partner": unpaired,
         "Not compared": missing,
         "Published variants that were not measured": absent,

@@ -11,7 +11,7 @@ import pandas as pd
 
 from reports.analysis import notes
 from reports.analysis.aggregate import Scores
-from reports.analysis.comparability import ReportError, check_comparable, split_by_device
+from reports.analysis.comparability import ReportError, check_comparable, select_device
 from reports.analysis.curves import (
     Curve,
     curves_of,
@@ -45,7 +45,7 @@ def decide(
     were not considered. Raises ReportError if no method fits or has times, or if rows cannot be
     compared.
     """
-    rows, device = _rows_of_device(results, device)
+    rows, device = select_device(results, device)
     check_comparable(rows)
     scores = Scores(rows, metric, device)
     _check_metric(scores)
@@ -75,20 +75,6 @@ def decide(
         measured_sample_source=scores.cost_source,
         notes=(*left_out, *methods_without_curve(scores, curves), *notes.remarks(timed)),
     )
-
-
-def _rows_of_device(results: pd.DataFrame, device: str) -> tuple[pd.DataFrame, str]:
-    parts = split_by_device(results)
-    if not device and len(parts) == 1:
-        (name, rows), *_ = parts.items()
-        return rows, name
-    if device not in parts:
-        requested = f"device '{device}'" if device else "no device"
-        raise ReportError(
-            f"{requested} was requested, and the results have times of {len(parts)}: "
-            f"{'; '.join(name or 'unnamed' for name in parts)}. Name one with --device"
-        )
-    return parts[device], device
 
 
 def _check_metric(scores: Scores) -> None:

@@ -11,9 +11,11 @@ import pandas as pd
 from reports.analysis import notes
 from reports.analysis.aggregate import Scores, metrics_with_values
 from reports.analysis.comparability import check_comparable, split_by_device
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, INTERVAL_NOTE
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES
+from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.analysis.ranking import ALL_SCENES, rank_methods
 from reports.analysis.time_notes import unreliable_times
+from reports.analysis.verdicts import LEADS, TRAILS, VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
     UNRELIABLE_MARK,
@@ -36,10 +38,7 @@ TIME_COLUMNS = {
     "inference_p95_ms": "inference p95",
 }
 RULES = {"higher": "Higher is better. ", "lower": "Lower is better. "}
-OVERALL_CAPTION = (
-    f"Bold is best at its budget. Brackets: {INTERVAL_NOTE} of the paired difference to the best. "
-    "Not resolved: the interval includes zero. Tie: it lies within +-0.1 dB."
-)
+OVERALL_CAPTION = f"Bold is best at its budget; others are compared with it. {VERDICT_NOTE}"
 
 
 def write(
@@ -58,15 +57,17 @@ def write(
     for device, rows in split_by_device(results).items():
         check_comparable(rows)
         metrics = [Scores(rows, metric, device) for metric in metrics_with_values(rows)]
-        ranks = [rank_methods(scores, seed, draws) for scores in metrics]
+        ranked = [rank_methods(scores, seed, draws) for scores in metrics]
+        records = correct_by_holm(pd.concat(ranked)) if ranked else pd.DataFrame()
+        ranks = [records[records["metric"] == scores.metric] for scores in metrics]
         tables = [
             _score_table(scores, rank[rank["scene"] == ALL_SCENES], OVERALL_CAPTION)
             for scores, rank in zip(metrics, ranks, strict=True)
         ]
         if metrics:
             tables += [*_time_tables(metrics[0]), *_scene_tables(metrics[0], ranks[0])]
-        records = pd.concat(ranks or [pd.DataFrame()])
         lists = {
+            "Differences": difference_notes(records) if ranked else [],
             "Not run": notes.skip_reasons(rows),
             "Left out of the means": [x for scores in metrics for x in scores.incomplete_groups],
             "Unreliable times": unreliable_times(rows),
@@ -110,8 +111,8 @@ def _format_score(row: Mapping[Hashable, Any], number: Callable[[float], str]) -
     if row["best"]:
         return Bold(text)
     if low == low:
-        text += f" [{number(low)}, {number(high)}]"
-    return f"{text} {row['verdict']}".strip()
+        text += f" [{number(low)}, {number(high)}]{row['mark']}"
+    return text if row["verdict"] in ("", LEADS, TRAILS) else f"{text} {row['verdict']}"
 
 
 def _number_format(unit: str) -> Callable[[float], str]:

@@ -15,12 +15,13 @@ from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.correlation import RankCorrelation, kendall_tau
 from reports.analysis.intervals import (
     BOOTSTRAP_SAMPLES,
-    INTERVAL_NOTE,
     UNKNOWN,
     mean_with_interval,
     pair,
 )
 from reports.analysis.method_names import label_of
+from reports.analysis.multiplicity import correct_by_holm, difference_columns, difference_notes
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.page import Section, write_page
 from reports.layout.tables import (
     UNRELIABLE_MARK,
@@ -95,15 +96,13 @@ def compare_with_paper(
                 "method": method,
                 "target_spp": spp,
                 METRIC: row["value"],
-                "difference": gap.mean,
-                "low": gap.low,
-                "high": gap.high,
+                **difference_columns(gap),
                 "inference_ms": row["inference_ms"],
                 "unreliable": row["unreliable"],
                 **_published_columns(method, spp),
             }
         )
-    return pd.DataFrame(records)
+    return correct_by_holm(pd.DataFrame(records)) if records else pd.DataFrame()
 
 
 def rank_correlation(
@@ -157,9 +156,8 @@ def _table(scores: Scores, records: pd.DataFrame, orders: str) -> Table:
     caption = (
         f"PSNR in dB ({scores.convention}), mean over scenes; inference = plan + allocate + "
         f"denoise, on {scores.device_name}; {UNRELIABLE_MARK}: {UNRELIABLE_MEANING}. "
-        f"Brackets: {INTERVAL_NOTE} of the paired difference; bold if it "
-        f"excludes zero. Paper: {paper.title}, {paper.source}; {paper.conditions}. {WARNING} "
-        + orders
+        f"{VERDICT_NOTE} Paper: {paper.title}, {paper.source}; {paper.conditions}. "
+        f"{WARNING} " + orders
     )
     return Table(f"Table 1 of {paper.title}, measured and published", caption, header, rows)
 
@@ -210,7 +208,7 @@ def _format_inference(row: Record | None) -> str:
 def _format_gap(row: Record | None) -> str:
     if row is None or pd.isna(row["difference"]):
         return "-"
-    return format_difference(row["difference"], row["low"], row["high"])
+    return format_difference(row)
 
 
 def _lists(scores: Scores, records: pd.DataFrame, rows: pd.DataFrame) -> dict[str, list[str]]:
@@ -220,6 +218,7 @@ def _lists(scores: Scores, records: pd.DataFrame, rows: pd.DataFrame) -> dict[st
         missing.append(f"{paper.spp:g} spp, the paper's budget")
     psnr = rows[rows["metric"] == METRIC]
     return {
+        "Differences": difference_notes(records),
         "Published rows that were not measured": [
             f"{p.name}, in rlbench {p.row}" for p in paper.table if p.row not in methods
         ],

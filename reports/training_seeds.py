@@ -11,6 +11,7 @@ from reports.analysis.comparability import ReportError, check_comparable, split_
 from reports.analysis.correlation import std_with_interval
 from reports.analysis.method_names import label_of, training_series_of, without_label
 from reports.analysis.training_differences import BASE, differences_to
+from reports.analysis.verdicts import HOLM_MARK
 from reports.layout.page import Section, write_page
 from reports.layout.tables import Table, format_difference, pivot_by_budget
 from reports.published import published
@@ -119,17 +120,15 @@ def _deviation_table(scores: Scores, records: pd.DataFrame) -> Table:
 
 
 def _difference_table(scores: Scores, differences: pd.DataFrame) -> Table:
-    named = differences.assign(method=differences["series"] + "0, ...")
-    (_, *budgets), rows = pivot_by_budget(
-        named,
-        lambda row: format_difference(
-            row["difference"], row["difference_low"], row["difference_high"]
-        ),
+    named = differences.assign(method=differences["series"] + "0, ...").rename(
+        columns={"difference_low": "low", "difference_high": "high"}
     )
+    (_, *budgets), rows = pivot_by_budget(named, format_difference)
     caption = (
         f"Mean PSNR in dB ({scores.convention}) of a series of trainings minus that of the "
-        f"trainings of {BASE}. Brackets: 95 % interval of Welch's t-test over trainings; bold if "
-        "it excludes zero. The interval holds for these clips; other clips would differ too."
+        f"trainings of {BASE}. Brackets: 95 % interval of Welch's t-test over trainings, bold if "
+        f"one leads; {HOLM_MARK}: not after Holm's correction for this table. The interval holds "
+        "for these clips; other clips would differ too."
     )
     title = f"Trainings minus those of {BASE} [dB]"
     return Table(title, caption, ("series", *budgets), tuple(rows))

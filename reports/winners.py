@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,6 +15,7 @@ from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.curves import Curve, curves_of, measured_sample_ms, methods_without_curve
 from reports.analysis.intervals import interval_ends
+from reports.analysis.verdicts import TIE_DB
 from reports.analysis.winner import NOTHING, Winners, find_winners
 from reports.layout import style
 from reports.layout.page import describe_clips
@@ -41,8 +43,8 @@ def write(
     """Write PNG, PDF and SVG of the map and a CSV of its cells, one set for each device.
 
     Each cell has the method with the best mean score over scenes whose frame time fits the
-    deadline. A cell is hatched where the paired interval of the difference to the runner-up
-    includes zero, or where there is no interval. Raises MissingRowsError if no method has scores
+    deadline. A cell is hatched where it ties with the runner-up, where their difference is not
+    resolved, or where there is no interval. Raises MissingRowsError if no method has scores
     and times on every scene.
     """
     devices, files = split_by_device(results), []
@@ -57,7 +59,8 @@ def write(
                 "rlbench run"
             )
         stem = name if len(devices) == 1 else f"{name}-{style.slug(device)}"
-        winners = map_winners(curves, seed, draws)
+        margin = TIE_DB if scores.column_text("unit") == "dB" else 0.0
+        winners = replace(map_winners(curves, seed, draws), tie_margin=margin)
         with mpl.rc_context(style.RC):
             files += style.save_figure(
                 draw_winner_map(winners, _labels(scores, curves)), folder, stem

@@ -16,7 +16,14 @@ class Traits:
     other 3; at a budget of 1 spp, the pilot takes everything. `passes` are cumulative shares of the
     budget and include the pilot.
 
-    Raises ValueError if the pilot is negative, or if the passes do not increase to 1.0.
+    A method with a `receptive_field` of r computes a pixel of its image and of its next state from
+    the buffers, samples and state of the pixels at most r away, along both axes, and from nothing
+    else: no average over the image, no read along motion vectors. Without samples, and with equal
+    buffers and state, it then returns equal pixels, so `rlbench.wrappers.SkipTiles` can keep them.
+    Its state is None or a named tuple of tensors [n c h w]. `plan` may depend on the whole image.
+
+    Raises ValueError if the pilot or the receptive field is negative, or if the passes do not
+    increase to 1.0.
 
     >>> Traits(inputs=frozenset({"albedo"}), adaptive=True, passes=(0.25, 1.0)).max_samples is None
     True
@@ -32,11 +39,14 @@ class Traits:
     min_samples: int = 0  # least samples of a pixel after the last pass, whatever the density
     max_samples: int | None = None  # most samples of a pixel; None: as many as the pool has
     spp_range: tuple[float, float] = (0.0, 8.0)  # supported budgets in spp, both ends included
+    receptive_field: int | None = None  # of `denoise`, radius in pixels; None: the whole image
 
     def __post_init__(self) -> None:
-        """Reject pilots below zero and passes that do not increase to the whole budget."""
+        """Reject values below zero and passes that do not increase to the whole budget."""
         if not self.pilot_spp >= 0:  # also rejects NaN
             raise ValueError(f"pilot_spp is {self.pilot_spp}; it must be 0 or more")
+        if self.receptive_field is not None and self.receptive_field < 0:
+            raise ValueError(f"receptive_field is {self.receptive_field}; it must be 0 or more")
         pairs = zip((0.0, *self.passes), self.passes, strict=False)
         if not all(a < b for a, b in pairs) or self.passes[-1:] != (1.0,):
             raise ValueError(

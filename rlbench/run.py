@@ -19,7 +19,7 @@ from torch import Tensor
 
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, Samples
-from rlbench.method import Method, checked_density
+from rlbench.method import Method, State, checked_density
 from rlbench.sampling import draw_pilot, draw_samples
 from rlbench.sanitize import FrameInput, Repairs, sanitize_frame
 
@@ -36,6 +36,7 @@ class FrameResult:
     samples: Samples  # pilot and all passes, also those that the method discards
     image: Float[Tensor, "n 3 h w"]  # linear radiance
     repairs: Repairs  # invalid pixels and samples of the frame that were replaced, by buffer
+    state: State = None  # what the method remembers after the frame
 
 
 def unroll(
@@ -64,7 +65,7 @@ def unroll(
             )
         visible = samples.since(previous) if traits.discard_pilot else samples
         image, state = method.denoise(gbuffer, visible, state)
-        yield FrameResult(frame, samples, image, repairs)
+        yield FrameResult(frame, samples, image, repairs, state)
 
 
 @torch.inference_mode()  # as a decorator it is active while a frame is computed, not between frames

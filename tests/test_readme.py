@@ -97,7 +97,7 @@ def test_the_method_of_the_readme_runs_and_samples_bright_pixels(bright):
 def test_the_method_of_the_readme_keeps_the_contract(bright):
     verdicts = {check.name: result.verdict for check, result in run_checks(MethodUnderTest(bright))}
     skipped = {name for name, verdict in verdicts.items() if verdict is not Verdict.PASSED}
-    assert skipped == {"uniform", "temporal"}
+    assert skipped == {"uniform", "temporal", "receptive_field"}
     assert Verdict.FAILED not in verdicts.values()
 
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from rlbench import registry
-from rlbench.benchmark import regression
-from rlbench.benchmark.baseline import load_baseline
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.regression import comparison
+from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import measure, read_cells
-from rlbench.cli import reports
+from rlbench.cli.regress import select_baseline
 from rlbench.render.jobs.render_clips import ensure
 from rlbench.render.mitsuba.llvm import select_variant
 from rlbench.system import paths
 
-BASELINE = Path(__file__).parent / "regression" / "mini.json"
+BASELINE = find_baseline("mini")
 
 
 @pytest.fixture
@@ -29,14 +27,14 @@ def persistent_cache(request, monkeypatch):
     return paths.cache_folder()
 
 
-def compare(results, scenes, methods, spp, subset) -> regression.RegressionReport:
+def compare(results, scenes, methods, spp, subset) -> comparison.RegressionReport:
     clips = tuple(StoredSource(folder) for folder in ensure("mini", scenes))
     plan = RunPlan(methods, clips, spp, repeats=1)
     measure(plan, results)
     rows, baseline = read_cells(plan, results), load_baseline(BASELINE)
     if subset:
-        rows, baseline = reports.select_baseline(rows, baseline, methods)
-    return regression.compare(rows, baseline, subset=subset)
+        rows, baseline = select_baseline(rows, baseline, methods)
+    return comparison.compare(rows, baseline, subset=subset)
 
 
 def test_psnr_on_one_scene_equals_the_baseline(persistent_cache, tmp_path):

@@ -1,4 +1,4 @@
-"""Wrappers: forwarding, half precision and its rows in the results, memory formats."""
+"""Wrappers: forwarding, half precision and its rows in the results, skipped tiles."""
 
 from __future__ import annotations
 

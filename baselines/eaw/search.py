@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from baselines.eaw.method import Config, Eaw
+from baselines.eaw.filter import Config
+from baselines.eaw.method import Eaw
 from rlbench import registry
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.stored import StoredClip, open_clip

@@ -23,7 +23,7 @@ FAMILY = Family(
     variants={
         "": Variant(
             "How far do better direct-light samples get, without a denoiser?",
-            Traits(pool=POOL.name),
+            Traits(pool=POOL.name, receptive_field=0),
             learned=False,
         ),
     },

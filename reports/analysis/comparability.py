@@ -6,7 +6,7 @@ import pandas as pd
 
 from rlbench.benchmark.results import HELD_OUT_PREFIX, TableError
 
-__all__ = ["ReportError", "check_comparable", "cost_source", "split_by_device"]
+__all__ = ["ReportError", "check_comparable", "cost_source", "select_device", "split_by_device"]
 
 VERSION = ["dtype", "code_hash", "weights_hash"]  # one value of each per method in a report
 
@@ -25,6 +25,24 @@ def split_by_device(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
     if len(devices) < 2:
         return {(devices or [""])[0]: rows}
     return {name: rows[~rows["device"].isin(set(devices) - {name})] for name in devices}
+
+
+def select_device(results: pd.DataFrame, device: str) -> tuple[pd.DataFrame, str]:
+    """The rows of a device and its name; it need not be named if there is one.
+
+    Raises ReportError, which lists the devices.
+    """
+    parts = split_by_device(results)
+    if not device and len(parts) == 1:
+        (name, rows), *_ = parts.items()
+        return rows, name
+    if device not in parts:
+        requested = f"device '{device}'" if device else "no device"
+        raise ReportError(
+            f"{requested} was requested, and the results have times of {len(parts)}: "
+            f"{'; '.join(name or 'unnamed' for name in parts)}. Name one with --device"
+        )
+    return parts[device], device
 
 
 def check_comparable(rows: pd.DataFrame) -> None:

@@ -36,6 +36,11 @@ class Curve:
     late_ms: Numbers  # [budgets], as fixed_ms, but p95
     sign: int  # 1 where high scores are better, -1 where low ones are
 
+    @property
+    def direction(self) -> str:
+        """`higher` or `lower`, whichever is better."""
+        return "higher" if self.sign > 0 else "lower"
+
     def frame_ms(self, sample_ms: float | Numbers, late: bool = False) -> Numbers:
         """Frame time [..., budgets] at each measured budget; `late`: p95 of inference."""
         fixed = self.late_ms if late else self.fixed_ms

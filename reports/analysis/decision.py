@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from reports.analysis.curves import Curve
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, interval_ends
-from reports.analysis.ranking import name_verdict
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, Interval, interval_of
+from reports.analysis.multiplicity import holm
+from reports.analysis.verdicts import name_verdict
 from reports.analysis.winner import (
     NOTHING,
     Switch,
@@ -35,7 +36,8 @@ class Candidate:
     sampling_ms: float
     is_largest_budget: bool  # more time would buy nothing that was measured
     difference: Interval  # to the winner, paired by scene; of the winner: nan
-    verdict: str  # tie, not resolved, or empty
+    verdict: str  # tie, not resolved, leads or trails; empty: no interval
+    p_holm: float = math.nan  # of the difference, corrected for all candidates
 
 
 @dataclass(frozen=True)
@@ -82,27 +84,29 @@ def candidates(
     ranked = [int(index) for index in winners.order[:, 0] if not math.isnan(spp[index])]
     best = [curves[index].units_at(spp[index]) for index in ranked[:1]]
     result = []
+    direction = curves[0].direction if curves else ""
     for index in ranked:
         curve, units = curves[index], curves[index].units_at(spp[index])
-        gap = Interval(math.nan, math.nan, math.nan, 0)
+        gap = UNKNOWN
         if index != ranked[0]:
-            gap = _interval(units - best[0], seed, draws)
+            gap = interval_of(units - best[0], seed, draws)
         frame = float(curve.frame_ms_at(spp[index], sample_ms))
         sampling = float(np.interp(spp[index], curve.spp, curve.samples)) * sample_ms
         result.append(
             Candidate(
                 method=curve.method,
                 spp=float(spp[index]),
-                value=_interval(units, seed, draws),
+                value=interval_of(units, seed, draws),
                 frame_ms=frame,
                 inference_ms=frame - sampling,
                 sampling_ms=sampling,
                 is_largest_budget=bool(spp[index] == curve.spp[-1]),
                 difference=gap,
-                verdict="" if index == ranked[0] else name_verdict(gap, unit),
+                verdict=name_verdict(gap, unit, direction),
             )
         )
-    return tuple(result)
+    p_holm = holm([candidate.difference.p_value for candidate in result])
+    return tuple(replace(c, p_holm=float(p)) for c, p in zip(result, p_holm, strict=True))
 
 
 def break_evens(curves: Sequence[Curve], sample_ms: float, frame_ms: float) -> list[BreakEven]:
@@ -138,8 +142,3 @@ def _nearest(
         method = None if index == NOTHING else curves[index].method
         changes.append(BreakEven(changed, direction, found[0].at, method))
     return changes
-
-
-def _interval(units: np.ndarray, seed: int, draws: int) -> Interval:
-    low, high = interval_ends(units[:, None], seed, draws)
-    return Interval(float(units.mean()), float(low[0]), float(high[0]), len(units))

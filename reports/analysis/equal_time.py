@@ -7,12 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from reports.analysis.curves import Curve
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, interval_ends
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, interval_of
 from reports.analysis.method_names import family_of
-from reports.analysis.ranking import name_verdict
+from reports.analysis.multiplicity import difference_columns
 
 __all__ = ["at_deadlines", "nice_deadlines", "with_half_the_samples"]
 
@@ -46,9 +45,9 @@ def at_deadlines(
 ) -> pd.DataFrame:
     """The score of each method at its best budget within each deadline, and what the best gains.
 
-    Columns method, deadline_ms, spp, value, difference, low, high (to the best method, paired by
-    scene), verdict, best. `late`: the frame time has the p95 of plan + denoise, so that about one
-    frame in 20 is late.
+    Columns method, deadline_ms, spp, value, best, and those of `difference_columns` (to the best
+    method, paired by scene). `late`: the frame time has the p95 of plan + denoise, so that about
+    one frame in 20 is late.
     """
     records = []
     for deadline in deadlines:
@@ -60,15 +59,14 @@ def at_deadlines(
         units = {c.method: c.units_at(np.array(spp[c.method])) for c in fits}
         best = max(fits, key=lambda c: c.sign * units[c.method].mean()).method
         for method, scores in units.items():
-            gap = _interval(scores - units[best], seed, draws)
+            gap = UNKNOWN if method == best else interval_of(scores - units[best], seed, draws)
             records.append(
                 {
                     "method": method,
                     "deadline_ms": deadline,
                     "spp": spp[method],
                     "value": float(scores.mean()),
-                    **_ends(gap, is_known=method != best),
-                    "verdict": name_verdict(gap, unit) if method != best else "",
+                    **difference_columns(gap, unit, fits[0].direction),
                     "best": method == best,
                 }
             )
@@ -85,7 +83,7 @@ def with_half_the_samples(
 ) -> pd.DataFrame:
     """`base` at each budget against the best method of another family at twice that budget.
 
-    Columns method, spp, rival, rival_spp, difference, low, high, verdict, frame_ms, rival_ms and
+    Columns method, spp, rival, rival_spp, those of `difference_columns`, frame_ms, rival_ms and
     speedup = rival_ms / frame_ms.
     """
     rivals = [curve for curve in curves if family_of(curve.method) != family_of(base.method)]
@@ -102,7 +100,7 @@ def _half(
     base: Curve, rival: Curve, spp: float, sample_ms: float, unit: str, seed: int, draws: int
 ) -> dict[str, object]:
     at, twice = np.array(spp), np.array(2 * spp)
-    gap = _interval(base.units_at(at) - rival.units_at(twice), seed, draws)
+    gap = interval_of(base.units_at(at) - rival.units_at(twice), seed, draws)
     frame_ms = float(base.frame_ms_at(at, sample_ms))
     rival_ms = float(rival.frame_ms_at(twice, sample_ms))
     return {
@@ -110,8 +108,7 @@ def _half(
         "spp": float(spp),
         "rival": rival.method,
         "rival_spp": 2 * float(spp),
-        **_ends(gap),
-        "verdict": name_verdict(gap, unit),
+        **difference_columns(gap, unit, base.direction),
         "frame_ms": frame_ms,
         "rival_ms": rival_ms,
         "speedup": rival_ms / frame_ms,
@@ -123,13 +120,3 @@ def _best_at(curves: Sequence[Curve], spp: float) -> Curve | None:
     measured = [curve for curve in curves if spp in curve.spp]
     scores = {c.method: c.sign * float(c.value_at(np.array(spp))) for c in measured}
     return max(measured, key=lambda curve: scores[curve.method], default=None)
-
-
-def _interval(units: NDArray[np.float64], seed: int, draws: int) -> Interval:
-    low, high = interval_ends(units[:, None], seed, draws)
-    return Interval(float(units.mean()), float(low[0]), float(high[0]), len(units))
-
-
-def _ends(gap: Interval, is_known: bool = True) -> dict[str, float]:
-    ends = {"difference": gap.mean, "low": gap.low, "high": gap.high}
-    return ends if is_known else dict.fromkeys(ends, math.nan)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import pandas as pd
 
 from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, Interval, mean_with_interval, pair
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, mean_with_interval, pair
+from reports.analysis.multiplicity import difference_columns
 
-__all__ = ["ALL_SCENES", "TIE_DB", "name_verdict", "rank_methods"]
+__all__ = ["ALL_SCENES", "rank_methods"]
 
-TIE_DB = 0.1  # of PSNR; a smaller difference matters to nobody
 ALL_SCENES = "all"  # in the column `scene` of means over scenes
 COLUMNS = (
     "metric", "scene", "target_spp", "method", "mean", "difference", "low", "high", "best",
-    "verdict", "clips", "frames",
+    "verdict", "p_value", "unit", "resolvable", "clips", "frames",
 )  # fmt: skip
 
 
@@ -23,8 +21,8 @@ def rank_methods(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES) 
     """A row for each method, budget and scene; scene "all" is the mean over scenes.
 
     `difference` is the mean of the paired differences to the best method at that budget, `low` and
-    `high` its interval (nan with one scene and clip). `verdict` is "tie" where the interval lies
-    within +-0.1 dB, else "not resolved" where it includes zero, else "". No method is best if the
+    `high` its interval (nan with one scene and clip), `verdict` that of `name_verdict`, and
+    `resolvable` the smallest difference that such a pair can resolve. No method is best if the
     metric has no direction. In "all", methods that lack a scene are left out.
     """
     frames = scores.per_frame
@@ -47,29 +45,16 @@ def _rank(rows: pd.DataFrame, scores: Scores, seed: int, draws: int) -> list[dic
     unit = scores.column_text("unit")
     ranked = []
     for method, part in frames.items():
-        difference = dict.fromkeys(("difference", "low", "high"), math.nan)
-        verdict = ""
+        gap = UNKNOWN
         if best and method != best:
             gap = mean_with_interval(pair(part, frames[best]), seed, draws)
-            difference = {"difference": gap.mean, "low": gap.low, "high": gap.high}
-            verdict = name_verdict(gap, unit)
         ranked.append(
-            {"method": method, "mean": means[method], **difference, "verdict": verdict}
+            {"method": method, "mean": means[method]}
+            | difference_columns(gap, unit, scores.direction)
             | {"best": bool(best) and means[method] == means[best]}
             | {"clips": part["clip"].nunique(), "frames": len(part)}
         )
     return ranked
-
-
-def name_verdict(gap: Interval, unit: str) -> str:
-    """`tie` if the interval lies within +-0.1 dB, else `not resolved` if it includes zero, else "".
-
-    >>> name_verdict(Interval(0.2, -0.1, 0.5, 4), "dB")
-    'not resolved'
-    """
-    if unit == "dB" and gap.is_tie(TIE_DB):
-        return "tie"
-    return "" if gap.is_resolved else "not resolved"
 
 
 def _mean(frames: pd.DataFrame) -> float:

@@ -9,8 +9,9 @@ from typing import Any
 import pandas as pd
 
 from reports.analysis.aggregate import Scores
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, mean_with_interval, pair
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, mean_with_interval, pair
 from reports.analysis.method_names import family_of, label_of
+from reports.analysis.multiplicity import correct_by_holm, difference_columns
 from rlbench.benchmark.results import MissingRowsError
 
 __all__ = ["choose_family", "config_changes", "differences", "families_with_scores"]
@@ -18,7 +19,7 @@ __all__ = ["choose_family", "config_changes", "differences", "families_with_scor
 PREFERRED = "ours"  # the family of the report if the user names none
 PAIR = ("scene", "clip", "frame", "seed")  # what the two scores of a pair have in common
 COLUMNS = (
-    "method", "target_spp", "difference", "low", "high", "frame_ms", "unreliable", "pairs",
+    "method", "target_spp", *difference_columns(UNKNOWN), "frame_ms", "unreliable", "pairs",
     "unpaired", "units",
 )  # fmt: skip
 
@@ -62,9 +63,9 @@ def differences(
     """Score and frame time of each variant minus those of the main variant, per budget.
 
     The two scores of a pair have scene, clip, frame, budget and seed in common; `low` and `high`
-    are the interval (nan with one clip). `frame_ms` is the mean difference over the scenes that
-    both have; nan where either has no time. `unreliable` is true if a time of either failed its
-    test.
+    are the interval (nan with one clip); `p_holm` is corrected over all differences. `frame_ms` is
+    the mean difference over the scenes that both have; nan where either has no time. `unreliable`
+    is true if a time of either failed its test.
     """
     parts = {key: part for key, part in scores.measured.groupby(["method", "target_spp"])}
     records = []
@@ -80,9 +81,7 @@ def differences(
                 {
                     "method": method,
                     "target_spp": spp,
-                    "difference": gap.mean,
-                    "low": gap.low,
-                    "high": gap.high,
+                    **difference_columns(gap),
                     "frame_ms": _frame_time_difference(times, method, family),
                     "unreliable": bool(
                         times.loc[times["method"].isin([method, family]), "unreliable"].any()
@@ -92,7 +91,7 @@ def differences(
                     "units": gap.units,
                 }
             )
-    return pd.DataFrame(records, columns=list(COLUMNS))
+    return correct_by_holm(pd.DataFrame(records, columns=list(COLUMNS)))
 
 
 def config_changes(scores: Scores, method: str, other: str) -> str:

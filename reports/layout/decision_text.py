@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from reports.analysis.decision import BreakEven, Candidate, Decision
-from reports.analysis.intervals import Interval
+from reports.analysis.intervals import LEVEL, Interval
+from reports.analysis.verdicts import HOLM_MARK, LEADS, TRAILS, VERDICT_NOTE, describe_difference
 
 __all__ = ["decision_text"]
 
@@ -51,14 +52,8 @@ def _answer(decision: Decision) -> Iterator[str]:
 
 
 def _runner_up(rival: Candidate, decision: Decision) -> str:
-    gap = rival.difference
-    sure = rival.verdict or "resolved"
-    if gap.low != gap.low:
-        sure = "no interval, because there is one clip"
-    return (
-        f"Runner-up: {rival.method} at {rival.spp:.3g} spp, "
-        f"{_number(gap.mean, decision, '+')} {_ends(gap, decision, '+')}: {sure}."
-    )
+    difference = describe_difference(rival.difference, decision.unit, decision.direction)
+    return f"Runner-up: {rival.method} at {rival.spp:.3g} spp: {difference}{_mark(rival)}."
 
 
 def _table(decision: Decision) -> Iterator[tuple[str, ...]]:
@@ -75,8 +70,13 @@ def _table(decision: Decision) -> Iterator[tuple[str, ...]]:
             f"{row.frame_ms:.3g}",
             _number(row.value.mean, decision, unit=""),
             difference.strip(),
-            row.verdict,
+            row.verdict + _mark(row),
         )
+
+
+def _mark(row: Candidate) -> str:
+    """The mark of a lead that Holm's correction takes away."""
+    return HOLM_MARK * (row.verdict in (LEADS, TRAILS) and row.p_holm > 1 - LEVEL)
 
 
 def _change(change: BreakEven, decision: Decision) -> str:
@@ -109,8 +109,8 @@ def _basis(decision: Decision, sample_device: str) -> Iterator[str]:
         )
     yield (
         f"{_metric(decision)}: {decision.convention}; between measured budgets linear in log spp. "
-        "Brackets: 95 % interval over scenes; of a difference: paired by scene. "
-        "Tie: within +-0.1 dB; not resolved: includes zero."
+        f"Differences are paired by scene. {VERDICT_NOTE} It is for all "
+        "methods that fit."
     )
     yield from decision.notes
 

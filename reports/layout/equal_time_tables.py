@@ -10,16 +10,15 @@ import pandas as pd
 
 from reports.analysis.aggregate import Scores
 from reports.analysis.curves import Curve
-from reports.analysis.intervals import INTERVAL_NOTE
 from reports.analysis.method_names import family_of
+from reports.analysis.misses import has_late_scores
+from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.tables import Bold, Table, format_difference
 from reports.published import published
 
 __all__ = ["by_column", "crossover_table", "deadline_table", "half_table"]
 
 Record = Mapping[Hashable, Any]
-
-VERDICTS = "Tie: the interval lies within +-0.1 dB. Not resolved: it includes zero."
 
 
 def half_table(records: pd.DataFrame, base: Curve) -> Table:
@@ -28,7 +27,7 @@ def half_table(records: pd.DataFrame, base: Curve) -> Table:
         (
             f"{row['method']} at {row['spp']:g} spp",
             f"{row['rival']} at {row['rival_spp']:g} spp",
-            _with_verdict(row),
+            format_difference(row),
             f"{row['frame_ms']:.1f}",
             f"{row['rival_ms']:.1f}",
             f"{row['speedup']:.2f}",
@@ -39,8 +38,8 @@ def half_table(records: pd.DataFrame, base: Curve) -> Table:
         rows.append(printed)
     caption = (
         f"{base.method} against the best method of another family with twice its samples. PSNR in "
-        f"dB, paired by scene; brackets: {INTERVAL_NOTE}, bold if it excludes zero. {VERDICTS} "
-        "Faster: frame time of the rival / that of the method. "
+        "dB, paired by scene. "
+        f"{VERDICT_NOTE} Faster: frame time of the rival / that of the method. "
         f"Last row, where it is there: the numbers of {published().title}, at its cost of a sample."
     )
     header = ("method", "best rival", "difference", "ms", "rival ms", "faster")
@@ -75,7 +74,7 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
         text = f"{row['value']:.2f}"
         if row["best"]:
             return Bold(text)
-        return f"{text} ({_plain_difference(row)}) {row['verdict']}".strip()
+        return f"{text} ({format_difference(row)})"
 
     percentile = "p95" if late else "p50"
     caption = (
@@ -84,12 +83,17 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
         f"{scores.device_name}) + samples x {sample_ms:.3g} ms "
         f"({scores.cost_source or 'an unnamed source'}), mean over scenes. "
         "Between measured budgets linear in log spp; none is extrapolated. Parentheses: paired "
-        f"difference to the best and its {INTERVAL_NOTE}. {VERDICTS} "
+        f"difference to the best. {VERDICT_NOTE} "
     )
     if late:
         caption += (
             "Frames whose plan + denoise takes longer than its p95, one in 20, are late and show "
-            "the last image again; the error of that image is not part of the PSNR here."
+            + (
+                "the last image again: the PSNR is 0.95 psnr + 0.05 psnr_late."
+                if has_late_scores(scores.rows)
+                else "the last image again; these results lack its error (psnr_late), so it is "
+                "not part of the PSNR here."
+            )
         )
     title = "Quality at a deadline that 95 % of frames meet" if late else "Equal time"
     return by_column(title, caption, records, "deadline_ms", lambda ms: f"{ms:g} ms", cell)
@@ -147,12 +151,3 @@ def by_column(
         for method in sorted(set(records["method"]))
     )
     return Table(title, caption, ("method", *map(heading, values)), rows)
-
-
-def _plain_difference(row: Record) -> str:
-    return str(format_difference(row["difference"], row["low"], row["high"]))
-
-
-def _with_verdict(row: Record) -> str:
-    text = format_difference(row["difference"], row["low"], row["high"])
-    return f"{text} {row['verdict']}" if row["verdict"] else text

@@ -36,7 +36,7 @@ def write_page(
         parts += [f"## {section.device or 'Unnamed device'}\n"]
         parts += [*map(to_markdown, section.tables), _format_lists(section.lists)]
         floats += [f"% {section.device}\n", *map(to_latex, section.tables)]
-    parts += [f"Runs: {', '.join(sorted(set(results['run_id'])))}\n"]
+    parts += [f"Runs: {', '.join(sorted(set(results['run_id'])))}\n", *_describe_looks(results)]
     records = [section.records.assign(device=section.device) for section in sections]
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{suffix}" for suffix in ("md", "csv", "tex")]
@@ -58,6 +58,13 @@ def describe_clips(results: pd.DataFrame) -> str:
     if presets:
         text = f"preset{'s' * (len(presets) > 1)} {' and '.join(presets)}, {text}"
     return text
+
+
+def _describe_looks(results: pd.DataFrame) -> list[str]:
+    """How often runs scored something new on these presets; empty where no ledger says."""
+    looks = results.attrs.get("looks", {})
+    counts = [f"{p} {looks[p]}" for p in sorted(set(results["preset"])) if p in looks]
+    return [f"Looks at test clips (runs with new scores): {', '.join(counts)}\n"] if counts else []
 
 
 def _format_lists(lists: Mapping[str, Sequence[str]]) -> str:

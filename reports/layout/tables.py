@@ -8,6 +8,8 @@ from typing import Any
 
 import pandas as pd
 
+from reports.analysis.verdicts import LEADS, TRAILS
+
 __all__ = [
     "UNRELIABLE_MARK",
     "UNRELIABLE_MEANING",
@@ -44,17 +46,21 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-def format_difference(mean: float, low: float, high: float) -> str:
-    """A signed difference with its interval in brackets; bold if the interval excludes zero.
+def format_difference(record: Mapping[Hashable, Any]) -> str:
+    """A signed difference with its interval and verdict; bold if one method leads.
 
-    >>> format_difference(-1.0, -1.25, -0.75)
-    '-1.00 [-1.25, -0.75]'
+    `record` has the columns of `difference_columns`, and `mark` if they were corrected.
+
+    >>> format_difference({"difference": -0.5, "low": -1.5, "high": 0.5, "verdict": "not resolved"})
+    '-0.50 [-1.50, +0.50] not resolved'
     """
-    text = f"{mean:+.2f}"
-    if low != low:
+    text = f"{record['difference']:+.2f}"
+    if not record["verdict"]:
         return text
-    text += f" [{low:+.2f}, {high:+.2f}]"
-    return Bold(text) if low > 0 or high < 0 else text
+    text += f" [{record['low']:+.2f}, {record['high']:+.2f}]{record.get('mark', '')}"
+    if record["verdict"] in (LEADS, TRAILS):
+        return Bold(text)
+    return f"{text} {record['verdict']}"
 
 
 def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") -> str:

@@ -50,12 +50,14 @@ class WinnerMap:
     difference: NDArray[np.float64]  # winner minus runner-up; nan without one
     low: NDArray[np.float64]  # of its interval
     high: NDArray[np.float64]
+    tie_margin: float = 0.0  # of a difference, in the unit of the score
 
     @property
     def is_open(self) -> NDArray[np.bool_]:
-        """Where the interval does not separate winner and runner-up, or is not known."""
-        is_separate = (self.low > 0) | (self.high < 0)
-        return (self.winner >= 0) & (self.runner_up >= 0) & ~is_separate
+        """Where winner and runner-up tie or are not resolved, or the interval is not known."""
+        is_tie = (self.low >= -self.tie_margin) & (self.high <= self.tie_margin)
+        leads = ((self.low > 0) | (self.high < 0)) & ~is_tie
+        return (self.winner >= 0) & (self.runner_up >= 0) & ~leads
 
     @property
     def is_exhausted(self) -> NDArray[np.bool_]:
@@ -116,7 +118,7 @@ def draw_winner_map(winners: WinnerMap, labels: MapLabels) -> Figure:
     visible = [winners.methods[i] for i in np.unique(winners.winner) if i >= 0]
     colours = method_colours(winners.methods, visible)
     figure = Figure(figsize=(WIDTH, HEIGHT))
-    longest = max(len(name) for name in [*visible, "not separated from the"])
+    longest = max(len(name) for name in [*visible, "tie or not resolved against"])
     right = 1 - (0.65 + LETTER_INCHES * longest) / WIDTH
     lines = labels.caption.count("\n") + 1
     bottom = (0.75 + 0.2 * lines) / HEIGHT
@@ -240,7 +242,7 @@ def _handles(colours: dict[str, Any]) -> list[Any]:
             edgecolor="white",
             hatch=HATCH,
             linewidth=0,
-            label="not separated from the\nrunner-up (95 % interval)",
+            label="tie or not resolved against\nthe runner-up (95 % interval)",
         )  # fmt: skip
     )
     handles.append(Line2D([], [], color=style.BLACK, ls=":", lw=1.4, label=EXHAUSTED))

@@ -57,6 +57,7 @@ def run(
     weights_label: str = "",
     bf16: bool = False,
     backend: str = EAGER,
+    skip_tiles: bool = False,
     limit_frames: int | None = None,
     retime: bool = False,
     keep_images: bool = False,
@@ -72,7 +73,8 @@ def run(
     `weights` is the path of a file or "random", whose rows are named `METHOD@weights_label`; None
     takes the shipped weights. `backend` runs the networks: "eager" is PyTorch, "openvino" and
     "compile" (torch.compile) are compilers, for rows `METHOD@openvino`, and "auto" takes OpenVINO
-    where it is installed. `cost` is "measured", the name of a cost profile, or a TOML file.
+    where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
+    rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
     `retime` measures the times of cells again whose scores are there, and no scores. `keep_images`
     keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
@@ -97,6 +99,7 @@ def run(
         weights_label=weights_label,
         bf16=bf16,
         backend=select_backend(backend, select_device(device)),
+        skip_tiles=skip_tiles,
         limit_frames=limit_frames,
     )
     summary = measure(plan, Path(out), on_cell, executor, retime=retime, keep_images=keep_images)

@@ -20,7 +20,7 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-SCORING = ("rlbench.benchmark.runner", "rlbench.benchmark.scoring")  # images to numbers
+SCORING = ("rlbench.benchmark.cell_runner", "rlbench.benchmark.scoring")  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",
@@ -49,6 +49,7 @@ class CellIds:
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
             self._bf16 if method.bf16 else "",
             *((self._backend,) if method.backend != EAGER else ()),
+            *((self._skip_tiles,) if method.skip_tiles else ()),
         )
         times = (self._cost, plan.repeats, self._charged(cell), self._timing)
         return CellId(cell.key, _short_hash(content), _short_hash(times))
@@ -96,6 +97,11 @@ class CellIds:
     def _bf16(self) -> str:
         """Hash of the code that runs a method in bfloat16."""
         return code_hash.code_hash(["rlbench.wrappers"], core=())
+
+    @cached_property
+    def _skip_tiles(self) -> str:
+        """Hash of the code that keeps unchanged tiles."""
+        return code_hash.code_hash(["rlbench.wrappers", "rlbench.ops.tiles"], core=())
 
     @cached_property
     def _backend(self) -> str:

@@ -71,6 +71,7 @@ class CellImages:
 
     pool: str  # kind of the samples
     clip_digest: str  # of the clip with the samples of `pool`
+    max_samples: int  # most that one pixel could have, at any budget
     frames: Sequence[KeptFrame]
 
 
@@ -83,6 +84,7 @@ class _Record:
     content_hash: str
     pool: str
     clip_digest: str
+    max_samples: int
     checksums: tuple[str, ...]  # SHA-256 of 0000.exr, 0001.exr, ...
 
 
@@ -94,6 +96,7 @@ class KeptImages:
     cell: CellId  # without the hash of its times
     pool: str
     clip_digest: str
+    max_samples: int
     checksums: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -136,9 +139,8 @@ def write_images(results: Path, cell: CellId, images: CellImages) -> Path:
     shutil.rmtree(unfinished, ignore_errors=True)  # that a killed run left
     try:
         checksums = tuple(_write_frame(unfinished, *each) for each in enumerate(images.frames))
-        record = _Record(
-            SCHEMA, cell.key, cell.content_hash, images.pool, images.clip_digest, checksums
-        )
+        shared = images.pool, images.clip_digest, images.max_samples
+        record = _Record(SCHEMA, cell.key, cell.content_hash, *shared, checksums)
         with paths.atomic_write(unfinished / RECORD) as temporary:
             temporary.write_text(json.dumps(asdict(record), indent=1))
         drop_images(results, cell)
@@ -197,4 +199,5 @@ def _read_record(folder: Path) -> KeptImages:
             "--keep-images`, or update rlbench"
         ) from error
     cell = CellId(record.key, record.content_hash)
-    return KeptImages(folder, cell, record.pool, record.clip_digest, record.checksums)
+    shared = record.pool, record.clip_digest, record.max_samples
+    return KeptImages(folder, cell, *shared, record.checksums)

@@ -13,7 +13,7 @@ from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method
 from rlbench.system.bfloat16 import require_native_bf16
-from rlbench.wrappers import HalfPrecision
+from rlbench.wrappers import HalfPrecision, SkipTiles
 
 __all__ = ["CellLoader"]
 
@@ -56,7 +56,7 @@ class CellLoader:
     def _build(self, resolved: ResolvedMethod) -> Method:
         method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
         use_backend(method, resolved.backend, self.plan.device, resolved.bf16)
-        if not resolved.bf16:
-            return method
-        require_native_bf16(self.plan.device)  # also on the workers of an executor
-        return HalfPrecision(method, self.plan.device)
+        if resolved.bf16:
+            require_native_bf16(self.plan.device)  # also on the workers of an executor
+            method = HalfPrecision(method, self.plan.device)
+        return SkipTiles(method) if resolved.skip_tiles else method

@@ -27,6 +27,7 @@ __all__ = [
     "Source",
     "StoredSource",
     "max_samples_needed",
+    "samples_at_cap",
     "open_source",
 ]
 
@@ -163,12 +164,17 @@ def open_source(folder: Path, pool: str) -> StoredSource:
     return LiveSource(folder)
 
 
+def samples_at_cap(traits: Traits, stored: int) -> int:
+    """Most samples that one pixel can have, of `stored` ones and at any budget."""
+    return stored if traits.max_samples is None else min(stored, traits.max_samples)
+
+
 def max_samples_needed(traits: Traits, target_spp: float, stored: int) -> int:
     """Most samples of one pixel that a method can draw from `stored` ones.
 
     Adaptive methods may draw up to their `max_samples` in one pixel, others ceil(target_spp).
     """
-    limit = stored if traits.max_samples is None else min(stored, traits.max_samples)
+    limit = samples_at_cap(traits, stored)
     if traits.adaptive:
         return limit
     return min(limit, max(1, traits.min_samples, math.ceil(target_spp)))

@@ -93,12 +93,12 @@ def find_kept_cells(
         if images and is_selected and cell.key.clip in by_name:
             kept.append(KeptCell(cell, images, by_name[cell.key.clip]))
     if not kept:
-        keys = {images.cell.key for images in cell_images.list_images(folder)}
+        keys = [images.cell.key for images in cell_images.list_images(folder)]
+        stored_methods, stored_clips = {key.method for key in keys}, {key.clip for key in keys}
         raise EvaluationError(
             f"{folder} has no images of {', '.join(methods) or 'any method'} on "
-            f"{', '.join(by_name)}; it has {', '.join(sorted({key.method for key in keys}))} on "
-            f"{', '.join(sorted({key.clip for key in keys}))}. `rlbench run --keep-images` makes "
-            "images"
+            f"{', '.join(by_name)}; it has {', '.join(sorted(stored_methods))} on "
+            f"{', '.join(sorted(stored_clips))}. `rlbench run --keep-images` makes images"
         )
     for cell, images, clip in kept:
         if (digest := clip.content(images.pool)) != images.clip_digest:
@@ -219,5 +219,5 @@ def _compare_frames(
         frame = clip.frame_with_pool(index, StoredPool(no_samples, (0,)))
         samples = Samples(no_samples[:, :0], counts.long()[None, None])
         result = FrameResult(frame, samples, image[None], repairs={})
-        compared = compare_frame(compare, result, compared)
+        compared = compare_frame(compare, result, compared, kept.images.max_samples)
         yield result, compared

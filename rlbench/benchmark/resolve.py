@@ -12,7 +12,7 @@ from rlbench.backends import EAGER
 from rlbench.benchmark import latency
 from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.clip_sources import Source
-from rlbench.benchmark.row_name import BF16, CROSSVAL, RESERVED_LABELS, RowName
+from rlbench.benchmark.row_name import BF16, CROSSVAL, RESERVED_LABELS, TILES, RowName
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.clips.header import Header
 from rlbench.family import Traits, Variant
@@ -32,6 +32,7 @@ class ResolvedMethod:
     requires: tuple[str, ...]  # distributions that make its images
     bf16: bool  # do its networks run in bfloat16?
     backend: str  # that runs its networks
+    skip_tiles: bool  # are unchanged tiles kept from the last image?
     weights_file: Path | None  # None for random weights, and without networks
     training_clips: frozenset[str]  # names of the clips that the weights were trained on
 
@@ -104,24 +105,27 @@ def resolve_method(plan: RunPlan, name: str) -> ResolvedMethod:
         requires=variant.requires,
         bf16=plan.bf16 and variant.learned,
         backend=plan.backend if variant.learned else EAGER,
+        skip_tiles=plan.skip_tiles and variant.traits.receptive_field is not None,
         weights_file=file,
         training_clips=training_clips(file),
     )
 
 
 def _row_name(plan: RunPlan, name: str, variant: Variant) -> str:
-    """Name of a method's rows, labelled by backend, bfloat16, and other weights than the shipped.
+    """Name of a method's rows, labelled by what differs from the method as shipped.
 
-    Weights without a label are labelled by their file, if the method also has shipped weights.
+    That is the backend, bfloat16, skipped tiles, and other weights. Weights without a label are
+    labelled by their file, if the method also has shipped weights.
     """
+    tiles = TILES if plan.skip_tiles and variant.traits.receptive_field is not None else ""
     if not variant.learned:
-        return name
+        return f"{name}@{tiles}" if tiles else name
     label = plan.weights_label
     if plan.weights and not label and _shipped_weights(name).is_file():
         label = _label_of_file(plan.weights)
     label = CROSSVAL if plan.held_out_scene else label
     backend = "" if plan.backend == EAGER else plan.backend
-    parts = [backend, BF16 if plan.bf16 else "", label]
+    parts = [backend, BF16 if plan.bf16 else "", tiles, label]
     row_name = RowName.parse(name)
     return str(RowName(row_name.family, row_name.variant, "-".join(filter(None, parts))))
 

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING
 
 from rlbench.benchmark import cell_file
 from rlbench.benchmark.cell_key import CellId, CellKey
+from rlbench.benchmark.looks import count_looks
 from rlbench.benchmark.row import (
     CLOCK_PREFIX,
     COLUMNS,
+    EVENT_PREFIX,
     TWO_DEVICES,
     UNRELIABLE,
     Row,
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CLOCK_PREFIX",
     "COLUMNS",
+    "EVENT_PREFIX",
     "HELD_OUT_PREFIX",
     "TWO_DEVICES",
     "UNRELIABLE",
@@ -105,8 +108,8 @@ def read(folder: Path) -> pd.DataFrame:
     """All cells in `folder` as one table, in the order of `COLUMNS`, sorted by file name.
 
     `frame` and `seed` are int64; `target_spp`, `mean_spp` and `value` float64; all others strings
-    that are empty rather than missing. Raises TableError if there are no cells, and for a damaged
-    file.
+    that are empty rather than missing. The number of runs that looked at each test preset is in
+    `attrs["looks"]`. Raises TableError if there are no cells, and for a damaged file.
     """
     import pandas as pd
 
@@ -115,6 +118,7 @@ def read(folder: Path) -> pd.DataFrame:
     if not rows:
         raise TableError(f"no results in {folder}: {_content(folder)}; rlbench run writes them")
     table: pd.DataFrame = pd.concat(rows, ignore_index=True)
+    table.attrs["looks"] = count_looks(folder)
     return table
 
 

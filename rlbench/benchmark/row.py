@@ -14,6 +14,7 @@ __all__ = [
     "CLOCK_PREFIX",
     "COLUMNS",
     "DEFAULTS",
+    "EVENT_PREFIX",
     "REQUIRED",
     "TWO_DEVICES",
     "UNRELIABLE",
@@ -24,6 +25,7 @@ __all__ = [
 
 UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
+EVENT_PREFIX = "event_"  # of rows that say what happens in a clip at their frame
 CLOCK_PREFIX = "clock_"  # of metrics that say how a cell's times were measured
 
 

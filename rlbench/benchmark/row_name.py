@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["BF16", "CROSSVAL", "RESERVED_LABELS", "RowName"]
+__all__ = ["BF16", "COMPILERS", "CROSSVAL", "RESERVED_LABELS", "TILES", "RowName"]
 
 BF16 = "bf16"  # label of rows whose networks ran in bfloat16
 COMPILERS = ("openvino", "compile")  # backends, labels of rows whose networks they ran
+TILES = "tiles"  # label of rows whose unchanged tiles were kept from the last image
 CROSSVAL = "crossval"  # label of rows whose weights were trained without the row's scene
 OLD_BF16 = "half"  # label of bfloat16 rows in results of schema 1
-RESERVED_LABELS = (BF16, CROSSVAL, OLD_BF16, *COMPILERS)  # labels that no weights may have
+RESERVED_LABELS = (BF16, TILES, CROSSVAL, OLD_BF16, *COMPILERS)  # labels that no weights may have
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class RowName:
 
     family: str
     variant: str = ""  # empty for the family's main variant
-    label: str = ""  # backend, bf16 and a name of weights or crossval, joined by -
+    label: str = ""  # backend, bf16, tiles and a name of weights or crossval, joined by -
 
     @classmethod
     def parse(cls, text: str) -> RowName:

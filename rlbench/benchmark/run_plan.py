@@ -31,6 +31,7 @@ class RunPlan:
     repeats: int = latency.REPEATS  # timed frames, at least
     bf16: bool = False  # run networks in bfloat16
     backend: str = EAGER  # that runs networks, see rlbench.backends
+    skip_tiles: bool = False  # keep unchanged tiles of local methods, see rlbench.wrappers
     weights_label: str = ""  # label of the rows, to keep several weights of one method apart
     held_out_scene: str = ""  # scene that `weights` were trained without, in a cross-validation
 

@@ -9,13 +9,18 @@ from typing import Any
 
 from rlbench import registry
 from rlbench.benchmark.resolve import ResolvedCell
-from rlbench.benchmark.results import WHOLE_CLIP, Row
+from rlbench.benchmark.results import EVENT_PREFIX, WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
+from rlbench.wrappers import TileMemory
 
 __all__ = ["compare_frame", "refusal_row", "row_template", "score_clip", "score_frame"]
+
+EVENTS = {"cut": "another shot begins", "light": "lights change"}
+
+SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
 def row_template(cell: ResolvedCell, run_id: str, code_hash: str, weights_hash: str) -> Row:
@@ -45,8 +50,13 @@ def refusal_row(template: Row, reason: str) -> Row:
     return replace(template, metric="psnr", value=math.nan, note=reason)
 
 
-def compare_frame(compare: Any, result: FrameResult, previous: Any | None) -> Any:
-    """A frame as metrics receive it: `compare` is Metric.compare, `previous` the frame before."""
+def compare_frame(
+    compare: Any, result: FrameResult, previous: Any | None, max_samples: int | None = None
+) -> Any:
+    """A frame as metrics receive it: `compare` is Metric.compare, `previous` the frame before.
+
+    `max_samples` is the most that one pixel can have, None if that is not known.
+    """
     frame = result.frame
     buffers, static = frame.gbuffer.buffers, frame.gbuffer.static
     motion = sanitize_motion(buffers["motion"]) if "motion" in buffers and not static else None
@@ -57,6 +67,7 @@ def compare_frame(compare: Any, result: FrameResult, previous: Any | None) -> An
         counts=result.samples.counts,
         motion=motion,
         static=static,
+        max_samples=max_samples,
         previous=previous,
     )
 
@@ -68,7 +79,7 @@ def score_frame(
     result: FrameResult,
     header: Header,
 ) -> Iterator[Row]:
-    """One row of each metric; the first frame of a clip has none of a temporal metric.
+    """One row of each metric that has the previous frames that it reads, and of each event.
 
     Raises PluginError for an image of another shape or dtype than the reference.
     """
@@ -77,7 +88,7 @@ def score_frame(
     frame = replace(template, frame=result.frame.index, mean_spp=mean_spp)
     for generic in metrics:
         metric = generic.at(*comparison.image.shape[-2:])  # as defined at this size
-        if metric.temporal and comparison.previous is None:
+        if comparison.frames_before < metric.previous_frames:
             continue
         note = _missing_input(metric, comparison, header)
         score = math.nan if note else float(metric.score(comparison)[0])
@@ -85,7 +96,10 @@ def score_frame(
             note = f"the value is nan: {metric.convention}"
         row = replace(frame, unit=metric.unit, direction=metric.direction)
         yield _with_value(row, metric.name, score, metric.convention, note)
+    yield from _event_rows(frame, header)
     yield from _repair_rows(frame, result.repairs)
+    if isinstance(result.state, TileMemory):
+        yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
 
 
 def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: Header) -> Row:
@@ -104,6 +118,15 @@ def _missing_input(metric: Any, comparison: Any, header: Header) -> str:
         return LIMITATIONS["halves"]
     lacks = [name for name in metric.needs if not comparison.has(name)]
     return f"the clip has no {' and no '.join(lacks)}, which the metric reads" if lacks else ""
+
+
+def _event_rows(frame: Row, header: Header) -> Iterator[Row]:
+    """A row for each event with which the frame begins, from the clip's header."""
+    events = {"cut": header.cuts, "light": header.light_changes}
+    for event, frames in events.items():
+        if frame.frame in frames:
+            convention = f"the clip's header: {EVENTS[event]}"
+            yield _with_value(frame, f"{EVENT_PREFIX}{event}", 1.0, convention)
 
 
 def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:

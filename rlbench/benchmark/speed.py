@@ -32,7 +32,14 @@ from rlbench.method import Method, State
 from rlbench.run import run_clip
 from rlbench.wrappers import HalfPrecision, MethodWrapper
 
-__all__ = ["COLUMNS", "Configuration", "count_multiply_adds", "measure_speed"]
+__all__ = [
+    "COLUMNS",
+    "SPP",
+    "Configuration",
+    "count_multiply_adds",
+    "generated_clip",
+    "measure_speed",
+]
 
 FRAMES, SPP = 4, 1.0  # of the generated clip
 COUNTED_SIDE = 96  # pixels, of the frame whose multiply-adds are counted; a multiple of 32
@@ -99,7 +106,7 @@ def measure_speed(
     }
     lines: list[dict[str, object]] = []
     for size in sizes:
-        clip = _generated_clip(size, device)
+        clip = generated_clip(size, device)
         rows = [TimedRow(c.load(device), clip, SPP) for c in configurations]
         timings = time_methods(rows, device, repeats, on_done=on_done)
         for configuration, row, timing in zip(configurations, rows, timings, strict=True):
@@ -126,7 +133,7 @@ def measure_speed(
 
 def count_multiply_adds(method: Method, device: torch.device) -> float:
     """Multiply-adds per pixel of all convolutions and matrix products in a frame with history."""
-    clip = _generated_clip((COUNTED_SIDE, COUNTED_SIDE), device)
+    clip = generated_clip((COUNTED_SIDE, COUNTED_SIDE), device)
     results = run_clip(method, clip, SPP)
     next(results)
     with FlopCounterMode(display=False) as counter:
@@ -158,7 +165,8 @@ def _times(timing: Timing) -> dict[str, object]:
     }
 
 
-def _generated_clip(size: PixelSize, device: torch.device) -> InMemoryClip:
+def generated_clip(size: PixelSize, device: torch.device) -> InMemoryClip:
+    """The frames that methods are timed on, of `size` (height, width) pixels."""
     clip = procedural_clip(3, Size(1, *size), FRAMES, pool_spp=4, device=device)
     return InMemoryClip(f"{size[1]}x{size[0]}", clip.scene, clip.digest, list(clip))
 

@@ -87,11 +87,15 @@ class TimingCache:
         return errors
 
     def key(self, cell: ResolvedCell) -> TimingKey:
-        """What a time depends on. Static clips are faster, because nothing is reprojected."""
+        """What a time depends on. Static clips are faster, because nothing is reprojected.
+
+        Where unchanged tiles are kept, the time depends on the clip.
+        """
         header = cell.header
         size, is_moving = (header.height, header.width), header.frames > 1 and not header.static
         fetched = header.pool_spp, cell.clip.cost_key
-        return cell.method.name, size, cell.target_spp, is_moving, *fetched
+        content = header.name if cell.method.skip_tiles else ""
+        return cell.method.name, size, cell.target_spp, is_moving, *fetched, content
 
     def timing(self, cell: ResolvedCell) -> Timing:
         """Times of a cell that `measure_all` has measured."""
@@ -99,9 +103,11 @@ class TimingCache:
 
     def published_inference(self, cell: ResolvedCell) -> ProfileTime | None:
         """Inference time of a cell by the profile; None where it has none of this row."""
-        if self.profile is None or cell.method.bf16 or cell.method.backend != EAGER:
+        method = cell.method
+        is_published = method.backend == EAGER and not (method.bf16 or method.skip_tiles)
+        if self.profile is None or not is_published:
             return None
-        return self.profile.inference(cell.method.name, cell.header.height, cell.header.width)
+        return self.profile.inference(method.name, cell.header.height, cell.header.width)
 
     def cost(self, cell: ResolvedCell) -> Cost:
         """Cost of a cell's samples and G-buffer, with the factor of its scattered samples."""

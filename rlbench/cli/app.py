@@ -11,13 +11,16 @@ from rlbench.cli import options
 from rlbench.cli.benchmark import run
 from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
+from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
 from rlbench.cli.evaluate import evaluate
+from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
 from rlbench.cli.plugins import check, list_, load_plugins
-from rlbench.cli.reports import regress, report
+from rlbench.cli.regress import regress
+from rlbench.cli.reports import report
 from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
 from rlbench.cli.training import lr_find, replay, train
@@ -84,6 +87,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "stress": stress,
     "speed": speed,
+    "fingerprint": fingerprint,
     "train": train,
     "lr-find": lr_find,
     "replay": replay,
@@ -92,6 +96,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "evaluate": evaluate,
     "report": report,
     "decide": decide,
+    "compare": compare,
     "images": images,
     "regress": regress,
 }

@@ -11,6 +11,7 @@ import typer
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Seeds, WeightsChoice
 from rlbench.cli.plugins import load_plugins
+from rlbench.errors import OptionError
 
 __all__ = ["run", "warn_without_networks"]
 
@@ -20,6 +21,14 @@ def run(
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
     backend: options.Backend = "eager",
+    skip_tiles: Annotated[
+        bool,
+        typer.Option(
+            "--skip-tiles",
+            help="keep unchanged tiles of methods with a receptive field, for rows METHOD@tiles",
+            rich_help_panel=options.METHODS,
+        ),
+    ] = False,
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     preset: options.Preset = "mini",
@@ -43,6 +52,7 @@ def run(
             rich_help_panel=options.MEASUREMENT,
         ),
     ] = options.DEFAULT_SEEDS,
+    draws: options.Draws = None,
     cost: options.Cost = "measured",
     repeats: Annotated[
         int,
@@ -86,14 +96,17 @@ def run(
       rlbench run --methods ours,ntas
       rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti --out paper
       rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
+      rlbench run -m ours,mean --draws 4 --out draws
       rlbench run -m ours --scenes temple --pool live --out live
       rlbench run -m ours --weights seed1=runs/seed1/ours/ours.safetensors
       rlbench run -m ours,oidn --bf16
       rlbench run -m ours,oidn --backend openvino
+      rlbench run -m eaw/still --spp 0.25 --skip-tiles
       rlbench run -m ours,oidn --retime
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
+    seeds = _orders(seed, draws)
     load_plugins(plugin)
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
@@ -113,13 +126,14 @@ def run(
             methods=names,
             clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),
             target_spp=spp,
-            seeds=seed,
+            seeds=seeds,
             device=select_device(device),
             cost=cost,
             weights=chosen.file,
             weights_label=chosen.label,
             bf16=bf16,
             backend=select_backend(backend, select_device(device)),
+            skip_tiles=skip_tiles,
             limit_frames=limit_frames,
             repeats=repeats,
         )
@@ -136,6 +150,17 @@ def run(
     console.print_summary(summary, out)
     if not console.print_scores(plan, summary, out):
         raise typer.Exit(1)
+
+
+def _orders(seeds: Seeds, draws: int | None) -> tuple[int, ...]:
+    """The seeds of the sample order. Raises OptionError if they are given twice."""
+    if draws is None:
+        return seeds
+    if seeds != options.DEFAULT_SEEDS:
+        raise OptionError(
+            f"--draws {draws} is --seed 0:{draws}, and --seed was given too. Omit one"
+        )
+    return tuple(range(draws))
 
 
 def warn_without_networks(names: Collection[str], bf16: bool, weights: WeightsChoice) -> None:

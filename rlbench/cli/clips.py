@@ -99,19 +99,51 @@ def lint(
         ),
     ] = None,
     frames: Annotated[int, typer.Option(min=0, help="first frames to read; 0: all")] = 8,
+    guess: Annotated[
+        bool,
+        typer.Option("--guess", help="CLIPS is a dump of EXR files: guess the layout to import it"),
+    ] = False,
+    layout: Annotated[
+        Path,
+        typer.Option(dir_okay=False, metavar="FILE", help="file that --guess writes"),
+    ] = Path("engine.toml"),
 ) -> None:
     """Check a clip's motion, depth, normals, samples, reference.
 
-    The exit code is 1 if a check failed.
+    The exit code is 1 if a check failed. With --guess, write the layout of a dump for rlbench
+    import instead, with how sure each reading is.
 
     Examples:
 
     \b
       rlbench lint my_renders/atrium
       rlbench lint my_renders/ --figure lint.png --frames 0
+      rlbench lint --guess dump/ && rlbench import dump/ --layout engine.toml --out clips/
     """
+    if guess:
+        _write_guess(clips, layout)
+        return
     from rlbench.checks.lint.run import lint_clips
     from rlbench.clips.stored import find_clips
 
     folders = [folder for path in clips for folder in find_clips(path)]
     raise typer.Exit(0 if lint_clips(folders, figure, frames) else 1)
+
+
+def _write_guess(sources: list[Path], layout: Path) -> None:
+    """Write the layout of one dump, and print it."""
+    from rlbench.checks.lint.guess import format_guess, guess_layout
+    from rlbench.checks.lint.recognize import recognize_layout
+    from rlbench.errors import OptionError
+
+    if len(sources) != 1 or not sources[0].is_dir():
+        raise OptionError("--guess takes one folder of EXR files")
+    if name := recognize_layout(sources[0]):
+        typer.echo(f"sure: the ready layout '{name}' reads it, and no check of motion, depth and")
+        typer.echo(f"normals fails: rlbench import {sources[0]} --layout {name} --out FOLDER")
+        return
+    if layout.exists():
+        raise OptionError(f"{layout} exists; name another file with --layout, or remove it")
+    text = format_guess(guess_layout(sources[0]))
+    layout.write_text(text)
+    typer.echo(f"{text}\nwritten to {layout}")

@@ -15,7 +15,7 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["decide", "select_by_inputs", "select_scenes"]
+__all__ = ["as_json_text", "decide", "select_by_inputs", "select_scenes"]
 
 NAME = "frame-time"  # of the decision, among the entry points
 
@@ -52,31 +52,9 @@ def decide(
             rich_help_panel=options.METHODS,
         ),
     ] = None,
-    scenes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--scenes",
-            metavar="NAMES",
-            help="scenes or clips a,b of the results; default: all",
-            rich_help_panel=options.CLIPS,
-        ),
-    ] = None,
-    metric: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="the score that decides, as in the results",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = "psnr",
-    device: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="device whose times of methods count, if the results have several",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = "",
+    scenes: options.RowScenes = None,
+    metric: options.Metric = "psnr",
+    device: options.RowDevice = "",
     sample_device: Annotated[
         str,
         typer.Option(
@@ -87,10 +65,7 @@ def decide(
         ),
     ] = "",
     results: options.Results = Path("results"),
-    as_json: Annotated[
-        bool,
-        typer.Option("--json", help="print JSON, for scripts", rich_help_panel=options.OUTPUT),
-    ] = False,
+    as_json: options.Json = False,
 ) -> None:
     """Name the method with the least error in a frame time.
 
@@ -119,7 +94,7 @@ def decide(
         rows, left_out = select_by_inputs(rows, arguments.split_names(needs))
     module = registry.load_or_explain("decisions", NAME)
     decision = module.decide(rows, sample_ms, frame_ms, metric, device, left_out)
-    typer.echo(_json(decision) if as_json else module.decision_text(decision, sample_device))
+    typer.echo(as_json_text(decision) if as_json else module.decision_text(decision, sample_device))
 
 
 def select_scenes(rows: pd.DataFrame, names: Collection[str], results: Path) -> pd.DataFrame:
@@ -166,8 +141,9 @@ def _lacking(method: str, channels: Collection[str]) -> str:
     return f"it needs {', '.join(missing)}" if (missing := sorted(inputs - set(channels))) else ""
 
 
-def _json(decision: Any) -> str:
+def as_json_text(answer: Any) -> str:
+    """An answer as indented JSON, for scripts."""
     import msgspec
 
     # msgspec writes numbers that are not finite as null
-    return msgspec.json.format(msgspec.json.encode(decision), indent=1).decode()
+    return msgspec.json.format(msgspec.json.encode(answer), indent=1).decode()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rlbench.cli import arguments
+
 if TYPE_CHECKING:
-    from rlbench.clips.header import Header
+    from rlbench.clips.importers.sequence import ImportedSequence
 
 __all__ = ["import_"]
 
@@ -20,9 +23,15 @@ def import_(
             metavar="SOURCE", exists=True, file_okay=False, help="folder of rendered frames"
         ),
     ],
-    format_: Annotated[
+    layout: Annotated[
         str,
-        typer.Option("--format", metavar="FORMAT", help="oidn, noisebase or rl-path-tracing"),
+        typer.Option(
+            "--layout",
+            "--format",
+            metavar="NAME|FILE",
+            help="falcor, unreal, blender, mitsuba, nrd-sample, oidn, noisebase, rl-path-tracing "
+            "or a TOML file",
+        ),
     ],
     out: Annotated[
         Path,
@@ -36,20 +45,28 @@ def import_(
         int | None, typer.Option(min=1, max=64, help="samples per pixel; default: all, up to 64")
     ] = None,
     exposure: Annotated[
-        float, typer.Option(help="radiance times this is 1 at display white")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            parser=arguments.parse_positive,
+            metavar="FACTOR",
+            help="radiance times this is 1 at display white; default: chosen as in render-scene",
+        ),
+    ] = None,
 ) -> None:
     """Turn frames of another renderer into clips.
 
-    What a source lacks (halves of the reference, motion, ...) is printed and stored in clip.toml. A
-    killed import resumes. Nothing is unpickled, no link out of SOURCE is followed, and images may
-    have up to 8192 x 8192 pixels.
+    A layout says which files and channels hold which image, and in which convention; rlbench lint
+    --guess SOURCE writes one. What a source lacks (motion, depth, halves of the reference, ...) is
+    replaced, printed and stored in clip.toml. A killed import resumes. Nothing is unpickled, no
+    link out of SOURCE is followed, and images may have up to 8192 x 8192 pixels.
 
     Examples:
 
     \b
-      rlbench import sampleset_v1/test8/bistro1 --format noisebase --frames 0:20 --out clips/
-      rlbench import my_renders/ --format oidn --out clips/ && rlbench run -m mean --clips clips/
+      rlbench import dump/ --layout engine.toml --out clips/
+      rlbench import captures/ --layout falcor --out clips/ && rlbench lint clips/
+      rlbench import sampleset_v1/test8/bistro1 --layout noisebase --frames 0:20 --out clips/
+      rlbench import my_renders/ --layout oidn --out clips/ && rlbench run -m mean --clips clips/
     """
     from rlbench.cli import console
     from rlbench.clips.importers import writer
@@ -57,24 +74,32 @@ def import_(
     from rlbench.clips.importers.sequence import parse_frame_range
 
     frame_range = parse_frame_range(frames) if frames else None
-    sequences = find_sequences(source, format_, frame_range)
-    clips = [(s, writer.clip_header(s, samples, exposure), out / s.name) for s in sequences]
+    clips = [
+        (sequence, writer.clip_header(sequence, samples, exposure or 1.0), out / sequence.name)
+        for sequence in find_sequences(source, layout, frame_range)
+    ]
     missing = [clip for clip in clips if not writer.is_finished(*clip)]
     with console.counting("importing", sum(header.frames for _, header, _ in missing)) as on_frame:
-        for clip in missing:
-            writer.write_clip(*clip, on_frame)
+        for sequence, header, folder in missing:
+            factor = exposure or writer.estimate_exposure(sequence)
+            writer.write_clip(sequence, replace(header, exposure=factor), folder, on_frame)
     for clip in clips:
-        _, header, folder = clip
-        _print_clip(header, folder, "imported" if clip in missing else "was imported before")
+        _print_clip(clip[0], clip[2], "imported" if clip in missing else "was imported before")
 
 
-def _print_clip(header: Header, folder: Path, status: str) -> None:
+def _print_clip(sequence: ImportedSequence, folder: Path, status: str) -> None:
     """Print size, limitations and compatible methods of an imported clip."""
     from rlbench.clips.compatibility import compatibility_summary
-    from rlbench.clips.header import LIMITATIONS
+    from rlbench.clips.header import LIMITATIONS, read_header
 
+    header = read_header(folder)
     size = f"{header.frames} frames of {header.width} x {header.height} pixels"
-    typer.echo(f"{folder}: {status}, {size}, {header.pool_spp} samples per pixel")
+    typer.echo(
+        f"{folder}: {status}, {size}, {header.pool_spp} samples per pixel, exposure "
+        f"{header.exposure:g}"
+    )
+    for note in sequence.notes:
+        typer.echo(f"  note: {note}")
     for limitation in header.limitations:
         typer.echo(f"  limitation {limitation}: {LIMITATIONS[limitation]}")
     typer.echo(f"  {compatibility_summary(header)}")

@@ -112,7 +112,52 @@ SceneSeeds = Annotated[
     ),
 ]
 
+RowScenes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--scenes",
+        metavar="NAMES",
+        help="scenes or clips a,b of the results; default: all",
+        rich_help_panel=CLIPS,
+    ),
+]
+
 # measurement
+RowBudgets = Annotated[
+    Budgets | None,
+    typer.Option(
+        "--spp",
+        parser=arguments.parse_budgets,
+        metavar="SPP",
+        help="budgets of the results in samples per pixel; default: all",
+        rich_help_panel=MEASUREMENT,
+    ),
+]
+Metric = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="the score that decides, as in the results",
+        rich_help_panel=MEASUREMENT,
+    ),
+]
+RowDevice = Annotated[
+    str,
+    typer.Option(
+        "--device",
+        metavar="NAME",
+        help="device whose rows count, if the results have several",
+        rich_help_panel=MEASUREMENT,
+    ),
+]
+Draws = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="number of sample orders: --draws 3 is --seed 0,1,2",
+        rich_help_panel=MEASUREMENT,
+    ),
+]
 Spp = Annotated[
     Budgets,
     typer.Option(
@@ -161,6 +206,10 @@ RayAddress = Annotated[
 ]
 
 # output
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="print JSON, for scripts", rich_help_panel=OUTPUT),
+]
 Results = Annotated[
     Path,
     typer.Option(

@@ -1,9 +1,8 @@
-"""The commands report and regress: write reports, compare scores with a baseline."""
+"""The command report: write tables and plots from the results."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,9 +14,7 @@ from rlbench.errors import OptionError, RlbenchError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rlbench.benchmark.baseline import Baseline
-
-__all__ = ["regress", "report", "select_baseline", "select_rows"]
+__all__ = ["report", "select_budgets", "select_rows"]
 
 
 def report(
@@ -70,60 +67,6 @@ def report(
         )
 
 
-def regress(
-    methods: options.RowMethods = None,
-    results: options.Results = Path("results"),
-    baseline: Annotated[
-        Path,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="the committed scores",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = Path("tests/regression/mini.json"),
-    update: Annotated[
-        bool,
-        typer.Option(
-            "--update",
-            help="rewrite the baseline from the results",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = False,
-) -> None:
-    """Compare scores with the committed baseline.
-
-    The exit code is 1 if a score fell by more than its tolerance.
-
-    Examples:
-
-    \b
-      rlbench regress --results results/
-      rlbench regress --methods mean,ours
-      rlbench regress --update
-    """
-    from rlbench.benchmark.baseline import load_baseline
-    from rlbench.benchmark.regression import compare, update_baseline
-    from rlbench.benchmark.results import read
-
-    names = arguments.split_names(methods)
-    if update and names:
-        raise OptionError(
-            "--update rewrites the whole baseline, but --methods selects a part of it. Omit one"
-        )
-    rows = read(results)
-    if update:
-        entries = update_baseline(rows, baseline).entries
-        typer.echo(f"{baseline}: {len(entries)} entries written")
-        return
-    expected = load_baseline(baseline)
-    if names:
-        rows, expected = select_baseline(rows, expected, names)
-    comparison = compare(rows, expected, subset=bool(names))
-    typer.echo(comparison.text())
-    raise typer.Exit(0 if comparison.has_passed else 1)
-
-
 def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:
     """The rows of methods, given by names in the table or by patterns of installed methods.
 
@@ -148,21 +91,15 @@ def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) ->
     return rows
 
 
-def select_baseline(
-    table: pd.DataFrame, baseline: Baseline, methods: Collection[str]
-) -> tuple[pd.DataFrame, Baseline]:
-    """The rows and the baseline entries of some methods.
-
-    Raises OptionError for a method that has neither.
-    """
-    available = {*table["method"], *(entry.method for entry in baseline.entries)}
-    if unknown := sorted(set(methods) - available):
+def select_budgets(table: pd.DataFrame, spp: Collection[float], results: Path) -> pd.DataFrame:
+    """The rows of these budgets. Raises OptionError for a budget without rows."""
+    available = set(table["target_spp"])
+    if unknown := [f"{budget:g}" for budget in spp if budget not in available]:
         raise OptionError(
-            f"--methods {','.join(unknown)}: neither the results nor the baseline have it; "
-            f"available: {_join(available)}"
+            f"--spp {','.join(unknown)}: {results} has no rows of it; "
+            f"available: {', '.join(f'{budget:g}' for budget in sorted(available))}"
         )
-    entries = tuple(entry for entry in baseline.entries if entry.method in methods)
-    return table[table["method"].isin(methods)], replace(baseline, entries=entries)
+    return table[table["target_spp"].isin(list(spp))]
 
 
 def _join(names: Iterable[str]) -> str:

@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import os
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
 from rlbench.clips.header_limits import MAX_PIXELS
 from rlbench.errors import RlbenchError
 
-__all__ = ["Channel", "ExrHeader", "ExrHeaderError", "read_exr_header"]
+__all__ = ["Channel", "ExrHeader", "ExrHeaderError", "read_exr_header", "read_exr_parts"]
 
 MAGIC, VERSION = b"v/1\x01", 2
-TILED, LONG_NAMES = 0x200, 0x400  # flags of single-part images; others are deep or multi-part
+TILED, LONG_NAMES, MULTI_PART = 0x200, 0x400, 0x1000  # flags; the others are of deep images
+PART_TYPES = {b"scanlineimage": 0, b"tiledimage": TILED}  # of a multi-part file: its flag
+MAX_PARTS = 256
 MAX_NAME, MAX_LONG_NAME = 31, 255  # bytes
 MAX_CHANNELS = 4096
 MAX_COORDINATE = 2**30  # of the data window, so that differences are 32-bit
@@ -35,6 +37,7 @@ VALUE_BYTES = {  # attributes that decide pixels: type and size
     "lineOrder": ("lineOrder", 1),
 }
 TILES = ("tiledesc", 9)
+PART_BYTES = {"name": ("string", None), "type": ("string", None)}  # of a multi-part file
 
 Window = tuple[int, int, int, int]  # first x, first y, last x, last y; pixels
 
@@ -64,6 +67,7 @@ class ExrHeader:
     channels: dict[str, Channel]  # by name, sorted
     data_window: Window  # of the pixels in the file
     display_window: Window  # of the image
+    name: str = ""  # of a part of a multi-part file
 
     @property
     def size(self) -> tuple[int, int]:
@@ -81,8 +85,36 @@ def read_exr_header(path: Path) -> ExrHeader:
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         flags = _read_flags(file)
+        if flags & MULTI_PART:
+            raise ExrHeaderError("it has several parts; only single-part images are read")
         attributes = _read_attributes(file, size, flags)
         return _check_header(attributes, flags, size - file.tell())
+
+
+def read_exr_parts(path: Path) -> list[ExrHeader]:
+    """The headers of all parts of an image; a single-part image has one.
+
+    Raises ExrHeaderError and OSError as `read_exr_header` does.
+    """
+    with path.open("rb") as file:
+        flags = _read_flags(file)
+        if not flags & MULTI_PART:
+            return [read_exr_header(path)]
+        size = os.fstat(file.fileno()).st_size
+        headers: list[ExrHeader] = []
+        while (following := _read(file, 1)) != b"\0":
+            file.seek(-len(following), os.SEEK_CUR)
+            attributes = _read_attributes(file, size, flags)
+            if attributes["type"] not in PART_TYPES or len(headers) >= MAX_PARTS:
+                raise ExrHeaderError(
+                    f"it has more than {MAX_PARTS} parts, or one of type {attributes['type']!r}"
+                )
+            tiled = PART_TYPES[attributes["type"]]
+            if tiled and "tiles" not in attributes:
+                raise ExrHeaderError("a part of tiles has no attribute tiles")
+            header = _check_header(attributes, tiled, size - file.tell())
+            headers.append(replace(header, name=_text(attributes["name"])))
+        return headers
 
 
 def _read_flags(file: BinaryIO) -> int:
@@ -90,10 +122,10 @@ def _read_flags(file: BinaryIO) -> int:
         raise ExrHeaderError(f"it begins with {magic!r}, an OpenEXR file with {MAGIC!r}")
     (version,) = struct.unpack("<I", _read(file, 4))
     flags: int = version & ~0xFF
-    if version & 0xFF != VERSION or flags & ~(TILED | LONG_NAMES):
+    if version & 0xFF != VERSION or flags & ~(TILED | LONG_NAMES | MULTI_PART):
         raise ExrHeaderError(
-            f"its version field is {version:#x}; only single-part images of version {VERSION}, "
-            "not deep, are read"
+            f"its version field is {version:#x}; only images of version {VERSION}, not deep, are "
+            "read"
         )
     return flags
 
@@ -101,7 +133,9 @@ def _read_flags(file: BinaryIO) -> int:
 def _read_attributes(file: BinaryIO, size: int, flags: int) -> dict[str, bytes]:
     """The values of the attributes that decide pixels, by name; others are skipped."""
     longest = MAX_LONG_NAME if flags & LONG_NAMES else MAX_NAME
-    used = VALUE_BYTES | ({"tiles": TILES} if flags & TILED else {})
+    needed = VALUE_BYTES | ({"tiles": TILES} if flags & TILED else {})
+    needed |= PART_BYTES if flags & MULTI_PART else {}
+    used = needed | ({"tiles": TILES} if flags & MULTI_PART else {})
     seen: set[str] = set()
     values: dict[str, bytes] = {}
     while name := _read_name(file, longest):
@@ -116,7 +150,7 @@ def _read_attributes(file: BinaryIO, size: int, flags: int) -> dict[str, bytes]:
         if used[name] not in ((type_name, count), (type_name, None)):
             raise ExrHeaderError(f"attribute {name} is {count} bytes of type '{type_name}'")
         values[name] = _read(file, count)
-    if missing := sorted(used.keys() - values.keys()):
+    if missing := sorted(needed.keys() - values.keys()):
         raise ExrHeaderError(f"it has no attribute {', '.join(missing)}")
     return values
 

@@ -49,6 +49,11 @@ LIMITATIONS = {  # what an imported clip may not have, although the format requi
         name: f"{name} has another space, scale or range, or an unknown one"
         for name in BUFFER_CHANNELS
     },
+    **{
+        f"no {name}": f"the source has no {name}, so {name} is a constant without information"
+        for name in STANDARD_BUFFERS
+    },
+    "flow": "motion was estimated by optical flow of albedo, because the source has none",
 }
 RENAMED_FIELDS = {"lacks": "limitations"}  # version 1: today
 RENAMED_BUFFERS = {  # version 1: today
@@ -94,6 +99,8 @@ class Header:
         static: neither camera nor objects move; such a clip has no motion buffer.
         cuts: frames that begin a new shot, from 1 to `frames - 1`; all their motion points outside
             the image.
+        light_changes: frames from which on the lights differ from those of the frame before, from 1
+            to `frames - 1`.
         licence: licence of the images.
         sample_ms: time of one 1-spp trace of a full frame, milliseconds; nan for unknown.
         pools_ms: the same for each of `pools`; empty for a clip with one pool.
@@ -128,6 +135,7 @@ class Header:
     limitations: tuple[str, ...] = ()
     static: bool = False
     cuts: tuple[int, ...] = ()
+    light_changes: tuple[int, ...] = ()
     licence: str = ""
     sample_ms: float = math.nan
     pools_ms: tuple[float, ...] = ()
@@ -148,7 +156,7 @@ class Header:
             raise ClipError(f"clip '{self.name}': buffers and pools must each name at least one")
         self._check_words("buffers", BUFFER_CHANNELS)
         self._check_words("limitations", LIMITATIONS)
-        self._check_cuts()
+        self._check_events()
 
     def _check_lengths(self) -> None:
         expected = {
@@ -169,11 +177,16 @@ class Header:
                 f"format version {VERSION} has: {', '.join(vocabulary)}"
             )
 
-    def _check_cuts(self) -> None:
+    def _check_events(self) -> None:
         if self.cuts and (self.static or not set(self.cuts) <= set(range(1, self.frames))):
             raise ClipError(
                 f"clip '{self.name}': cuts are {list(self.cuts)}; expected frames from 1 to "
                 f"{self.frames - 1}, and none in a static clip"
+            )
+        if not set(self.light_changes) <= set(range(1, self.frames)):
+            raise ClipError(
+                f"clip '{self.name}': light_changes are {list(self.light_changes)}; expected "
+                f"frames from 1 to {self.frames - 1}"
             )
 
     def sample_ms_of(self, pool: str) -> float:
@@ -273,9 +286,7 @@ def _decode_header(path: Path, document: Mapping[str, Any]) -> Header:
 def _rename_buffers(document: Mapping[str, Any]) -> dict[str, Any]:
     """A document whose lists name buffers as this version does."""
     return {
-        key: [RENAMED_BUFFERS.get(str(word), word) for word in value]
-        if isinstance(value, list)
-        else value
+        key: [RENAMED_BUFFERS.get(str(w), w) for w in value] if isinstance(value, list) else value
         for key, value in document.items()
     }
 

@@ -37,7 +37,7 @@ __all__ = [
     "resolve",
 ]
 
-GROUPS = ("methods", "metrics", "reports", "pools", "scenes", "stress", "decisions")
+GROUPS = ("methods", "metrics", "reports", "pools", "scenes", "stress", "decisions", "comparisons")
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 

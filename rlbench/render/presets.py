@@ -19,6 +19,7 @@ __all__ = [
     "TakeSelection",
     "UnknownPresetError",
     "get_preset",
+    "is_test_split",
 ]
 
 TEST_SCENES = ("city", "temple", "hall", "ripples")
@@ -182,6 +183,15 @@ PRESETS = {
         ),
     )
 }
+
+
+def is_test_split(preset: str) -> bool:
+    """Are clips of this preset scored, and never trained on? True for presets of other packages.
+
+    >>> is_test_split("unseen"), is_test_split("train"), is_test_split("")
+    (True, False, False)
+    """
+    return bool(preset) and (preset not in PRESETS or PRESETS[preset].is_test_set)
 
 
 def get_preset(name: str) -> Preset:

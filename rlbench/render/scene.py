@@ -111,6 +111,11 @@ class Scene:
     source_hash: str = ""  # hash of a user's scene files; replaces the computed fingerprint
     licence: str = "Apache-2.0"  # of the rendered images
 
+    def light_changes(self, frames: int) -> tuple[int, ...]:
+        """Frames, from 1 to `frames - 1`, whose lights differ from those of the frame before."""
+        lights = [dict(self.lights(float(frame))) for frame in range(frames)]
+        return tuple(frame for frame in range(1, frames) if lights[frame] != lights[frame - 1])
+
     def select_take(self, name: str) -> Scene:
         """The scene as the take `name` shows it, without takes of its own.
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from baselines.eaw import search
-from baselines.eaw.method import Config, Eaw, atrous_pass
+from baselines.eaw.filter import Config, atrous_pass
+from baselines.eaw.method import Eaw
 from rlbench.clips.stored import open_clip
 from rlbench.frames import GBuffer, Samples
 from rlbench.ops.demodulation import reflectance
@@ -102,6 +103,21 @@ def test_a_pass_filters_images_of_a_batch_independently():
 
     single = torch.cat((filter_images(slice(0, 1)), filter_images(slice(1, 2))))
     torch.testing.assert_close(filter_images(slice(0, 2)), single)
+
+
+@pytest.mark.parametrize("step", [1, 4])
+def test_chunks_of_a_row_do_not_change_a_bit(monkeypatch, step):
+    """Else a window of an image would differ from the image."""
+    source = torch.Generator().manual_seed(0)
+    features, irradiance = (torch.rand(1, c, 40, 50, generator=source) for c in (7, 3))
+    rows = PaddedRows(1, 40, 50, margin=8)
+    packed = rows.pack(features, fill=1e4), rows.pack(irradiance)
+    images = []
+    for size in (1 << 16, 700, 130):
+        monkeypatch.setattr("rlbench.ops.padded_rows.CHUNK_PIXELS", size)
+        images.append(rows.unpack(atrous_pass(rows, step, *packed)))
+    assert torch.equal(images[0], images[1])
+    assert torch.equal(images[0], images[2])
 
 
 def test_the_search_returns_the_best_config_first(clip_folder):

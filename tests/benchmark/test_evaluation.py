@@ -153,7 +153,7 @@ def test_a_metric_that_fails_is_a_row_with_the_reason_and_is_tried_again(results
 
 def test_a_remark_of_the_run_stays_on_scores(clip_folder, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "rlbench.benchmark.runner.CellRunner._remarks", lambda self, cell: "no test"
+        "rlbench.benchmark.cell_runner.CellRunner._remarks", lambda self, cell: "no test"
     )
     measure(run_plan(clip_folder), tmp_path / "r", keep_images=True)
     score(tmp_path / "r", clip_folder, "psnr")

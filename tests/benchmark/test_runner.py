@@ -57,13 +57,23 @@ def reasons(results: Path) -> list[str]:
 
 
 def test_every_frame_has_a_row_of_every_metric(tmp_path):
-    folder = write_noise(tmp_path / "large", h=176, w=176, frames=2)  # MS-SSIM needs 161
+    folder = write_noise(tmp_path / "large", h=176, w=176, frames=3)  # MS-SSIM needs 161
     assert measure(run_plan(folder), tmp_path / "r") == RunSummary(measured=1)
     rows = table.read(tmp_path / "r")
     scored = set(zip(rows["frame"], rows["metric"], strict=True))
     assert {(f, m) for f, m in scored if f >= 0} == {
-        (frame, metric) for frame in (0, 1) for metric in registry.load_run_metrics()
-    } - {(0, "tpsnr")}  # which needs the frame before
+        (frame, metric)
+        for frame in range(3)
+        for metric, scorer in registry.load_run_metrics().items()
+        if frame >= scorer.previous_frames
+    }
+
+
+def test_the_cap_is_that_of_the_clip_and_not_what_a_uniform_method_reads(clip_folder, tmp_path):
+    measure(run_plan(clip_folder, target_spp=(4.0, 8.0)), tmp_path / "r")  # of 8 stored samples
+    rows = table.read(tmp_path / "r")
+    shares = rows[rows["metric"] == "at_cap"].groupby("target_spp")["value"].mean()
+    assert shares.to_dict() == {4.0: 0.0, 8.0: 100.0}
 
 
 def test_a_metric_reads_motion_that_its_method_does_not_receive(tmp_path, monkeypatch):
@@ -149,7 +159,7 @@ def test_retiming_runs_no_frame_for_scores(clip_folder, tmp_path, monkeypatch):
     def refuse(*arguments):
         raise AssertionError("a frame was scored")
 
-    monkeypatch.setattr("rlbench.benchmark.runner.score_frame", refuse)
+    monkeypatch.setattr("rlbench.benchmark.cell_runner.score_frame", refuse)
     assert measure(plan, tmp_path / "r", retime=True) == RunSummary(timed=1)
 
 

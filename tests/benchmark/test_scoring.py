@@ -50,7 +50,7 @@ def test_a_score_has_the_samples_of_its_frame(frames, clip_folder):
 
 
 def test_a_temporal_metric_has_no_score_of_the_first_frame(frames, clip_folder):
-    metric, header = replace(BRIGHT, temporal=True), read_header(clip_folder)
+    metric, header = replace(BRIGHT, previous_frames=1), read_header(clip_folder)
     assert score(metric, frames[0], header) == []
     assert len(score(metric, frames[1], header, frames[0])) == 1
 
@@ -87,3 +87,18 @@ def test_repaired_pixels_are_counted_in_a_row(frames, clip_folder):
     *_, row = score(BRIGHT, result, read_header(clip_folder), frames[0])
     assert (row.metric, row.value) == ("repaired", 3.0)
     assert row.convention.endswith("depth 2, radiance 1")
+
+
+def test_an_event_of_the_header_is_a_row_of_its_frame(frames, clip_folder):
+    header = replace(read_header(clip_folder), cuts=(1,), light_changes=(1,))
+    assert [row.metric for row in score(BRIGHT, frames[0], header)] == ["bright"]
+    _, *events = score(BRIGHT, frames[1], header)
+    assert [(row.metric, row.frame, row.value) for row in events] == [
+        ("event_cut", 1, 1.0),
+        ("event_light", 1, 1.0),
+    ]
+
+
+def test_a_metric_without_enough_previous_frames_has_no_row(frames, clip_folder):
+    metric, header = replace(BRIGHT, previous_frames=2), read_header(clip_folder)
+    assert score(metric, frames[1], header, frames[0]) == []

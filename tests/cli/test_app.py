@@ -17,18 +17,8 @@ from tests.test_readme import check_command
 
 PIPELINE = [
     *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress", "speed"),
-    *(
-        "train",
-        "lr-find",
-        "replay",
-        "crossval",
-        "run",
-        "evaluate",
-        "report",
-        "decide",
-        "images",
-        "regress",
-    ),
+    *("fingerprint", "train", "lr-find", "replay", "crossval", "run", "evaluate", "report"),
+    *("decide", "compare", "images", "regress"),
 ]
 HELP_SECONDS = 0.5  # of processor time
 

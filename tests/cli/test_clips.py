@@ -84,7 +84,10 @@ def test_render_can_measure_the_time_of_a_sample_again(clip_folder, monkeypatch)
 def test_import_of_an_unknown_format_or_folder_is_one_message(tmp_path):
     words = ("--format", "foo", "--out", tmp_path / "clips")
     output = rlbench("import", tmp_path, *words, code=2)
-    assert "error: no format 'foo'; there are: oidn, noisebase, rl-path-tracing" in output
+    assert (
+        "error: no layout 'foo'; there are: blender, falcor, mitsuba, noisebase, nrd-sample, oidn,"
+        in output
+    )
     output = rlbench("import", tmp_path / "nowhere", *words, code=2)
     assert "Invalid value for 'SOURCE'" in output
 

@@ -98,7 +98,7 @@ def test_former_modes_reach_their_commands(tmp_path):
 
 def test_the_former_name_of_an_import_format_works(tmp_path):
     words = ("import", tmp_path, "--out", tmp_path / "clips", "--format")
-    assert "holds nothing of format 'rl-path-tracing'" in rlbench(*words, "paper", code=2)
+    assert "holds nothing of layout 'rl-path-tracing'" in rlbench(*words, "paper", code=2)
     assert "rl-path-tracing" in rlbench(*words, "rl-path-tracing", code=2)
 
 

@@ -1,8 +1,6 @@
-"""The commands report and regress, on results of small clips."""
+"""The command report, on results of small clips."""
 
 from __future__ import annotations
-
-import json
 
 import pytest
 
@@ -90,33 +88,3 @@ def test_a_pattern_selects_rows_of_variants_without_shipped_weights(tmp_path):
     assert set(selected["method"]) == set(NOT_PRETRAINED)
     with pytest.raises(OptionError, match="has no rows of svgf/"):
         reports.select_rows(rows, ["svgf/*"], tmp_path)
-
-
-def test_regress_fails_where_quality_fell(run_mean, tmp_path):
-    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
-    rlbench(*run_mean)
-    assert "4 entries written" in rlbench("regress", *words, "--update")
-    assert "passed: 4 same" in rlbench("regress", *words)
-
-    content = json.loads((tmp_path / "base.json").read_text())
-    content["entries"][0]["psnr"] += 1
-    (tmp_path / "base.json").write_text(json.dumps(content))
-    assert "FAILED: 1 worse" in rlbench("regress", *words, code=1)
-
-
-def test_regress_refuses_a_method_that_nobody_measured(run_mean, tmp_path):
-    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
-    rlbench(*run_mean, "--spp", 1)
-    rlbench("regress", *words, "--update")
-    assert "passed: 1 same" in rlbench("regress", *words, "--methods", "mean")
-    output = rlbench("regress", *words, "--methods", "mean,maen", code=2)
-    message = "error: --methods maen: neither the results nor the baseline have it; available: mean"
-    assert message in output
-
-
-def test_a_part_of_the_results_does_not_rewrite_the_baseline(run_mean, tmp_path):
-    words = ("--results", tmp_path / "r", "--baseline", tmp_path / "base.json")
-    rlbench(*run_mean, "--spp", 1)
-    output = rlbench("regress", *words, "--methods", "mean", "--update", code=2)
-    assert "error: --update rewrites the whole baseline" in output
-    assert not (tmp_path / "base.json").exists()

@@ -14,7 +14,7 @@ import OpenEXR
 import pytest
 
 from rlbench.clips.exr import read_exr, write_exr
-from rlbench.clips.exr_header import ExrHeaderError, read_exr_header
+from rlbench.clips.exr_header import ExrHeaderError, read_exr_header, read_exr_parts
 from rlbench.clips.header import ClipError
 from rlbench.system import paths
 
@@ -153,3 +153,36 @@ def test_a_full_disk_leaves_no_file_and_is_explained(tmp_path):
             os._exit(code)
     assert os.waitpid(child, 0)[1] == 0
     assert list(tmp_path.iterdir()) == []
+
+
+def _write_parts(path: Path) -> None:
+    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    ramp = np.linspace(0, 1, H * W, dtype=np.float32).reshape(H, W)
+    parts = [OpenEXR.Part(dict(layout), {"R": ramp}, "beauty")]
+    parts.append(OpenEXR.Part(dict(layout), {"Z": ramp, "id": ramp}, "depth"))
+    OpenEXR.File(parts).write(str(path))
+
+
+def test_the_headers_of_all_parts_are_those_that_the_library_reads(tmp_path):
+    _write_parts(tmp_path / "parts.exr")
+    found = {h.name: (list(h.channels), h.size) for h in read_exr_parts(tmp_path / "parts.exr")}
+    with OpenEXR.File(str(tmp_path / "parts.exr"), separate_channels=True) as file:
+        expected = {part.name(): (sorted(part.channels), (H, W)) for part in file.parts}
+    assert found == expected
+
+
+def test_a_file_of_several_parts_is_no_file_of_a_clip(tmp_path):
+    _write_parts(tmp_path / "parts.exr")
+    with pytest.raises(ExrHeaderError, match="it has several parts"):
+        read_exr_header(tmp_path / "parts.exr")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_a_truncated_header_of_several_parts_is_refused(tmp_path, share):
+    path = tmp_path / "parts.exr"
+    _write_parts(path)
+    content = path.read_bytes()
+    end = content.index(b"\0\0", content.rindex(b"screenWindowWidth"))
+    path.write_bytes(content[: int(end * share)])
+    with pytest.raises(ExrHeaderError):
+        read_exr_parts(path)

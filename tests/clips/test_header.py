@@ -75,6 +75,17 @@ def test_cuts_come_back(tmp_path):
     assert read_header(tmp_path).cuts == (1,)
 
 
+def test_light_changes_come_back(tmp_path):
+    write_header(tmp_path, replace(HEADER, light_changes=(1,), static=True))
+    assert read_header(tmp_path).light_changes == (1,)
+
+
+@pytest.mark.parametrize("frame", [0, FRAMES])
+def test_a_light_change_at_frame_0_or_beyond_the_end_is_an_error(frame):
+    with pytest.raises(ClipError, match="light_changes are .*; expected frames from 1 to 1"):
+        replace(HEADER, light_changes=(frame,))
+
+
 def test_an_unknown_sample_time_is_nan(folder):
     assert math.isnan(read_header(folder).sample_ms)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 import torch
 
-from metrics import catalog
+from metrics import catalog, catalog_video
 from metrics.catalog import MS_SSIM, PSNR, SSIM
 
-METRICS = [getattr(catalog, name) for name in catalog.__all__]
+METRICS = [getattr(module, name) for module in (catalog, catalog_video) for name in module.__all__]
 DIRECTED = [metric for metric in METRICS if metric.direction]
 SIZE = (2, 3, 165, 170)
 
@@ -24,9 +25,17 @@ def reference_halves(seed=3):
 
 
 def score(metric, image, a, b):
-    """The score of a frame after one in which the image was right."""
-    before = metric.compare((a + b) / 2, a, b)
-    return metric.score(metric.compare(image, a, b, static=True, previous=before))
+    """The score of a frame with counts from 0 to 8, after two in which the image was right."""
+    right = partial(metric.compare, (a + b) / 2, a, b, static=True)
+    counts = (
+        torch.arange(image[:1, :1].numel())
+        .view(1, 1, *image.shape[2:])
+        .expand(len(image), -1, -1, -1)
+    )
+    frame = metric.compare(
+        image, a, b, counts=counts % 9, max_samples=8, static=True, previous=right(previous=right())
+    )
+    return metric.score(frame)
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda m: m.name)

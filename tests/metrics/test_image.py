@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from metric_images import image_pair
-from skimage.metrics import peak_signal_noise_ratio
 
-from metrics.display import encode_display
 from metrics.image import (
     bias,
     mse_debiased,
@@ -18,40 +15,9 @@ from metrics.image import (
     relmse,
     relmse_trimmed,
     smape,
-    tpsnr,
 )
-from metrics.psnr import CAP_DB
 
 NONFINITE = (math.nan, math.inf, -math.inf)
-
-
-def test_tpsnr_equals_the_psnr_of_changes_by_scikit_image():
-    images, truths = (
-        torch.rand(2, 2, 3, 20, 24, generator=torch.Generator().manual_seed(i)) * 1.5
-        for i in (0, 1)
-    )
-    for n, score in enumerate(tpsnr(images, truths)):
-        changes = [
-            np.diff(encode_display(x[n].double()).numpy(), axis=0)[0] for x in (truths, images)
-        ]
-        expected = peak_signal_noise_ratio(*changes, data_range=1)
-        assert float(score) == pytest.approx(expected, abs=1e-4)  # float32
-
-
-def test_an_error_constant_over_time_does_not_lower_tpsnr():
-    truth = 0.2 + 0.3 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    constant = 0.5 * torch.rand(1, 1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
-    frames = torch.cat((constant, constant), 1)
-    assert tpsnr(frames, truth.expand_as(frames)).item() == CAP_DB
-    assert (frames - truth).square().mean() > 0.01
-
-
-@pytest.mark.parametrize("frame", [0, 1])
-def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
-    frames = torch.full((1, 2, 3, 4, 5), 0.5)
-    frames[0, frame, 1, 2, 3] = torch.nan
-    score = tpsnr(frames, torch.full_like(frames, 0.5)).item()
-    assert score == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
 
 
 @pytest.mark.parametrize("size", [(5, 9), (1, 1)])

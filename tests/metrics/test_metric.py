@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from metrics.metric import Comparison, Metric
+from metrics.metric import MAX_PREVIOUS, Comparison, Metric
 
 
 def comparison(value=0.5, previous=None, **given):
@@ -32,14 +32,22 @@ def test_a_nonfinite_pixel_is_displayed_as_far_from_the_reference_as_possible(va
     assert frame.nonfinite_mask.flatten().tolist() == [True, False, False, False]
 
 
-def test_a_previous_frame_keeps_its_images_and_forgets_the_frame_before_it():
+def test_two_frames_before_keep_what_they_computed_and_older_ones_are_forgotten():
     first = comparison()
     second = comparison(previous=first)
-    encoded = second.display_image
+    encoded, change = second.display_image, second.change_of_error
     third = comparison(previous=second)
-    assert second.previous is first
-    assert third.previous.previous is None
-    assert third.previous.display_image is encoded
+    assert third.previous is second
+    assert third.previous.previous is first
+    fourth = comparison(previous=third)
+    assert fourth.frames_before == MAX_PREVIOUS == 2
+    assert fourth.previous.previous.display_image is encoded
+    assert fourth.previous.previous.change_of_error is change
+
+
+def test_a_metric_cannot_read_more_frames_than_a_comparison_keeps():
+    with pytest.raises(ValueError, match="previous_frames=3"):
+        Metric("drift", "", "lower", "four frames", lambda c: c.image, previous_frames=3)
 
 
 @pytest.mark.parametrize(
@@ -49,11 +57,12 @@ def test_a_previous_frame_keeps_its_images_and_forgets_the_frame_before_it():
         ({"static": True}, {"motion"}),
         ({"motion": torch.zeros(1, 2, 4, 5)}, {"motion"}),
         ({"counts": torch.ones(1, 1, 4, 5)}, {"counts"}),
+        ({"max_samples": 8}, {"max_samples"}),
     ],
 )
 def test_a_comparison_says_what_it_has(given, known):
     frame = comparison(**given)
-    assert {name for name in ("counts", "motion") if frame.has(name)} == known
+    assert {name for name in ("counts", "max_samples", "motion") if frame.has(name)} == known
 
 
 def test_a_metric_of_whole_clips_cannot_be_scored_by_a_run():

@@ -16,7 +16,8 @@ PAGE = (Path(__file__).parents[2] / "docs/reference/metrics.md").read_text().spl
 def test_the_page_has_the_row_of_every_metric(name):
     metric = registry.load_plugin("metrics", name)
     convention = metric.convention.replace("|", "&#124;")
-    unit, better = metric.unit or "-", metric.direction or "zero"
+    signed = "-" if "counts" in metric.needs else "zero"  # a metric of effort judges no image
+    unit, better = metric.unit or "-", metric.direction or signed
     assert f"| `{metric.name}` | {unit} | {better} | {convention} | {metric.source} |" in PAGE
 
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from baselines.eaw.method import Config, Eaw, atrous_pass
+from baselines.eaw.filter import Config, atrous_pass
+from baselines.eaw.method import Eaw
 from baselines.svgf.method import BASE, LOG2E, atrous_filter, build, depth_gradient
 from baselines.svgf.wavelet import Edges
 from rlbench.clips.procedural.clip import procedural_clip

@@ -22,3 +22,10 @@ def test_a_take_without_vertex_animation_moves_like_the_scene():
     assert np.array_equal(
         scene.select_take("cut").vertex_animation(3.0)["cube"], scene.vertex_animation(3.0)["cube"]
     )
+
+
+def test_light_changes_are_the_frames_whose_lights_differ_from_the_frame_before():
+    take = room_with_takes().select_take("cut")  # the lamp goes out at frame 3
+    assert take.light_changes(3) == ()
+    assert take.light_changes(8) == (3,)
+    assert room_with_takes().light_changes(8) == ()

@@ -117,7 +117,8 @@ def test_intervals_of_many_columns_are_those_of_each(units):
     low, high = interval_ends(columns, draws=500)
     for i in (0, 1, 63, 64, 69):
         alone = [end[0] for end in interval_ends(columns[:, [i]], draws=500)]
-        assert [low[i], high[i]] == pytest.approx(alone)
+        # BCa counts draws equal to the mean, by the rounding of their sum
+        assert [low[i], high[i]] == pytest.approx(alone, rel=0.01)
 
 
 def test_a_column_with_a_gap_has_no_interval_and_changes_no_other(recwarn):

@@ -133,7 +133,7 @@ def test_the_closure_of_metrics_has_their_formulas_and_does_not_import_torch():
     )
     assert process.stdout == (
         "['metrics.catalog', 'metrics.conventions', 'metrics.display', 'metrics.image', "
-        "'metrics.metric', 'metrics.psnr', 'metrics.ssim'] False\n"
+        "'metrics.metric', 'metrics.psnr', 'metrics.ssim', 'metrics.temporal'] False\n"
     )
 
 

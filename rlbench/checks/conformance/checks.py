@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rlbench.checks.conformance import budget_checks, interface_checks, state_checks
+from rlbench.checks.conformance import (
+    budget_checks,
+    interface_checks,
+    locality_checks,
+    state_checks,
+)
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
 from rlbench.family import Traits
 
@@ -185,6 +190,15 @@ _ALL = (
         f"{_STATE}; build the state from tensors and plain values",
         state_checks.check_state_copy,
         _COMPARED,
+    ),
+    Check(
+        "receptive_field",
+        "depend on no pixel beyond the receptive field, where one is declared",
+        "set Traits(receptive_field=...) to the sum of all filter radii, or to None; return None "
+        "or a named tuple of tensors [n c h w] as the state",
+        locality_checks.check_receptive_field,
+        _COMPARED,
+        locality_checks.skip_without_field,
     ),
 )
 

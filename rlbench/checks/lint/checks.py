@@ -6,6 +6,7 @@ import torch
 
 from rlbench.checks.lint.albedo import check_albedo
 from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.declared import excuse_declared, without_stand_ins
 from rlbench.checks.lint.depth import check_depth
 from rlbench.checks.lint.geometry import DepthFit, fit_depth_kinds
 from rlbench.checks.lint.motion import check_motion
@@ -36,12 +37,16 @@ def lint_clip(arrays: ClipArrays) -> list[CheckResult]:
 
     Only the first check reports values that are not finite; all others see 0 in their place. Only
     the orientation check reports flipped pools; checks of the samples see them corrected.
+
+    A buffer that the clip declares to be a stand-in counts as absent. A check that fails for a
+    limitation that the clip declares is a warning.
     """
+    arrays = without_stand_ins(arrays)
     sanitized = arrays.sanitized
     fits, correlations = fit_depth(sanitized), correlate_orientations(sanitized)
     is_upright = not {"albedo", "normal", "depth"} & set(misoriented(correlations))
     upright = reoriented(sanitized, correlations)
-    return [
+    results = [
         check_finite(arrays),
         check_non_negative(sanitized),
         check_motion(sanitized),
@@ -57,6 +62,7 @@ def lint_clip(arrays: ClipArrays) -> list[CheckResult]:
         check_noise_ceiling(upright),
         check_exposure(upright),
     ]
+    return [excuse_declared(result, arrays.header) for result in results]
 
 
 def fit_depth(arrays: ClipArrays) -> dict[str, DepthFit]:

@@ -28,13 +28,18 @@ DARK, TOO_DARK = 5e-3, 5e-4  # mean of the displayed image, linear
 MAX_PSNR = 100.0  # dB
 
 
+def has_one_reference(arrays: ClipArrays) -> bool:
+    """Are both halves the same image, so that nothing is known of the reference's noise?"""
+    return bool((arrays.half_a == arrays.half_b).all())
+
+
 def check_halves(arrays: ClipArrays) -> CheckResult:
     """Are the halves independent, with as much noise as their samples per pixel predict?
 
     Shared samples cannot be detected where clip.toml says that samples are stratified.
     """
     check = "reference halves"
-    if bool((arrays.half_a == arrays.half_b).all()):
+    if has_one_reference(arrays):
         remedy = "render two halves with different seeds; equal ones hide the reference's noise"
         return failed(check, "both halves are the same image", remedy)
     noise = (arrays.half_a - arrays.half_b) / local_mean(arrays.reference)
@@ -88,6 +93,9 @@ def half_noise_ratio(arrays: ClipArrays) -> tuple[float, float]:
 def check_noise_ceiling(arrays: ClipArrays) -> CheckResult:
     """Which PSNR does the reference's own noise allow?"""
     check, value = "noise ceiling", noise_ceiling_db(arrays)
+    if has_one_reference(arrays):
+        found = "not known, because both halves are the same image"
+        return warning(check, found, "render two halves with different seeds")
     spp = sorted(set(arrays.header.reference_spp))
     span = f"{spp[0]}" if len(spp) == 1 else f"{spp[0]} to {spp[-1]}"
     source = f"the reference has {span} spp" if spp[0] else "reference_spp is not known"

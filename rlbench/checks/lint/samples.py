@@ -14,6 +14,7 @@ from rlbench.checks.lint.noise_statistics import (
     match_brightness,
     ratio_of_sums,
 )
+from rlbench.checks.lint.reference import has_one_reference
 from rlbench.checks.result import CheckResult, failed, passed, warning
 
 MAX_CORRELATION = 0.05  # of independent samples; our clips scatter by a tenth of it
@@ -96,6 +97,9 @@ def check_seeds(arrays: ClipArrays) -> CheckResult:
     Samples that are part of both are found by `rlbench.checks.lint.reference.check_halves`.
     """
     check, parts = "independent seeds", []
+    if has_one_reference(arrays):
+        found = "cannot be decided, because both halves are the same image"
+        return warning(check, found, "render two halves with different seeds")
     difference = arrays.half_a - arrays.half_b
     # clamped, because fireflies would hide all other samples
     difference = (difference / local_mean(difference.abs())).clamp(-2, 2)

@@ -8,18 +8,12 @@ import torch
 from torch import Tensor
 
 from rlbench.checks.frame_edits import with_buffers
+from rlbench.clips.importers.stand_ins import STAND_INS as CONSTANTS
 from rlbench.frames import Frame
 
 __all__ = ["CONSTANTS", "LIES", "tell_lie"]
 
 NOISE = 0.1  # standard deviation, in the buffer's unit; of depth, a share of it
-CONSTANTS = {  # without information, but legal
-    "albedo": (0.5, 0.5, 0.5),
-    "normal": (0.0, -1.0, 0.0),  # towards the camera
-    "depth": (5.0,),  # metres
-    "motion": (0.0, 0.0),
-}
-
 Lie = Callable[[str, Sequence[Tensor], int], Tensor]
 
 

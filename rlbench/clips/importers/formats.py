@@ -1,4 +1,8 @@
-"""Formats that can be imported. A module per format turns a folder into sequences of frames."""
+"""What can be imported: dumps in a layout, ready or the user's, and two formats of their own.
+
+A module per format turns a folder into sequences of frames. It has `find_sequences(source, frames)`
+and `LAYOUT`, examples of its file names.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +10,46 @@ import importlib
 from collections import Counter
 from pathlib import Path
 
+from rlbench.clips.importers.dump import find_dump_sequences
+from rlbench.clips.importers.layout import read_layout, ready_layouts
 from rlbench.clips.importers.sequence import ImportedSequence, SourceError
+from rlbench.clips.importers.stand_ins import add_stand_ins
 
 __all__ = ["FORMATS", "find_sequences"]
 
-FORMATS = {
-    "oidn": "rlbench.clips.importers.oidn",
+FORMATS = {  # what no layout describes: zarr arrays in zips; 8-bit PNG with motion as torch tensors
     "noisebase": "rlbench.clips.importers.noisebase",
     "rl-path-tracing": "rlbench.clips.importers.rl_path_tracing",
 }
-ALIASES = {"paper": "rl-path-tracing"}  # old names, still accepted
+ALIASES = {"paper": "rl-path-tracing"}  # other accepted names
 
 
 def find_sequences(
-    source: Path, format_: str, frames: tuple[int, int] | None = None
+    source: Path, layout: str, frames: tuple[int, int] | None = None
 ) -> list[ImportedSequence]:
     """The sequences in a folder, sorted by name; each becomes one clip.
 
-    `frames` selects the frames from its first number to its second, exclusive. A format's module
-    has `find_sequences(source, frames)` and `LAYOUT`, examples of its file names.
+    `layout` is the name of a ready layout or of a format, or a TOML file. `frames` selects the
+    frames from its first number to its second, exclusive. Buffers that the source lacks are
+    replaced by stand-ins.
 
-    Raises SourceError for an unknown format, for a folder without a sequence, for two sequences of
+    Raises SourceError for an unknown layout, for a folder without a sequence, for two sequences of
     one name, and for files that cannot be imported.
     """
-    format_ = ALIASES.get(format_, format_)
-    if format_ not in FORMATS:
-        raise SourceError(f"no format '{format_}'; there are: {', '.join(FORMATS)}")
-    module = importlib.import_module(FORMATS[format_])
-    clips: list[ImportedSequence] = module.find_sequences(source, frames)
+    layout = ALIASES.get(layout, layout)
+    if layout in FORMATS:
+        module = importlib.import_module(FORMATS[layout])
+        clips = [add_stand_ins(clip) for clip in module.find_sequences(source, frames)]
+        expected = module.LAYOUT
+    else:
+        read = read_layout(layout, [*ready_layouts(), *FORMATS])
+        clips = find_dump_sequences(source, read, frames)
+        expected = " or ".join(read.radiance.patterns)
     if not clips:
         content = ", ".join(sorted(path.name for path in source.iterdir())[:8]) or "nothing"
         raise SourceError(
-            f"{source} holds nothing of format '{format_}': expected files such as "
-            f"{module.LAYOUT}; it holds: {content}"
+            f"{source} holds nothing of layout '{layout}': expected files such as {expected}; it "
+            f"holds: {content}. rlbench lint --guess {source} writes a layout"
         )
     counts = Counter(sequence.name for sequence in clips)
     if duplicates := [name for name, count in counts.items() if count > 1]:

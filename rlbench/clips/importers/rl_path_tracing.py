@@ -101,6 +101,7 @@ def _sequence(name: str, source: Frames, selection: tuple[int, int] | None) -> I
         limitations=tuple(limitations),
         files=tuple(path for images in frames.values() for path in images.values()),
         read=partial(_read, frames, buffers, full_size),
+        exposure=1.0,  # the PNGs are what was displayed
     )
 
 

@@ -57,6 +57,9 @@ class ImportedSequence:
     files: tuple[Path, ...]  # all files that are read
     read: Callable[[int, int], ImportedFrame]  # reads (frame number, samples per pixel)
     fps: float = 24.0  # frames per second
+    exposure: float | None = None  # that suits the source; None: from its luminance
+    convention: str = ""  # what else decides the frames, for telling one import from another
+    notes: tuple[str, ...] = ()  # about the source, for its user
 
 
 def parse_frame_range(text: str) -> tuple[int, int]:

@@ -6,15 +6,19 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
+import numpy as np
+
 from rlbench.clips.compatibility import compatibility_summary
+from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.frame_files import exceeds_float, file_kinds, has_frame, write_frame
 from rlbench.clips.header import FILE, Header, write_header
 from rlbench.clips.importers import limits
 from rlbench.clips.importers.sequence import ImportedFrame, ImportedSequence, SourceError
 from rlbench.system import paths
 
-__all__ = ["clip_header", "is_finished", "write_clip"]
+__all__ = ["clip_header", "estimate_exposure", "is_finished", "write_clip"]
 
+MAX_EXPOSURE_FRAMES = 8  # whose references decide the exposure
 SOURCE_FILE = "source.txt"  # in the clip folder: what its frames were imported from
 
 
@@ -51,6 +55,25 @@ def clip_header(sequence: ImportedSequence, samples: int | None, exposure: float
             f"{_images(fewest)} of 1 spp. With --samples {fewest} {compatibility_summary(header)}"
         )
     return header
+
+
+def estimate_exposure(sequence: ImportedSequence) -> float:
+    """The exposure for the references of up to 8 frames; that of the source, if it has one.
+
+    The rule is that of `rlbench render-scene`. A black sequence has exposure 1. Raises SourceError
+    for references that are not finite.
+    """
+    if sequence.exposure is not None:
+        return sequence.exposure
+    count = min(len(sequence.numbers), MAX_EXPOSURE_FRAMES)
+    chosen = [sequence.numbers[round(i)] for i in np.linspace(0, len(sequence.numbers) - 1, count)]
+    areas = np.stack([area_luminance(sequence.read(number, 1).half_a) for number in chosen])
+    if not np.isfinite(areas).all():
+        raise SourceError(
+            f"clip '{sequence.name}': a reference is not finite, so no exposure can be chosen; "
+            "correct the source, or import with --exposure 1"
+        )
+    return exposure_from_areas(areas) if areas.max() > 0 else 1.0
 
 
 def write_clip(
@@ -115,7 +138,8 @@ def _content_key(sequence: ImportedSequence, header: Header) -> str:
     """What decides the frames: names, sizes and times of all files, and what is read from them."""
     stamps = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in sequence.files]
     content = (stamps, sequence.numbers, header.pool_spp, header.buffers, file_kinds(header.pools))
-    return f"{sequence.sampler}\n{sha256(repr(content).encode()).hexdigest()}\n"
+    text = repr(content) + sequence.convention
+    return f"{sequence.sampler}\n{sha256(text.encode()).hexdigest()}\n"
 
 
 def _stored_key(folder: Path) -> str:

@@ -32,6 +32,7 @@ def procedural_clip(
     cut: int | None = None,
     static: bool = False,
     device: torch.device | str = "cpu",
+    still_camera: bool = False,
 ) -> InMemoryClip:
     """A batch of `size.n` procedural clips with the seeds `seed`, `seed + 1`, ...
 
@@ -61,12 +62,14 @@ def procedural_clip(
             all motion points outside the image.
         static: nothing moves, and there is no motion buffer; the noise still changes.
         device: device of the tensors; the numbers are the same on every device.
+        still_camera: only the three spheres move, and their soft shadows.
     """
-    content = f"{seed} {tuple(size)} {frames} {pool_spp} {speed} {cut} {static}".encode()
+    options = f"{speed} {cut} {static} {still_camera}"
+    content = f"{seed} {tuple(size)} {frames} {pool_spp} {options}".encode()
     for module in (raycast.__file__, world.__file__, __file__):
         content += Path(module).read_bytes()
     speed = 0.0 if static else speed
-    renderer = _Renderer(seed, size, pool_spp, speed, cut, torch.device(device))
+    renderer = _Renderer(seed, size, pool_spp, speed, cut, torch.device(device), still_camera)
     return InMemoryClip(
         name=f"procedural-{seed}",
         scene="procedural",
@@ -85,12 +88,15 @@ class _Renderer:
     speed: float  # 0 for a static clip
     cut: int | None
     device: torch.device
+    still_camera: bool
 
     @cached_property
     def worlds(self) -> tuple[world.World, world.World]:
         """The worlds before the cut, and from the cut on."""
+        camera_speed = 0.0 if self.still_camera else 1.0
         first, second = (
-            world.random_world([f"{s}/{shot}" for s in self._seeds], self.device) for shot in (0, 1)
+            world.random_world([f"{s}/{shot}" for s in self._seeds], self.device, camera_speed)
+            for shot in (0, 1)
         )
         return first, second
 

@@ -30,10 +30,11 @@ class World:
     colour: Float[Tensor, "n o 2 3"]  # the two albedos of each object
     gain: Float[Tensor, "n o"]  # factor on the light on each object; one sphere is bright
     camera: Float[Tensor, " n"]  # phase of the camera's path, radians
+    camera_speed: Float[Tensor, " n"]  # factor on the camera's movement; 0 for a still camera
 
 
-def random_world(seeds: list[str], device: torch.device) -> World:
-    """One random world for each seed."""
+def random_world(seeds: list[str], device: torch.device, camera_speed: float = 1.0) -> World:
+    """One random world for each seed; the camera moves `camera_speed` times as fast as usual."""
     generators = [random.Random(seed) for seed in seeds]
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
@@ -56,6 +57,7 @@ def random_world(seeds: list[str], device: torch.device) -> World:
         colour=uniform(0.05, 0.95, OBJECTS, 2, 3),
         gain=gain,
         camera=uniform(0, 2 * math.pi),
+        camera_speed=torch.full_like(gain[:, 0], camera_speed),
     )
 
 
@@ -69,7 +71,7 @@ def object_centres(world: World, time: float) -> Float[Tensor, "n o 3"]:
 
 def camera_pose(world: World, time: float) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3 3"]]:
     """The origin of the camera, metres, and its axes right, down and forward as rows."""
-    phase = world.camera + 0.12 * time
+    phase = world.camera + 0.12 * world.camera_speed * time
     origin = torch.stack((0.9 * phase.sin(), -5 + 0.6 * (0.7 * phase).cos(), 1.6 + 0 * phase), -1)
     yaw, pitch = 0.18 * (0.9 * phase).cos(), 0.12
     c, s, zero = yaw.cos(), yaw.sin(), torch.zeros_like(yaw)

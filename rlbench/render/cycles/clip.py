@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.clips.stored import write_header
 from rlbench.render.cycles import passes
 from rlbench.render.cycles.frames import CyclesJob, fastest_sample_s, render_frames
@@ -22,7 +23,6 @@ from rlbench.render.cycles.scene_file import open_blender_file
 from rlbench.render.cycles.worker_job import CyclesParameters, ImageTask, image_seed
 from rlbench.render.presets import Preset
 from rlbench.render.scene import SceneError
-from rlbench.render.user import auto_exposure
 from rlbench.render.user.clip import UserSceneOptions, describe_job, plan_clip
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
@@ -90,14 +90,14 @@ def _estimate_exposure(cycles_job: CyclesJob) -> float:
         for _ in cycles_job.render_images(previews, log, size=PREVIEW_SIZE):
             pass
         images = [passes.read_radiance(preview.file, PREVIEW_SIZE) for preview in previews]
-    areas = np.stack([auto_exposure.area_luminance(image) for image in images])
+    areas = np.stack([area_luminance(image) for image in images])
     if black := [str(index) for index, frame in enumerate(areas) if not frame.any()]:
         raise SceneError(
             f"frames {', '.join(black[:8])} are black: there is no light, none reaches what the "
             "camera sees, or the camera is inside an object. --define world=1 adds a white sky; "
             "glTF and FBX do not carry every kind of lamp"
         )
-    return auto_exposure.exposure_from_areas(areas)
+    return exposure_from_areas(areas)
 
 
 def _render(cycles_job: CyclesJob) -> None:

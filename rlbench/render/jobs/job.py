@@ -113,6 +113,7 @@ class Job:
             pools=FRAME_POOLS,
             static=scene.static,
             cuts=tuple(cut for cut in scene.cuts if cut < preset.frames),
+            light_changes=scene.light_changes(preset.frames),
             licence=scene.licence,
             sample_ms=sample_ms,
             device=machine().name,

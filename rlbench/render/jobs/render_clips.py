@@ -35,7 +35,7 @@ from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
 from rlbench.system.progress import format_duration
 
-__all__ = ["ensure", "render_clip", "render_missing", "scene_of_clip"]
+__all__ = ["ensure", "preset_jobs", "render_clip", "render_missing", "scene_of_clip"]
 
 TRIAL_SPP = 8  # samples per pixel that are traced to estimate the rendering time
 
@@ -57,6 +57,16 @@ def ensure(
     error, and `executor` traces the frames. Raises LookupError for an unknown preset or scene, and
     SceneError for an unknown take.
     """
+    return render_missing(preset_jobs(preset, scenes, seeds, folder), bar, executor)
+
+
+def preset_jobs(
+    preset: Preset | str,
+    scenes: Iterable[str] | None = None,
+    seeds: Iterable[int] | None = None,
+    folder: Path | None = None,
+) -> list[Job]:
+    """The render jobs of a preset's clips, selected as by `ensure`; nothing is rendered."""
     preset = presets.get_preset(preset) if isinstance(preset, str) else preset
     folder = folder or paths.clips_folder() / preset.name
     if scenes is None and seeds is None:
@@ -65,8 +75,7 @@ def ensure(
     scene_of: dict[str, Scene] = {}
     for name in names:
         scene_of |= _select_takes(name, preset)
-    jobs = [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
-    return render_missing(jobs, bar, executor)
+    return [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
 
 
 def render_missing(

@@ -7,27 +7,22 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from rlbench.ops.color import REC709_LUMINANCE, luminance
+from rlbench.clips.exposure import area_luminance, exposure_from_areas
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.tracer import Tracer
 from rlbench.render.scene import SceneError
 
 __all__ = [
-    "area_luminance",
     "estimate_exposure",
-    "exposure_from_areas",
     "measure_distance",
     "mitsuba_errors",
 ]
 
 GRID = 32  # rays along each side of the image
-AREAS = 8  # along each side; luminance is averaged over them because samples are noisy
 SPP = (4, 64)  # samples per ray; the second number if the first gave a black image
-GREY, WHITE = 0.18, 1.0  # display values of the log-average, and of the 95th percentile at most
 
 
 def measure_distance(tracer: Tracer) -> float:
@@ -68,23 +63,6 @@ def estimate_exposure(tracer: Tracer, frames: int) -> float:
             raise SceneError(_no_surface(tracer))
         render_gbuffer(tracer)
     return exposure_from_areas(np.stack(areas))
-
-
-def exposure_from_areas(areas: Float[Array, "..."]) -> float:
-    """The exposure for these luminances, at least one above 0; see `estimate_exposure`."""
-    average = np.exp(np.log(areas[areas > 0]).mean())
-    return float(f"{min(GREY / average, WHITE / np.percentile(areas, 95)):.2g}")
-
-
-def area_luminance(image: Float[Array, "h w 3"]) -> Float[Array, " areas"]:
-    """Mean luminance of 8 x 8 areas of an image with linear radiance, float64.
-
-    Height and width must be multiples of 8.
-    """
-    rgb = torch.from_numpy(np.asarray(image, np.float64)).movedim(-1, 0)
-    values = luminance(rgb, REC709_LUMINANCE)[0].numpy()
-    high, wide = (side // AREAS for side in values.shape)
-    return np.asarray(values.reshape(AREAS, high, AREAS, wide).mean((1, 3)).ravel())
 
 
 def _hit_distances(tracer: Tracer) -> tuple[Float[Array, " p"], Float[Array, " p"]]:

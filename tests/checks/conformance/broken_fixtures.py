@@ -50,6 +50,9 @@ class UncheckedTraits(Traits):
         pass
 
 
+LOCAL = Traits(inputs=frozenset({"albedo"}), receptive_field=0)
+
+
 class Handle:
     """A state that is only a key to memory kept elsewhere."""
 
@@ -284,6 +287,22 @@ def replace_mean(samples, image):
     return SimpleNamespace(mean=image)
 
 
+class DividesByTheBrightest(Stateless):
+    """Declares that a pixel depends on itself alone, and divides by the image's brightest one."""
+
+    def denoise(self, gbuffer, samples, state):
+        image, _ = super().denoise(gbuffer, samples, state)
+        return image / image.amax((1, 2, 3), keepdim=True).clamp_min(0.1), None
+
+
+class LooksFarther(Stateless):
+    """Declares a smaller radius than that of its filter."""
+
+    def denoise(self, gbuffer, samples, state):
+        image, _ = super().denoise(gbuffer, samples, state)
+        return F.avg_pool2d(image, 5, 1, 2), None
+
+
 class Fault(NamedTuple):
     """The check that must fail, a function that builds the method, and its declared traits."""
 
@@ -339,13 +358,14 @@ FAULTS = {
     "ignores motion at cuts": Fault("cut", IgnoresMotion),
     "temporal without declaring it": Fault("temporal", Correct, replace(CORRECT, temporal=False)),
     "a state that is a handle": Fault("state_copy", StateIsHandle),
+    "an average over the image": Fault("receptive_field", DividesByTheBrightest, LOCAL),
+    "a receptive field that is too small": Fault(
+        "receptive_field", LooksFarther, replace(LOCAL, receptive_field=1)
+    ),
     "a state that cannot be copied": Fault("state_copy", UncopyableState),
 }
 
-TRAITS = {
-    "correct": CORRECT,
-    "stateless": replace(CORRECT, adaptive=False, temporal=False, inputs=frozenset({"albedo"})),
-}
+TRAITS = {"correct": CORRECT, "stateless": LOCAL}
 TRAITS |= {name: fault.traits for name, fault in FAULTS.items()}
 
 

@@ -26,7 +26,8 @@ def verdicts(variant: str) -> dict[str, Verdict]:
 
 
 @pytest.mark.parametrize(
-    ("variant", "skipped"), [("correct", {"uniform", "temporal"}), ("stateless", set())]
+    ("variant", "skipped"),
+    [("correct", {"uniform", "temporal", "receptive_field"}), ("stateless", set())],
 )
 def test_a_correct_method_passes_every_check_that_applies(variant, skipped):
     found = verdicts(variant)

@@ -114,4 +114,7 @@ def test_every_installed_metric_passes():
     results = list(metrics.SECTION.run(True))
     tested = {result.test.rpartition("-")[0] for result in results}
     assert tested > set(registry.load_run_metrics())
-    assert [result for result in results if result.verdict is not Verdict.PASSED] == []
+    of_effort = {"effort_error", "effort_noise", "at_cap"}  # judge no image
+    skipped = {r.test.rpartition("-")[0] for r in results if r.verdict is Verdict.SKIPPED}
+    assert skipped == of_effort
+    assert {r.verdict for r in results} == {Verdict.PASSED, Verdict.SKIPPED}

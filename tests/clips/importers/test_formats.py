@@ -9,11 +9,12 @@ from rlbench.clips.importers.sequence import SourceError
 from tests.clips.importers.sources import write_oidn, write_rl_path_tracing
 
 
-def test_an_unknown_format_is_reported_with_the_known_ones(source):
+def test_an_unknown_layout_is_reported_with_the_known_ones(source):
     with pytest.raises(
-        SourceError, match="no format 'pfm'; there are: oidn, noisebase, rl-path-tracing$"
+        SourceError,
+        match="no layout 'blend'; did you mean 'blender'.; there are: blender, .*noisebase.*TOML",
     ):
-        formats.find_sequences(source, "pfm")
+        formats.find_sequences(source, "blend")
 
 
 def test_the_former_name_paper_is_rl_path_tracing(tmp_path):

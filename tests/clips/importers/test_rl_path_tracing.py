@@ -101,13 +101,14 @@ def test_motion_files_may_have_the_name_that_the_script_writes(tmp_path):
     assert stored(clip, 1, "motion")[0, 0, 0] == pytest.approx(DRIFT[0], abs=1e-5)
 
 
-def test_a_source_without_motion_is_a_clip_without_motion(tmp_path):
+def test_a_source_without_motion_is_a_clip_with_zero_motion(tmp_path):
     source = write_rl_path_tracing(tmp_path / "source")
     for path in source.rglob("*.pt"):
         path.unlink()
     clip = imported(source, "rl-path-tracing", tmp_path / "out")
-    assert clip.header.buffers == ("albedo", "normal", "depth")
     assert not clip.header.static
+    assert "no motion" in clip.header.limitations
+    assert not stored(clip, 1, "motion").any()
 
 
 def test_only_the_upper_left_720_are_kept(tmp_path):

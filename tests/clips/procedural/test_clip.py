@@ -300,3 +300,12 @@ def test_all_buffers_but_depth_are_finite_at_any_time(time):
 def test_motion_is_a_few_pixels_per_frame(seed):
     motion = procedural_clip(seed).frames[4].gbuffer.motion
     assert 0.3 < motion.norm(dim=1).median() < 6  # at a width of 128
+
+
+def test_with_a_still_camera_only_the_spheres_move():
+    clip = procedural_clip(3, Size(1, 48, 64), 2, 1, still_camera=True)
+    first, second = (frame.gbuffer for frame in clip)
+    moving = second.motion.abs().amax(1) > 1e-3
+    assert 0.02 < moving.float().mean() < 0.4
+    near = torch.nn.functional.max_pool2d(moving.float(), 9, 1, 4) > 0  # where spheres were before
+    assert torch.equal(first.depth[:, 0][~near], second.depth[:, 0][~near])

@@ -78,6 +78,19 @@ def test_a_finished_pool_is_not_traced_again(clip):
     assert extra_pools.find_missing_pools([job(clip)]) == []
 
 
+@pytest.mark.parametrize(("bought", "traced"), [({"path"}, []), ({"restir"}, ["restir"])])
+def test_a_pool_that_nobody_buys_from_is_not_traced(plain, monkeypatch, bought, traced):
+    """`rlbench run` renders a preset with the pools of its methods."""
+    names, add = [], extra_pools.add_pool
+    monkeypatch.setattr(
+        extra_pools,
+        "add_pool",
+        lambda pool, *rest: names.append(pool.kind.name) or add(pool, *rest),
+    )
+    render_missing([job(plain, BOTH.with_pools(bought))])
+    assert names == traced
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cuts", [(), (2,)], ids=["one shot", "a cut"])
 @pytest.mark.parametrize("after", [1, 3])

@@ -123,16 +123,17 @@ def test_each_sample_drawn_is_one_path_and_nothing_else_is_traced(llvm, tmp_path
     pool = live.frame(1).pool
     density = torch.rand(1, 1, H, W, generator=torch.Generator().manual_seed(0))
     samples, sizes = pool.empty(), []
-    for upto in (0.1, 0.9, 4.0):
+    for upto in (0.01, 0.1, 0.9, 4.0):
         kernels, samples = launches(
             lambda upto=upto, samples=samples: draw_samples(pool, samples, density, upto)
         )
         sizes += [kernel["size"] for kernel in kernels]
     assert sizes == [
-        38,
+        4,
+        38 - 4,
         346 - 38,
         1536 - 346,
-    ]  # 0.1, 0.9 and 4 times 16 x 24, less the samples drawn before
+    ]  # 0.01, 0.1, 0.9 and 4 times 16 x 24, less the samples drawn before
 
 
 def test_nothing_is_compiled_after_the_first_frame(llvm, tmp_path):

@@ -80,6 +80,19 @@ def test_rounds_end_once_the_ceiling_is_high_enough(llvm):
     assert references.noise_ceiling_db(*before[:2], room().exposure) < 25.0
 
 
+def test_nothing_is_traced_once_the_reference_is_good_enough(llvm, monkeypatch):
+    tracer, traced = open_tracer(room(), H, W), []
+    trace_sum = tracer.trace_sum
+    monkeypatch.setattr(
+        tracer,
+        "trace_sum",
+        lambda spp, *rest, **on: traced.append(spp) or trace_sum(spp, *rest, **on),
+    )
+    preset = replace(PRESET, max_reference_rounds=50, min_noise_ceiling_db=25.0)
+    *_, total_spp = references.trace_reference(tracer, preset, room().exposure)
+    assert sum(traced) == total_spp < 2 * 50 * 4
+
+
 def test_progress_counts_the_samples_that_were_not_needed(llvm):
     samples = []
     preset = replace(PRESET, max_reference_rounds=50, min_noise_ceiling_db=25.0)

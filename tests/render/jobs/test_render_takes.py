@@ -73,6 +73,11 @@ def test_the_estimate_counts_all_takes(llvm, installed, tmp_path, capsys):
     assert "rendering 3 clips of preset test" in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_the_header_records_the_light_changes_of_the_clip(clips):
+    changes = {name: read_header(folder).light_changes for name, folder in clips.items()}
+    assert changes == {"room": (), "room-cut": (3,), "room-still": ()}
+
+
 def test_the_header_records_the_cuts_of_the_clip(clips):
     cuts = {name: read_header(folder).cuts for name, folder in clips.items()}
     assert cuts == {"room": (), "room-cut": (2,), "room-still": ()}

@@ -6,6 +6,7 @@ import pytest
 from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.render.mitsuba.gbuffer import render_gbuffer
 from rlbench.render.mitsuba.open_tracer import open_tracer
+from rlbench.render.mitsuba.specular import follow_specular_chain
 from rlbench.render.scene import Camera, Scene
 from tests.render.small_scenes import (
     STEP,
@@ -176,6 +177,19 @@ def test_only_requested_buffers_are_returned(variant):
         "depth",
         "normal",
     }
+
+
+def test_no_ray_follows_mirrors_for_buffers_of_the_first_surface(variant, monkeypatch):
+    calls = []
+    monkeypatch.setattr(
+        "rlbench.render.mitsuba.gbuffer.follow_specular_chain",
+        lambda *rays: calls.append(rays) or follow_specular_chain(*rays),
+    )
+    tracer = open_tracer(room(), 4, 4)
+    render_gbuffer(tracer, {"normal", "depth"})
+    assert not calls
+    render_gbuffer(tracer, {"albedo"})  # of what glass and mirrors show
+    assert calls
 
 
 def test_a_static_scene_has_no_motion(variant):

@@ -1,4 +1,8 @@
-"""The committed baseline of the regression check: PSNR per method, scene and budget, in JSON."""
+"""The baseline of the regression check: PSNR per method, scene and budget, in JSON.
+
+Baselines of some presets ship with the package; anyone writes their own by `rlbench regress
+--update --baseline FILE`.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +17,22 @@ from rlbench.benchmark import results_v1
 from rlbench.errors import RlbenchError
 from rlbench.system import documents, paths
 
-__all__ = ["Baseline", "BaselineEntry", "BaselineError", "ScoreKey", "load_baseline"]
+__all__ = [
+    "Baseline",
+    "BaselineEntry",
+    "BaselineError",
+    "ScoreKey",
+    "find_baseline",
+    "load_baseline",
+    "shipped_baselines",
+    "write_baseline",
+]
 
-SCHEMA = 2
-SCHEMAS = (1, SCHEMA)  # that are read; schema 1 has `spp` and rows METHOD@half
+SHIPPED = Path(__file__).parent / "baselines"
+SCHEMA = 3
+SCHEMAS = (1, 2, SCHEMA)  # that are read; schema 1 has `spp` and rows METHOD@half
 RENAMED = {"spp": "target_spp"}  # keys of schema 1
+ADDED = {"seed", "speed"}  # keys that schemas 1 and 2 lack
 TOLERANCE_DB = 0.05  # two machines differ by less in float32, a broken method by more
 
 
@@ -39,13 +54,15 @@ class ScoreKey(NamedTuple):
 
 @dataclass(frozen=True)
 class BaselineEntry:
-    """PSNR of a method on a scene at a budget: the mean over clips, seeds and frames."""
+    """PSNR of a method on a scene at a budget: the mean over clips and frames."""
 
     method: str
     scene: str
     target_spp: float  # requested samples per pixel
     psnr: float  # dB
     tolerance_db: float | None = None  # largest allowed fall; None: the baseline's
+    stderr_db: float | None = None  # standard error of the mean over `frames`
+    frames: int | None = None  # frames of all clips; None in older baselines
 
     def __post_init__(self) -> None:
         """Raise BaselineError for numbers that no score can be compared with."""
@@ -57,6 +74,8 @@ class BaselineEntry:
             )
         if self.tolerance_db is not None:
             _check_tolerance(self.tolerance_db)
+        if self.stderr_db is not None and not 0 <= self.stderr_db < math.inf:
+            raise BaselineError(f"stderr_db is {self.stderr_db}; a finite number >= 0 is required")
 
     @property
     def key(self) -> ScoreKey:
@@ -66,16 +85,43 @@ class BaselineEntry:
 
 @dataclass(frozen=True)
 class Baseline:
-    """The committed scores, and how they were made."""
+    """The expected scores and speeds, and how they were made."""
 
     preset: str = ""
     command: str = ""
-    tolerance_db: float = TOLERANCE_DB
+    tolerance_db: float = TOLERANCE_DB  # what machines differ by
     entries: tuple[BaselineEntry, ...] = ()
+    seed: int = 0  # of the sample order that the scores are of
+    speed: tuple[str, ...] = ()  # gates such as "ours/lean / ours <= 0.9"
 
     def __post_init__(self) -> None:
         """Raise BaselineError for a tolerance that no score can exceed."""
         _check_tolerance(self.tolerance_db)
+
+
+def shipped_baselines() -> list[str]:
+    """Names of the baselines in the package: the presets that they are of.
+
+    >>> shipped_baselines()
+    ['mini']
+    """
+    return sorted(file.stem for file in SHIPPED.glob("*.json"))
+
+
+def find_baseline(name: str, preset: str = "") -> Path:
+    """The file of a shipped baseline, or `name` as a path; an empty name is that of the preset.
+
+    Raises BaselineError if `name` is empty and no baseline of the preset ships.
+    """
+    if (name or preset) in shipped_baselines():
+        return SHIPPED / f"{name or preset}.json"
+    if not name:
+        raise BaselineError(
+            f"no baseline of {f'preset {preset}' if preset else 'these clips'} ships; available: "
+            f"{', '.join(shipped_baselines())}. Write your own: rlbench regress --update "
+            "--baseline FILE"
+        )
+    return Path(name)
 
 
 def load_baseline(path: Path) -> Baseline:
@@ -83,7 +129,9 @@ def load_baseline(path: Path) -> Baseline:
     try:
         content = documents.read_json(path)
     except FileNotFoundError:
-        raise BaselineError(f"no baseline at {path}; rlbench regress --update makes one") from None
+        raise BaselineError(
+            f"no baseline at {path}; rlbench regress --update --baseline {path} makes one"
+        ) from None
     except (OSError, ValueError) as error:
         raise BaselineError(f"{error}. Restore the file, or pass another --baseline") from None
     schema = content.get("schema") if isinstance(content, dict) else type(content).__name__
@@ -117,7 +165,8 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
 def _decode(document: dict[str, Any]) -> Baseline:
     """A baseline of either schema. Raises ValueError, naming the field that is wrong."""
     fields = {key: value for key, value in document.items() if key != "schema"}
-    if missing := [f.name for f in dataclass_fields(Baseline) if f.name not in fields]:
+    required = {f.name for f in dataclass_fields(Baseline)} - ADDED
+    if missing := sorted(required - fields.keys()):
         raise ValueError(f"missing keys {', '.join(missing)}")
     _check_keys(fields, Baseline)
     entries = fields["entries"]

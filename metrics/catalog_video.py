@@ -1,0 +1,118 @@
+"""The shipped metrics of motion, and of where samples went."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from metrics.metric import Comparison, Metric
+
+__all__ = ["AT_CAP", "EFFORT_ERROR", "EFFORT_NOISE", "FLICKER", "PSNR_LATE", "WARPED_ERROR"]
+
+Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
+
+
+def _warped_error(frame: Comparison) -> Tensor:
+    from metrics.temporal import warped_error
+
+    return warped_error(frame.change_of_error)
+
+
+def _flicker(frame: Comparison) -> Tensor:
+    from metrics.temporal import flicker
+
+    previous: Any = frame.previous
+    return flicker(frame.change_of_error, previous.change_of_error, frame.motion)
+
+
+def _psnr_late(frame: Comparison) -> Tensor:
+    from metrics.psnr import psnr
+
+    previous: Any = frame.previous
+    return psnr(previous.display_image, frame.display_reference, previous.nonfinite_mask)
+
+
+def _effort_error(frame: Comparison) -> Tensor:
+    from metrics.effort import effort_error
+
+    counts: Any = frame.counts
+    return effort_error(counts, frame.display_error)
+
+
+def _effort_noise(frame: Comparison) -> Tensor:
+    from metrics.display import encode_display
+    from metrics.effort import effort_noise
+
+    counts: Any = frame.counts
+    return effort_noise(counts, encode_display(frame.half_a), encode_display(frame.half_b))
+
+
+def _at_cap(frame: Comparison) -> Tensor:
+    from metrics.effort import at_cap
+
+    counts: Any = frame.counts
+    max_samples: Any = frame.max_samples
+    return at_cap(counts, max_samples)
+
+
+PSNR_LATE = Metric(
+    "psnr_late",
+    "dB",
+    "higher",
+    "PSNR of the image of the frame before, shown again because this frame is late; peak 1, "
+    "clipped sRGB",
+    _psnr_late,
+    previous_frames=1,
+    source="this project: what a missed deadline costs",
+)
+WARPED_ERROR = Metric(
+    "warped_error",
+    "%",
+    "lower",
+    "RMS of the image's change along the motion less the reference's, of the range of clipped "
+    "sRGB; none where all motion leaves the image",
+    _warped_error,
+    previous_frames=1,
+    needs=("motion",),
+    source="Lai et al. 2018, relative to the reference's own change",
+)
+FLICKER = Metric(
+    "flicker",
+    "%",
+    "lower",
+    "RMS of the error's second difference along the motion / sqrt(6), of the range of clipped "
+    "sRGB; none where all motion leaves the image",
+    _flicker,
+    previous_frames=2,
+    needs=("motion",),
+    source="second difference in time; definition ours",
+)
+EFFORT_ERROR = Metric(
+    "effort_error",
+    "",
+    "",
+    "Spearman correlation of sample counts with the squared error of clipped sRGB; 0 for equal "
+    "counts",
+    _effort_error,
+    needs=("counts",),
+    source="Spearman 1904",
+)
+EFFORT_NOISE = Metric(
+    "effort_noise",
+    "",
+    "",
+    "Spearman correlation of sample counts with the squared difference of the reference halves in "
+    "clipped sRGB, over 7x7 pixels; 0 for equal counts",
+    _effort_noise,
+    needs_reference_halves=True,
+    needs=("counts",),
+    source="Spearman 1904",
+)
+AT_CAP = Metric(
+    "at_cap",
+    "%",
+    "",
+    "pixels with as many samples as the clip has, or as the method allows",
+    _at_cap,
+    needs=("counts", "max_samples"),
+    source="Scardigli et al. 2023",
+)

@@ -1,0 +1,107 @@
+"""Where the samples of a frame went: does effort follow error, and how many pixels hit the cap.
+
+`counts` are the samples drawn in each pixel, pilot included.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+__all__ = ["at_cap", "effort_error", "effort_noise", "rank_correlation"]
+
+NOISE_WINDOW = 7  # pixels: side of the square over which the noise of the halves is averaged
+
+
+def effort_error(
+    counts: Int[Tensor, "n 1 h w"], error: Float[Tensor, "n 3 h w"]
+) -> Float[Tensor, " n"]:
+    """Rank correlation of sample counts with the error that is left, in [-1, 1].
+
+    Spearman's, of the counts and the squared display error (`Comparison.display_error`), mean over
+    channels, of each pixel of the method's own image. Well above 0: most error is left where most
+    samples went, so these pixels still had too few. Near 0: effort has evened the error out, or
+    ignored it; `effort_noise` tells which. Equal counts score 0. A pixel that is not finite has the
+    largest error, 1.
+
+    >>> error = torch.tensor([0.0, -0.1, 0.2, 0.3]).view(1, 1, 2, 2).expand(1, 3, 2, 2)
+    >>> effort_error(torch.tensor([[[[1, 2], [4, 8]]]]), error)
+    tensor([1.])
+    """
+    squares = error.square().nan_to_num(nan=1.0)
+    return rank_correlation(counts, squares.mean(1, keepdim=True))
+
+
+def effort_noise(
+    counts: Int[Tensor, "n 1 h w"],
+    display_a: Float[Tensor, "n 3 h w"],
+    display_b: Float[Tensor, "n 3 h w"],
+) -> Float[Tensor, " n"]:
+    """Rank correlation of sample counts with the noise of the scene, in [-1, 1].
+
+    Spearman's. The noise of a pixel is the squared difference of the two reference halves, both in
+    clipped sRGB, mean over channels and over NOISE_WINDOW x NOISE_WINDOW pixels: both halves have
+    equally many samples in every pixel, so it is proportional to the variance of one sample. It is
+    the same for all methods, unlike the error of their images, and so shows what a method meant to
+    do. Equal counts score 0. Differs from the variance itself by the noise of one pair of halves,
+    which lowers the score of a perfect density below 1.
+
+    >>> display_a = torch.zeros(1, 3, 1, 64)
+    >>> display_b = torch.linspace(0, 1, 64).expand(1, 3, 1, 64)
+    >>> rising = torch.arange(64).view(1, 1, 1, 64) // 8
+    >>> effort_noise(rising, display_a, display_b) > 0.95
+    tensor([True])
+    """
+    noise = (display_a - display_b).square().mean(1, keepdim=True)
+    blurred = F.avg_pool2d(noise, NOISE_WINDOW, 1, NOISE_WINDOW // 2, count_include_pad=False)
+    return rank_correlation(counts, blurred)
+
+
+def at_cap(counts: Int[Tensor, "n 1 h w"], max_samples: int) -> Float[Tensor, " n"]:
+    """Share of pixels with `max_samples` samples, in percent.
+
+    Many pixels at the cap say that the method wanted more there than it could have: the paper of
+    Scardigli et al. 2023 reports fewer than 0.6 % at 8 samples.
+
+    >>> at_cap(torch.tensor([[[[8, 1], [0, 8]]]]), max_samples=8)
+    tensor([50.])
+    """
+    return 100 * (counts >= max_samples).flatten(1).float().mean(1)
+
+
+def rank_correlation(
+    x: Float[Tensor, "n 1 h w"] | Int[Tensor, "n 1 h w"],
+    y: Float[Tensor, "n 1 h w"] | Int[Tensor, "n 1 h w"],
+) -> Float[Tensor, " n"]:
+    """Spearman's rank correlation over the pixels of each image, in [-1, 1].
+
+    Spearman 1904, The Proof and Measurement of Association between Two Things: the correlation of
+    ranks, equal values sharing their mean rank. Ranks, because errors have heavy tails: Pearson's
+    correlation would be that of a few fireflies, and counts need not be proportional to errors.
+    Where all x or all y are equal, the correlation is undefined; it is 0 here.
+
+    >>> rank_correlation(torch.tensor([[[[1, 2, 3]]]]), torch.tensor([[[[0.1, 50.0, 0.2]]]]))
+    tensor([0.5000])
+    """
+    pairs = zip(x.flatten(1), y.flatten(1), strict=True)
+    return torch.stack([_correlate_ranks(a, b) for a, b in pairs])
+
+
+def _centred_ranks(values: Tensor) -> Tensor:
+    """Ranks less their mean, in double precision; equal values share their mean rank."""
+    _, group, sizes = torch.unique(values, return_inverse=True, return_counts=True)
+    last = sizes.cumsum(0).double()
+    ranks = (last - (sizes - 1) / 2)[group]
+    centred: Tensor = ranks - ranks.mean()
+    return centred
+
+
+def _correlate_ranks(x: Tensor, y: Tensor) -> Tensor:
+    """Correlation of the ranks of two vectors; 0, without ranking, if one has a single value."""
+    if bool(x.min() == x.max()) or bool(y.min() == y.max()):
+        return torch.zeros((), device=x.device)
+    a, b = _centred_ranks(x), _centred_ranks(y)
+    correlation: Tensor = (a * b).sum() / (a.square().sum() * b.square().sum()).sqrt()
+    return correlation.float()

@@ -1,0 +1,147 @@
+"""Scores and times of one cell: the part of a run that a worker does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+
+from rlbench import registry
+from rlbench.benchmark import cost, latency
+from rlbench.benchmark.cell_ids import CellIds
+from rlbench.benchmark.cell_images import CellImages, KeptFrame
+from rlbench.benchmark.cell_loader import CellLoader
+from rlbench.benchmark.clip_sources import samples_at_cap
+from rlbench.benchmark.resolve import ResolvedCell
+from rlbench.benchmark.results import CellKey, Row
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.scoring import compare_frame, refusal_row, row_template, score_frame
+from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
+from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
+from rlbench.method import Method, config_json
+from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
+from rlbench.run import run_clip
+
+__all__ = ["CellOutput", "CellRunner"]
+
+StoredRows = Mapping[CellKey, Sequence[Row]]  # of cells that keep their scores
+
+
+class CellOutput(NamedTuple):
+    """All rows of a cell, and its images where they are kept."""
+
+    rows: list[Row]
+    images: CellImages | None = None
+
+
+class CellRunner:
+    """Measures the cells of one plan; every worker has a copy."""
+
+    def __init__(
+        self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds, keep_images: bool
+    ) -> None:
+        """Load the metrics and prepare a row of each cell."""
+        self.plan = plan
+        self.keep_images = keep_images
+        self.metrics = list(registry.load_run_metrics().values())
+        self.loader = CellLoader(plan)
+        profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
+        self.timings = TimingCache(self.loader, profile)
+        codes, weights = ids.code_hashes, ids.weights_hashes
+        self.templates = {
+            cell.key: row_template(
+                cell, ids.run_id, codes[cell.method.name], weights[cell.method.name]
+            )
+            for cell in cells
+        }
+
+    def run(
+        self,
+        cells: list[ResolvedCell],
+        executor: Executor,
+        on_timing: TimingCallback,
+        stored: StoredRows,
+    ) -> Iterator[JobResult[ResolvedCell, CellOutput]]:
+        """The rows of each cell as it is done, or the error that stopped it.
+
+        Cells that have `stored` rows keep their scores and get new times.
+        """
+        if not cells:
+            return
+        gpus = 1 if self.plan.device.type == "cuda" else 0
+        resources = Resources(torch.get_num_threads(), gpus)
+        errors = {
+            cell.key: error
+            for cell, error in self.timings.measure_all(cells, executor, resources, on_timing)
+        }
+        unscored = []
+        for cell in cells:
+            error = errors.get(cell.key)
+            if cell.key in stored:
+                rows = self._with_new_times(cell, stored[cell.key], error)
+                yield JobResult(cell, CellOutput(rows))
+            elif error:
+                yield JobResult(cell, error=error)
+            else:
+                unscored.append(cell)
+        yield from executor.map(self, unscored, resources)
+
+    def __call__(self, cell: ResolvedCell, on_progress: ProgressCallback) -> CellOutput:
+        """Scores of each frame, then times; or one row with the reason why there are none."""
+        if reason := self.loader.incompatibility(cell):
+            return CellOutput([refusal_row(self.templates[cell.key], reason)])
+        with registry.exits_as_errors():
+            return self._measure(cell, self.loader.method(cell))
+
+    def failure(self, cell: ResolvedCell, error: Exception) -> Row:
+        """The only row of a cell that an error stopped."""
+        return refusal_row(self.templates[cell.key], f"{type(error).__name__}: {error}")
+
+    def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
+        needs = frozenset().union(*(metric.needs for metric in self.metrics))
+        clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
+        template = replace(self.templates[cell.key], config=config_json(method))
+        remarks, rows, frames, compared = self._remarks(cell), [], [], None
+        max_samples = samples_at_cap(cell.traits, cell.header.pool_spp)
+        for result in run_clip(method, clip, cell.target_spp):
+            compared = compare_frame(self.metrics[0].compare, result, compared, max_samples)
+            scored = score_frame(template, self.metrics, compared, result, cell.header)
+            rows += [replace(row, note=row.note or remarks) for row in scored]
+            frames += [KeptFrame.of(result)] if self.keep_images else []
+        shared = cell.traits.pool, clip.digest, max_samples
+        images = CellImages(*shared, frames) if self.keep_images else None
+        return CellOutput(rows + self._time_rows(cell, template, rows), images)
+
+    def _with_new_times(
+        self, cell: ResolvedCell, rows: Sequence[Row], error: Exception | None
+    ) -> list[Row]:
+        """The stored scores of a cell with new times, or with the reason why it has none."""
+        if self.loader.incompatibility(cell):
+            return list(rows)
+        scores = drop_times(rows)
+        template = replace(self.templates[cell.key], config=scores[0].config)
+        if error:
+            return scores + failed_time_rows(template, f"{type(error).__name__}: {error}")
+        return scores + self._time_rows(cell, template, scores)
+
+    def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:
+        mean_spp = sum(row.mean_spp for row in scores) / len(scores)
+        times = self.timings
+        return timing_rows(
+            replace(template, mean_spp=mean_spp),
+            times.timing(cell),
+            times.cost(cell),
+            times.published_inference(cell),
+        )
+
+    def _remarks(self, cell: ResolvedCell) -> str:
+        """What to know of all scores of a cell; empty for an ordinary test."""
+        remarks = []
+        if cell.is_trained_on_clip:
+            remarks.append(f"no test: its weights were trained on {cell.header.name}")
+        here = latency.device_name(self.plan.device)
+        if here != cell.key.device:  # this worker is another machine than the rows name
+            remarks.append(f"scored on {here}")
+        return "; ".join(remarks)

@@ -1,0 +1,1 @@
+"""What each buffer is worth to a method: dB lost when it is dropped, late, shifted or noisy."""

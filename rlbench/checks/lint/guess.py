@@ -1,0 +1,252 @@
+"""Guess the layout of a dump: names say what the images are, and readings which convention fits.
+
+The files are imported in memory as if they kept the conventions of a clip. The checks of a clip
+then say which other reading fits better, and by how much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rlbench.checks.lint.albedo import MAX_GAMMA, MIN_PAIRS, colour_slopes
+from rlbench.checks.lint.checks import fit_depth
+from rlbench.checks.lint.clip_arrays import ClipArrays
+from rlbench.checks.lint.dump_arrays import import_arrays
+from rlbench.checks.lint.dump_names import find_named_images
+from rlbench.checks.lint.geometry import VIEW_DEPTH
+from rlbench.checks.lint.motion import MARGIN_OPPOSITE, MIN_EXPLAINED, rank_conventions
+from rlbench.checks.lint.motion_conventions import DIRECTIONS, MotionConvention
+from rlbench.checks.lint.noise_statistics import local_mean
+from rlbench.checks.lint.normals import check_normals
+from rlbench.checks.lint.orientation import STORED, correlate_orientations, misoriented
+from rlbench.checks.result import Verdict
+from rlbench.clips.importers.layout import decode_layout
+from rlbench.system.documents import to_toml
+
+__all__ = ["Guess", "format_guess", "guess_layout"]
+
+SURE, LIKELY = 0.1, 0.03  # leads over the next reading
+TO_PREVIOUS = MotionConvention().direction
+DEMODULATED = 0.5  # of the deviation from the reference that is left after a product with albedo
+FLIPS = {
+    "upside down": "vertical",
+    "mirrored left to right": "horizontal",
+    "rotated by 180 degrees": "both",
+}
+KINDS = {  # of depth: the reading, and the word of a layout
+    VIEW_DEPTH: "view",
+    "distance to the camera": "distance",
+    "inverse depth 1 / z": "inverse",
+    "z-buffer (0 near, 1 far)": "z-buffer",
+}
+UNITS = {
+    "pixels": ("pixels", 1.0),
+    "half pixels": ("pixels", 0.5),
+    "twice pixels": ("pixels", 2.0),
+    "NDC (-1..1)": ("ndc", 1.0),
+    "UV (0..1)": ("shares", 1.0),
+}
+Tables = dict[str, Any]
+
+
+class Guess(NamedTuple):
+    """A guessed layout, and for each table how sure it is and why."""
+
+    tables: Tables
+    reasons: dict[str, str]
+
+
+def guess_layout(source: Path) -> Guess:
+    """The layout of a dump of EXR files, as far as names and readings show it.
+
+    Raises SourceError where no radiance, no reference or no frame is found.
+    """
+    tables: Tables = {name: image.to_table() for name, image in find_named_images(source).items()}
+    reasons = {name: "by its names" for name in tables}
+    if "{spp}" in tables["radiance"]["files"] and "{sample}" not in tables["radiance"]["files"]:
+        tables["radiance"]["samples"] = "accumulated"
+        reasons["radiance"] += "; means of the first samples, because names count spp"
+    steps: list[Callable[[ClipArrays, Tables], dict[str, str]]] = [
+        _read_background,
+        _read_flips,
+        _read_encodings,
+        _read_depth,
+        _read_motion,
+        _read_handedness,
+        _read_normal_space,
+        _read_demodulation,
+    ]
+    for step in steps:  # each sees what those before it found
+        arrays = import_arrays(source, decode_layout(tables, "guess"))
+        for name, reason in step(arrays, tables).items():
+            reasons[name] += f"; {reason}"
+    return Guess(tables, reasons)
+
+
+def format_guess(guess: Guess) -> str:
+    """A TOML document with the reasons as comments."""
+    lines = ["# Guessed by rlbench lint --guess: correct what it is not sure of."]
+    for name, table in guess.tables.items():
+        comment = "\n".join(f"# {reason}" for reason in guess.reasons[name].split("; "))
+        lines.append(f"\n{comment}\n{to_toml({name: table}).strip()}")
+    return "\n".join(lines) + "\n"
+
+
+def _read_background(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    """A far value or 0 in place of infinity; a sign that is negative."""
+    if "depth" not in arrays.gbuffer:
+        return {}
+    depth = arrays.gbuffer["depth"]
+    finite = depth[depth.isfinite()]
+    reasons = []
+    if float((finite < 0).float().mean()) > 0.5:
+        tables["depth"]["scale"] = -1.0
+        reasons.append("sure: nearly all values are negative")
+    if float((finite == 0).float().mean()) > 0:
+        tables["depth"]["background"] = 0.0
+        reasons.append("likely: 0 is background")
+    largest = float(finite.abs().max()) if len(finite) else 0.0
+    share = float((finite.abs() == largest).float().mean()) if len(finite) else 0.0
+    if largest > 1 and share > 1e-3 and largest > 4 * float(finite.abs().median()):
+        tables["depth"]["far"] = math.copysign(largest * 0.999, float(finite.median()))
+        reasons.append(f"likely: the largest value, {largest:.3g}, fills {share:.1%} of the pixels")
+    return {"depth": "; ".join(reasons)} if reasons else {}
+
+
+def _read_flips(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    correlations = correlate_orientations(arrays)
+    reasons = {}
+    for name, way in misoriented(correlations).items():
+        table = "radiance" if name.startswith("pool") else name
+        lead = correlations[name][way] - correlations[name][STORED]
+        tables[table]["flip"] = FLIPS[way]
+        reasons[table] = (
+            f"{_sureness(lead)}: {way}, edges correlate by {lead:.2f} more than as it is"
+        )
+    return reasons
+
+
+def _read_encodings(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    reasons = {}
+    if "normal" in arrays.gbuffer and float(arrays.gbuffer["normal"].min()) >= 0:
+        tables["normal"]["encoded"] = True
+        reasons["normal"] = "likely: encoded as (n + 1) / 2, because no component is negative"
+    slopes = colour_slopes(arrays)
+    if len(slopes) >= MIN_PAIRS and (gamma := float(slopes.median())) > MAX_GAMMA:
+        tables["albedo"]["encoding"] = "srgb"
+        reasons["albedo"] = f"likely: colours of radiance vary as those of albedo ^ {gamma:.2f}"
+    return reasons
+
+
+def _read_depth(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    fits = {kind: fit for kind, fit in fit_depth(arrays).items() if kind in KINDS}
+    if len(fits) < 2:
+        return {}
+    first, second = sorted(fits.values(), key=lambda fit: fit.residual)[:2]
+    lead = 1 - first.residual / max(second.residual, 1e-9)
+    tables["depth"]["kind"] = KINDS[first.kind]
+    fov = math.degrees(2 * math.atan(0.5 / first.focal))
+    if first.kind.startswith("distance"):
+        tables["depth"]["fov"] = round(fov, 1)
+    if first.kind.startswith("z-buffer"):
+        tables["depth"]["near"] = 1.0
+    angles = (
+        f"{math.degrees(first.residual):.1f} against {math.degrees(second.residual):.1f} degrees"
+    )
+    reason = f"{_sureness(lead)}: {first.kind} fits the normals within {angles} as {second.kind}"
+    return {"depth": f"{reason}; field of view about {fov:.0f} degrees"}
+
+
+def _read_motion(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    if "motion" not in arrays.gbuffer or len(arrays) < 2:
+        return {}
+    reasons = []
+    middle = float(arrays.gbuffer["motion"].median())
+    if 0.4 < middle < 0.6 and float(arrays.gbuffer["motion"].min()) >= 0:
+        tables["motion"]["offset"] = 0.5
+        shifted = {**arrays.gbuffer, "motion": arrays.gbuffer["motion"] - 0.5}
+        arrays = ClipArrays(arrays.header, shifted, arrays.pools, arrays.half_a, arrays.half_b)
+        reasons.append("likely: 0.5 is no motion")
+    shares = dict(rank_conventions(arrays))
+    best = next(iter(shares))
+    if shares[best] < MIN_EXPLAINED:
+        found = f"no convention explains more than {shares[best]:.0%} of the change"
+        return {"motion": f"unknown: {found}"}
+    if shares[best] - shares.get(_opposite(best), -math.inf) < MARGIN_OPPOSITE:
+        best = max(best, _opposite(best), key=lambda each: each.direction == TO_PREVIOUS)
+    _write_motion(best, tables["motion"])
+    other = next(each for each in shares if each not in (best, _opposite(best)))
+    share, next_share = shares[best], shares[other]
+    reasons.append(
+        f"{_sureness(share - next_share)}: {best} explains {share:.0%} of the change between "
+        f"frames, next best {next_share:.0%} as {other}"
+    )
+    return {"motion": "; ".join(reasons)}
+
+
+def _opposite(convention: MotionConvention) -> MotionConvention:
+    """The negative in the other direction, which differs only by acceleration."""
+    x, y = convention.signs
+    (direction,) = set(DIRECTIONS) - {convention.direction}
+    return replace(convention, signs=(-x, -y), direction=direction)
+
+
+def _write_motion(best: MotionConvention, table: Tables) -> None:
+    """Write a convention as the keys of a layout."""
+    if best.swapped:
+        table["channels"] = table["channels"][::-1]
+    unit, scale = UNITS[best.scale]
+    to_previous = best.direction == TO_PREVIOUS
+    x, y = best.signs
+    table["unit"], table["y"] = unit, "down" if x == y else "up"
+    # the sign of x: along the direction that the words name, or against it
+    table["points"] = ("to" if x > 0 else "from") + (" previous" if to_previous else " next")
+    if scale != 1:
+        table["scale"] = scale
+
+
+def _read_handedness(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    if "normal" not in arrays.gbuffer:
+        return {}
+    result = check_normals(arrays, fit_depth(arrays))
+    if result.verdict is Verdict.FAILED and result.found.startswith("mirrored"):
+        tables["normal"]["axes"] = ["x", "-y", "z"]  # negating another one only rotates the world
+        return {"normal": "likely: mirrored, as in a left-handed world"}
+    return {}
+
+
+def _read_normal_space(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    if "normal" not in arrays.gbuffer:
+        return {}
+    result = check_normals(arrays, fit_depth(arrays))
+    if result.verdict is Verdict.FAILED and result.found.startswith("in camera space"):
+        tables["normal"]["space"] = "view"
+        return {"normal": f"sure: {result.found}; add `camera`, a file of matrices, to rotate them"}
+    return {
+        "normal": f"{'likely' if result.verdict is Verdict.PASSED else 'unsure'}: {result.found}"
+    }
+
+
+def _read_demodulation(arrays: ClipArrays, tables: Tables) -> dict[str, str]:
+    """Is the mean of the samples nearer to the reference after a product with albedo?"""
+    if "albedo" not in arrays.gbuffer:
+        return {}
+    mean, reference = local_mean(arrays.pools["path"].mean(1)), local_mean(arrays.reference)
+    errors = [
+        float((image / reference).log().abs().median())
+        for image in (mean, local_mean(arrays.pools["path"].mean(1) * arrays.gbuffer["albedo"]))
+    ]
+    if errors[1] > DEMODULATED * errors[0]:
+        return {}
+    tables["radiance"]["demodulated"] = True
+    factors = [f"{math.exp(error):.2f}" for error in errors]
+    found = f"differ from the reference by a factor of {factors[1]} after a product with albedo"
+    return {"radiance": f"likely: demodulated, samples {found}, of {factors[0]} before"}
+
+
+def _sureness(lead: float) -> str:
+    return "sure" if lead > SURE else "likely" if lead > LIKELY else "unsure"

@@ -1,0 +1,211 @@
+"""The command regress: compare scores and speeds with a baseline, and write what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.cli.plugins import load_plugins
+from rlbench.errors import OptionError, RlbenchError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rlbench.benchmark.clip_sources import StoredSource
+    from rlbench.benchmark.regression.baseline import Baseline
+    from rlbench.benchmark.regression.comparison import RegressionReport
+    from rlbench.benchmark.regression.crops import Crops
+    from rlbench.benchmark.regression.speed_gate import SpeedResult
+
+__all__ = ["regress", "select_baseline"]
+
+
+def regress(
+    methods: options.RowMethods = None,
+    plugin: options.Plugins = None,
+    clips: options.Clips = None,
+    results: options.Results = Path("results"),
+    baseline: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="a baseline that ships, such as mini, or a JSON file; default: the shipped one of "
+            "the results' preset",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = "",
+    update: Annotated[
+        bool,
+        typer.Option(
+            "--update",
+            help="rewrite the baseline FILE from the results; with --methods, their entries alone",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
+    speed: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="A/B<=RATIO",
+            help="largest ratio of the inference times of two rows; both are timed now, on "
+            "generated frames; can be repeated",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = None,
+    device: options.Device = "auto",
+    junit: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False,
+            metavar="FILE",
+            help="write JUnit XML, a test case for each cell",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    summary: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False,
+            metavar="FILE",
+            help="write Markdown with crops of the worst change in a folder beside it; also added "
+            "to $GITHUB_STEP_SUMMARY",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    before: Annotated[
+        Path | None,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="results with kept images of the code before, for the crops",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+) -> None:
+    """Compare scores, and ratios of times, with a baseline.
+
+    The exit code is 1 if a score fell by more than its cell is allowed, if a cell is missing, or if
+    a ratio of times exceeds its gate beyond doubt. Smaller falls are shown. --update writes a
+    baseline of your own; where the results have several seeds, each cell is allowed what reruns
+    vary by.
+
+    Examples:
+
+    \b
+      rlbench regress --results results/ --junit regress.xml --summary regress.md
+      rlbench regress --methods mean,ours
+      rlbench regress --results mine/ --update --baseline mine.json
+      rlbench regress --speed 'ours/lean / ours <= 0.9'
+    """
+    load_plugins(plugin)
+    from rlbench.benchmark.regression.baseline import find_baseline, load_baseline
+    from rlbench.benchmark.regression.comparison import compare
+    from rlbench.benchmark.regression.scores import only_preset
+    from rlbench.benchmark.results import read
+
+    names = arguments.split_names(methods)
+    if update:
+        _update(results, baseline, names)
+        return
+    rows = read(results)
+    expected = load_baseline(find_baseline(baseline, only_preset(rows)))
+    if names:
+        rows, expected = select_baseline(rows, expected, names)
+    comparison = compare(rows, expected, subset=bool(names))
+    if gates := [*expected.speed, *(speed or [])]:
+        comparison = replace(comparison, speed=_measure_speed(gates, device))
+    typer.echo(comparison.text())
+    if junit:
+        from rlbench.benchmark.regression.junit import write_junit
+
+        write_junit(comparison, junit)
+    if summary:
+        from rlbench.benchmark.regression.page import append_to_job_summary, write_summary
+
+        crops = _crop_worst(comparison, rows, expected.seed, clips, results, before, summary)
+        write_summary(comparison, crops, summary)
+        append_to_job_summary(comparison, crops)
+    raise typer.Exit(0 if comparison.has_passed else 1)
+
+
+def select_baseline(
+    table: pd.DataFrame, baseline: Baseline, methods: Collection[str]
+) -> tuple[pd.DataFrame, Baseline]:
+    """The rows and the baseline entries of some methods.
+
+    Raises OptionError for a method that has neither.
+    """
+    available = {*table["method"], *(entry.method for entry in baseline.entries)}
+    if unknown := sorted(set(methods) - available):
+        raise OptionError(
+            f"--methods {','.join(unknown)}: neither the results nor the baseline have it; "
+            f"available: {', '.join(sorted(available)) or 'none'}"
+        )
+    entries = tuple(entry for entry in baseline.entries if entry.method in methods)
+    return table[table["method"].isin(methods)], replace(baseline, entries=entries)
+
+
+def _update(results: Path, baseline: str, methods: list[str]) -> None:
+    from rlbench.benchmark.regression.baseline import shipped_baselines
+    from rlbench.benchmark.regression.update import update_baseline
+    from rlbench.benchmark.results import read
+
+    if not baseline or baseline in shipped_baselines():
+        raise OptionError(
+            "--update writes a file and leaves shipped baselines as they are. Name it: --baseline "
+            "FILE.json"
+        )
+    entries = update_baseline(read(results), Path(baseline), methods).entries
+    typer.echo(f"{baseline}: {len(entries)} entries written")
+
+
+def _measure_speed(gates: Collection[str], device: str) -> tuple[SpeedResult, ...]:
+    from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.regression.speed_gate import measure_gates, parse_gate
+    from rlbench.cli import console
+
+    parsed = [parse_gate(gate) for gate in gates]
+    rows = {name for gate in parsed for name in (gate.row, gate.reference)}
+    with console.counting("timing", len(rows)) as advance:
+        return tuple(measure_gates(parsed, select_device(device), on_done=advance))
+
+
+def _crop_worst(
+    comparison: RegressionReport,
+    rows: pd.DataFrame,
+    seed: int,
+    clips: list[Path] | None,
+    results: Path,
+    before: Path | None,
+    summary: Path,
+) -> Crops | str:
+    """Crops of the worst change, or why there are none; empty where nothing fell."""
+    from rlbench.benchmark.regression.crops import write_crops
+
+    if not (worst := comparison.worst):
+        return ""
+    folder = summary.with_name(f"{summary.stem}-crops")
+    try:
+        sources = _stored_clips(rows, clips)
+        return write_crops(worst, rows, seed, sources, results, folder, before)
+    except Exception as error:  # whatever a method may raise: the comparison is told without crops
+        prefix = "" if isinstance(error, RlbenchError) else f"{type(error).__name__}: "
+        return f"{prefix}{error}"
+
+
+def _stored_clips(rows: pd.DataFrame, clips: list[Path] | None) -> list[StoredSource]:
+    """The clips in folders, or those of the results' preset in the cache; nothing is rendered."""
+    from rlbench.benchmark.clip_sources import StoredSource
+    from rlbench.clips.stored import find_clips
+    from rlbench.system import paths
+
+    if clips is None:
+        folders = {paths.clips_folder() / preset for preset in rows["preset"] if preset}
+    else:
+        folders = set(clips)
+    found = (find_clips(folder) for folder in sorted(folders) if folder.is_dir())
+    return [StoredSource(path) for each in found for path in each]

@@ -1,0 +1,216 @@
+"""A folder of EXR files in any layout: which files belong to which image of which frame."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rlbench.clips.importers import limits
+from rlbench.clips.importers.dump_frame import (
+    FrameFiles,
+    count_samples,
+    has_image,
+    image_size,
+    read_frame,
+)
+from rlbench.clips.importers.file_pattern import FileKey, match_pattern
+from rlbench.clips.importers.layout import Layout
+from rlbench.clips.importers.sequence import (
+    ImportedSequence,
+    SourceError,
+    clip_name,
+    select_frames,
+)
+from rlbench.clips.importers.stand_ins import add_stand_ins
+
+__all__ = ["find_dump_sequences", "match_files"]
+
+GBUFFER = ("albedo", "normal", "depth", "motion")
+Files = dict[FileKey, tuple[int, Path]]  # with the rank of the pattern that matched
+
+
+@dataclass(frozen=True)
+class _Selection:
+    """The files of the frames of one clip, and what they have in common."""
+
+    frames: Mapping[int, FrameFiles]
+    halves: int  # 1 or 2
+    absent: tuple[str, ...]  # images that the layout names and no frame has
+
+
+def find_dump_sequences(
+    source: Path, layout: Layout, frames: tuple[int, int] | None = None
+) -> list[ImportedSequence]:
+    """The sequences in a dump, each of which becomes a clip; empty if no file of radiance matches.
+
+    Raises SourceError for files that contradict the layout or each other.
+    """
+    clips = match_files(source, layout)
+    return [
+        _sequence(source, clip, numbered, layout, frames)
+        for clip, numbered in sorted(clips.items())
+        if any("radiance" in files for files in numbered.values())
+    ]
+
+
+def match_files(source: Path, layout: Layout) -> dict[str, dict[int, dict[str, Files]]]:
+    """The files that match the layout: by clip, frame and image. Raises SourceError."""
+    clips: dict[str, dict[int, dict[str, Files]]] = defaultdict(
+        lambda: defaultdict(lambda: defaultdict(dict))
+    )
+    for path in limits.list_files(source):
+        relative = path.relative_to(source)
+        for name, image in layout.images.items():
+            for rank, pattern in enumerate(image.patterns):
+                if key := match_pattern(pattern, relative):
+                    files = clips[key.clip][key.frame][name]
+                    _add(files, key._replace(clip=""), rank, path)
+                    break
+    return clips
+
+
+def _add(files: Files, key: FileKey, rank: int, path: Path) -> None:
+    """Add a file, unless one of a preferred pattern is there. Raises SourceError for two alike."""
+    best = min((other for other, _ in files.values()), default=rank)
+    if rank > best:
+        return
+    if rank < best:
+        files.clear()
+    if key in files:
+        raise SourceError(f"{path} and {files[key][1].name} are the same image of one frame")
+    files[key] = (rank, path)
+
+
+def _clean(clip: str) -> str:
+    """The words of a clip's name, joined by hyphens."""
+    return "-".join(part for word in clip.split("/") if (part := word.strip("_-. ")))
+
+
+def _sequence(
+    source: Path,
+    clip: str,
+    numbered: Mapping[int, Mapping[str, Files]],
+    layout: Layout,
+    frames: tuple[int, int] | None,
+) -> ImportedSequence:
+    name = clip_name(_clean(clip) or source.resolve().name)
+    rendered = [number for number, files in numbered.items() if "radiance" in files]
+    numbers = select_frames(f"clip '{name}'", rendered, frames)
+    found = _select(name, {number: numbered[number] for number in numbers}, layout)
+    size = image_size(found.frames[numbers[0]], "radiance", layout)
+    available = {n: _choose(numbered[n], layout) for n in rendered} if _is_onward(layout) else {}
+    sequence = ImportedSequence(
+        name=name,
+        sampler=f"{layout.renderer}, imported",
+        height=size[0],
+        width=size[1],
+        numbers=numbers,
+        counts=tuple(count_samples(found.frames[n], layout) for n in numbers),
+        reference_spp=tuple(_reference_spp(found.frames[n], layout, found.halves) for n in numbers),
+        buffers=tuple(b for b in GBUFFER if getattr(layout, b) and b not in found.absent),
+        limitations=_limitations(layout, found, numbers[0] - 1 in rendered),
+        files=tuple(path for files in found.frames.values() for path in files.paths),
+        read=partial(
+            read_frame, {**available, **found.frames}, layout, size, source, min(rendered)
+        ),
+        fps=layout.frames_per_second,
+        exposure=None if layout.exposure == "auto" else float(layout.exposure),
+        convention=repr(layout),
+        notes=tuple(_absence(layout, image) for image in found.absent),
+    )
+    return add_stand_ins(sequence, layout.missing_motion)
+
+
+def _select(name: str, numbered: Mapping[int, Mapping[str, Files]], layout: Layout) -> _Selection:
+    """The files of the frames of a clip. Raises SourceError where frames have different ones."""
+    frames = {number: _choose(files, layout) for number, files in numbered.items()}
+    absent = []
+    for image in layout.images:
+        having = [number for number, files in frames.items() if files.images.get(image)]
+        if image in ("radiance", "reference"):
+            _require(name, image, having, frames, layout, numbered)
+        elif not having or not has_image(frames[having[0]], image, layout):
+            absent.append(image)
+        elif len(having) < len(frames):
+            select_frames(f"clip '{name}', {image}", having, (min(frames), max(frames) + 1))
+    frames = {number: files.without(absent) for number, files in frames.items()}
+    halves = min(len(files.images["reference"]) for files in frames.values())
+    return _Selection(frames, 2 if halves == 2 else 1, tuple(absent))
+
+
+def _require(
+    name: str,
+    image: str,
+    having: Iterable[int],
+    frames: Mapping[int, FrameFiles],
+    layout: Layout,
+    numbered: Mapping[int, Mapping[str, Files]],
+) -> None:
+    """Raise SourceError for the first frame without 1-spp images, or without a reference."""
+    for number in sorted(set(frames) - set(having)):
+        content = sorted(p.name for files in numbered[number].values() for _, p in files.values())
+        patterns = " or ".join(layout.images[image].patterns)
+        reason = {
+            "radiance": "no image of 1 spp, and a mean of more cannot be separated into the "
+            "samples that methods draw",
+            "reference": "no reference, so nothing can be scored on it",
+        }[image]
+        raise SourceError(
+            f"clip '{name}', frame {number} has {reason}: expected {patterns}; "
+            f"it has: {', '.join(content)}"
+        )
+
+
+def _choose(files: Mapping[str, Files], layout: Layout) -> FrameFiles:
+    """The files that are read: samples in order, references of the most spp, one of each buffer."""
+    by_image = {
+        name: {key: path for key, (_, path) in found.items()} for name, found in files.items()
+    }
+    radiance = by_image.get("radiance", {})
+    if layout.radiance.samples == "accumulated":
+        keys = sorted(radiance, key=lambda key: key.spp)
+        run = [key for count, key in enumerate(keys, 1) if key.spp == count]
+    else:
+        run = sorted(key for key in radiance if key.spp <= 1)
+    images = {"radiance": [radiance[key] for key in run]}
+    for name in ("specular",):
+        images[name] = [by_image[name][key] for key in run if key in by_image.get(name, {})]
+    references = by_image.get("reference", {})
+    most = max((key.spp for key in references), default=0)
+    best = sorted(key for key in references if key.spp == most and most != 1)
+    images["reference"] = [references[key] for key in best]
+    for name in (*GBUFFER, "emission"):
+        found = by_image.get(name, {})
+        first = run[0] if run and run[0] in found else min(found, default=None)
+        images[name] = [found[first]] if first is not None and first.spp <= 1 else []
+    return FrameFiles(images, most)
+
+
+def _reference_spp(files: FrameFiles, layout: Layout, halves: int) -> int:
+    return layout.reference.spp or halves * files.reference_spp
+
+
+def _limitations(layout: Layout, found: _Selection, has_previous: bool) -> tuple[str, ...]:
+    limitations = [] if found.halves == 2 else ["halves"]
+    if "srgb" in (layout.radiance.encoding, layout.reference.encoding):
+        limitations.append("linear")
+    normal = layout.normal
+    has_space = normal and (normal.space == "world" or (normal.space == "view" and normal.camera))
+    if normal and "normal" not in found.absent and not has_space:
+        limitations.append("normal")
+    if _is_onward(layout) and "motion" not in found.absent and not has_previous:
+        limitations.append("first motion")
+    return tuple(limitations)
+
+
+def _is_onward(layout: Layout) -> bool:
+    """Whether motion points to the next frame, so that the frame before is read too."""
+    return layout.motion is not None and layout.motion.points.endswith("next")
+
+
+def _absence(layout: Layout, image: str) -> str:
+    patterns = " or ".join(layout.images[image].patterns)
+    return f"no file has the channels of [{image}] and matches {patterns}"

@@ -1,0 +1,257 @@
+"""The layout of a dump: a TOML file says which files hold which image, and in which convention."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import typing
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from rlbench.clips.importers.sequence import SourceError
+from rlbench.system.documents import decode, read_toml
+
+__all__ = ["Image", "Layout", "decode_layout", "read_layout", "ready_layouts"]
+
+Words = str | tuple[str, ...]
+Curve = Literal["linear", "srgb"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Image:
+    """Where an image is: files below the dump, a part and channels in them.
+
+    `files` is a pattern (see `rlbench.clips.importers.file_pattern`), or several, the preferred one
+    first. `channels` may contain `*`; empty: the usual names. `part` names a part of a multi-part
+    file; empty: any part. `flip` undoes a mirrored image.
+    """
+
+    files: Words
+    channels: Words = ()
+    part: str = ""
+    flip: Literal["no", "vertical", "horizontal", "both"] = "no"
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """The patterns of `files`."""
+        return _as_tuple(self.files)
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """The names in `channels`."""
+        return _as_tuple(self.channels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radiance(Image):
+    """Noisy images of 1 spp, one per sample; or means of the first 1, 2, 3, ... samples.
+
+    `demodulated` light is multiplied by albedo.
+    """
+
+    samples: Literal["separate", "accumulated"] = "separate"
+    encoding: Curve = "linear"
+    demodulated: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference(Image):
+    """The converged image. `spp` is that of both halves together; 0: from the name, or unknown."""
+
+    spp: int = 0
+    encoding: Curve = "linear"
+    demodulated: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Albedo(Image):
+    """Reflectance, times `scale`."""
+
+    encoding: Curve = "linear"
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normal(Image):
+    """Normals; `encoded` ones are (n + 1) / 2. `axes` are the stored ones along the world's x y z.
+
+    `camera` is a JSON file of camera-to-world matrices, one a frame of the dump, that rotates
+    normals in view space: its columns 0 to 2 are the view's axes.
+    """
+
+    space: Literal["world", "view", "unknown"] = "world"
+    encoded: bool = False
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    camera: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Depth(Image):
+    """Depth of one of five kinds, with the value of background.
+
+    Stored values of at least `far` (of at most it, if it is negative) and those equal to
+    `background` are background. `near` and `far_plane` belong to z-buffers, `fov` (horizontal,
+    degrees) to distances to the camera.
+    """
+
+    kind: Literal["view", "distance", "inverse", "z-buffer", "reversed z-buffer"] = "view"
+    scale: float = 1.0
+    far: float | None = None
+    background: float | None = None
+    near: float | None = None
+    far_plane: float = float("inf")
+    fov: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion(Image):
+    """Motion vectors: (stored - offset) * scale in `unit`, at the pixels of the frame they are in.
+
+    "from previous" is the negative of "to previous". "to next" points into the next frame.
+    """
+
+    unit: Literal["pixels", "ndc", "shares"] = "pixels"
+    y: Literal["down", "up"] = "down"
+    points: Literal["to previous", "from previous", "to next", "from next"] = "to previous"
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """A whole layout. `specular` and `emission` are added to radiance, and may be absent.
+
+    `missing_motion` replaces absent motion: zero, or optical flow of albedo. `exposure` is a factor
+    or "auto". `frames_per_second` may be any number above 0.
+    """
+
+    radiance: Radiance
+    reference: Reference
+    specular: Radiance | None = None
+    emission: Image | None = None
+    albedo: Albedo | None = None
+    normal: Normal | None = None
+    depth: Depth | None = None
+    motion: Motion | None = None
+    missing_motion: Literal["zero", "flow"] = "zero"
+    exposure: float | Literal["auto"] = "auto"
+    frames_per_second: float = 24.0
+    renderer: str = "unknown"
+
+    @property
+    def images(self) -> dict[str, Image]:
+        """The images that the layout names, by table."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, Image)}
+
+
+def ready_layouts() -> dict[str, Path]:
+    """The files of the ready layouts, by name.
+
+    >>> "blender" in ready_layouts()
+    True
+    """
+    folder = Path(str(resources.files("rlbench.clips.importers") / "layouts"))
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def read_layout(name_or_file: str, names: Sequence[str] = ()) -> Layout:
+    """A ready layout by its name, or one from a TOML file.
+
+    Raises SourceError; the message lists `names`, by default those of the ready layouts.
+    """
+    ready = ready_layouts()
+    path = ready.get(name_or_file, Path(name_or_file))
+    if not path.is_file():
+        names = names or list(ready)
+        raise SourceError(
+            f"no layout '{name_or_file}'{_suggest(name_or_file, names)}; there are: "
+            f"{', '.join(sorted(names))}; or name a TOML file, as rlbench lint --guess writes"
+        )
+    try:
+        document = read_toml(path)
+    except (OSError, ValueError) as error:
+        raise SourceError(str(error)) from error
+    return decode_layout(document, path.name)
+
+
+def decode_layout(document: Mapping[str, Any], file: str) -> Layout:
+    """The layout in a TOML document.
+
+    Raises SourceError, naming key, value and what is allowed.
+
+    >>> radiance, reference = {"files": "{frame}.exr"}, {"files": "ref.{frame}.exr"}
+    >>> motion = {"files": "mv.{frame}.exr", "unit": "pixel"}
+    >>> tables = {"radiance": radiance, "reference": reference, "motion": motion}
+    >>> decode_layout(tables, "engine.toml")
+    Traceback (most recent call last):
+    ...
+    rlbench.clips.importers.sequence.SourceError: engine.toml: [motion] unit is 'pixel', expected \
+'pixels', 'ndc' or 'shares'; did you mean 'pixels'?
+    """
+    _check_table(file, "", document, Layout)
+    for name, kind in _tables(Layout).items():
+        if name in document:
+            if not isinstance(document[name], Mapping):
+                raise SourceError(f"{file}: {name} is {document[name]!r}, expected a table")
+            _check_table(file, f"[{name}] ", document[name], kind)
+    try:
+        return decode(document, Layout)
+    except ValueError as error:
+        raise SourceError(f"{file}: {error}") from error
+
+
+def _check_table(file: str, label: str, table: Mapping[str, Any], kind: type) -> None:
+    """Raise SourceError for an unknown key, an absent one, or a word that is not allowed."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    for key in table:
+        if key not in fields:
+            raise SourceError(
+                f"{file}: {label}has the unknown key '{key}'{_suggest(key, fields)}; "
+                f"known keys: {', '.join(fields)}"
+            )
+    for key, field in fields.items():
+        if field.default is dataclasses.MISSING and key not in table:
+            raise SourceError(f"{file}: {label}needs the key '{key}'")
+    for key, hint in typing.get_type_hints(kind).items():
+        words = _allowed_words(hint)
+        value = table.get(key)
+        if words and key in table and not _is_allowed(value, hint, words):
+            listed = " or ".join([", ".join(map(repr, words[:-1])), repr(words[-1])][-len(words) :])
+            raise SourceError(
+                f"{file}: {label}{key} is {value!r}, expected {listed}{_suggest(value, words)}"
+            )
+
+
+def _tables(kind: type) -> dict[str, type]:
+    """The dataclasses among a dataclass' fields, by name."""
+    found = {}
+    for name, hint in typing.get_type_hints(kind).items():
+        for part in (hint, *typing.get_args(hint)):
+            if dataclasses.is_dataclass(part) and isinstance(part, type):
+                found[name] = part
+    return found
+
+
+def _allowed_words(hint: Any) -> list[str]:
+    """The words of a Literal, on its own or in a union; none for other types."""
+    if typing.get_origin(hint) is Literal:
+        return list(typing.get_args(hint))
+    return [word for part in typing.get_args(hint) for word in _allowed_words(part)]
+
+
+def _is_allowed(value: Any, hint: Any, words: list[str]) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return value in words or (float in typing.get_args(hint) and is_number)
+
+
+def _suggest(word: Any, words: Iterable[str]) -> str:
+    close = difflib.get_close_matches(str(word), list(words), n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def _as_tuple(words: Words) -> tuple[str, ...]:
+    return (words,) if isinstance(words, str) else words

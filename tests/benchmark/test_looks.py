@@ -1,0 +1,86 @@
+"""The ledger of looks: one line a run and test preset, also from parallel processes."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from rlbench.benchmark import looks, results
+from rlbench.benchmark.runner import measure
+from rlbench.system.paths import WriteError
+from tests.benchmark.test_runner import run_plan
+from tests.conftest import write_noise
+
+
+def cell(method="ours", preset="unseen"):
+    return SimpleNamespace(
+        header=SimpleNamespace(preset=preset),
+        key=SimpleNamespace(method=f"{method}@bf16"),
+        method=SimpleNamespace(name=method),
+    )
+
+
+HASHES = {"ours": "a", "mean": "b"}
+
+
+def read(folder):
+    with (folder / looks.FILE).open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_run_adds_a_line_for_each_preset(tmp_path):
+    looks.record_looks(tmp_path, [cell(), cell("mean"), cell(preset="mini")], HASHES)
+    mini, unseen = read(tmp_path)
+    assert (mini["preset"], mini["methods"], mini["cells"]) == ("mini", "ours@bf16", "1")
+    assert (unseen["preset"], unseen["methods"]) == ("unseen", "mean@bf16 ours@bf16")
+    assert mini["code_hash"] != unseen["code_hash"]
+    assert unseen["date"].endswith("Z")
+
+
+def test_other_code_has_another_hash(tmp_path):
+    looks.record_looks(tmp_path, [cell()], HASHES)
+    looks.record_looks(tmp_path, [cell()], {"ours": "changed"})
+    first, second = read(tmp_path)
+    assert first["code_hash"] != second["code_hash"]
+    assert looks.count_looks(tmp_path) == {"unseen": 2}
+
+
+def test_nothing_new_is_no_look(tmp_path):
+    looks.record_looks(tmp_path, [], HASHES)
+    assert looks.count_looks(tmp_path) == {}
+    assert not (tmp_path / looks.FILE).exists()
+
+
+@pytest.mark.parametrize(("preset", "is_test"), [("mini", True), ("train", False), ("", False)])
+def test_only_test_presets_are_counted(tmp_path, preset, is_test):
+    looks.record_looks(tmp_path, [cell(preset=preset)], HASHES)
+    assert looks.count_looks(tmp_path) == ({preset: 1} if is_test else {})
+
+
+def test_parallel_runs_lose_no_line_and_write_one_header(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from rlbench.benchmark import looks\n"
+        "for i in range(100): looks._append(Path(sys.argv[1]), [('d', 'mini', 'm', i, 'h')])"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / looks.FILE)]
+    processes = [subprocess.Popen(words) for _ in range(3)]
+    assert [process.wait() for process in processes] == [0, 0, 0]
+    assert looks.count_looks(tmp_path) == {"mini": 300}
+
+
+def test_a_run_is_a_look_once_and_a_finished_one_is_none(tmp_path):
+    clip = write_noise(tmp_path / "clip", preset="mini")
+    for _ in range(2):
+        measure(run_plan(clip), tmp_path / "r")
+    assert looks.count_looks(tmp_path / "r") == {"mini": 1}
+    assert results.read(tmp_path / "r").attrs["looks"] == {"mini": 1}
+
+
+def test_a_folder_that_takes_no_file_is_an_error_that_names_it(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteError, match=r"looks\.csv cannot be written"):
+        looks.record_looks(tmp_path / "file", [cell()], HASHES)

@@ -1,0 +1,112 @@
+"""Guessed layouts of dumps: what is guessed reads the clip from which the dump was written."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from rlbench.checks.lint.checks import lint_clip
+from rlbench.checks.lint.dump_arrays import import_arrays
+from rlbench.checks.lint.guess import format_guess, guess_layout
+from rlbench.checks.lint.recognize import recognize_layout
+from rlbench.checks.result import Verdict
+from rlbench.cli.app import app
+from rlbench.clips.importers.layout import read_layout
+from rlbench.clips.importers.sequence import SourceError
+from tests.checks.lint.broken_fixtures import correct_clip
+from tests.clips.importers.dumps import WRITERS, write_falcor, write_own, write_unreal
+
+
+@pytest.fixture(scope="module")
+def small():
+    return correct_clip(height=48, width=64, frames=3, half=32)
+
+
+@pytest.fixture(scope="module")
+def own(small, tmp_path_factory):
+    """A dump of unusual conventions, its guess and the written file."""
+    folder = tmp_path_factory.mktemp("own")
+    write_own(small, folder / "dump").unlink()
+    guess = guess_layout(folder / "dump")
+    (folder / "engine.toml").write_text(format_guess(guess))
+    return guess, folder
+
+
+def test_motion_in_another_unit_with_y_up_is_recognised_and_sure(own):
+    guess, _ = own
+    motion = guess.tables["motion"]
+    assert (motion["unit"], motion["y"], motion["points"]) == ("ndc", "up", "to previous")
+    assert "sure: (x, -y) in NDC" in guess.reasons["motion"]
+
+
+def test_accumulated_flipped_and_demodulated_light_is_recognised(own):
+    radiance = own[0].tables["radiance"]
+    assert (radiance["samples"], radiance["flip"]) == ("accumulated", "vertical")
+    assert radiance["demodulated"]
+
+
+def test_encoded_normals_in_view_space_are_recognised(own):
+    normal = own[0].tables["normal"]
+    assert (normal["encoded"], normal["space"]) == (True, "view")
+
+
+def test_the_written_file_imports_what_was_dumped(own, small):
+    _, folder = own
+    found = import_arrays(folder / "dump", read_layout(str(folder / "engine.toml")))
+    # half precision, of the albedo that was dumped
+    np.testing.assert_allclose(found.gbuffer["albedo"], small.gbuffer["albedo"], atol=1e-3)
+    # pixels; single precision
+    np.testing.assert_allclose(found.gbuffer["motion"], small.gbuffer["motion"], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_guess_for_unreal_passes_the_linter(small, tmp_path):
+    write_unreal(small, tmp_path / "dump")
+    (tmp_path / "engine.toml").write_text(format_guess(guess_layout(tmp_path / "dump")))
+    found = import_arrays(tmp_path / "dump", read_layout(str(tmp_path / "engine.toml")))
+    checks = {r.check for r in lint_clip(found) if r.verdict is Verdict.FAILED}
+    assert not checks & {"motion", "depth", "normal", "albedo", "orientation"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nrd-sample",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("falcor", "unreal", "oidn")),
+    ],
+)
+def test_the_dump_of_a_known_engine_is_recognised(small, tmp_path, name):
+    WRITERS[name](small, tmp_path / "dump")
+    assert recognize_layout(tmp_path / "dump") == name
+
+
+def test_a_known_engine_with_another_convention_is_not_recognised(small, tmp_path):
+    flipped = {**small.gbuffer, "motion": -small.gbuffer["motion"]}
+    write_falcor(
+        type(small)(small.header, flipped, small.pools, small.half_a, small.half_b), tmp_path
+    )
+    assert recognize_layout(tmp_path) is None
+
+
+def test_a_dump_without_a_reference_is_an_error_that_says_which_names_are_understood(
+    small, tmp_path
+):
+    write_falcor(small, tmp_path)
+    for half in "AB":
+        shutil.rmtree(tmp_path / f"reference{half}")
+    with pytest.raises(
+        SourceError, match="no image looks like reference; its names should contain"
+    ):
+        guess_layout(tmp_path)
+
+
+def test_the_command_does_not_overwrite_a_layout(own, tmp_path):
+    (tmp_path / "mine.toml").write_text("kept")
+    words = ["lint", "--guess", str(own[1] / "dump"), "--layout", str(tmp_path / "mine.toml")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "mine.toml exists; name another file" in result.output
+    assert (tmp_path / "mine.toml").read_text() == "kept"

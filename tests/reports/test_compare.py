@@ -1,0 +1,103 @@
+"""Two methods compared: equal to scipy on their paired scenes, and what the text says."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import SCENES, rows
+from scipy import stats
+
+from reports.analysis.comparability import ReportError
+from reports.compare import compare, comparison_text
+from rlbench.benchmark.results import to_dataframe
+
+OFFSETS = dict(zip(sorted(SCENES), (0.5, 0.9, 1.0, 1.4), strict=True))  # dB, theirs minus ours
+
+
+def shifted(offsets, method="theirs", seed=0):
+    """PSNR of `ours`, and of a method that differs by an offset in each scene."""
+    ours = [replace(r, seed=seed) for r in rows(["ours"]) if r.metric == "psnr"]
+    theirs = [replace(r, method=method, value=r.value + offsets[r.scene]) for r in ours]
+    return ours + theirs
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    return compare(to_dataframe(shifted(OFFSETS)), "theirs", "ours")
+
+
+def test_the_interval_and_p_are_those_of_scipys_test_of_related_scenes(comparison):
+    test = stats.ttest_1samp(list(OFFSETS.values()), 0.0)
+    ends = test.confidence_interval(0.95)
+    budget = comparison.budgets[1]
+    difference = budget.difference
+    assert (difference.low, difference.high) == pytest.approx((ends.low, ends.high))
+    assert difference.p_value == pytest.approx(test.pvalue)
+    assert budget.p_holm == pytest.approx(len(comparison.budgets) * test.pvalue)
+
+
+def test_the_other_order_has_the_opposite_verdict(comparison):
+    other = compare(to_dataframe(shifted(OFFSETS)), "ours", "theirs")
+    for one, two in zip(comparison.budgets, other.budgets, strict=True):
+        assert (one.verdict, two.verdict) == ("leads", "trails")
+        assert one.difference.low == pytest.approx(-two.difference.high)
+        assert one.improvement + two.improvement == 1
+        assert (one.ahead, one.behind) == (two.behind, two.ahead)
+
+
+def test_robust_aggregates_are_over_scenes(comparison):
+    budget = comparison.budgets[0]
+    assert budget.interquartile_mean == pytest.approx((0.9 + 1.0) / 2)
+    assert (budget.improvement, budget.ahead, budget.behind) == (1.0, 1.0, 0.0)
+
+
+def test_several_orders_of_samples_are_runs_of_the_same_scenes():
+    worse = {scene: -offset for scene, offset in OFFSETS.items()}
+    table = to_dataframe([*shifted(OFFSETS, seed=0), *shifted(worse, seed=1)])
+    budget = compare(table, "theirs", "ours").budgets[0]
+    assert budget.difference.mean == pytest.approx(0.0)
+    assert budget.difference.units == len(SCENES)
+    assert budget.improvement == pytest.approx(0.5)
+
+
+def test_scores_without_a_partner_are_left_out_and_counted():
+    table = [r for r in shifted(OFFSETS) if (r.method, r.clip) != ("ours", "hall-0")]
+    comparison = compare(to_dataframe(table), "theirs", "ours")
+    assert comparison.budgets[0].unpaired == 4
+    assert comparison.clips == 2 * len(SCENES) - 1
+    assert "4 scores without a partner left out" in comparison_text(comparison)
+
+
+def test_an_error_that_is_lower_leads(results):
+    budget = compare(results, "ours", "mean", metric="relmse").budgets[0]
+    assert budget.difference.mean < 0
+    assert budget.improvement == 1.0
+
+
+def test_the_text_has_a_sentence_for_each_budget_and_how_to_read_it(comparison):
+    text = comparison_text(comparison)
+    assert text.count("spp: theirs leads by 0.95 dB [0.36, 1.54]") == len(comparison.budgets)
+    assert "4 scenes, 8 clips, 1 order of samples, on NVIDIA RTX 2080 Ti" in text
+    deviation = np.std(list(OFFSETS.values()), ddof=1)
+    assert f"resolvable from {2.128 * deviation:.2f} dB" in text
+
+
+def test_json_holds_the_answer(comparison):
+    loaded = json.loads(msgspec.json.encode(comparison))
+    assert loaded["budgets"][0]["verdict"] == "leads"
+    assert len(loaded["scenes"]) == len(SCENES)
+
+
+@pytest.mark.parametrize("second", ["ours", "thiers"])
+def test_a_row_that_is_missing_or_the_same_is_refused(second):
+    with pytest.raises(ReportError, match="the results have ours; name two different rows"):
+        compare(to_dataframe(shifted(OFFSETS)), "ours", second)
+
+
+def test_a_metric_without_values_is_refused_with_those_that_there_are(results):
+    with pytest.raises(ReportError, match="'flip' was requested.*metrics that do: psnr, relmse"):
+        compare(results, "ours", "mean", metric="flip")

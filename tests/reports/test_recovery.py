@@ -1,0 +1,134 @@
+"""Frames to recover after an event, from curves whose recovery is known."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import product
+
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+
+from reports import recovery
+from reports.analysis.aggregate import Scores, metrics_with_values
+from reports.analysis.recovery import find_events, find_spans, measure_recoveries, measure_span
+from reports.layout.event_panels import MAX_PANELS, draw_event_panels
+from rlbench.benchmark.results import EVENT_PREFIX, MissingRowsError, Row, to_dataframe
+
+FRAMES, CUT, LIGHT = 20, 10, 15
+LEVEL = {"memory": 30.0, "steady": 25.0}
+
+
+def psnr(method, frame):
+    """`memory` falls by 8 dB at each event and halves its loss in each frame; `steady` does not."""
+    if method == "steady":
+        return LEVEL[method]
+    since = frame - max(start for start in (0, CUT, LIGHT) if start <= frame)
+    return LEVEL[method] - 8.0 * 0.5**since
+
+
+def table(events=((CUT, "cut"), (LIGHT, "light")), clips=("hall-cut", "city-cut"), spp=(1.0, 4.0)):
+    rows = []
+    for method, clip, budget in product(LEVEL, clips, spp):
+        scene = clip.partition("-")[0]
+        row = partial(Row, "r1", method, clip, scene, budget, budget, convention="peak 1")
+        rows += [row(frame, "psnr", psnr(method, frame), "dB", "higher") for frame in range(FRAMES)]
+        rows += [row(frame, f"{EVENT_PREFIX}{name}", 1.0) for frame, name in events]
+    return to_dataframe(rows)
+
+
+def test_events_come_from_the_rows_once_a_clip():
+    events = find_events(table())
+    assert events["frame"].tolist() == [CUT, LIGHT] * 2
+    assert events["event"].tolist() == ["cut", "light"] * 2
+
+
+def test_a_cut_and_a_light_change_in_one_frame_are_one_event():
+    events = find_events(table(events=((4, "cut"), (4, "light"))))
+    assert set(events["event"]) == {"cut and light"}
+    assert events["frame"].tolist() == [4, 4]
+
+
+def test_a_span_ends_at_the_next_event_or_with_the_clip():
+    assert find_spans(Scores(table()))["length"].tolist() == [LIGHT - CUT, FRAMES - LIGHT] * 2
+
+
+@pytest.mark.parametrize(
+    ("psnr", "frames", "loss", "is_bound"),
+    [
+        ([25.0] * 8, 0, 0.0, False),
+        ([20.0, 24.4, 24.6, 25.0, 25.0, 25.0, 25.0, 25.0], 2, 5.0, False),
+        ([24.51, 25.0, 25.0, 25.0], 0, 0.49, False),
+        ([20.0, 21.0, 22.0, 23.0, 24.0, 25.0], 4, 4.5, True),  # still rising
+        ([20.0, 20.0, 25.0, 25.0], 2, 5.0, True),  # reached where the level is taken
+        ([27.0, 25.0, 25.0, 25.0], 0, -2.0, False),
+    ],
+)
+def test_a_span_has_recovered_in_the_first_frame_within_half_a_decibel(
+    psnr, frames, loss, is_bound
+):
+    found = measure_span(psnr)
+    assert (found.frames, found.is_bound) == (frames, is_bound)
+    assert found.loss == pytest.approx(loss)
+
+
+def test_a_level_is_the_mean_of_the_last_quarter():
+    assert measure_span([0.0] * 12 + [10.0, 20.0, 30.0, 40.0]).level == 25.0
+
+
+def test_a_method_without_memory_recovers_at_once_and_one_with_memory_later():
+    found = measure_recoveries(Scores(table())).set_index(["method", "event"])
+    assert set(found.loc["steady", "frames"]) == {0}
+    # spans of 5: losses 8, 4, 2, 1, 0.5 dB; the level is 0.75 dB short, so 1 dB is within 0.5 of it
+    assert set(found.loc["memory", "frames"]) == {3}
+    assert found.loc["memory", "loss"].tolist() == pytest.approx([7.25] * 8)
+    assert found.loc["memory", "is_bound"].all()
+    assert len(found) == 2 * 2 * 2 * 2  # methods, clips, budgets, events
+
+
+def test_the_page_and_its_figure_are_written_and_name_events_that_are_left_out(tmp_path):
+    rows = table(events=((7, "light"), (CUT, "cut")), clips=("hall-cut",))
+    files = recovery.write(rows, tmp_path, draws=100)
+    suffixes = ("md", "csv", "tex", "png", "pdf", "svg")
+    assert [f.name for f in files] == [f"recovery.{suffix}" for suffix in suffixes]
+    page = files[0].read_text()
+    assert "### Frames to recover, a cut" in page
+    assert "| steady | 0.0 | 0.0 |" in page  # one clip has no interval
+    assert "hall-cut: light at frame 7, as the next event or the end is 3 frames later" in page
+    assert len(pd.read_csv(files[1])) == 4
+    assert 0.01 < (imread(files[3])[..., :3].min(2) < 0.9).mean() < 0.7
+
+
+def test_means_have_an_interval_over_scenes_and_say_where_they_are_a_bound():
+    summary = recovery.summarize(measure_recoveries(Scores(table())), seed=0, draws=100)
+    memory = summary.set_index(["method", "column"]).loc[("memory", "frames")]
+    assert memory[["mean", "low", "high"]].drop_duplicates().to_numpy().tolist() == [[3, 3, 3]]
+    assert (memory["bounds"] == memory["events"]).all()
+
+
+def test_every_panel_has_the_curves_of_its_clip_and_marks_its_events():
+    rows = table()
+    curves = Scores(rows).per_frame.query("target_spp == 1.0")
+    figure = draw_event_panels(curves, find_spans(Scores(rows)), "caption")
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["city-cut", "hall-cut"]
+    for axes in figure.axes:
+        memory, steady, *marks = axes.lines
+        assert memory.get_ydata().tolist() == [psnr("memory", f) for f in range(FRAMES)]
+        assert steady.get_ydata().tolist() == [LEVEL["steady"]] * FRAMES
+        assert [line.get_xdata()[0] for line in marks] == [CUT - 0.5, LIGHT - 0.5]
+
+
+def test_only_as_many_clips_as_there_are_panels_are_drawn():
+    clips = tuple(f"scene{i}-cut" for i in range(MAX_PANELS + 1))
+    scores = Scores(table(clips=clips, spp=(1.0,)))
+    figure = draw_event_panels(scores.per_frame, find_spans(scores), "caption")
+    assert len(figure.axes) == MAX_PANELS
+
+
+def test_results_without_an_event_have_no_report(tmp_path):
+    with pytest.raises(MissingRowsError, match="no clip has a cut or a light change"):
+        recovery.write(table(events=()), tmp_path)
+
+
+def test_events_are_no_metric_of_other_reports():
+    assert metrics_with_values(table()) == ["psnr"]

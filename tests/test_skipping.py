@@ -1,0 +1,160 @@
+"""Work that is not done, counted: warps, decodes, calls. The page of docs/ lists every rule."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from baselines.accumulate import method as accumulate
+from baselines.mean import Mean
+from baselines.svgf import history as svgf
+from rlbench import registry
+from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.runner import RunSummary, measure
+from rlbench.clips import decode_cache
+from rlbench.clips.procedural.clip import procedural_clip
+from rlbench.frames import Size
+from rlbench.run import run_clip
+from tests.conftest import write_noise
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "concepts" / "skipping.md").read_text()
+RULES = [line for line in PAGE.splitlines() if line.startswith("| ") and "tests/" in line]
+WARPING = [
+    name
+    for family in registry.list_plugins("methods")
+    if not registry.import_error("methods", family)
+    for name in registry.load_family(family).method_names()
+    if registry.get_variant(name).traits.temporal
+    and registry.get_variant(name).pretrained
+    and name != "eaw/still"  # its history does not move
+]
+
+
+def count_calls(monkeypatch: pytest.MonkeyPatch, *functions: tuple[Any, str]) -> list[str]:
+    """The names of these functions, one for each call from now on."""
+    calls: list[str] = []
+
+    def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda *args, **options: (calls.append(name), function(*args, **options))[1]
+
+    for owner, name in functions:
+        monkeypatch.setattr(owner, name, counted(name, getattr(owner, name)))
+    return calls
+
+
+def run_plan(folder: Path, *methods: str, **options: Any) -> RunPlan:
+    return RunPlan(methods, (StoredSource(folder),), **{"repeats": 1, **options})
+
+
+@pytest.mark.parametrize("name", WARPING)
+def test_no_method_warps_a_static_clip(name, monkeypatch):
+    weights = "random" if registry.get_variant(name).learned else None
+    method, warps = registry.load_method(name, torch.device("cpu"), weights), {}
+    calls = count_calls(monkeypatch, (F, "grid_sample"), (svgf, "_sum_matching_taps"))
+    for static in (True, False):
+        clip = procedural_clip(3, Size(1, 24, 32), frames=2, static=static)
+        calls.clear()
+        list(run_clip(method, clip, spp=1.0))
+        warps[static] = len(calls)
+    assert warps[True] == 0
+    assert warps[False] > 0
+
+
+def test_planning_and_denoising_share_one_reprojection(monkeypatch):
+    method = registry.load_method("accumulate/contrast", torch.device("cpu"), "random")
+    calls = count_calls(monkeypatch, (accumulate, "reproject_memory"))
+    list(run_clip(method, procedural_clip(3, Size(1, 24, 32), frames=3), spp=1.0))
+    assert len(calls) == 3
+
+
+@pytest.fixture
+def decoded(monkeypatch) -> Counter[tuple[str, str]]:
+    """How often each channel of each file is decoded."""
+    counts: Counter[tuple[str, str]] = Counter()
+    read = decode_cache.read_exr
+
+    def read_counted(path, names, *size):
+        counts.update((path.name, name) for name in names)
+        return read(path, names, *size)
+
+    monkeypatch.setattr(decode_cache, "read_exr", read_counted)
+    return counts
+
+
+def decoded_images(decoded: Counter[tuple[str, str]], kind: str) -> set[str]:
+    """The names of the decoded images of one kind of file, of any frame."""
+    names = {name for file, name in decoded if file.startswith(kind)}
+    return {name.split(".")[0] for name in names}
+
+
+def test_all_methods_of_a_run_share_each_decoded_image(clip_folder, tmp_path, decoded):
+    plan = run_plan(clip_folder, "mean", "eaw", "svgf", target_spp=(1.0, 2.0), seeds=(0, 1))
+    assert measure(plan, tmp_path / "r").measured == 12
+    assert set(decoded.values()) == {1}
+
+
+def test_a_run_decodes_no_buffer_that_no_method_declares(clip_folder, tmp_path, decoded):
+    measure(run_plan(clip_folder, "mean", target_spp=(1.0,)), tmp_path / "r")
+    assert decoded_images(decoded, "view") == set()
+    measure(run_plan(clip_folder, "eaw", target_spp=(1.0,)), tmp_path / "r")
+    assert decoded_images(decoded, "view") == {"albedo", "normal", "depth"}
+
+
+@pytest.mark.parametrize(("budgets", "slots"), [((0.25, 1.0), 1), ((1.0, 2.5), 3)])
+def test_a_run_decodes_no_sample_above_its_largest_budget(
+    clip_folder, tmp_path, decoded, budgets, slots
+):
+    measure(run_plan(clip_folder, "mean", target_spp=budgets), tmp_path / "r")
+    samples = [(file, name) for file, name in decoded if file.startswith("pool")]
+    frames = 3
+    assert len(samples) == slots * frames * 3  # red, green and blue
+
+
+def test_a_pool_of_another_kind_is_not_decoded(tmp_path, decoded):
+    folder = write_noise(tmp_path / "noise")
+    measure(run_plan(folder, "mean", "restir", target_spp=(1.0,)), tmp_path / "r")
+    assert {file.split(".")[1] for file, _ in decoded if file.startswith("pool")} == {"path"}
+
+
+def test_a_finished_cell_runs_no_frame_and_decodes_nothing(
+    clip_folder, tmp_path, decoded, monkeypatch
+):
+    plan = run_plan(clip_folder, "mean", target_spp=(1.0,))
+    calls = count_calls(monkeypatch, (Mean, "denoise"))
+    measure(plan, tmp_path / "r")
+    assert calls
+    assert decoded
+    calls.clear()
+    decoded.clear()
+    assert measure(plan, tmp_path / "r") == RunSummary(cached=1)
+    assert (calls, decoded) == ([], Counter())
+    measure(replace(plan, target_spp=(1.0, 2.0)), tmp_path / "r")
+    assert calls  # of the new cell
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.split("|")[1].strip()[:40])
+def test_every_rule_of_the_page_names_code_and_a_test_that_exist(rule):
+    _, _, code, counted, tests, _ = rule.split("|")
+    assert counted.strip()
+    for path in re.findall(r"`([\w/]+\.py)`", code):
+        assert (ROOT / path).is_file(), path
+    named = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", tests)
+    assert named
+    for file, name in named:
+        assert f"def {name}(" in (ROOT / file).read_text(), name
+
+
+def test_the_page_lists_every_rule_that_is_tested_here():
+    tests = set(re.findall(r"^def (test_\w+)", Path(__file__).read_text(), re.M))
+    unlisted = {name for name in tests if "page" not in name and f"::{name}`" not in PAGE}
+    assert unlisted == set()
