@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import pandas as pd
 
@@ -40,10 +39,10 @@ def mean_over_scenes(per_scene: pd.DataFrame) -> pd.DataFrame:
     groups = per_scene.groupby(["method", "target_spp"])
     numbers = per_scene.select_dtypes("number").columns.drop("target_spp")
     flags = per_scene.select_dtypes("bool").columns
-    ways: dict[str, Any] = dict.fromkeys(numbers, _mean_without_skipping_nan)
-    means = groups.agg({**ways, **dict.fromkeys(flags, "any")}).reset_index()
-    is_complete = groups["scene"].nunique().to_numpy() == scenes
-    return pd.DataFrame(means[is_complete].reset_index(drop=True))
+    means = groups[list(numbers)].sum(min_count=scenes) / scenes  # nan where a scene has none
+    means = means.join(groups[list(flags)].any())
+    is_complete = groups["scene"].nunique() == scenes
+    return pd.DataFrame(means[is_complete].reset_index())
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +197,3 @@ class Scores:
         samples = self.rows[self.rows["metric"] == "sample_ms"]
         clips: pd.Series[float] = samples.groupby(["method", "scene", "clip"])["value"].mean()
         return clips.groupby(["method", "scene"]).mean().rename("sample_ms").reset_index()
-
-
-def _mean_without_skipping_nan(part: pd.Series[float]) -> float:
-    return float(part.mean(skipna=False))

@@ -98,13 +98,14 @@ def curves_of(scores: Scores) -> list[Curve]:
     budgets = mean_over_scenes(points).dropna(subset=["fixed_ms", "samples"])
     unit = "scene" if scores.scene_means["scene"].nunique() > 1 else "clip"
     means = scores.scene_means if unit == "scene" else scores.clip_means
+    units = means.pivot(index=["method", "target_spp"], columns=unit, values="value")
+    sign = -1 if scores.direction == "lower" else 1
     curves = []
     for method, rows in budgets.sort_values("target_spp").groupby("method"):
-        own = means[means["method"] == method]
-        table = own.pivot_table("value", "target_spp", unit).loc[rows["target_spp"]]
+        table = units.loc[[(method, spp) for spp in rows["target_spp"]]].to_numpy(float)
         fixed, samples, late = (rows[name].to_numpy(float) for name in COLUMNS)
-        spp, sign = rows["target_spp"].to_numpy(float), -1 if scores.direction == "lower" else 1
-        curves.append(Curve(str(method), spp, table.to_numpy(float), fixed, samples, late, sign))
+        spp = rows["target_spp"].to_numpy(float)
+        curves.append(Curve(str(method), spp, table, fixed, samples, late, sign))
     return curves
 
 

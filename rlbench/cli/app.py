@@ -25,6 +25,7 @@ from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
 from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
+from rlbench.cli.view import view
 
 __all__ = ["app"]
 
@@ -98,6 +99,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "decide": decide,
     "compare": compare,
     "images": images,
+    "view": view,
     "regress": regress,
 }
 for name, command in COMMANDS.items():

@@ -37,7 +37,10 @@ __all__ = [
     "resolve",
 ]
 
-GROUPS = ("methods", "metrics", "reports", "pools", "scenes", "stress", "decisions", "comparisons")
+GROUPS = (
+    "methods", "metrics", "reports", "pages", "pools", "scenes", "stress", "decisions",
+    "comparisons",
+)  # fmt: skip
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 

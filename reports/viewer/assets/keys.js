@@ -1,0 +1,79 @@
+// Keys of the page.
+
+import { h } from "viewer/dom.js";
+import { set, state } from "viewer/state.js";
+import { clip, methods } from "viewer/workspace.js";
+import * as flip from "viewer/flip_view.js";
+
+export const VIEWS = [["decide", "Decide"], ["flip", "Flip"], ["layers", "Layers"], ["time", "Time"], ["table", "Table"]];
+export const IMAGE_VIEWS = ["flip", "layers", "time"];
+
+const HELP = [
+  ["d f l t b", "views Decide, Flip, Layers, Time, taBle"],
+  ["1 to 9", "method A; with shift, method B"],
+  ["R", "reference and back"],
+  ["space", "blink between A and B"],
+  ["G", "all methods"],
+  ["S", "split A and B; [ and ] move it, and so does a drag"],
+  ["E, shift E", "exposure up, down"],
+  ["C", "next tone curve"],
+  [", and .", "frame before, after"],
+  ["P", "play and stop"],
+  ["+ - 0", "zoom in, out, fit; so does the wheel"],
+  ["arrows", "pixel whose values are listed; with shift, move the image, and so does a drag with shift"],
+];
+
+export function fillHelp(dialog) {
+  dialog.replaceChildren(h("h2", {}, "Keys"), h("dl", {}, HELP.map(([key, text]) => [h("dt", {}, h("kbd", {}, key)), h("dd", {}, text)])),
+    h("form", { method: "dialog" }, h("button", {}, "Close")));
+}
+
+/** Act on keys; those that a control of the page uses itself are left to it. */
+export function listen(workspace, dialog) {
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || dialog.open) return;
+    const { target } = event;
+    if (target.matches("input[type=search], textarea, select")) return;
+    if (target.matches("input[type=range]") && /^(Arrow|Home|End|Page)/.test(event.key)) return;
+    if (target.matches("button") && (event.key === " " || event.key === "Enter")) return;
+    if (act(event, workspace, dialog)) event.preventDefault();
+  });
+}
+
+function act(event, workspace, dialog) {
+  const { key, code, shiftKey } = event;
+  if (key === "?") return dialog.showModal() ?? true;
+  const name = VIEWS.find(([, title]) => title[title === "Table" ? 2 : 0].toLowerCase() === key);
+  if (name) return set({ view: name[0] }) ?? true;
+  if (!IMAGE_VIEWS.includes(state.view) || !clip()) return false;
+  const digit = /^Digit([1-9])$/.exec(code)?.[1] ?? (/^[1-9]$/.test(key) ? key : null);
+  if (digit) return (shiftKey ? flip.compareWith : flip.showMethod)(methods()[digit - 1]) ?? true;
+  const action = actions(shiftKey, workspace)[key.length === 1 ? key.toLowerCase() : key];
+  if (!action) return false;
+  action();
+  return true;
+}
+
+function actions(shift, { stage, play, timer, ...workspace }) {
+  const step = (by) => () => set({ frame: (state.frame + by + clip().frames) % clip().frames });
+  const move = (dx, dy) => () => (shift ? stage.panBy(8 * dx, 8 * dy) : movePixel(dx, dy));
+  const split = (by) => () => set({ split: Math.min(Math.max((state.split < 0 ? 0.5 : state.split) + by, 0), 1) });
+  const curves = ["srgb", "reinhard", "hable"];
+  return {
+    r: flip.toggleReference, " ": flip.blink, g: flip.toggleAll, s: flip.toggleSplit,
+    "[": split(-0.05), "]": split(0.05),
+    e: () => set({ ev: Math.min(Math.max(state.ev + (shift ? -0.5 : 0.5), -8), 8) }),
+    c: () => set({ curve: curves[(curves.indexOf(state.curve) + 1) % curves.length] }),
+    ",": step(-1), ".": step(1), "<": step(-1), ">": step(1),
+    p: () => document.getElementById("play").click(),
+    "+": () => stage.zoomBy(1.5), "=": () => stage.zoomBy(1.5), "-": () => stage.zoomBy(1 / 1.5),
+    0: () => set({ zoom: 0, x: -1, y: -1 }),
+    ArrowLeft: move(-1, 0), ArrowRight: move(1, 0), ArrowUp: move(0, -1), ArrowDown: move(0, 1),
+  };
+}
+
+function movePixel(dx, dy) {
+  const { width, height } = clip();
+  const from = state.px < 0 ? [width >> 1, height >> 1] : [state.px + dx, state.py + dy];
+  set({ px: Math.min(Math.max(from[0], 0), width - 1), py: Math.min(Math.max(from[1], 0), height - 1) });
+}

@@ -1,0 +1,162 @@
+"""Writes the page: data, pictures, style and modules in one file of HTML."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+
+from reports.analysis.comparability import check_comparable, split_by_device
+from reports.analysis.verdicts import TIE_DB
+from reports.layout.page import describe_clips
+from reports.layout.tables import UNRELIABLE_MARK
+from reports.viewer.decision_data import decision_data, student_factors
+from reports.viewer.pictures import MAX_METHODS, ShownClip, pack_clips
+from reports.viewer.table_data import frame_scores, provenance, table_data
+
+__all__ = ["write"]
+
+ASSETS = files("reports.viewer") / "assets"
+# perceptually uniform and safe for colour-blind readers: Smith and van der Walt 2015 (matplotlib);
+# vik: Crameri 2018; blue below zero, red above, as in RdBu of Harrower and Brewer 2003
+COLOUR_MAPS = {"error": "magma", "counts": "viridis", "depth": "cividis", "signed": "RdBu_r"}
+FEW_BYTES = 2000  # for what is not counted
+
+
+def write(
+    results: pd.DataFrame,
+    file: Path,
+    clips: Sequence[ShownClip] = (),
+    traits: Mapping[str, Mapping[str, Any]] | None = None,
+    remarks: Sequence[str] = (),
+    max_bytes: int = 20_000_000,
+) -> list[str]:
+    """Write the page `file`, at most `max_bytes` long, and return remarks on what it leaves out.
+
+    `traits` describes methods, for filters, and `remarks` says why there are no images. Equal
+    arguments give equal bytes. Raises ReportError if rows cannot be compared, and PicturesError if
+    the images do not fit.
+    """
+    devices = split_by_device(results)
+    for rows in devices.values():
+        check_comparable(rows)
+    shown, left_out = _select_methods(clips, results)
+    data = {
+        "title": describe_clips(results),
+        "devices": [
+            {"name": name, "decide": decision_data(rows, name), "table": table_data(rows, name)}
+            for name, rows in devices.items()
+        ],
+        "student": student_factors(max(results["scene"].nunique(), results["clip"].nunique())),
+        "tie_db": TIE_DB,
+        "unreliable_mark": UNRELIABLE_MARK,
+        "frames": frame_scores(results, [clip.name for clip in shown]),
+        "provenance": provenance(results),
+        "traits": traits or {},
+        "remarks": [*remarks, *left_out],
+        "maps": {name: _colours(name) for name in COLOUR_MAPS.values()},
+        "map_of": COLOUR_MAPS,
+    }
+    frame = _render(data, [], math.nan)
+    texts, error = pack_clips(shown, max_bytes - len(frame.encode()) - FEW_BYTES)
+    _write_whole(file, _render(data, texts, error))
+    return left_out
+
+
+def _select_methods(
+    clips: Sequence[ShownClip], results: pd.DataFrame
+) -> tuple[list[ShownClip], list[str]]:
+    """The clips with their best MAX_METHODS methods at each budget, and who is left out."""
+    from dataclasses import replace
+
+    scores = results[(results["metric"] == "psnr") & results["value"].notna()]
+    means = scores.groupby(["target_spp", "method"])["value"].mean()
+    kept, left_out = [], set()
+    for clip in clips:
+        images = []
+        for spp in sorted({each.target_spp for each in clip.images}):
+            at_budget = [each for each in clip.images if each.target_spp == spp]
+            at_budget.sort(
+                key=lambda each: (-means.get((spp, each.method), -math.inf), each.method)
+            )
+            images += at_budget[:MAX_METHODS]
+            left_out |= {each.method for each in at_budget[MAX_METHODS:]}
+        kept.append(replace(clip, images=tuple(images)))  # type: ignore[type-var]
+    if not left_out:
+        return kept, []
+    return kept, [
+        f"images of {', '.join(sorted(left_out))} are not in the page, which shows the best "
+        f"{MAX_METHODS} of each budget; choose others with --methods"
+    ]
+
+
+def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
+    import jinja2
+
+    sources = {path.name: path.read_text(encoding="utf-8") for path in ASSETS.iterdir()}
+    modules = {
+        f"viewer/{name}": _data_url(f"{text}\n//# sourceURL=viewer/{name}\n")
+        for name, text in sorted(sources.items())
+        if name.endswith(".js")
+    }
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
+        sources["page.html"]
+    )
+    return template.render(
+        title=data["title"],
+        style=sources["style.css"],
+        imports=_json({"imports": modules}),
+        data=_json({**data, "relative_error": error}),
+        clips=[text.replace("</", "<\\/") for text in clips],
+    )
+
+
+def _data_url(module: str) -> str:
+    return "data:text/javascript;base64," + base64.b64encode(module.encode()).decode()
+
+
+def _json(document: Any) -> str:
+    """JSON that may stand in a script element; numbers that are not finite are null."""
+    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).replace(
+        "</", "<\\/"
+    )
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _colours(name: str) -> str:
+    """256 colours of a map, RGB, as base64."""
+    colours = mpl.colormaps[name](np.arange(256) / 255.0)[:, :3]
+    return base64.b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode()
+
+
+def _write_whole(file: Path, text: str) -> None:
+    """Write a file that appears whole or not at all."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, file)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,109 @@
+"""The images of a page, rounded as finely as its size allows."""
+
+from __future__ import annotations
+
+import json
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.viewer.tiles import LinearScale, LogScale, encode
+from rlbench.benchmark.results import TableError
+
+__all__ = ["MAX_METHODS", "PicturesError", "ShownClip", "ShownImages", "pack_clips"]
+
+MAX_METHODS = 9  # at each clip and budget: one for each of the keys 1 to 9
+STEPS = (256, 128, 96, 64, 48, 32, 24, 20, 16, 14, 12, 10, 8)  # of radiance in an octave
+MARGIN = 0.01  # by which the size is overestimated from the middle frames
+SCALES: dict[str, LinearScale | LogScale] = {
+    "albedo": LinearScale(1 / 64),
+    "normal": LinearScale(1 / 32),
+    "depth": LogScale(64),
+    "motion": LinearScale(1 / 16),  # pixels
+}
+COUNTS = LinearScale(1.0)
+Floats = NDArray[np.floating[Any]]
+
+
+class PicturesError(TableError):
+    """Images that do not fit a page."""
+
+
+class ShownImages(Protocol):
+    """The output of one method on a clip."""
+
+    method: str
+    target_spp: float
+    frames: Floats  # [t 3 h w], linear radiance
+    counts: Floats  # [t h w], samples of each pixel
+
+
+class ShownClip(Protocol):
+    """A clip with the images of all methods on it."""
+
+    name: str
+    scene: str
+    fps: float
+    cuts: Sequence[int]
+    reference: Floats  # [t 3 h w], linear radiance
+    buffers: Mapping[str, Floats]  # [t c h w]
+    images: Sequence[ShownImages]
+
+
+def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], float]:
+    """Each clip as JSON text, with the finest rounding that fits, and its relative error.
+
+    Raises PicturesError if even the coarsest rounding does not fit.
+    """
+
+    def fits_roughly(steps: int) -> bool:
+        size = sum(
+            len(clip.reference) * len(_pack_clip(clip, LogScale(steps), True)) for clip in clips
+        )
+        return size * (1 + MARGIN) <= max_bytes
+
+    first = min(bisect_left(STEPS, True, key=fits_roughly), len(STEPS) - 1)
+    size = 0
+    for steps in STEPS[first:]:
+        scale = LogScale(steps)
+        texts = [_pack_clip(clip, scale) for clip in clips]
+        size = sum(map(len, texts))
+        if size <= max_bytes:
+            return texts, scale.relative_error
+    raise PicturesError(
+        f"the images need {size / 1e6:.0f} MB, and {max_bytes / 1e6:.0f} MB are left for them. "
+        "Show fewer with --methods, --scenes or --spp, or allow a larger page with --max-mb"
+    )
+
+
+def _pack_clip(clip: ShownClip, scale: LogScale, middle_only: bool = False) -> str:
+    """A clip as JSON text; `middle_only`: with its middle frame alone, to estimate its size."""
+    length, _, height, width = clip.reference.shape
+    part = slice(length // 2, length // 2 + 1) if middle_only else slice(None)
+    document = {
+        "name": clip.name,
+        "scene": clip.scene,
+        "fps": clip.fps,
+        "cuts": list(clip.cuts),
+        "frames": length,
+        "width": width,
+        "height": height,
+        "reference": [encode(image, scale) for image in clip.reference[part]],
+        "buffers": {
+            name: [encode(image, SCALES[name]) for image in images[part]]
+            for name, images in clip.buffers.items()
+        },
+        "images": [
+            {
+                "method": each.method,
+                "spp": each.target_spp,
+                "frames": [encode(image, scale) for image in each.frames[part]],
+                "counts": [encode(counts[None], COUNTS) for counts in each.counts[part]],
+            }
+            for each in clip.images
+        ],
+    }
+    return json.dumps(document, separators=(",", ":"))

@@ -1,0 +1,174 @@
+"""The command view: one page to look at the results."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rlbench.cli import arguments, options
+from rlbench.cli.arguments import Budgets
+from rlbench.cli.plugins import load_plugins
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rlbench.benchmark.shown_clips import ShownClip
+
+__all__ = ["describe_traits", "nearest_to_one", "read_images", "view"]
+
+NAME = "viewer"  # of the page, among the entry points
+
+
+def view(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="folder of rlbench run", file_okay=False)
+    ] = Path("results"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False,
+            metavar="FILE",
+            help="page to write; default: RESULTS/report.html",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    max_mb: Annotated[
+        float,
+        typer.Option(
+            parser=arguments.parse_positive,
+            metavar="MB",
+            help="largest size of the page; images are rounded until they fit",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = 20.0,
+    open_page: Annotated[
+        bool,
+        typer.Option("--open", help="open the page in a browser", rich_help_panel=options.OUTPUT),
+    ] = False,
+    methods: options.RowMethods = None,
+    plugin: options.Plugins = None,
+    scenes: options.Scenes = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PRESET",
+            help="preset of the clips; default: as in the results",
+            rich_help_panel=options.CLIPS,
+        ),
+    ] = None,
+    clips: options.Clips = None,
+    spp: Annotated[
+        Budgets | None,
+        typer.Option(
+            parser=arguments.parse_budgets,
+            metavar="SPP",
+            help="budgets whose images are shown; default: the one nearest to 1 spp",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = None,
+) -> None:
+    """Write one page to look at the results; it needs no network.
+
+    Decide, compare images in place, their layers, their course in time, and a table. Images are
+    those of `rlbench run --keep-images`; without them the page has decision and table.
+
+    Examples:
+
+    \b
+      rlbench view results --open
+      rlbench view results -m ours,ntas,oidn --scenes city,hall --out city.html
+      rlbench view mine --clips my_renders/ --spp 0.5,1 --max-mb 60
+    """
+    load_plugins(plugin)
+    from rlbench import registry
+    from rlbench.benchmark.results import read
+    from rlbench.cli.decide import select_scenes
+    from rlbench.cli.reports import select_rows
+
+    rows = read(results)
+    if names := arguments.split_names(methods):
+        rows = select_rows(rows, names, results)
+    if names := arguments.split_names(scenes):
+        rows = select_scenes(rows, names, results)
+    shown, remarks = read_images(results, rows, clips, preset, spp)
+    page = registry.load_or_explain("pages", NAME)
+    traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
+    target = out or results / "report.html"
+    remarks += page.write(rows, target, shown, traits, remarks, int(max_mb * 1e6))
+    typer.echo(target)
+    for remark in remarks:
+        typer.echo(remark, err=True)
+    if open_page:
+        webbrowser.open(target.resolve().as_uri())
+
+
+def describe_traits(row_name: str) -> dict[str, Any]:
+    """What a method of the results needs, for filters; empty for one that is not installed."""
+    from rlbench import registry
+    from rlbench.benchmark.results import RowName
+
+    method = RowName.parse(row_name).method
+    try:
+        family, variant = registry.load_family(method), registry.get_variant(method)
+    except registry.PluginError:
+        return {}
+    traits = variant.traits
+    return {
+        "question": variant.question,
+        "paper": family.paper,
+        "learned": variant.learned,
+        "adaptive": traits.adaptive,
+        "temporal": traits.temporal,
+        "pool": traits.pool,
+        "inputs": sorted(traits.inputs),
+    }
+
+
+def read_images(
+    results: Path,
+    rows: pd.DataFrame,
+    clips: list[Path] | None = None,
+    preset: str | None = None,
+    spp: Budgets | None = None,
+) -> tuple[list[ShownClip], list[str]]:
+    """The clips of `rows` with their kept images, and a sentence if there are none to show."""
+    from rlbench.benchmark.api import select_clips
+    from rlbench.benchmark.cell_images import list_images
+    from rlbench.benchmark.shown_clips import read_shown_clips
+
+    methods = set(rows["method"])
+    kept = [each for each in list_images(results) if each.cell.key.method in methods]
+    kept = [each for each in kept if each.cell.key.clip in set(rows["clip"])]
+    if not kept:
+        hint = "run the same command of `rlbench run` with --keep-images for the rest"
+        return [], [f"{results} keeps no images, so the page has decision and table alone; {hint}"]
+    presets = {preset} if preset else {each.cell.key.preset for each in kept} - {""}
+    if not presets and not clips:
+        reason = "the images show clips of no preset; name their folder with --clips"
+        return [], [f"the page has decision and table alone: {reason}"]
+    names = sorted({each.cell.key.clip for each in kept})
+    pools = {each.pool for each in kept}
+    sources = (
+        select_clips(clips)
+        if clips
+        else [
+            s
+            for each in sorted(presets)
+            for s in select_clips(None, names, each, None, "stored", pools)
+        ]
+    )
+    budgets = spp or (nearest_to_one({each.cell.key.target_spp for each in kept}),)
+    return read_shown_clips(results, sources, methods, budgets), []
+
+
+def nearest_to_one(budgets: Collection[float]) -> float:
+    """The budget nearest to 1 spp in ratio.
+
+    >>> nearest_to_one({0.5, 4.0})
+    0.5
+    """
+    return min(sorted(budgets), key=lambda spp: max(spp, 1 / max(spp, 1e-9)))
