@@ -88,7 +88,9 @@ class LinearScale:
 
     def codes(self, values: Floats) -> Codes:
         """The nearest code of each value."""
-        codes: Codes = np.rint(np.nan_to_num(values) / self.step).clip(-32000, 32000).astype(np.int32)
+        codes: Codes = (
+            np.rint(np.nan_to_num(values) / self.step).clip(-32000, 32000).astype(np.int32)
+        )
         return codes
 
     def values(self, codes: Codes) -> Floats:
