@@ -62,6 +62,7 @@ PSNR_LATE = Metric(
     "clipped sRGB",
     _psnr_late,
     previous_frames=1,
+    scores_previous=True,
     source="this project: what a missed deadline costs",
 )
 WARPED_ERROR = Metric(
