@@ -56,8 +56,12 @@ class ShownClip(Protocol):
 def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], float]:
     """Each clip as JSON text, with the finest rounding that fits, and its relative error.
 
-    Raises PicturesError if even the coarsest rounding does not fit.
+    Without clips there is no text, and the error is 0. Raises PicturesError if even the coarsest
+    rounding does not fit.
     """
+
+    if not clips:
+        return [], 0.0
 
     def fits_roughly(steps: int) -> bool:
         size = sum(
@@ -74,7 +78,7 @@ def pack_clips(clips: Sequence[ShownClip], max_bytes: int) -> tuple[list[str], f
         if size <= max_bytes:
             return texts, scale.relative_error
     raise PicturesError(
-        f"the images need {size / 1e6:.0f} MB, and {max_bytes / 1e6:.0f} MB are left for them. "
+        f"the images need {size / 1e6:.3g} MB, and {max_bytes / 1e6:.3g} MB are left for them. "
         "Show fewer with --methods, --scenes or --spp, or allow a larger page with --max-mb"
     )
 

@@ -1,0 +1,110 @@
+"""A real page of a real run on procedural clips, and a browser that opens it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rlbench
+from rlbench.benchmark.results import UNRELIABLE, read
+from rlbench.benchmark.shown_clips import ShownClip
+from rlbench.cli.view import describe_traits, read_images
+from rlbench.clips.stored import read_header, write_header
+from rlbench.system import provenance
+from tests.procedural_folder import write_world
+from tests.reports.viewer.screen import Screen
+
+SIDE, FRAMES, CUT = 48, 4, 2
+METHODS = ("svgf", "eaw", "mean")
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), ""
+)
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page, and what it was made from."""
+
+    file: Path
+    rows: Any
+    clips: list[ShownClip]
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory) -> Path:
+    """A folder with `clips` and, with images, `results` of three methods on two clips."""
+    folder = tmp_path_factory.mktemp("viewer")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
+        for seed, name in enumerate(("alpha", "beta")):
+            clip = write_world(folder / "clips" / name, seed, SIDE, FRAMES)
+            write_header(
+                clip, replace(read_header(clip), cuts=(CUT,), device=provenance.machine().name)
+            )
+        rlbench.run(
+            METHODS,
+            spp=[1, 2],
+            clips=[folder / "clips"],
+            keep_images=True,
+            out=folder / "results",
+        )
+    return folder
+
+
+@pytest.fixture(scope="session")
+def report(run_folder) -> Report:
+    """The page of the run; the times of eaw are marked as unreliable."""
+    from reports.viewer import write
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RLBENCH_CACHE", str(run_folder / "cache"))
+        rows = read(run_folder / "results")
+        rows.loc[rows["unit"] == "ms", "note"] = ""
+        is_marked = (rows["method"] == "eaw") & (rows["metric"] == "inference_ms")
+        rows.loc[is_marked, "note"] = f"{UNRELIABLE} the machine was busy"
+        clips, _ = read_images(run_folder / "results", rows, [run_folder / "clips"])
+    file = run_folder / "report.html"
+    write(rows, file, clips, {name: describe_traits(name) for name in METHODS})
+    return Report(file, rows, clips)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Headless Chromium with a WebGL2 that needs no graphics card."""
+    if not CHROMIUM:
+        reason = "no chromium is installed: apt-get install chromium"
+        (pytest.fail if os.environ.get("RLBENCH_REQUIRE_BROWSER") else pytest.skip)(reason)
+    from playwright.sync_api import sync_playwright
+
+    options = [
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--force-color-profile=srgb",
+    ]
+    options += ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser, report) -> Iterator[Any]:
+    """Opens the page at a hash. After the test: no error was logged, and nothing was fetched."""
+    screens: list[Screen] = []
+
+    def open_at(place: str = "", width: int = 1280, scheme: str = "light") -> Screen:
+        screens.append(Screen.open(browser, report.file, place, width, scheme))
+        return screens[-1]
+
+    yield open_at
+    for screen in screens:
+        screen.page.context.close()
+        assert screen.problems == []
+        assert {url.partition(":")[0] for url in screen.requests} <= {"file", "data", "blob"}

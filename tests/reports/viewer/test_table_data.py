@@ -1,0 +1,59 @@
+"""Tables of the page hold the numbers of the reports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reports.analysis.aggregate import Scores
+from reports.analysis.ranking import rank_methods
+from reports.viewer.decision_data import ALL_SCENES, decision_data, student_factors
+from reports.viewer.table_data import frame_scores, provenance, rank_at_once
+
+ORDER = ["scene", "target_spp", "method"]
+
+
+@pytest.mark.parametrize("metric", ["psnr", "relmse"])
+def test_methods_that_are_ranked_at_once_are_ranked_as_one_by_one(results, metric):
+    scores = Scores(results, metric)
+    slow, fast = (
+        table.sort_values(ORDER).reset_index(drop=True)
+        for table in (rank_methods(scores), rank_at_once(scores))
+    )
+    for column in (*ORDER, "verdict", "best"):
+        assert (slow[column] == fast[column]).all(), column
+    for column in ("mean", "difference", "low", "high", "p_value"):
+        # the means are added in another order
+        np.testing.assert_allclose(fast[column], slow[column], rtol=1e-7, atol=1e-9)
+
+
+def test_each_scene_has_curves_over_its_clips(results):
+    psnr = decision_data(results, "")[0]
+    assert [scope["name"] for scope in psnr["scopes"]] == [
+        ALL_SCENES, "city", "hall", "ripples", "temple",
+    ]  # fmt: skip
+    assert [scope["unit"] for scope in psnr["scopes"][:2]] == ["scenes", "clips"]
+    assert np.shape(psnr["scopes"][0]["curves"][0]["units"]) == (5, 4)
+
+
+def test_factors_of_the_interval_are_those_of_student():
+    # Student 1908 as in any table of t at 97.5 %
+    np.testing.assert_allclose(student_factors(5)[2:], [12.706, 4.303, 3.182, 2.776], atol=1e-3)
+
+
+def test_scores_of_frames_are_those_of_the_rows(results):
+    shown = frame_scores(results, ["city-0"])
+    mean = next(s for s in shown if (s["metric"], s["method"], s["spp"]) == ("psnr", "mean", 1.0))
+    is_same = (results["clip"] == "city-0") & (results["method"] == "mean")
+    rows = results[is_same & (results["target_spp"] == 1) & (results["metric"] == "psnr")]
+    np.testing.assert_allclose(mean["values"], rows.sort_values("frame")["value"], atol=1e-4)
+
+
+def test_provenance_names_hash_and_device(results):
+    assert provenance(results)["ours"] == {
+        "device": "NVIDIA RTX 2080 Ti",
+        "dtype": "float32",
+        "code_hash": "c0de",
+        "run_id": "r1",
+        "seeds": "0",
+    }
