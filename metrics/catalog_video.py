@@ -6,7 +6,7 @@ from typing import Any
 
 from metrics.metric import Comparison, Metric
 
-__all__ = ["AT_CAP", "EFFORT_ERROR", "EFFORT_NOISE", "FLICKER", "WARPED_ERROR"]
+__all__ = ["AT_CAP", "EFFORT_ERROR", "EFFORT_NOISE", "FLICKER", "PSNR_LATE", "WARPED_ERROR"]
 
 Tensor = Any  # torch.Tensor; the first score imports torch, so that listing metrics is fast
 
@@ -22,6 +22,13 @@ def _flicker(frame: Comparison) -> Tensor:
 
     previous: Any = frame.previous
     return flicker(frame.change_of_error, previous.change_of_error, frame.motion)
+
+
+def _psnr_late(frame: Comparison) -> Tensor:
+    from metrics.psnr import psnr
+
+    previous: Any = frame.previous
+    return psnr(previous.display_image, frame.display_reference, previous.nonfinite_mask)
 
 
 def _effort_error(frame: Comparison) -> Tensor:
@@ -47,6 +54,17 @@ def _at_cap(frame: Comparison) -> Tensor:
     return at_cap(counts, max_samples)
 
 
+PSNR_LATE = Metric(
+    "psnr_late",
+    "dB",
+    "higher",
+    "PSNR of the image of the frame before, shown again because this frame is late; peak 1, "
+    "clipped sRGB",
+    _psnr_late,
+    previous_frames=1,
+    scores_previous=True,
+    source="this project: what a missed deadline costs",
+)
 WARPED_ERROR = Metric(
     "warped_error",
     "%",

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from metrics.display import encode_aces, encode_display, encode_hable
 
-__all__ = ["CONVENTIONS", "SRGB", "Convention", "convention_named", "quantize"]
+__all__ = ["CONVENTIONS", "SRGB", "Convention", "get_convention", "quantize"]
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ def quantize(values: Tensor, rounding: Callable[[Tensor], Tensor] = torch.round)
     return rounding(values * 255) / 255
 
 
-def convention_named(name: str) -> Convention:
-    """The convention of this name. Raises ValueError for an unknown one."""
+def get_convention(name: str) -> Convention:
+    """The convention called `name`. Raises ValueError for an unknown one."""
     if name not in CONVENTIONS:
         raise ValueError(f"'{name}' is no convention; there are: {', '.join(CONVENTIONS)}")
     return CONVENTIONS[name]

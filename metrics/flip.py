@@ -7,6 +7,7 @@ process's main module.
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
 import subprocess
@@ -113,7 +114,9 @@ def serve(descriptor: int) -> None:
 
 @cache
 def _shared_process() -> FlipProcess:
-    return FlipProcess()
+    process = FlipProcess()
+    atexit.register(process.stop)
+    return process
 
 
 def flip(comparison: Comparison) -> Tensor:

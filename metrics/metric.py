@@ -168,6 +168,7 @@ class Metric:
     fit: Callable[[int, int], Metric] | None = None  # (height, width) to the metric at that size
     needs_reference_halves: bool = False  # undefined unless the halves are independent
     previous_frames: int = 0  # that the score reads, 0 to MAX_PREVIOUS
+    scores_previous: bool = False  # of the image before, which is shown in place of this one
     requires: tuple[str, ...] = ()  # Python distributions; a new version invalidates old scores
     scored_by_run: bool = True  # False: slow, or of an optional package; for `rlbench evaluate`
     whole_clip: bool = False  # scores a list of all frames; only where `scored_by_run` is False
@@ -210,9 +211,9 @@ class Metric:
 
         Raises ValueError for an unknown convention, or a metric that is defined under one alone.
         """
-        from metrics.conventions import convention_named
+        from metrics.conventions import get_convention
 
-        convention = convention_named(name)
+        convention = get_convention(name)
         if not self.takes_convention:
             raise ValueError(
                 f"metric '{self.name}' has one convention ({self.convention}), so it has no score "

@@ -14,6 +14,7 @@ from reports.analysis.curves import Curve, curves_of, measured_sample_ms, method
 from reports.analysis.equal_error import at_equal_error
 from reports.analysis.equal_time import at_deadlines, nice_deadlines, with_half_the_samples
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
+from reports.analysis.misses import with_misses
 from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.layout.equal_error_tables import effective_table, error_tables, level_table
 from reports.layout.equal_time_tables import crossover_table, deadline_table, half_table
@@ -75,10 +76,11 @@ def _section(
     base, reference = by_name.get(names[0], best), by_name.get(names[1])
     rivals = [curve for curve in curves if curve is not base]
     deadlines = nice_deadlines(curves, sample_ms)
+    late_curves = curves_of(Scores(with_misses(scores.rows), METRIC, scores.device))
     compared = {
         "half the samples": with_half_the_samples(curves, base, sample_ms, "dB", seed, draws),
         "equal time": at_deadlines(curves, sample_ms, deadlines, "dB", False, seed, draws),
-        "deadline": at_deadlines(curves, sample_ms, deadlines, "dB", True, seed, draws),
+        "deadline": at_deadlines(late_curves, sample_ms, deadlines, "dB", True, seed, draws),
     }
     differences = correct_by_holm(pd.concat([v.assign(table=k) for k, v in compared.items()]))
     parts = {title: differences[differences["table"] == title] for title in compared} | {

@@ -50,7 +50,7 @@ def write(
     devices = split_by_device(results)
     for rows in devices.values():
         check_comparable(rows)
-    shown, left_out = _select_methods(clips, results)
+    chosen, left_out = _select_methods(clips, results)
     data = {
         "title": describe_clips(results),
         "devices": [
@@ -60,7 +60,7 @@ def write(
         "student": student_factors(max(results["scene"].nunique(), results["clip"].nunique())),
         "tie_db": TIE_DB,
         "unreliable_mark": UNRELIABLE_MARK,
-        "frames": frame_scores(results, [clip.name for clip in shown]),
+        "frames": frame_scores(results, [clip.name for clip in chosen]),
         "provenance": provenance(results),
         "traits": traits or {},
         "remarks": [*remarks, *left_out],
@@ -68,7 +68,7 @@ def write(
         "map_of": COLOUR_MAPS,
     }
     frame = _render(data, [], math.nan)
-    texts, error = pack_clips(shown, max_bytes - len(frame.encode()) - FEW_BYTES)
+    texts, error = pack_clips(chosen, max_bytes - len(frame.encode()) - FEW_BYTES)
     _write_whole(file, _render(data, texts, error))
     return left_out
 

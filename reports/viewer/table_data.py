@@ -102,12 +102,12 @@ def frame_scores(rows: pd.DataFrame, clips: Collection[str]) -> list[dict[str, A
 
     `values` begin at frame 0; a frame without a score is nan.
     """
-    wanted = rows[rows["clip"].isin(clips) & (rows["frame"] >= 0) & (rows["direction"] != "")]
-    wanted = wanted[(wanted["unit"] != "ms") & wanted["value"].notna()]
-    if wanted.empty:
+    scored = rows[rows["clip"].isin(clips) & (rows["frame"] >= 0) & (rows["direction"] != "")]
+    scored = scored[(scored["unit"] != "ms") & scored["value"].notna()]
+    if scored.empty:
         return []
-    table = wanted.pivot_table("value", ["metric", "clip", "method", "target_spp"], "frame")
-    table = table.reindex(columns=range(int(wanted["frame"].max()) + 1))
+    table = scored.pivot_table("value", ["metric", "clip", "method", "target_spp"], "frame")
+    table = table.reindex(columns=range(int(scored["frame"].max()) + 1))
     return [
         {"metric": metric, "clip": clip, "method": method, "spp": spp, "values": values}
         for (metric, clip, method, spp), values in zip(

@@ -73,11 +73,11 @@ def read_shown_clips(
         )
         if is_selected and key not in kept and (images := cell_images.find_images(folder, cell)):
             kept[key] = images
-    shown = []
+    read = []
     for clip in clips:
         if own := [images for key, images in kept.items() if key[0] == clip.header.name]:
-            shown.append(_read_clip(clip, own))
-    return shown
+            read.append(_read_clip(clip, own))
+    return read
 
 
 def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:

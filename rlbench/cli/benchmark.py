@@ -70,6 +70,10 @@ def run(
             rich_help_panel=options.MEASUREMENT,
         ),
     ] = False,
+    limit_frames: options.LimitFrames = None,
+    device: options.Device = "auto",
+    engine: options.Engine = "local",
+    ray_address: options.RayAddress = None,
     keep_images: Annotated[
         bool,
         typer.Option(
@@ -78,10 +82,6 @@ def run(
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
-    limit_frames: options.LimitFrames = None,
-    device: options.Device = "auto",
-    engine: options.Engine = "local",
-    ray_address: options.RayAddress = None,
     out: options.ResultsOut = Path("results"),
 ) -> None:
     """Score and time methods on clips, and add the results.

@@ -26,7 +26,7 @@ def compare(
     results: options.Results = Path("results"),
     as_json: options.Json = False,
 ) -> None:
-    """Say whether method A leads method B, ties with it, or is not resolved.
+    """Say whether one method leads another, and how sure that is.
 
     Reads the results table alone. Scores are paired by frame, scenes are the units of the
     interval, and a tie is an interval within +-0.1 dB.

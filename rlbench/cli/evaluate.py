@@ -56,7 +56,7 @@ def evaluate(
         ),
     ] = None,
 ) -> None:
-    """Score kept images again, by other metrics and conventions; no method is run.
+    """Score kept images again, without running a method.
 
     The clips must be those that the images show. Rows have the format of a run, so reports read
     them: rlbench report --results RESULTS/evaluated. Scores that are there already stay. The exit

@@ -94,11 +94,11 @@ def view(
         rows = select_rows(rows, names, results)
     if names := arguments.split_names(scenes):
         rows = select_scenes(rows, names, results)
-    shown, remarks = read_images(results, rows, clips, preset, spp)
+    images, remarks = read_images(results, rows, clips, preset, spp)
     page = registry.load_or_explain("pages", NAME)
     traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
     target = out or results / "report.html"
-    remarks += page.write(rows, target, shown, traits, remarks, int(max_mb * 1e6))
+    remarks += page.write(rows, target, images, traits, remarks, int(max_mb * 1e6))
     typer.echo(target)
     for remark in remarks:
         typer.echo(remark, err=True)

@@ -23,6 +23,7 @@ TRAILER = struct.Struct("<8sQI")  # magic, bytes before the trailer, their crc32
 MAGIC = b"rlbcrc01"
 BLOCK_BYTES = 2**22  # that are read at once
 TYPES = (np.float16, np.float32)
+MAX_MAPS = 2**12  # that are kept open; Linux allows a process 65530
 
 
 def write_array(path: Path, array: NDArray[np.floating]) -> None:
@@ -35,15 +36,26 @@ def write_array(path: Path, array: NDArray[np.floating]) -> None:
 
 
 def open_array(path: Path, shape: tuple[int, ...]) -> NDArray[np.floating] | None:
-    """The array as a memory map, or None where the file is absent, damaged, or of another shape."""
+    """The array as a memory map, or None where the file is absent, damaged, or of another shape.
+
+    While the file does not change, all calls share one map.
+    """
     try:
         stat = path.stat()
-        if not _is_intact(path, stat.st_size, stat.st_mtime_ns, stat.st_ino):
-            return None
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        array = _map(path, stat.st_size, stat.st_mtime_ns, stat.st_ino)
     except (OSError, ValueError, EOFError, SyntaxError):
         return None
-    return array if array.shape == shape and array.dtype in TYPES else None
+    has_shape = array is not None and array.shape == shape and array.dtype in TYPES
+    return array if has_shape else None
+
+
+@lru_cache(maxsize=MAX_MAPS)
+def _map(path: Path, size: int, mtime_ns: int, inode: int) -> NDArray[np.floating] | None:
+    """The array of a file in this state; None if its trailer does not agree with its content."""
+    if not _is_intact(path, size, mtime_ns, inode):
+        return None
+    array: NDArray[np.floating] = np.load(path, mmap_mode="r", allow_pickle=False)
+    return array
 
 
 @lru_cache(maxsize=2**18)

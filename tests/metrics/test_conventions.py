@@ -12,7 +12,7 @@ from metric_images import encoded_pair, frame_of, image_pair
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from metrics.catalog import MS_SSIM, MSE, PSNR, RELMSE, SSIM
-from metrics.conventions import CONVENTIONS, SRGB, convention_named
+from metrics.conventions import CONVENTIONS, SRGB, get_convention
 from metrics.display import encode_aces, encode_display, encode_hable
 
 NAMES = ("srgb", "paper2023", "noisebase-v1", "hable", "linear")
@@ -127,7 +127,7 @@ def test_ssim_under_a_convention_equals_scikit_image(name):
 
 def test_an_unknown_convention_names_the_known_ones():
     with pytest.raises(ValueError, match="'aces' is no convention; there are: srgb, paper2023"):
-        convention_named("aces")
+        get_convention("aces")
 
 
 def test_a_metric_of_linear_radiance_has_one_convention():

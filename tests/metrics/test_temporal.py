@@ -8,8 +8,8 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio
 
-from metrics.catalog import TPSNR
-from metrics.catalog_video import FLICKER, WARPED_ERROR
+from metrics.catalog import PSNR, TPSNR
+from metrics.catalog_video import FLICKER, PSNR_LATE, WARPED_ERROR
 from metrics.display import encode_display
 from metrics.metric import Comparison
 from metrics.psnr import CAP_DB
@@ -211,3 +211,12 @@ def test_a_nonfinite_pixel_has_the_largest_temporal_error(frame):
     before = Comparison(images[0], grey, grey)
     score = TPSNR.score(Comparison(images[1], grey, grey, previous=before)).item()
     assert score == pytest.approx(-10 * math.log10(4 / 20), abs=1e-4)
+
+
+def test_a_late_frame_is_scored_as_the_image_of_the_frame_before():
+    random = torch.Generator().manual_seed(3)
+    images, references = torch.rand(2, 2, 1, 3, 9, 11, generator=random)
+    frames = [Comparison(x, r, r) for x, r in zip(images, references, strict=True)]
+    late = Comparison(images[1], references[1], references[1], previous=frames[0])
+    as_shown = Comparison(images[0], references[1], references[1])
+    assert PSNR_LATE.score(late).tolist() == PSNR.score(as_shown).tolist()

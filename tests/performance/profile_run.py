@@ -28,6 +28,7 @@ class Stage(NamedTuple):
     functions: tuple[tuple[str, str], ...] = ()  # modules, and names in them
 
 
+PYTORCH = Stage("importing PyTorch", "methods")  # and metrics, which share it
 STAGES = (
     Stage("tracing scattered samples", "tracing", (
         ("rlbench.render.jobs.scatter", "scatter_factor"),
@@ -91,6 +92,8 @@ class StageClock:
 def profile(words: list[str]) -> list[StageClock]:
     """Run `rlbench run` with these words; the stages by wall and by processor time."""
     clocks = [StageClock(time.perf_counter), StageClock(time.process_time)]
+    with clocks[0].running(PYTORCH.name), clocks[1].running(PYTORCH.name):
+        import torch  # noqa: F401
     from rlbench.cli.app import app
 
     for stage in STAGES:
@@ -142,7 +145,10 @@ def table(clocks: list[StageClock]) -> str:
         "| --- | --- |" + " ---: |" * 4,
     ]
     totals = [sum(clock.seconds.values()) for clock in clocks]
-    rows = [(stage, [clock.seconds[stage.name] for clock in clocks]) for stage in (*STAGES, REST)]
+    rows = [
+        (stage, [clock.seconds[stage.name] for clock in clocks])
+        for stage in (PYTORCH, *STAGES, REST)
+    ]
     suite = [sum(s[i] for stage, s in rows if stage.owner == "suite") for i in (0, 1)]
     rows.append((Stage("**suite**", "tracing, methods and metrics excluded"), suite))
     for stage, seconds in rows:

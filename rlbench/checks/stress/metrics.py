@@ -90,8 +90,12 @@ def _run(is_quick: bool) -> Iterator[StressResult]:
 
 def stress_metric(name: str, metric: Any) -> Iterator[StressResult]:
     """One result for each pair of images; only one if an equal image has no finite score."""
-    if "counts" in metric.needs:
-        found = "says where samples went, not how good an image is"
+    if "counts" in metric.needs or metric.scores_previous:
+        found = (
+            "scores the image of the frame before, not this one"
+            if metric.scores_previous
+            else "says where samples went, not how good an image is"
+        )
         yield StressResult("", NAME, f"{name}-identical", Verdict.SKIPPED, found=found)
         return
     stressed = StressedMetric(name, metric)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from rlbench.clips.header import FILE, Header, version_1_names
@@ -52,7 +53,7 @@ class Job:
             return 2 * self.preset.reference_spp
         return read_spp(self.folder, index) or 0
 
-    @property
+    @cached_property
     def content_key(self) -> str:
         """Everything the pixels depend on, as one line of text.
 

@@ -1,7 +1,8 @@
 import pytest
 import torch
 
-from metrics import image as metrics_image
+from metrics.catalog import PSNR
+from metrics.metric import Comparison
 from rlbench.checks.stress.display import largest_difference, psnr, to_display
 
 
@@ -10,7 +11,8 @@ def test_psnr_equals_the_metric(scale):
     generator = torch.Generator().manual_seed(1)
     image, reference = scale * torch.randn(2, 3, 3, 9, 11, generator=generator)
     image[1, 0, 2, 3], image[2, 1, 4, 5] = torch.nan, torch.inf
-    assert torch.equal(psnr(image, reference), metrics_image.psnr(image, reference))
+    expected = PSNR.score(Comparison(image, reference, reference))
+    assert torch.equal(psnr(image, reference), expected)
 
 
 def test_equal_images_score_100_db():

@@ -1,0 +1,54 @@
+"""The command evaluate: from kept images to a report on conventions."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench.benchmark import results as table
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise
+
+
+@pytest.fixture
+def kept(clip_folder, tmp_path):
+    words = ("--clips", clip_folder, "--spp", 1, "--repeats", 2, "--out", tmp_path / "r")
+    rlbench("run", "-m", "mean,eaw", "--keep-images", *words)
+    return tmp_path / "r"
+
+
+def test_images_are_scored_under_conventions_and_reported(kept, clip_folder, tmp_path):
+    conventions = ("--metrics", "psnr,relmse", "--convention", "srgb,hable", "--clips", clip_folder)
+    output = rlbench("evaluate", kept, *conventions)
+    assert "psnr, psnr@hable, relmse: 6 scored, 0 already in the results" in output
+    assert "0 scored, 6 already" in rlbench("evaluate", kept, *conventions)
+    assert set(table.read(kept / "evaluated")["metric"]) == {"psnr", "psnr@hable", "relmse"}
+    rlbench("report", "conventions", "--results", kept / "evaluated", "--out", tmp_path / "report")
+    assert "| method | srgb | hable |" in (tmp_path / "report" / "conventions.md").read_text()
+
+
+def test_a_metric_that_fails_is_named_and_the_exit_code_is_1(kept, clip_folder, monkeypatch):
+    monkeypatch.setattr("metrics.image.relmse", lambda *images: 1 / 0)
+    words = ("evaluate", kept, "--metrics", "relmse", "-m", "mean", "--clips", clip_folder)
+    output = rlbench(*words, code=1)
+    assert "failed: mean on noise at 1 spp, seed 0, relmse: ZeroDivisionError" in output
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--metrics", "psnrr"), "error: 'psnrr' is not a metric; there are: "),
+        (("--convention", "foo"), "error: --convention foo: 'foo' is no convention"),
+        (("--metrics", "relmse", "--convention", "hable"), "relmse takes no convention"),
+        (("-m", "svgf"), "no images of svgf on noise; it has eaw, mean on noise"),
+    ],
+)
+def test_wrong_use_of_evaluate_is_one_message(kept, clip_folder, words, message):
+    output = rlbench("evaluate", kept, "--clips", clip_folder, *words, code=2)
+    assert message in output
+    assert "Traceback" not in output
+
+
+def test_results_without_images_say_how_to_make_them(tmp_path):
+    write_noise(tmp_path / "clips" / "noise")
+    output = rlbench("evaluate", tmp_path, "--clips", tmp_path / "clips", code=2)
+    assert "has no images; `rlbench run --keep-images` makes them" in output
