@@ -48,6 +48,7 @@ class ShownClip(Protocol):
     scene: str
     fps: float
     cuts: Sequence[int]
+    light_changes: Sequence[int]
     reference: Floats  # [t 3 h w], linear radiance
     buffers: Mapping[str, Floats]  # [t c h w]
     images: Sequence[ShownImages]
@@ -92,6 +93,7 @@ def _pack_clip(clip: ShownClip, scale: LogScale, middle_only: bool = False) -> s
         "scene": clip.scene,
         "fps": clip.fps,
         "cuts": list(clip.cuts),
+        "light_changes": list(clip.light_changes),
         "frames": length,
         "width": width,
         "height": height,

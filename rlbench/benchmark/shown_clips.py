@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +11,14 @@ import numpy as np
 from jaxtyping import Float, Float16
 from numpy import ndarray as Array
 
-from rlbench.benchmark import cell_images, results
 from rlbench.benchmark.cell_images import KeptImages
+from rlbench.benchmark.cell_key import CellKey
 from rlbench.benchmark.clip_sources import StoredSource
+from rlbench.benchmark.evaluation import KeptCell, find_kept_cells
 from rlbench.clips.stored import open_clip
-from rlbench.errors import RlbenchError
 from rlbench.frames import BUFFERS
 
-__all__ = ["ShownClip", "ShownClipError", "ShownImages", "kept_presets", "read_shown_clips"]
-
-
-class ShownClipError(RlbenchError, ValueError):
-    """Kept images that show another version of a clip."""
+__all__ = ["ShownClip", "ShownImages", "read_shown_clips"]
 
 
 @dataclass(frozen=True)
@@ -43,51 +39,37 @@ class ShownClip:
     scene: str
     fps: float
     cuts: tuple[int, ...]  # first frames of shots, without frame 0
+    light_changes: tuple[int, ...]  # first frames under another light
     reference: Float[Array, "t 3 h w"]  # linear radiance, exposed
     buffers: dict[str, Any]  # albedo, normal, depth, motion: float [t c h w]; some may be absent
     images: tuple[ShownImages, ...]
 
 
-def kept_presets(folder: Path) -> set[str]:
-    """Presets of the clips that the kept images show; "" stands for clips without one."""
-    return {images.cell.key.preset for images in cell_images.list_images(folder)}
-
-
 def read_shown_clips(
     folder: Path,
     clips: Sequence[StoredSource],
-    methods: Collection[str] = (),
-    target_spp: Collection[float] = (),
+    methods: Collection[str],
+    target_spp: Collection[float],
 ) -> list[ShownClip]:
-    """Each of `clips` with the images that a results folder keeps of it; others are left out.
+    """Each of `clips` with the images that a results folder keeps of these methods and budgets.
 
-    Empty `methods` and `target_spp` select all. Of several seeds or devices the first is shown.
-    Raises ShownClipError for images of a clip that has changed since.
+    Clips without images are left out. Of several seeds or devices the first is shown. Raises
+    EvaluationError where there are no images, or where a clip has changed since.
     """
-    current = results.cells(folder)
-    kept: dict[tuple[str, str, float], KeptImages] = {}
-    for cell in sorted(current, key=lambda cell: (cell.key.seed, cell.file_stem)):
-        key = (cell.key.clip, cell.key.method, cell.key.target_spp)
-        is_selected = (not methods or key[1] in methods) and (
-            not target_spp or key[2] in target_spp
-        )
-        if is_selected and key not in kept and (images := cell_images.find_images(folder, cell)):
-            kept[key] = images
-    read = []
+    first: dict[CellKey, KeptCell] = {}  # without seed and device
+    for kept in sorted(
+        find_kept_cells(folder, clips, methods), key=lambda kept: kept.cell.key.seed
+    ):
+        if kept.cell.key.target_spp in target_spp:
+            first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
+    shown = []
     for clip in clips:
-        if own := [images for key, images in kept.items() if key[0] == clip.header.name]:
-            read.append(_read_clip(clip, own))
-    return read
+        if own := [kept.images for kept in first.values() if kept.clip is clip]:
+            shown.append(_read_clip(clip, own))
+    return shown
 
 
 def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:
-    for images in kept:
-        if (digest := source.content(images.pool)) != images.clip_digest:
-            raise ShownClipError(
-                f"the images of '{images.cell.key}' show a clip with digest {images.clip_digest}, "
-                f"but {source.folder} has {digest}. Name the clip of the images with --clips, or "
-                "repeat `rlbench run --keep-images`"
-            )
     header = source.header
     length = max(map(len, kept))
     inputs = frozenset(BUFFERS) & set(header.buffers)
@@ -98,7 +80,8 @@ def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:
         name=header.name,
         scene=header.scene,
         fps=header.fps,
-        cuts=tuple(cut for cut in header.cuts if cut < length),
+        cuts=tuple(frame for frame in header.cuts if frame < length),
+        light_changes=tuple(frame for frame in header.light_changes if frame < length),
         reference=np.stack([frame.reference.mean[0].numpy() for frame in frames]),
         buffers={
             name: np.stack([frame.gbuffer.buffers[name][0].numpy() for frame in frames])

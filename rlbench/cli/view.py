@@ -12,6 +12,7 @@ import typer
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Budgets
 from rlbench.cli.plugins import load_plugins
+from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,14 +53,6 @@ def view(
     methods: options.RowMethods = None,
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PRESET",
-            help="preset of the clips; default: as in the results",
-            rich_help_panel=options.CLIPS,
-        ),
-    ] = None,
     clips: options.Clips = None,
     spp: Annotated[
         Budgets | None,
@@ -94,7 +87,7 @@ def view(
         rows = select_rows(rows, names, results)
     if names := arguments.split_names(scenes):
         rows = select_scenes(rows, names, results)
-    images, remarks = read_images(results, rows, clips, preset, spp)
+    images, remarks = read_images(results, rows, clips, spp)
     page = registry.load_or_explain("pages", NAME)
     traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
     target = out or results / "report.html"
@@ -132,37 +125,46 @@ def read_images(
     results: Path,
     rows: pd.DataFrame,
     clips: list[Path] | None = None,
-    preset: str | None = None,
-    spp: Budgets | None = None,
+    spp: Collection[float] | None = None,
 ) -> tuple[list[ShownClip], list[str]]:
     """The clips of `rows` with their kept images, and a sentence if there are none to show."""
     from rlbench.benchmark.api import select_clips
     from rlbench.benchmark.cell_images import list_images
     from rlbench.benchmark.shown_clips import read_shown_clips
 
-    methods = set(rows["method"])
+    methods, names = set(rows["method"]), set(rows["clip"])
     kept = [each for each in list_images(results) if each.cell.key.method in methods]
-    kept = [each for each in kept if each.cell.key.clip in set(rows["clip"])]
+    kept = [each for each in kept if each.cell.key.clip in names]
     if not kept:
         hint = "run the same command of `rlbench run` with --keep-images for the rest"
         return [], [f"{results} keeps no images, so the page has decision and table alone; {hint}"]
-    presets = {preset} if preset else {each.cell.key.preset for each in kept} - {""}
-    if not presets and not clips:
-        reason = "the images show clips of no preset; name their folder with --clips"
-        return [], [f"the page has decision and table alone: {reason}"]
-    names = sorted({each.cell.key.clip for each in kept})
-    pools = {each.pool for each in kept}
-    sources = (
-        select_clips(clips)
-        if clips
-        else [
-            s
-            for each in sorted(presets)
-            for s in select_clips(None, names, each, None, "stored", pools)
+    known = {each.cell.key.target_spp for each in kept}
+    if unknown := set(spp or ()) - known:
+        raise OptionError(
+            f"--spp: no images at {_join(unknown)} spp; the results keep {_join(known)}"
+        )
+    budgets = spp or (nearest_to_one(known),)
+    if clips:
+        return read_shown_clips(results, select_clips(clips), methods, budgets), []
+    by_preset: dict[str, set[str]] = {}
+    for each in kept:
+        by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
+    if strangers := by_preset.pop("", None):
+        reason = f"the preset of {', '.join(sorted(strangers))} is not known"
+        return [], [
+            f"the page has decision and table alone: {reason}; name the folder with --clips"
         ]
-    )
-    budgets = spp or (nearest_to_one({each.cell.key.target_spp for each in kept}),)
+    pools = {each.pool for each in kept}
+    sources = [
+        source
+        for preset, own in sorted(by_preset.items())
+        for source in select_clips(None, sorted(own), preset, pool_kinds=pools)
+    ]
     return read_shown_clips(results, sources, methods, budgets), []
+
+
+def _join(budgets: Collection[float]) -> str:
+    return ", ".join(f"{spp:g}" for spp in sorted(budgets))
 
 
 def nearest_to_one(budgets: Collection[float]) -> float:

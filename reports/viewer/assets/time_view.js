@@ -92,20 +92,19 @@ function scoreChart() {
     width,
     height: 260,
     label: `${chosenMetric()} of each frame`,
-    x: { from: -0.2, to: last + 0.2, label: "frame; dotted: cut", whole: true },
+    x: {
+      from: -0.2,
+      to: last + 0.2,
+      label: "frame; dotted: cut; dashed: light change",
+      whole: true,
+    },
     y: { from, to, label: unit ? `${chosenMetric()} [${unit}]` : chosenMetric() },
   });
-  plot.append(
-    ...clip().cuts.map((cut) =>
-      s("line", {
-        class: "cut",
-        x1: px(cut - 0.5),
-        x2: px(cut - 0.5),
-        y1: box.top,
-        y2: box.bottom,
-      }),
-    ),
-  );
+  const event = (kind) => (frame) => {
+    const x = px(frame - 0.5);
+    return s("line", { class: kind, x1: x, x2: x, y1: box.top, y2: box.bottom });
+  };
+  plot.append(...clip().cuts.map(event("cut")), ...clip().light_changes.map(event("light")));
   plot.append(
     s("line", {
       class: "now",

@@ -27,6 +27,7 @@ class Clip:
     scene: str
     fps: float
     cuts: tuple[int, ...]
+    light_changes: tuple[int, ...]
     reference: np.ndarray
     buffers: dict[str, np.ndarray]
     images: tuple[Images, ...]
@@ -38,7 +39,7 @@ def clip():
     frames = rng.lognormal(size=(T, 3, SIDE, SIDE)).astype(np.float32)
     own = Images("mean", 1.0, frames.astype(np.float16), np.ones((T, SIDE, SIDE), np.float16))
     depth = np.full((T, 1, SIDE, SIDE), np.inf, np.float32)
-    return Clip("a", "a", 24.0, (1,), frames, {"depth": depth}, (own,))
+    return Clip("a", "a", 24.0, (1,), (), frames, {"depth": depth}, (own,))
 
 
 def test_less_space_means_coarser_rounding(clip):
