@@ -36,7 +36,7 @@ class LogScale:
 
     >>> scale = LogScale(16)
     >>> scale.values(scale.codes(np.array([0.0, -1.0, np.inf], np.float32))).round(2).tolist()
-    [0.0, -1.01, inf]
+    [0.0, -0.99, inf]
     """
 
     steps: int

@@ -62,11 +62,11 @@ def read_shown_clips(
     ):
         if kept.cell.key.target_spp in target_spp:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
-    shown = []
+    read = []
     for clip in clips:
         if own := [kept.images for kept in first.values() if kept.clip is clip]:
-            shown.append(_read_clip(clip, own))
-    return shown
+            read.append(_read_clip(clip, own))
+    return read
 
 
 def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:

@@ -38,8 +38,8 @@ __all__ = [
 ]
 
 GROUPS = (
-    "methods", "metrics", "reports", "pages", "pools", "scenes", "stress", "decisions",
-    "comparisons",
+    "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
+    "comparisons", "pages",
 )  # fmt: skip
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
