@@ -41,10 +41,11 @@ TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 .PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
 
 demo: .venv/run.stamp
-	$(BIN)/rlbench run --methods $(METHODS) --preset mini --out $(RESULTS)
+	$(BIN)/rlbench run --methods $(METHODS) --preset mini --keep-images --out $(RESULTS)
 	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
+	$(BIN)/rlbench view $(RESULTS) --out $(REPORT)/report.html
 	@echo
-	@echo "Pareto plot and tables: $(REPORT)/"
+	@echo "Pareto plot and tables: $(REPORT)/    images, layers, curves, table, in a browser: $(REPORT)/report.html"
 
 # the README's figures and tables: every row of every method, extras included
 docs: .venv/dev.stamp
