@@ -45,8 +45,7 @@ demo: .venv/run.stamp
 	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
 	$(BIN)/rlbench view $(RESULTS) --out $(REPORT)/report.html
 	@echo
-	@echo "Pareto plot and tables: $(REPORT)/"
-	@echo "To look at images and decide, open in a browser: $(REPORT)/report.html"
+	@echo "Pareto plot and tables: $(REPORT)/    images, layers, curves, table, in a browser: $(REPORT)/report.html"
 
 # the README's figures and tables: every row of every method, extras included
 docs: .venv/dev.stamp
