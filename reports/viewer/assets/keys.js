@@ -26,6 +26,7 @@ const HELP = [
   ["C", "next tone curve"],
   [", and .", "frame before, after"],
   ["P", "play and stop"],
+  ["X, Y", "slice through time along the row or column of the listed pixel; so does a drag"],
   ["+ - 0", "zoom in, out, fit; so does the wheel"],
   [
     "arrows",
@@ -91,6 +92,8 @@ function actions(shift, { stage }) {
     "<": step(-1),
     ">": step(1),
     p: () => document.getElementById("play").click(),
+    x: () => set({ line: lineThrough("row") }),
+    y: () => set({ line: lineThrough("column") }),
     "+": () => stage.zoomBy(1.5),
     "=": () => stage.zoomBy(1.5),
     "-": () => stage.zoomBy(1 / 1.5),
@@ -100,6 +103,13 @@ function actions(shift, { stage }) {
     ArrowUp: move(0, -1),
     ArrowDown: move(0, 1),
   };
+}
+
+/** Ends of the row or column of the listed pixel, or of the middle. */
+function lineThrough(direction) {
+  const { width, height } = clip();
+  const [x, y] = state.px < 0 ? [width >> 1, height >> 1] : [state.px, state.py];
+  return (direction === "row" ? [0, y, width - 1, y] : [x, 0, x, height - 1]).join(",");
 }
 
 function movePixel(dx, dy) {

@@ -85,6 +85,14 @@ def test_a_dragged_line_is_cut_through_time(open_page, report):
     np.testing.assert_allclose(found, expected, atol=2 * COLOUR)
 
 
+def test_keys_cut_through_the_listed_pixel(open_page):
+    screen = open_page("view=time&px=7&py=9")
+    screen.press("x")
+    assert screen.state["line"] == f"0,9,{SIDE - 1},9"
+    screen.press("y")
+    assert screen.state["line"] == f"7,0,7,{SIDE - 1}"
+
+
 def test_the_worst_tile_is_listed_first_and_shown_on_a_click(open_page, report):
     screen = open_page("view=time&a=mean")
     screen.page.wait_for_selector(".worst button")
