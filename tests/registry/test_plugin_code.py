@@ -13,6 +13,15 @@ import pytest
 from rlbench.registry import PluginExitError, exits_as_errors
 
 
+@pytest.fixture
+def interruptible():
+    """Ctrl-C raises KeyboardInterrupt, as in a foreground job; background jobs ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_a_ctrl_c_of_the_user_interrupts_plugin_code():
     with pytest.raises(KeyboardInterrupt), exits_as_errors(), exits_as_errors():
         signal.raise_signal(signal.SIGINT)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import rows
 
 from reports import ablation
 from reports.analysis import variant_differences
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import ReportError, split_by_device
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
+from tests.reports.conftest import rows
 
 SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/small": '{"bptt": 1, "sampler": []}'}
 

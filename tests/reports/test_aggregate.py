@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
 
 from reports.analysis.aggregate import Scores, mean_over_scenes, metrics_with_values
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import BUDGETS, METHODS, SAMPLE_MS, SCENES, psnr, rows
 
 
 @pytest.mark.parametrize("scene", SCENES)

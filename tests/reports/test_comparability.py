@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from conftest import rows
 
 from reports.analysis.comparability import ReportError, check_comparable, split_by_device
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import rows
 
 
 def test_two_devices_are_refused():

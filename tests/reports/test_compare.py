@@ -8,12 +8,12 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from conftest import SCENES, rows
 from scipy import stats
 
 from reports.analysis.comparability import ReportError
 from reports.compare import compare, comparison_text
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import SCENES, rows
 
 OFFSETS = dict(zip(sorted(SCENES), (0.5, 0.9, 1.0, 1.4), strict=True))  # dB, theirs minus ours
 

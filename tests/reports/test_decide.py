@@ -8,11 +8,11 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from formula_results import THREE, Formula, curve, table
 
 from reports.analysis.comparability import ReportError
 from reports.analysis.winner import NOTHING, find_switches, find_winners
 from reports.decide import decide, decision_text
+from tests.reports.formula_results import THREE, Formula, curve, table
 
 
 def change(decision, changed, direction):

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from formula_results import THREE, Formula, curve, table
 
 from reports import equal_time
 from reports.analysis.aggregate import Scores
@@ -16,6 +15,7 @@ from reports.analysis.curves import curves_of
 from reports.analysis.equal_error import at_equal_error, spp_to_reach
 from reports.analysis.equal_time import at_deadlines, nice_deadlines, with_half_the_samples
 from rlbench.benchmark.results import MissingRowsError
+from tests.reports.formula_results import THREE, Formula, curve, table
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import SAMPLE_MS, rows
 from matplotlib.image import imread
 
 from reports import frame_time
 from reports.analysis.aggregate import FRAME_PARTS, Scores
 from reports.layout.frame_bars import MAX_PANELS, PARTS, draw_frame_bars
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
+from tests.reports.conftest import SAMPLE_MS, rows
 
 
 def widths(axes, method):

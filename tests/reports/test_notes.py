@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from conftest import rows
-
 from reports.analysis import notes
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import rows
 
 
 def test_a_reason_is_listed_once_for_a_method():

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.image import imread
 
 from reports import pareto
@@ -17,6 +16,7 @@ from reports.analysis.comparability import ReportError
 from reports.layout import style
 from reports.layout.pareto_panels import MAX_PANELS, OVERALL, WINDOW_DB, Labels, draw_pareto
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, rows
 
 LABELS = Labels("PSNR", "higher", "profile paper-2080ti")
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from conftest import SCENES, psnr, rows
 
 from reports import per_clip
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import SCENES, psnr, rows
 
 FRAMES = range(4)
 

@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import METHODS, SAMPLE_MS, SCENES, rows
 from matplotlib.colors import same_color
 
 from reports import published_pareto
@@ -16,6 +15,7 @@ from reports.analysis.aggregate import Scores
 from reports.layout import paired_panels, style
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
+from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, rows
 
 OFFSET = sum(SCENES.values()) / 4
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from conftest import rows
 
 from reports.analysis.aggregate import Scores
 from reports.analysis.ranking import rank_methods
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import rows
 
 
 def test_the_interval_of_one_scene_is_over_its_clips(results):

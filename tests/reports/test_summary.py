@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import METHODS, SAMPLE_MS, SCENES, rows
 
 from reports import summary
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, rows
 
 OFFSET = sum(SCENES.values()) / 4
 

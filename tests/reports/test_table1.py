@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import METHODS, SCENES, rows
 
 from reports import table1
 from reports.analysis.aggregate import Scores
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
+from tests.reports.conftest import METHODS, SCENES, rows
 
 OFFSET = sum(SCENES.values()) / 4
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import SCENES, rows
 from scipy import stats
 
 from reports import training_seeds
@@ -16,6 +15,7 @@ from reports.analysis import training_differences
 from reports.analysis.aggregate import Scores, mean_over_scenes
 from reports.analysis.comparability import ReportError
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
+from tests.reports.conftest import SCENES, rows
 
 SHIFTS = (-0.2, 0.1, 0.1)  # dB of each training; mean 0, deviation sqrt(0.06 / 2)
 

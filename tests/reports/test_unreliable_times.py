@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import matplotlib as mpl
 import pytest
-from conftest import rows
 
 from reports import ablation, pareto, published_pareto, summary, table1
 from reports.analysis.aggregate import Scores, metrics_with_values
 from reports.analysis.time_notes import device_mixes, unreliable_times
 from reports.layout.pareto_panels import OVERALL, draw_pareto
 from rlbench.benchmark.results import to_dataframe
+from tests.reports.conftest import rows
 
 BUSY = "unreliable: the machine was busy in 9 of 12 rounds"
 MIX = "two devices: inference of a CPU, samples of a GPU"

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from conftest import rows
 
 from reports import variance
 from reports.analysis.aggregate import Scores
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
+from tests.reports.conftest import rows
 
 TRAININGS = (-0.2, 0.0, 0.2)  # dB added to the scores of each
 ORDERS = (-0.1, 0.1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from formula_results import THREE, Formula, table
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
@@ -15,6 +14,7 @@ from reports.analysis.curves import curves_of
 from reports.layout import style
 from reports.layout.winner_map import MapLabels, draw_winner_map, method_colours
 from rlbench.benchmark.results import MissingRowsError
+from tests.reports.formula_results import THREE, Formula, table
 
 
 @pytest.fixture(scope="module")
