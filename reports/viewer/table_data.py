@@ -33,7 +33,8 @@ def table_data(rows: pd.DataFrame, device: str, draws: int = BOOTSTRAP_SAMPLES) 
         scores = Scores(rows, metric, device)
         times = pd.concat([scores.points, scores.overall.assign(scene=ALL_SCENES)])
         keys = ["method", "scene", "target_spp"]
-        ranked = correct_by_holm(rank_at_once(scores, draws))
+        groups = rank_at_once(scores, draws).groupby(["scene", "target_spp"])
+        ranked = pd.concat(correct_by_holm(group) for _, group in groups)
         table = ranked.merge(times[[*keys, *TIMES]], on=keys, how="left")
         metrics.append(
             {

@@ -137,7 +137,7 @@ def read_images(
     kept = [each for each in kept if each.cell.key.clip in names]
     if not kept:
         hint = "run the same command of `rlbench run` with --keep-images for the rest"
-        return [], [f"{results} keeps no images, so the page has decision and table alone; {hint}"]
+        return [], [f"the results keep no images, so the page has decision and table alone; {hint}"]
     known = {each.cell.key.target_spp for each in kept}
     if unknown := set(spp or ()) - known:
         raise OptionError(

@@ -16,7 +16,7 @@ export function drawCurves({ curves, metric, ranked, look }) {
   const times = curves.flatMap((curve) => frameTimes(curve, state.sample));
   const scores = curves.flatMap((curve) => curve.units.map(mean));
   const [from, to] = span(scores);
-  const width = Math.min(540, document.documentElement.clientWidth - 32);
+  const width = Math.min(480, document.documentElement.clientWidth - 32);
   const least = Math.max(Math.min(...times, state.deadline), 0.01);
   const { svg, plot, px, py, box } = chart({
     width,
