@@ -68,9 +68,8 @@ def test_no_winner_takes_longer_than_its_deadline(files):
 
 
 def curves_of_results():
-    from conftest import rows
-
     from rlbench.benchmark.results import to_dataframe
+    from tests.reports.conftest import rows
 
     return {c.method: c for c in curves_of(Scores(to_dataframe(rows())))}
 
