@@ -49,7 +49,6 @@ def read_cell(page: str, spp: str, method: str) -> str:
 LEARNED_DENSITIES = {
     *(f"ours{variant}" for variant in ("", "/lean", "/small", "/A1", "/C", "/lag", "/stateless")),
     *("ours/B1", "ours/B2", "ours/paper", "ntas", "ntas/direct", "ntas/history", "dasr"),
-    *("dasr/gamma",),
 }
 
 

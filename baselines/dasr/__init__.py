@@ -24,7 +24,9 @@ FAMILY = Family(
     licence="Apache-2.0",
     variants={
         "": Variant("Does one sample per pixel show where the others should go?", TRAITS),
-        "gamma": Variant("Does the sampler learn better from a smooth sample model?", TRAITS),
+        "gamma": Variant(
+            "Does the sampler learn better from a smooth sample model?", TRAITS, pretrained=False
+        ),
     },
     build="baselines.dasr.method:build",
     train="baselines.dasr.train:training_task",

@@ -30,32 +30,26 @@ FAMILY = Family(
         "paper-appo": Variant(
             "Does one policy over the image learn? (the paper's recipe, by APPO)",
             TRAITS,
-            pretrained=False,
         ),
         "paper-A1": Variant(
             "In the paper's recipe, is the surrogate gradient as good?",
             AT_LEAST_ONE,
-            pretrained=False,
         ),
         "paper-A2": Variant(
             "In the paper's recipe, is adaptive sampling worth its time? (uniform sampling)",
             UNIFORM,
-            pretrained=False,
         ),
         "paper-B1": Variant(
             "In the paper's recipe, does the encoder pay? (the sampler reads the last samples)",
             TRAITS,
-            pretrained=False,
         ),
         "paper-B2": Variant(
             "In the paper's recipe, does any history pay? (every frame by itself)",
             SINGLE_FRAME,
-            pretrained=False,
         ),
         "paper-C": Variant(
             "In the paper's recipe, do individual samples pay? (their mean enters the encoder)",
             TRAITS,
-            pretrained=False,
         ),
         "A1": Variant("Is the surrogate gradient alone as good?", AT_LEAST_ONE),
         "A2": Variant("Is adaptive sampling worth its time? (uniform sampling)", UNIFORM),

@@ -60,6 +60,7 @@ def run(
     skip_tiles: bool = False,
     limit_frames: int | None = None,
     retime: bool = False,
+    scores_only: bool = False,
     keep_images: bool = False,
     out: Path | str = RESULTS,
     executor: Executor = LOCAL,
@@ -76,7 +77,8 @@ def run(
     where it is installed. `skip_tiles` keeps unchanged tiles of methods with a receptive field, for
     rows `METHOD@tiles`. `cost` is "measured", the name of a cost profile, or a TOML file.
     Results are kept in the folder `out`; cells that it holds already are not measured again.
-    `retime` measures the times of cells again whose scores are there, and no scores. `keep_images`
+    `retime` measures the times of cells again whose scores are there, and no scores; `scores_only`
+    measures no times, and a later call without it measures those that are missing. `keep_images`
     keeps the image of each frame in the folder `images` of `out`. `on_cell` is called with each
     finished cell.
 
@@ -102,7 +104,15 @@ def run(
         skip_tiles=skip_tiles,
         limit_frames=limit_frames,
     )
-    summary = measure(plan, Path(out), on_cell, executor, retime=retime, keep_images=keep_images)
+    summary = measure(
+        plan,
+        Path(out),
+        on_cell,
+        executor,
+        retime=retime,
+        scores_only=scores_only,
+        keep_images=keep_images,
+    )
     rows = read_cells(plan, Path(out))
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)

@@ -20,7 +20,7 @@ from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
 
-SCORING = ("rlbench.benchmark.cell_runner", "rlbench.benchmark.scoring")  # images to numbers
+SCORING = ("rlbench.benchmark.scoring",)  # images to numbers
 TIMING = (
     "rlbench.benchmark.clock",
     "rlbench.benchmark.cost",

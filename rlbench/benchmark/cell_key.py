@@ -58,7 +58,7 @@ class CellId:
 
     key: CellKey
     content_hash: str
-    times_hash: str = ""  # empty in older files
+    times_hash: str = ""  # empty for a cell without times, and in older files
 
     @property
     def is_failed(self) -> bool:
@@ -74,6 +74,11 @@ class CellId:
         if not self.times_hash:
             del document["times_hash"]
         return document
+
+    @property
+    def untimed(self) -> CellId:
+        """The identity of the same scores without times."""
+        return replace(self, times_hash="")
 
     def has_scores_of(self, cell: CellId) -> bool:
         """Do both have the same scores, whatever their times?"""

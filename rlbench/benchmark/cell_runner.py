@@ -17,7 +17,7 @@ from rlbench.benchmark.clip_sources import samples_at_cap
 from rlbench.benchmark.resolve import ResolvedCell
 from rlbench.benchmark.results import CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import compare_frame, refusal_row, row_template, score_frame
+from rlbench.benchmark.scoring import refusal_row, row_template, score_frames
 from rlbench.benchmark.time_rows import drop_times, failed_time_rows, timing_rows
 from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
@@ -40,11 +40,18 @@ class CellRunner:
     """Measures the cells of one plan; every worker has a copy."""
 
     def __init__(
-        self, plan: RunPlan, cells: list[ResolvedCell], ids: CellIds, keep_images: bool
+        self,
+        plan: RunPlan,
+        cells: list[ResolvedCell],
+        ids: CellIds,
+        *,
+        keep_images: bool,
+        scores_only: bool,
     ) -> None:
         """Load the metrics and prepare a row of each cell."""
         self.plan = plan
         self.keep_images = keep_images
+        self.scores_only = scores_only
         self.metrics = list(registry.load_run_metrics().values())
         self.loader = CellLoader(plan)
         profile = None if plan.cost == cost.MEASURED else cost.profile(plan.cost)
@@ -72,9 +79,10 @@ class CellRunner:
             return
         gpus = 1 if self.plan.device.type == "cuda" else 0
         resources = Resources(torch.get_num_threads(), gpus)
+        timed = [] if self.scores_only else cells
         errors = {
             cell.key: error
-            for cell, error in self.timings.measure_all(cells, executor, resources, on_timing)
+            for cell, error in self.timings.measure_all(timed, executor, resources, on_timing)
         }
         unscored = []
         for cell in cells:
@@ -103,11 +111,12 @@ class CellRunner:
         needs = frozenset().union(*(metric.needs for metric in self.metrics))
         clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
-        remarks, rows, frames, compared = self._remarks(cell), [], [], None
+        remarks, rows, frames = self._remarks(cell), [], []
         max_samples = samples_at_cap(cell.traits, cell.header.pool_spp)
-        for result in run_clip(method, clip, cell.target_spp):
-            compared = compare_frame(self.metrics[0].compare, result, compared, max_samples)
-            scored = score_frame(template, self.metrics, compared, result, cell.header)
+        results = run_clip(method, clip, cell.target_spp)
+        for result, scored in score_frames(
+            template, self.metrics, results, cell.header, max_samples
+        ):
             rows += [replace(row, note=row.note or remarks) for row in scored]
             frames += [KeptFrame.of(result)] if self.keep_images else []
         shared = cell.traits.pool, clip.digest, max_samples
@@ -127,6 +136,8 @@ class CellRunner:
         return scores + self._time_rows(cell, template, scores)
 
     def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:
+        if self.scores_only:
+            return []
         mean_spp = sum(row.mean_spp for row in scores) / len(scores)
         times = self.timings
         return timing_rows(

@@ -24,16 +24,27 @@ class CellStore:
         self.slots = by_slot(self.cells)
         self._image_slots = by_slot(images.cell for images in cell_images.list_images(folder))
 
+    def find(self, cell: CellId) -> CellId | None:
+        """The stored cell with the same scores, whatever its times, or None."""
+        stored = self.slots.get(cell.key.slot, ())
+        return next((each for each in stored if each.has_scores_of(cell)), None)
+
+    def identify(self, cell: CellId, scores_only: bool) -> CellId:
+        """The identity under which a run looks for a cell and writes it.
+
+        With `scores_only` that of the stored cell with the same scores, so that its times stay.
+        """
+        return self.find(cell) or cell.untimed if scores_only else cell
+
     def rows(self, cell: CellId, with_images: bool = False) -> list[Row] | None:
         """The stored rows of a cell with the same scores, or None.
 
         None `with_images` if there are scores of frames, but not all their images.
         """
-        for stored in self.slots.get(cell.key.slot, ()):
-            if stored.has_scores_of(cell):
-                rows = results.read_cell_rows(self.folder, stored)
-                return None if with_images and self._lacks_images(cell, rows) else rows
-        return None
+        if (stored := self.find(cell)) is None:
+            return None
+        rows = results.read_cell_rows(self.folder, stored)
+        return None if with_images and self._lacks_images(cell, rows) else rows
 
     def write(self, cell: CellId, rows: Sequence[Row], images: CellImages | None) -> int:
         """Write a finished cell, images first; returns how many older versions it replaced."""

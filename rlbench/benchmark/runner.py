@@ -80,12 +80,15 @@ def measure(
     on_timing: TimingCallback = _ignore_timing,
     *,
     retime: bool = False,
+    scores_only: bool = False,
     keep_images: bool = False,
 ) -> RunSummary:
     """Measure every cell of `plan` that the results in `folder` do not have, and write its rows.
 
     A cell whose scores the results have is only timed where its times are out of date; with
     `retime`, all such cells are timed again, and no cell is scored. Scores stay as they are.
+    With `scores_only`, nothing is timed: a later call without it measures the times that are
+    missing, when the machine is quiet.
     With `keep_images`, the images of each cell are written too (`cell_images`), and a cell whose
     scores the results have without its images is measured again. `on_cell` is called with each
     finished cell, `on_timing` with the number of timed rows.
@@ -93,17 +96,15 @@ def measure(
     Raises, before anything is measured: PluginError for an unknown method, CostError for an
     unknown cost profile, CellsError for clips with the same name, where scores of whole clips or
     of another preset would be lost, or where `retime` finds no cell; OptionError for `retime` with
-    `keep_images`. Raises ExecutorError where no cell can be run.
+    `keep_images` or `scores_only`. Raises ExecutorError where no cell can be run.
     """
-    if retime and keep_images:
-        raise OptionError(
-            "--retime measures times alone, so it makes no images. Use --keep-images without it"
-        )
+    if retime:
+        _check_times_alone(scores_only, keep_images)
     plan.check_unique_names()
     cells, ids = resolve_cells(plan), CellIds(plan)
-    runner = CellRunner(plan, cells, ids, keep_images)
+    runner = CellRunner(plan, cells, ids, keep_images=keep_images, scores_only=scores_only)
     store = CellStore(folder)
-    cell_ids = {cell.key: ids.cell_id(cell) for cell in cells}
+    cell_ids = {cell.key: store.identify(ids.cell_id(cell), scores_only) for cell in cells}
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
     stored = {key: store.rows(cell_id, keep_images) for key, cell_id in cell_ids.items()}
@@ -133,6 +134,16 @@ def measure(
         summary += replace(counts, replaced=store.write(cell_id, *output))
         on_cell(outcome.job)
     return summary
+
+
+def _check_times_alone(scores_only: bool, keep_images: bool) -> None:
+    """Raise OptionError for options that contradict `retime`."""
+    if scores_only:
+        raise OptionError("--retime measures times alone, --scores-only scores alone. Omit one")
+    if keep_images:
+        raise OptionError(
+            "--retime measures times alone, so it makes no images. Use --keep-images without it"
+        )
 
 
 def _count_cell(cell: CellId, rows: Sequence[Row], is_timed: bool) -> RunSummary:

@@ -16,7 +16,14 @@ from rlbench.run import FrameResult
 from rlbench.sanitize import Repairs
 from rlbench.wrappers import TileMemory
 
-__all__ = ["compare_frame", "refusal_row", "row_template", "score_clip", "score_frame"]
+__all__ = [
+    "compare_frame",
+    "refusal_row",
+    "row_template",
+    "score_clip",
+    "score_frame",
+    "score_frames",
+]
 
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
 
@@ -70,6 +77,20 @@ def compare_frame(
         max_samples=max_samples,
         previous=previous,
     )
+
+
+def score_frames(
+    template: Row,
+    metrics: Sequence[Any],  # as metrics.metric.Metric
+    results: Iterable[FrameResult],
+    header: Header,
+    max_samples: int | None = None,
+) -> Iterator[tuple[FrameResult, list[Row]]]:
+    """The frames of a clip in order, each with its rows. Raises as `score_frame` does."""
+    compared = None
+    for result in results:
+        compared = compare_frame(metrics[0].compare, result, compared, max_samples)
+        yield result, list(score_frame(template, metrics, compared, result, header))
 
 
 def score_frame(

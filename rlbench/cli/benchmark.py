@@ -70,6 +70,14 @@ def run(
             rich_help_panel=options.MEASUREMENT,
         ),
     ] = False,
+    scores_only: Annotated[
+        bool,
+        typer.Option(
+            "--scores-only",
+            help="measure no times; a later run without it, on a quiet machine, adds them",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = False,
     limit_frames: options.LimitFrames = None,
     device: options.Device = "auto",
     engine: options.Engine = "local",
@@ -103,6 +111,7 @@ def run(
       rlbench run -m ours,oidn --backend openvino
       rlbench run -m eaw/still --spp 0.25 --skip-tiles
       rlbench run -m ours,oidn --retime
+      rlbench run -m ours,oidn --scores-only
       rlbench run -m ours,oidn --keep-images
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
@@ -145,6 +154,7 @@ def run(
                 executor,
                 bar.on_timing,
                 retime=retime,
+                scores_only=scores_only,
                 keep_images=keep_images,
             )
     console.print_summary(summary, out)

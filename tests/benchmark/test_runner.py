@@ -25,6 +25,7 @@ from rlbench.benchmark.resolve import resolve_cells, resolve_method
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.runner import RunSummary, measure, read_cells
 from rlbench.clips.stored import open_clip
+from rlbench.errors import OptionError
 from rlbench.system import code_hash, provenance
 from rlbench.weights import card_path
 from tests.conftest import write_noise, write_plugin
@@ -159,8 +160,37 @@ def test_retiming_runs_no_frame_for_scores(clip_folder, tmp_path, monkeypatch):
     def refuse(*arguments):
         raise AssertionError("a frame was scored")
 
-    monkeypatch.setattr("rlbench.benchmark.cell_runner.score_frame", refuse)
+    monkeypatch.setattr("rlbench.benchmark.cell_runner.score_frames", refuse)
     assert measure(plan, tmp_path / "r", retime=True) == RunSummary(timed=1)
+
+
+def test_a_run_without_times_leaves_them_to_a_later_run(clip_folder, tmp_path, monkeypatch):
+    plan = run_plan(clip_folder, "mean", "eaw", target_spp=(0.5, 2.0))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("rlbench.benchmark.latency.time_methods", None)  # calling it would fail
+        done = measure(plan, tmp_path / "r", scores_only=True)
+        assert done == RunSummary(measured=3, skipped=1)  # eaw does not support 0.5 spp
+        assert measure(plan, tmp_path / "r", scores_only=True) == RunSummary(cached=4)
+    rows, before = table.read(tmp_path / "r"), scores(tmp_path / "r")
+    assert "ms" not in set(rows["unit"])
+    assert measure(plan, tmp_path / "r") == RunSummary(timed=3, skipped=1)
+    assert repr(scores(tmp_path / "r")) == repr(before)
+    assert "frame_ms" in set(table.read(tmp_path / "r")["metric"])
+
+
+def test_a_run_without_times_keeps_those_that_are_there(clip_folder, tmp_path):
+    plan = run_plan(clip_folder)
+    measure(plan, tmp_path / "r")
+    before = table.read(tmp_path / "r")
+    changed = replace(plan, cost="paper-2080ti")  # whose times would be others
+    assert measure(changed, tmp_path / "r", scores_only=True) == RunSummary(cached=1)
+    assert table.read(tmp_path / "r").equals(before)
+
+
+def test_a_run_of_times_alone_and_of_scores_alone_is_a_contradiction(clip_folder, tmp_path):
+    with pytest.raises(OptionError, match="--retime measures times alone, --scores-only"):
+        measure(run_plan(clip_folder), tmp_path / "r", retime=True, scores_only=True)
 
 
 def test_only_cells_with_scores_are_timed_again(clip_folder, tmp_path):
