@@ -38,7 +38,7 @@ def write_array(path: Path, array: NDArray[np.floating]) -> None:
 def open_array(path: Path, shape: tuple[int, ...]) -> NDArray[np.floating] | None:
     """The array as a memory map, or None where the file is absent, damaged, or of another shape.
 
-    While the file does not change, all calls share one map.
+    While the file does not change, all calls share one map. Writing to it does not change the file.
     """
     try:
         stat = path.stat()
@@ -54,7 +54,7 @@ def _map(path: Path, size: int, mtime_ns: int, inode: int) -> NDArray[np.floatin
     """The array of a file in this state; None if its trailer does not agree with its content."""
     if not _is_intact(path, size, mtime_ns, inode):
         return None
-    array: NDArray[np.floating] = np.load(path, mmap_mode="r", allow_pickle=False)
+    array: NDArray[np.floating] = np.load(path, mmap_mode="c", allow_pickle=False)
     return array
 
 

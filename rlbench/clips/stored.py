@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -36,6 +38,26 @@ __all__ = [
 
 DEFAULT_INPUTS = frozenset(BUFFERS)
 FULL_WINDOW = (slice(None), slice(None))
+
+
+class StoredReference(Reference):
+    """Half references that are read when they are first used: a clock of methods uses none."""
+
+    _read_half: Callable[[str], Tensor]
+
+    def __init__(self, read_half: Callable[[str], Tensor]) -> None:
+        """`read_half` reads half "A" or "B", [1 3 h w]."""
+        object.__setattr__(self, "_read_half", read_half)
+
+    @cached_property
+    def half_a(self) -> Float[Tensor, "n 3 h w"]:
+        """Half "A" of the reference."""
+        return self._read_half("A")
+
+    @cached_property
+    def half_b(self) -> Float[Tensor, "n 3 h w"]:
+        """Half "B" of the reference."""
+        return self._read_half("B")
 
 
 @dataclass(frozen=True)
@@ -86,29 +108,29 @@ class StoredClip:
         """Frame `index`, or a window (rows, columns) of it, as float32 on the device."""
         order, rounding_seed = sample_order(self.seed, self.name, index, self.header.pool_spp)
         stored = self.arrays.pool(self.pool, index, order[: self.max_samples])
-        radiance = torch.stack([self._tensor(sample, window) for sample in stored], dim=1)
-        return self.frame_with_pool(
-            index, StoredPool(radiance * self.header.exposure, (rounding_seed,)), window
-        )
+        samples = [self._tensor(sample, window) for sample in stored]
+        radiance = torch.stack(samples, dim=1).mul_(self.header.exposure)
+        return self.frame_with_pool(index, StoredPool(radiance, (rounding_seed,)), window)
 
     def frame_with_pool(
         self, index: int, pool: Pool, window: tuple[slice, slice] = FULL_WINDOW
     ) -> Frame:
         """Frame `index` with another pool; no stored sample is read."""
         gbuffer = self.arrays.gbuffer(index, sorted(self.inputs))
-        halves = [self._tensor(self.arrays.reference(half, index), window) for half in "AB"]
-        exposure = self.header.exposure
         return Frame(
             index,
             GBuffer({k: self._tensor(v, window) for k, v in gbuffer.items()}, self.header.static),
             pool,
-            Reference(halves[0] * exposure, halves[1] * exposure),
+            StoredReference(lambda half: self._half_reference(half, index, window)),
         )
+
+    def _half_reference(self, half: str, index: int, window: tuple[slice, slice]) -> Tensor:
+        return self._tensor(self.arrays.reference(half, index), window).mul_(self.header.exposure)
 
     def _tensor(self, array: NDArray[np.floating], window: tuple[slice, slice]) -> Tensor:
         """An array [c h w] as a tensor [1 c h w], copied out of the memory map."""
-        pixels = np.array(array[:, *window])
-        return torch.from_numpy(pixels).to(self.device).float()[None]
+        pixels = torch.from_numpy(array[:, *window])
+        return pixels.to(self.device, torch.float32, copy=True)[None]
 
 
 def open_clip(

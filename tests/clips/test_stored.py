@@ -129,9 +129,16 @@ def test_only_needed_buffers_and_slots_are_decoded(folder):
     assert decoded_files() == {
         "view/depth.0001",
         f"pool.path/s{first}.0001",
-        "referenceA/rgb.0001",
-        "referenceB/rgb.0001",
     }
+
+
+def test_half_references_are_decoded_when_they_are_first_used(folder):
+    frame = open_clip(folder, inputs=frozenset(), max_samples=1).frame(1)
+    assert not [name for name in decoded_files() if name.startswith("reference")]
+    assert frame.reference.half_b is frame.reference.half_b
+    assert [n for n in decoded_files() if n.startswith("reference")] == ["referenceB/rgb.0001"]
+    assert frame.reference.mean.isfinite().all()
+    assert "referenceA/rgb.0001" in decoded_files()
 
 
 def test_no_image_is_decoded_twice(folder, monkeypatch):
@@ -266,7 +273,7 @@ def test_a_broken_clip_is_reported_with_a_remedy(folder, kind):
     break_it, message = BROKEN[kind]
     break_it(folder)
     with pytest.raises(ClipError, match=message):
-        list(open_clip(folder))
+        [frame.reference.mean for frame in open_clip(folder)]
 
 
 @pytest.mark.parametrize("kind", BROKEN)
