@@ -43,6 +43,14 @@ def render(
             rich_help_panel=options.RENDERING,
         ),
     ] = False,
+    digests: Annotated[
+        bool,
+        typer.Option(
+            "--digests",
+            help="print the name of each clip and the hash of its pixels, not its folder",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
     engine: options.Engine = "local",
     ray_address: options.RayAddress = None,
 ) -> None:
@@ -60,6 +68,7 @@ def render(
       rlbench render --buffers object,normal_psr
       rlbench render --preset standard --engine ray --ray-address auto
       rlbench render --preset standard --remeasure-sample-time
+      rlbench render --preset unseen --digests
     """
     from rlbench.parallel.ray_executor import open_executor
     from rlbench.render.jobs.preset_clips import render_preset_clips
@@ -70,7 +79,16 @@ def render(
             names, preset, radiance_cap, seeds, buffer_names, executor, takes=takes
         )
     for folder in folders:
-        typer.echo(f"{folder}{_remeasure(folder) if remeasure_sample_time else ''}")
+        times = _remeasure(folder) if remeasure_sample_time else ""
+        typer.echo(f"{_digest(folder) if digests else folder}{times}")
+
+
+def _digest(folder: Path) -> str:
+    """The clip's name and the first 12 digits of its content hash, as on model cards."""
+    from rlbench.clips.stored import open_clip
+
+    clip = open_clip(folder)
+    return f"{clip.name} {clip.digest[:12]}"
 
 
 def _remeasure(folder: Path) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rlbench.clips.stored import open_clip
 from rlbench.render.jobs import preset_clips
 from rlbench.training import dataset
 from tests.cli.runner import rlbench
@@ -79,6 +80,14 @@ def test_render_can_measure_the_time_of_a_sample_again(clip_folder, monkeypatch)
     )
     output = rlbench("render", "--remeasure-sample-time", code=2)
     assert "was rendered on 'another machine'" in output  # by the function that measures
+
+
+def test_render_can_print_the_hashes_by_which_others_recognise_the_clips(clip_folder, monkeypatch):
+    monkeypatch.setattr(
+        "rlbench.render.jobs.render_clips.ensure", lambda *_, **__: [Path(clip_folder)]
+    )
+    clip = open_clip(clip_folder)
+    assert rlbench("render", "--digests").strip() == f"{clip.name} {clip.digest[:12]}"
 
 
 def test_import_of_an_unknown_format_or_folder_is_one_message(tmp_path):
