@@ -29,8 +29,8 @@ def persistent_cache(request, monkeypatch):
 
 def compare(results, scenes, methods, spp, subset) -> comparison.RegressionReport:
     clips = tuple(StoredSource(folder) for folder in ensure("mini", scenes))
-    plan = RunPlan(methods, clips, spp, repeats=1)
-    measure(plan, results)
+    plan = RunPlan(methods, clips, spp)
+    measure(plan, results, scores_only=True)
     rows, baseline = read_cells(plan, results), load_baseline(BASELINE)
     if subset:
         rows, baseline = select_baseline(rows, baseline, methods)

@@ -22,19 +22,19 @@ def test_a_method_without_state_is_skipped():
 
 
 @pytest.mark.parametrize(
-    ("method", "test"),
+    ("method", "tests"),
     [
-        (broken.Drifts(), "drift-static"),
-        (broken.NeverConverges(), "convergence"),
-        (broken.NeverConverges(), "convergence-gap"),
-        (broken.GrowsState(), "state-growth"),
-        (broken.GrowsMemory(), "memory-growth"),
-        (broken.Overflows(), "state-magnitude"),
+        (broken.Drifts(), ["drift-static"]),
+        (broken.NeverConverges(), ["convergence", "convergence-gap"]),
+        (broken.GrowsState(), ["state-growth"]),
+        (broken.GrowsMemory(), ["memory-growth"]),
+        (broken.Overflows(), ["state-magnitude"]),
     ],
-    ids=lambda value: value if isinstance(value, str) else type(value).__name__,
+    ids=lambda value: "" if isinstance(value, list) else type(value).__name__,
 )
-def test_a_fault_is_found(method, test):
-    assert verdicts(method)[test] is not Verdict.PASSED
+def test_a_fault_is_found(method, tests):
+    found = verdicts(method)
+    assert Verdict.PASSED not in [found[test] for test in tests]
 
 
 @pytest.mark.slow
