@@ -96,12 +96,13 @@ equal: .venv/dev.stamp
 	done
 	$(call page,clips,$(RESULTS)/equal,equal)
 
-# comparison with static cameras, cuts, switched lights and static scenes: hours of rendering
+# comparison with static cameras, cuts, switched lights and static scenes: half an hour of rendering
 takes: .venv/dev.stamp
-	$(BIN)/rlbench render --preset standard --remeasure-sample-time
-	$(BIN)/rlbench run -m '$(RIVALS),ours/lag,imcd,ntas,svgf' --preset standard --spp 1,2,4 --out $(RESULTS)/takes
+	$(BIN)/rlbench run -m '$(RIVALS),ours/lag,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf' --preset takes --spp 0.5,1,2,4 --out $(RESULTS)/takes
 	$(call page,clips,$(RESULTS)/takes,takes)
-	$(BIN)/rlbench images -m ours/lag,ours,oidn-intel --preset standard --scenes hall-cut --spp 4 --frame 15 --out docs/made
+	$(BIN)/rlbench report recovery --results $(RESULTS)/takes --out docs/made
+	mv docs/made/recovery.md docs/made/recovery.png docs/results
+	$(BIN)/rlbench images -m ours/lag,ours,oidn-intel --preset takes --scenes hall-cut --spp 4 --frame 15 --out docs/made
 	mv docs/made/hall-cut-4spp-15.png docs/results/switched.png && rm -r docs/made
 
 # the papers' protocol with short trainings, 1000 crops of the other three scenes: half an hour

@@ -61,7 +61,7 @@ def write(
     if not sections:
         raise MissingRowsError(
             f"no clip has a cut or a light change with {MIN_SPAN} frames after it. Takes have: "
-            "rlbench run --preset standard --takes all. Where clips are older than the key "
+            "rlbench run --preset takes. Where clips are older than the key "
             "`light_changes`, remove their clip.toml; rlbench render writes it and keeps the frames"
         )
     return [*write_page(folder, name, "Recovery", results, sections), *files]

@@ -138,6 +138,16 @@ PRESETS = {
             max_reference_rounds=12,
             pools=PATH_AND_RESTIR,
         ),
+        Preset(
+            "takes",
+            "static cameras, cuts, switched lights: all takes, in half an hour on two cores",
+            (160, 160),
+            20,
+            32,
+            takes="all",
+            min_noise_ceiling_db=30.0,
+            max_reference_rounds=4,
+        ),
         # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
         Preset(
