@@ -147,6 +147,7 @@ PRESETS = {
             takes="all",
             min_noise_ceiling_db=30.0,
             max_reference_rounds=4,
+            pools=PATH_AND_RESTIR,
         ),
         # main takes only, as in the paper: a clip has 10^10 paths, three hours on two cores
         Preset("paper", "the paper's protocol: 1000 spp references", (720, 720), 20, 500),
