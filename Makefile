@@ -38,7 +38,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress contact site test test-all format clean
+.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --methods $(METHODS) --preset mini --keep-images --out $(RESULTS)
@@ -142,6 +142,10 @@ stress: .venv/dev.stamp
 gradients: .venv/run.stamp
 	$(BIN)/python -m methods.ours.experiments.gradients.measure --out docs/results
 	$(BIN)/python -m reports.gradients docs/results
+
+# validation of each row that ships against its training, from the model cards
+training: .venv/run.stamp
+	$(BIN)/python -m reports.training_curves docs/results
 
 # one frame of each scene; resumes if it was killed; make contact SPP=64 is quick
 contact: .venv/run.stamp
