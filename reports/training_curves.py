@@ -53,7 +53,7 @@ def read_cards(paths: Iterable[Path]) -> list[Training]:
     trainings = []
     for path in paths:
         card = tomllib.loads(path.read_text())
-        history = next((card[key] for key in HISTORY if card.get(key)), [])
+        history: list[tuple[int, float]] = next((card[key] for key in HISTORY if card.get(key)), [])
         if history:
             crops, psnr = zip(*history, strict=True)
             trainings.append(Training(card["name"], crops, psnr))
