@@ -13,6 +13,7 @@ from torch import Tensor
 __all__ = ["at_cap", "effort_error", "effort_noise", "rank_correlation"]
 
 NOISE_WINDOW = 7  # pixels: side of the square over which the noise of the halves is averaged
+MAX_BINS = 2**12  # range of integers that are ranked by counting
 
 
 def effort_error(
@@ -91,11 +92,33 @@ def rank_correlation(
 
 def _centred_ranks(values: Tensor) -> Tensor:
     """Ranks less their mean, in double precision; equal values share their mean rank."""
-    _, group, sizes = torch.unique(values, return_inverse=True, return_counts=True)
-    last = sizes.cumsum(0).double()
-    ranks = (last - (sizes - 1) / 2)[group]
-    centred: Tensor = ranks - ranks.mean()
-    return centred
+    keys = _ordered_integers(values)
+    least = keys.min()
+    if int(keys.max() - least) <= MAX_BINS:  # counts: nothing needs to be sorted
+        group = (keys - least).long()
+        return _group_ranks(torch.bincount(group))[group]
+    ascending, order = keys.sort()
+    _, group, sizes = ascending.unique_consecutive(return_inverse=True, return_counts=True)
+    return torch.empty_like(order, dtype=torch.float64).index_copy_(
+        0, order, _group_ranks(sizes)[group]
+    )
+
+
+def _group_ranks(sizes: Tensor) -> Tensor:
+    """The mean rank of each group of equal values in ascending order, less that of all."""
+    middle: Tensor = sizes.cumsum(0).double() - (sizes - 1) / 2
+    return middle - (int(sizes.sum()) + 1) / 2
+
+
+def _ordered_integers(values: Tensor) -> Tensor:
+    """Integers in the order of the values, which have no NaN: they are sorted by their digits.
+
+    Bits of floats are ordered as integers are, those of negative ones the other way round.
+    """
+    if not values.is_floating_point():
+        return values
+    bits = (values + 0.0).view(torch.int64 if values.dtype == torch.float64 else torch.int32)
+    return torch.where(bits < 0, bits ^ torch.iinfo(bits.dtype).max, bits)  # -0.0 became 0.0
 
 
 def _correlate_ranks(x: Tensor, y: Tensor) -> Tensor:
