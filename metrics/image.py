@@ -8,7 +8,6 @@ and `nonfinite` marks it.
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 

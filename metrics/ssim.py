@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import torch
@@ -126,28 +127,31 @@ def _window_means(image: Tensor, reference: Tensor) -> Iterator[Tensor]:
     """Gaussian means of x, y, x^2 + y^2 and xy over all windows, by tiles [4 tiles n 3 r c]."""
     (n, channels, height, width), reach = image.shape, WINDOW - 1
     blocks, rest = divmod(width - reach, BLOCK)
-    to_block = _band(BLOCK, image).expand(blocks, -1, -1)
+    band = partial(_band, dtype=image.dtype, device=image.device)
+    to_block = band(BLOCK).expand(blocks, -1, -1)
     for top in range(0, height - reach, BLOCK):
         rows = min(BLOCK, height - reach - top)
         x, y = (each[..., top : top + rows + reach, :] for each in (image, reference))
         moments = torch.stack((x, y, x * x + y * y, x * y))
-        columns = (_band(rows, image).mT @ moments).flatten(0, -2)  # [4 n 3 rows, width]
+        columns = (band(rows).mT @ moments).flatten(0, -2)  # [4 n 3 rows, width]
         shape = (4, n, channels, rows)
         if blocks:
             inputs = columns.unfold(1, BLOCK + reach, BLOCK).transpose(0, 1)
             yield torch.bmm(inputs, to_block).view(blocks, *shape, BLOCK).movedim(1, 0)
         if rest:
-            edge = columns[:, blocks * BLOCK :] @ _band(rest, image)
+            edge = columns[:, blocks * BLOCK :] @ band(rest)
             yield edge.view(4, 1, n, channels, rows, rest)
 
 
-def _band(outputs: int, like: Tensor) -> Tensor:
+@lru_cache(maxsize=4 * BLOCK)
+@torch.inference_mode(False)  # or gradients could not pass a matrix that inference made
+def _band(outputs: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """[outputs + 10, outputs]: a product with it takes Gaussian means of 11 values each."""
     reach = WINDOW // 2
-    inputs = torch.arange(outputs + 2 * reach, device=like.device).unsqueeze(1)
-    distance = inputs - reach - torch.arange(outputs, device=like.device)
+    inputs = torch.arange(outputs + 2 * reach, device=device).unsqueeze(1)
+    distance = inputs - reach - torch.arange(outputs, device=device)
     weights = torch.exp(-(distance**2) / (2 * SIGMA**2)).where(distance.abs() <= reach, 0.0)
-    return (weights / weights.sum(0)).to(like.dtype)
+    return (weights / weights.sum(0)).to(dtype)
 
 
 def _halve(image: Tensor) -> Tensor:
