@@ -8,6 +8,7 @@ and `nonfinite` marks it.
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
@@ -162,5 +163,5 @@ def bound_radiance(
     >>> bound_radiance(torch.tensor([0.5, 1e9]).expand(1, 3, 1, 2))[0, 0, 0].tolist()
     [0.5, 65504.0]
     """
-    clamped = radiance.double().clamp(-HALF_MAX, HALF_MAX)
+    clamped = radiance.to(torch.float64).clamp(-HALF_MAX, HALF_MAX)
     return clamped if nonfinite is None else clamped.masked_fill(nonfinite, -HALF_MAX)
