@@ -59,7 +59,7 @@ def relmse_trimmed(
     left out, since a single firefly can outweigh the rest of an image. A pixel that is not finite
     is never left out. The mean of the reference is at least 1e-4.
 
-    >>> reference = torch.full((1, 3, 40, 50), 0.5)
+    >>> reference = torch.full((1, 3, 40, 50), 0.5, dtype=torch.float64)
     >>> image = 1.5 * reference
     >>> image[..., 3, 4] = 1e4  # a firefly, two of 2000 pixels are left out
     >>> valid = torch.zeros(1, 1, 40, 50, dtype=torch.bool)
