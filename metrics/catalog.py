@@ -45,11 +45,9 @@ def _psnr(frame: Comparison, convention: Convention | None = None) -> Tensor:
 
 
 def _psnr_debiased(frame: Comparison) -> Tensor:
-    from metrics.display import encode_display
     from metrics.psnr import psnr_debiased
 
-    halves = encode_display(frame.half_a), encode_display(frame.half_b)
-    return psnr_debiased(frame.display_image, *halves, frame.nonfinite_mask)
+    return psnr_debiased(frame.display_image, *frame.display_halves, frame.nonfinite_mask)
 
 
 def _tpsnr(frame: Comparison) -> Tensor:
@@ -60,39 +58,38 @@ def _tpsnr(frame: Comparison) -> Tensor:
 
 
 def _ssim(frame: Comparison, convention: Convention | None = None) -> Tensor:
-    from metrics.ssim import ssim
-
-    return ssim(*frame.encode(convention))
+    return frame.similarity(convention).ssim
 
 
 def _relmse(frame: Comparison) -> Tensor:
     from metrics.image import relmse
 
-    return relmse(frame.image, frame.reference)
+    return relmse(*frame.linear)
 
 
 def _relmse_trimmed(frame: Comparison) -> Tensor:
     from metrics.image import relmse_trimmed
 
-    return relmse_trimmed(frame.image, frame.reference)
+    return relmse_trimmed(*frame.linear, frame.nonfinite_mask)
 
 
 def _smape(frame: Comparison) -> Tensor:
     from metrics.image import smape
 
-    return smape(frame.image, frame.reference)
+    return smape(*frame.linear, frame.nonfinite_mask)
 
 
 def _mse_debiased(frame: Comparison) -> Tensor:
-    from metrics.image import mse_debiased
+    from metrics.image import bound_radiance, mse_debiased
 
-    return mse_debiased(frame.image, frame.half_a, frame.half_b)
+    halves = map(bound_radiance, (frame.half_a, frame.half_b))
+    return mse_debiased(frame.linear.image, *halves)
 
 
 def _bias(frame: Comparison) -> Tensor:
     from metrics.image import bias
 
-    return bias(frame.image, frame.reference)
+    return bias(*frame.linear)
 
 
 def _nonfinite(frame: Comparison) -> Tensor:
@@ -104,7 +101,7 @@ def _nonfinite(frame: Comparison) -> Tensor:
 def _ms_ssim(frame: Comparison, scales: int, convention: Convention | None = None) -> Tensor:
     from metrics.ssim import ms_ssim
 
-    return ms_ssim(*frame.encode(convention), scales)
+    return ms_ssim(*frame.encode(convention), scales, frame.similarity(convention))
 
 
 def _undefined(frame: Comparison, convention: Convention | None = None) -> Tensor:

@@ -39,11 +39,10 @@ def _effort_error(frame: Comparison) -> Tensor:
 
 
 def _effort_noise(frame: Comparison) -> Tensor:
-    from metrics.display import encode_display
     from metrics.effort import effort_noise
 
     counts: Any = frame.counts
-    return effort_noise(counts, encode_display(frame.half_a), encode_display(frame.half_b))
+    return effort_noise(counts, *frame.display_halves)
 
 
 def _at_cap(frame: Comparison) -> Tensor:

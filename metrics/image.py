@@ -1,17 +1,20 @@
 """Errors of linear radiance against the reference, one score per image of a batch.
 
-All functions take linear radiance, where 1.0 is display white. A pixel with a NaN or infinite
-channel counts as an error, never as missing.
+All functions take linear radiance, where 1.0 is display white, as `bound_radiance` returns it: in
+float64, so that its square is finite, and in the range of half floats. A pixel with a NaN or
+infinite channel counts as an error, never as missing: `bound_radiance` gives it the worst value,
+and `nonfinite` marks it.
 """
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 __all__ = [
     "bias",
+    "bound_radiance",
     "mse_debiased",
     "nonfinite",
     "nonfinite_mask",
@@ -33,20 +36,20 @@ def relmse(
     """Relative mean squared error of linear radiance, without unit; lower is better, 0 is best.
 
     mean((x - r)^2 / (r^2 + 0.01)) over pixels and channels: the relative squared error of Rousselle
-    et al. 2011, for each channel by itself. Values are clamped to the range of half floats, and a
-    pixel that is not finite takes the worst of these.
+    et al. 2011, for each channel by itself.
 
     >>> reference = torch.ones(1, 3, 8, 8)
     >>> relmse(1.5 * reference, reference)  # 0.25 / 1.01
     tensor([0.2475])
     """
-    truth = _clamp_to_half(reference)
-    error = (_clamp_to_half(image) - truth).square() / (truth.square() + RELMSE_EPS)
+    error = (image - reference).square() / (reference.square() + RELMSE_EPS)
     return error.flatten(1).mean(1).float()
 
 
 def relmse_trimmed(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+    image: Float[Tensor, "n 3 h w"],
+    reference: Float[Tensor, "n 3 h w"],
+    nonfinite: Bool[Tensor, "n 1 h w"],
 ) -> Float[Tensor, " n"]:
     """Relative squared error without the worst 0.1 % of pixels, at unit brightness; 0 is best.
 
@@ -56,39 +59,40 @@ def relmse_trimmed(
     left out, since a single firefly can outweigh the rest of an image. A pixel that is not finite
     is never left out. The mean of the reference is at least 1e-4.
 
-    >>> reference = torch.full((1, 3, 40, 50), 0.5)
+    >>> reference = torch.full((1, 3, 40, 50), 0.5, dtype=torch.float64)
     >>> image = 1.5 * reference
     >>> image[..., 3, 4] = 1e4  # a firefly, two of 2000 pixels are left out
-    >>> relmse_trimmed(image, reference), relmse(image, reference)  # 0.25 / 1.01
+    >>> valid = torch.zeros(1, 1, 40, 50, dtype=torch.bool)
+    >>> relmse_trimmed(image, reference, valid), relmse(image, reference)  # 0.25 / 1.01
     (tensor([0.2475]), tensor([192288.7031]))
     """
-    truth = _clamp_to_half(reference)
-    scale = truth.mean((1, 2, 3), keepdim=True).clamp_min(MIN_REFERENCE_MEAN)
-    truth = truth / scale
-    error = (_clamp_to_half(image) / scale - truth).square() / (truth.square() + RELMSE_EPS)
+    scale = reference.mean((1, 2, 3), keepdim=True).clamp_min(MIN_REFERENCE_MEAN)
+    truth = reference / scale
+    error = (image / scale - truth).square() / (truth.square() + RELMSE_EPS)
     by_pixel = error.mean(1).flatten(1)
     trimmed = int(TRIMMED_SHARE * by_pixel.shape[1])
-    finite = by_pixel.masked_fill(nonfinite_mask(image).flatten(1), 0.0)
+    finite = by_pixel.masked_fill(nonfinite.flatten(1), 0.0)
     kept = by_pixel.sum(1) - finite.topk(trimmed, 1).values.sum(1)
     return (kept / (by_pixel.shape[1] - trimmed)).float()
 
 
 def smape(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+    image: Float[Tensor, "n 3 h w"],
+    reference: Float[Tensor, "n 3 h w"],
+    nonfinite: Bool[Tensor, "n 1 h w"],
 ) -> Float[Tensor, " n"]:
     """Symmetric mean absolute percentage error of linear radiance, in [0, 1]; 0 is best.
 
     mean(|x - r| / (|x| + |r| + 0.01)) over pixels and channels (Vogels et al. 2018, section 4),
-    with the constant of Open Image Denoise's loss. Values beyond half floats are treated as in
-    `relmse`; a pixel that is not finite has error 1.
+    with the constant of Open Image Denoise's loss. A pixel that is not finite has error 1.
 
-    >>> reference = torch.ones(1, 3, 8, 8)
-    >>> smape(1.5 * reference, reference)  # 0.5 / 2.51
+    >>> reference, valid = torch.ones(1, 3, 8, 8), torch.zeros(1, 1, 8, 8, dtype=torch.bool)
+    >>> smape(1.5 * reference, reference, valid)  # 0.5 / 2.51
     tensor([0.1992])
     """
-    x, truth = _clamp_to_half(image), _clamp_to_half(reference)
-    error = (x - truth).abs() / (x.abs() + truth.abs() + SMAPE_EPS)
-    return error.masked_fill(nonfinite_mask(image), 1.0).flatten(1).mean(1).float()
+    error = (image - reference).abs() / (image.abs() + reference.abs() + SMAPE_EPS)
+    by_pixel = error.mean(1, keepdim=True).masked_fill(nonfinite, 1.0)
+    return by_pixel.flatten(1).mean(1).float()
 
 
 def mse_debiased(
@@ -101,16 +105,14 @@ def mse_debiased(
     mean((x - a)(x - b)) over pixels and channels, for two independent halves a and b of the
     reference: an unbiased estimate of the squared error against the converged image. It may fall
     below zero where the error is smaller than the reference's noise. Not clipped to the display,
-    because clipping would bias it. Values beyond half floats and pixels that are not finite are
-    treated as in `relmse`.
+    because clipping would bias it.
 
     >>> truth, noise = torch.ones(1, 3, 64, 64), torch.randn(2, 1, 3, 64, 64)
     >>> score = mse_debiased(truth + 0.1, truth + noise[0], truth + noise[1])  # error 0.01
     >>> abs(score.item() - 0.01) < 0.1  # the plain error would be 0.51 larger
     True
     """
-    clamped = _clamp_to_half(image)
-    error = (clamped - _clamp_to_half(half_a)) * (clamped - _clamp_to_half(half_b))
+    error = (image - half_a) * (image - half_b)
     return error.flatten(1).mean(1).float()
 
 
@@ -121,15 +123,15 @@ def bias(
 
     100 (mean(x) - mean(r)) / mean(r) of linear radiance over pixels and channels; positive if too
     bright, negative if too dark. Noise averages out. What remains is energy that a method adds or
-    loses, for example by averaging the samples that also decided where to sample. Values beyond
-    half floats and pixels that are not finite are treated as in `relmse`; mean(r) is at least 1e-4.
+    loses, for example by averaging the samples that also decided where to sample. mean(r) is at
+    least 1e-4.
 
     >>> reference = torch.ones(1, 3, 8, 8)
     >>> bias(0.75 * reference, reference)
     tensor([-25.])
     """
-    reference_mean = _clamp_to_half(reference).flatten(1).mean(1)
-    excess = _clamp_to_half(image).flatten(1).mean(1) - reference_mean
+    reference_mean = reference.flatten(1).mean(1)
+    excess = image.flatten(1).mean(1) - reference_mean
     return (100 * excess / reference_mean.clamp_min(MIN_REFERENCE_MEAN)).float()
 
 
@@ -143,11 +145,23 @@ def nonfinite(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " n"]:
 
 
 def nonfinite_mask(image: Float[Tensor, "n 3 h w"]) -> Bool[Tensor, "n 1 h w"]:
-    """True where a channel of the pixel is NaN or infinite."""
-    return ~torch.isfinite(image).all(1, keepdim=True)
+    """True where a channel of the pixel is NaN or infinite.
+
+    >>> nonfinite_mask(torch.tensor([0.5, -torch.inf]).expand(1, 3, 1, 2)).flatten().tolist()
+    [False, True]
+    """
+    return (image * 0).sum(1, keepdim=True).isnan()  # one pass, as 0 inf is NaN
 
 
-def _clamp_to_half(image: Tensor) -> Tensor:
-    """The image clamped to the range of half floats, in float64 so that its square is finite."""
-    clamped = image.double().clamp(-HALF_MAX, HALF_MAX)
-    return clamped.masked_fill(nonfinite_mask(image), -HALF_MAX)
+def bound_radiance(
+    radiance: Float[Tensor, "n 3 h w"], nonfinite: Bool[Tensor, "n 1 h w"] | None = None
+) -> Float64[Tensor, "n 3 h w"]:
+    """Radiance in float64, clamped to the range of half floats.
+
+    Pixels that `nonfinite` marks are -65504, as far from any reference as a value can be.
+
+    >>> bound_radiance(torch.tensor([0.5, 1e9]).expand(1, 3, 1, 2))[0, 0, 0].tolist()
+    [0.5, 65504.0]
+    """
+    clamped = radiance.to(torch.float64).clamp(-HALF_MAX, HALF_MAX)
+    return clamped if nonfinite is None else clamped.masked_fill(nonfinite, -HALF_MAX)

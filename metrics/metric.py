@@ -54,6 +54,7 @@ class Comparison:
     previous: Comparison | None = field(default=None, repr=False)
 
     _encoded: dict[str, EncodedPair] = field(default_factory=dict, init=False, repr=False)
+    _similar: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Forget frames that are too old."""
@@ -90,23 +91,55 @@ class Comparison:
 
         convention = convention or SRGB
         if convention.name not in self._encoded:
-            reference = convention.encode(self.reference)
-            worst = (reference < 0.5).to(reference.dtype)
-            image = convention.encode(self.image).where(~self.nonfinite_mask, worst)
+            image, reference = map(convention.encode, (self.image, self.reference))
+            if self.has_nonfinite:
+                worst = (reference < 0.5).to(reference.dtype)
+                image = image.where(~self.nonfinite_mask, worst)
             self._encoded[convention.name] = EncodedPair(image, reference)
         return self._encoded[convention.name]
 
     @cached_property
     def nonfinite_mask(self) -> Tensor:
         """[n 1 h w]: True where a channel of the image's pixel is NaN or infinite."""
-        return ~self.image.isfinite().all(1, keepdim=True)
+        from metrics.image import nonfinite_mask
+
+        return nonfinite_mask(self.image)
+
+    @cached_property
+    def has_nonfinite(self) -> bool:
+        """True if any pixel is not finite."""
+        return bool(self.nonfinite_mask.any())
+
+    @cached_property
+    def linear(self) -> EncodedPair:
+        """Image and reference in linear radiance, [n 3 h w] as `bound_radiance` returns them."""
+        from metrics.image import bound_radiance
+
+        mask = self.nonfinite_mask if self.has_nonfinite else None
+        return EncodedPair(bound_radiance(self.image, mask), bound_radiance(self.reference))
+
+    @cached_property
+    def display_halves(self) -> tuple[Tensor, Tensor]:
+        """The two halves of the reference in clipped sRGB, each [n 3 h w] in [0, 1]."""
+        from metrics.display import encode_display
+
+        return encode_display(self.half_a), encode_display(self.half_b)
+
+    def similarity(self, convention: Convention | None = None) -> Any:
+        """What SSIM and MS-SSIM share under a convention, a `metrics.ssim.SimilarityTerms`."""
+        from metrics.conventions import SRGB
+        from metrics.ssim import similarity_terms
+
+        name = (convention or SRGB).name
+        if name not in self._similar:
+            self._similar[name] = similarity_terms(*self.encode(convention))
+        return self._similar[name]
 
     @cached_property
     def display_error(self) -> Tensor:
         """Image minus reference in clipped sRGB, [n 3 h w]; NaN in pixels that are not finite."""
-        return (self.display_image - self.display_reference).masked_fill(
-            self.nonfinite_mask, math.nan
-        )
+        error = self.display_image - self.display_reference
+        return error.masked_fill(self.nonfinite_mask, math.nan) if self.has_nonfinite else error
 
     @cached_property
     def change_of_error(self) -> Any:

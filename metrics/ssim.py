@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor
 
-__all__ = ["SCALE_WEIGHTS", "max_scales", "ms_ssim", "ssim"]
+__all__ = ["SCALE_WEIGHTS", "SimilarityTerms", "max_scales", "ms_ssim", "similarity_terms", "ssim"]
 
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # Wang et al. 2003, from fine to coarse
 WINDOW = 11  # taps of the Gaussian
@@ -41,12 +42,14 @@ def ssim(
     >>> ssim(image, image), ssim(1 - image, image) < 0
     (tensor([1.]), tensor([True]))
     """
-    _check_scales(image, 1)
-    return _terms(image, reference).similarity
+    return similarity_terms(image, reference).ssim
 
 
 def ms_ssim(
-    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"], scales: int = 5
+    image: Float[Tensor, "n 3 h w"],
+    reference: Float[Tensor, "n 3 h w"],
+    scales: int = 5,
+    finest: SimilarityTerms | None = None,
 ) -> Float[Tensor, " n"]:
     """Multi-scale structural similarity of encoded images, in [0, 1]; higher is better.
 
@@ -57,8 +60,8 @@ def ms_ssim(
     before they are halved.
 
     With fewer than 5 `scales` the coarsest are left out, and the other weights are scaled to the
-    sum of all; that is a different metric and needs a different name. Raises ValueError if a side
-    is too small for `scales`.
+    sum of all; that is a different metric and needs a different name. `finest` are the terms of
+    these images, if they are known. Raises ValueError if a side is too small for `scales`.
 
     >>> image = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     >>> ms_ssim(image, image, max_scales(64, 96))
@@ -68,10 +71,10 @@ def ms_ssim(
     normalisation = math.fsum(SCALE_WEIGHTS) / math.fsum(SCALE_WEIGHTS[:scales])
     score = torch.ones_like(image[:, :, 0, 0])
     for scale, weight in enumerate(SCALE_WEIGHTS[:scales]):
-        terms = _terms(image, reference, keep_channels=True)
+        terms = (finest if scale == 0 else None) or similarity_terms(image, reference)
         is_coarsest = scale == scales - 1
         term = terms.similarity if is_coarsest else terms.contrast
-        score = score * term.clamp_min(0) ** (weight * normalisation)
+        score = score * term.float().clamp_min(0) ** (weight * normalisation)
         if not is_coarsest:
             image, reference = _halve(image), _halve(reference)
     return score.mean(1)
@@ -87,15 +90,28 @@ def max_scales(height: int, width: int) -> int:
     return min(halvings.bit_length(), len(SCALE_WEIGHTS))
 
 
-class _Terms(NamedTuple):
-    """Means over the image: of luminance x contrast x structure, and of the latter two."""
+class SimilarityTerms(NamedTuple):
+    """Means over the windows of each channel, in float64."""
 
-    similarity: Tensor
-    contrast: Tensor
+    similarity: Float64[Tensor, "n 3"]  # of luminance x contrast x structure
+    contrast: Float64[Tensor, "n 3"]  # of contrast x structure
+
+    @property
+    def ssim(self) -> Float[Tensor, " n"]:
+        """The structural similarity: the mean over channels."""
+        return self.similarity.mean(1).float()
 
 
-def _terms(image: Tensor, reference: Tensor, keep_channels: bool = False) -> _Terms:
-    """The terms of each image, [n], or of each of its channels, [n 3]."""
+def similarity_terms(
+    image: Float[Tensor, "n 3 h w"], reference: Float[Tensor, "n 3 h w"]
+) -> SimilarityTerms:
+    """What `ssim` and the finest scale of `ms_ssim` share. Raises ValueError as `ssim` does.
+
+    >>> image = torch.rand(1, 3, 32, 48, generator=torch.Generator().manual_seed(0))
+    >>> similarity_terms(image, image).contrast.float()
+    tensor([[1., 1., 1.]])
+    """
+    _check_scales(image, 1)
     similarity = contrast = torch.zeros_like(image[:, :, 0, 0], dtype=torch.float64)
     for x, y, squares, product in _window_means(image, reference):
         mean_product, mean_squares = x * y, x * x + y * y
@@ -104,36 +120,38 @@ def _terms(image: Tensor, reference: Tensor, keep_channels: bool = False) -> _Te
         contrast = contrast + structure.sum((0, -2, -1), dtype=torch.float64)
         similarity = similarity + (luminance * structure).sum((0, -2, -1), dtype=torch.float64)
     windows = (image.shape[-2] - WINDOW + 1) * (image.shape[-1] - WINDOW + 1)
-    means = [total / windows for total in (similarity, contrast)]
-    return _Terms(*((mean if keep_channels else mean.mean(1)).float() for mean in means))
+    return SimilarityTerms(similarity / windows, contrast / windows)
 
 
 def _window_means(image: Tensor, reference: Tensor) -> Iterator[Tensor]:
     """Gaussian means of x, y, x^2 + y^2 and xy over all windows, by tiles [4 tiles n 3 r c]."""
     (n, channels, height, width), reach = image.shape, WINDOW - 1
     blocks, rest = divmod(width - reach, BLOCK)
-    to_block = _band(BLOCK, image).expand(blocks, -1, -1)
+    band = partial(_band, dtype=image.dtype, device=image.device)
+    to_block = band(BLOCK).expand(blocks, -1, -1)
     for top in range(0, height - reach, BLOCK):
         rows = min(BLOCK, height - reach - top)
         x, y = (each[..., top : top + rows + reach, :] for each in (image, reference))
         moments = torch.stack((x, y, x * x + y * y, x * y))
-        columns = (_band(rows, image).mT @ moments).flatten(0, -2)  # [4 n 3 rows, width]
+        columns = (band(rows).mT @ moments).flatten(0, -2)  # [4 n 3 rows, width]
         shape = (4, n, channels, rows)
         if blocks:
             inputs = columns.unfold(1, BLOCK + reach, BLOCK).transpose(0, 1)
             yield torch.bmm(inputs, to_block).view(blocks, *shape, BLOCK).movedim(1, 0)
         if rest:
-            edge = columns[:, blocks * BLOCK :] @ _band(rest, image)
+            edge = columns[:, blocks * BLOCK :] @ band(rest)
             yield edge.view(4, 1, n, channels, rows, rest)
 
 
-def _band(outputs: int, like: Tensor) -> Tensor:
+@lru_cache(maxsize=4 * BLOCK)
+@torch.inference_mode(False)  # or gradients could not pass a matrix that inference made
+def _band(outputs: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """[outputs + 10, outputs]: a product with it takes Gaussian means of 11 values each."""
     reach = WINDOW // 2
-    inputs = torch.arange(outputs + 2 * reach, device=like.device).unsqueeze(1)
-    distance = inputs - reach - torch.arange(outputs, device=like.device)
+    inputs = torch.arange(outputs + 2 * reach, device=device).unsqueeze(1)
+    distance = inputs - reach - torch.arange(outputs, device=device)
     weights = torch.exp(-(distance**2) / (2 * SIGMA**2)).where(distance.abs() <= reach, 0.0)
-    return (weights / weights.sum(0)).to(like.dtype)
+    return (weights / weights.sum(0)).to(dtype)
 
 
 def _halve(image: Tensor) -> Tensor:

@@ -78,7 +78,7 @@ def change_of_error(
     >>> change_of_error(error.roll(-1, 3), error, moved_left).change.abs().max()
     tensor(0.)
     """
-    moved, is_inside = _warp_keeping_nan(previous_error, motion)
+    moved, is_inside = _warp_keeping_nan(previous_error, _locate(previous_error, motion))
     return ErrorChange(torch.where(is_inside, error - moved, 0.0 * error), is_inside)
 
 
@@ -125,9 +125,10 @@ def flicker(
     >>> drift.round(decimals=4), reversal.round(decimals=4)  # |0.2 - 2 * 0.3 + 0.0| / sqrt(6)
     (tensor([0.]), tensor([16.3299]))
     """
-    moved, is_inside = _warp_keeping_nan(previous_step.change, motion)
-    was_inside, _ = warp((~previous_step.is_inside).to(moved.dtype), motion)
-    is_inside = is_inside & step.is_inside & (was_inside <= MIN_WEIGHT)
+    source = _locate(step.change, motion)
+    moved, is_inside = _warp_keeping_nan(previous_step.change, source)
+    was_outside = _read((~previous_step.is_inside).to(moved.dtype), source)
+    is_inside = is_inside & step.is_inside & (was_outside <= MIN_WEIGHT)
     second = torch.where(is_inside, step.change - moved, 0.0 * step.change)
     second_step = ErrorChange(second, is_inside)
     return 100 / FLICKER_GAIN * _root_mean_square(second_step, WORST_SECOND_CHANGE)
@@ -148,30 +149,60 @@ def warp(
     >>> moved.flatten().tolist(), is_inside.flatten().tolist()
     ([1.0, 3.0, 4.0], [True, True, False])
     """
-    h, w = values.shape[-2:]
+    source = _locate(values, motion)
+    return _read(values, source), source.is_inside
+
+
+class _Source(NamedTuple):
+    """Where the pixels of a frame were in the previous one."""
+
+    grid: Float[Tensor, "n h w 2"] | None  # as F.grid_sample takes it; None: nothing moves
+    is_inside: Bool[Tensor, "n 1 h w"]
+
+
+def _locate(like: Tensor, motion: Tensor | None) -> _Source:
+    """Where pixels of an image [n c h w] were before."""
+    h, w = like.shape[-2:]
     if motion is None:
-        return values, values.new_ones(values[:, :1].shape, dtype=torch.bool)
+        return _Source(None, like.new_ones(like[:, :1].shape, dtype=torch.bool))
     x = torch.arange(w, device=motion.device, dtype=motion.dtype) + motion[:, 0]
     y = torch.arange(h, device=motion.device, dtype=motion.dtype)[:, None] + motion[:, 1]
     is_inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), -1).nan_to_num(nan=-1.0)
-    moved = F.grid_sample(values, grid, "bilinear", padding_mode="border", align_corners=False)
-    return moved, is_inside[:, None]
+    return _Source(grid, is_inside[:, None])
 
 
-def _warp_keeping_nan(values: Tensor, motion: Tensor | None) -> tuple[Tensor, Tensor]:
+def _read(values: Tensor, source: _Source) -> Tensor:
+    """Values of the previous frame, bilinear; beyond the image those of its border."""
+    if source.grid is None:
+        return values
+    return F.grid_sample(
+        values, source.grid, "bilinear", padding_mode="border", align_corners=False
+    )
+
+
+def _warp_keeping_nan(values: Tensor, source: _Source) -> tuple[Tensor, Tensor]:
     """As `warp`; a value that reads a NaN is NaN, one beside a NaN is not."""
+    if not _has_nan(values):
+        return _read(values, source), source.is_inside
     is_nan = values.isnan().any(1, keepdim=True)
     both = torch.cat((values.nan_to_num(nan=0.0), is_nan.to(values.dtype)), 1)
-    moved, is_inside = warp(both, motion)
-    return moved[:, :-1].masked_fill(moved[:, -1:] > MIN_WEIGHT, math.nan), is_inside
+    moved = _read(both, source)
+    return moved[:, :-1].masked_fill(moved[:, -1:] > MIN_WEIGHT, math.nan), source.is_inside
+
+
+def _has_nan(values: Tensor) -> bool:
+    """True if a value is NaN; no value is infinite."""
+    return bool(values.sum().isnan())
 
 
 def _root_mean_square(step: ErrorChange, worst: float) -> Tensor:
     """Over pixels inside and, with the `worst` value, those that are not finite; NaN if none."""
-    is_nan = step.change.isnan().any(1, keepdim=True)
-    squares = step.change.square().masked_fill(is_nan, worst**2).mean(1, keepdim=True).double()
-    counted = step.is_inside | is_nan
+    squares, counted = step.change.square(), step.is_inside
+    if _has_nan(step.change):
+        is_nan = step.change.isnan().any(1, keepdim=True)
+        squares, counted = squares.masked_fill(is_nan, worst**2), counted | is_nan
+    squares = squares.mean(1, keepdim=True).double()
     mean = (squares * counted).flatten(1).sum(1) / counted.flatten(1).sum(1).clamp_min(1)
     has_history = step.is_inside.flatten(1).any(1)
     return mean.sqrt().where(has_history, math.nan).float()

@@ -11,7 +11,7 @@ from reports.analysis import notes
 from reports.analysis.comparability import cost_source
 from reports.analysis.intervals import FRAME
 from reports.analysis.time_notes import device_mixes, unreliable_rows, unreliable_times
-from rlbench.benchmark.results import CLOCK_PREFIX, EVENT_PREFIX
+from rlbench.benchmark.results import CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX
 
 __all__ = ["FRAME_PARTS", "Scores", "mean_over_scenes", "metrics_with_values"]
 
@@ -23,8 +23,8 @@ ADDED = ["gbuffer_ms", "allocate_ms"]  # that older results do not have, and did
 
 
 def metrics_with_values(rows: pd.DataFrame) -> list[str]:
-    """Names of the metrics with a value that are neither times nor events, PSNR first."""
-    is_other = rows["metric"].str.startswith((CLOCK_PREFIX, EVENT_PREFIX))
+    """Names of the metrics with a value that are no times, events or histograms, PSNR first."""
+    is_other = rows["metric"].str.startswith((CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX))
     scored = rows[rows["value"].notna() & ~is_other & (rows["unit"] != "ms")]
     return sorted(set(scored["metric"]), key=lambda name: (name != "psnr", name))
 

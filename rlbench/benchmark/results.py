@@ -19,6 +19,7 @@ from rlbench.benchmark.looks import count_looks
 from rlbench.benchmark.row import (
     CLOCK_PREFIX,
     COLUMNS,
+    COUNT_PREFIX,
     EVENT_PREFIX,
     TWO_DEVICES,
     UNRELIABLE,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CLOCK_PREFIX",
     "COLUMNS",
+    "COUNT_PREFIX",
     "EVENT_PREFIX",
     "HELD_OUT_PREFIX",
     "TWO_DEVICES",

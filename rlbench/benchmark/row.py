@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CLOCK_PREFIX",
     "COLUMNS",
+    "COUNT_PREFIX",
     "DEFAULTS",
     "EVENT_PREFIX",
     "REQUIRED",
@@ -26,6 +27,7 @@ __all__ = [
 UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; the reason follows
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
 EVENT_PREFIX = "event_"  # of rows that say what happens in a clip at their frame
+COUNT_PREFIX = "pixels_with_"  # of rows of a histogram: share of a clip's pixels with N samples
 CLOCK_PREFIX = "clock_"  # of metrics that say how a cell's times were measured
 
 

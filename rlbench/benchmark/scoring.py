@@ -7,9 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from rlbench import registry
 from rlbench.benchmark.resolve import ResolvedCell
-from rlbench.benchmark.results import EVENT_PREFIX, WHOLE_CLIP, Row
+from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
@@ -18,6 +21,7 @@ from rlbench.wrappers import TileMemory
 
 __all__ = [
     "compare_frame",
+    "count_rows",
     "refusal_row",
     "row_template",
     "score_clip",
@@ -27,6 +31,7 @@ __all__ = [
 
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
 
+COUNTED = "share of the pixels of all frames, pilot samples included"
 SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
@@ -121,6 +126,21 @@ def score_frame(
     yield from _repair_rows(frame, result.repairs)
     if isinstance(result.state, TileMemory):
         yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
+
+
+def count_rows(template: Row, counts: Sequence[Tensor], max_samples: int) -> list[Row]:
+    """The histogram of a clip's sample counts: the share of pixels with 0, 1, ... samples.
+
+    `counts` are those of the frames, each [n 1 h w]; the last bin is `max_samples`, or the most
+    that a pixel has.
+    """
+    drawn = torch.stack([each.flatten() for each in counts]).flatten().long()
+    pixels = torch.bincount(drawn, minlength=max_samples + 1).tolist()
+    row = replace(template, mean_spp=float(drawn.double().mean()), frame=WHOLE_CLIP, unit="%")
+    return [
+        _with_value(row, f"{COUNT_PREFIX}{spp}", 100 * count / len(drawn), COUNTED)
+        for spp, count in enumerate(pixels)
+    ]
 
 
 def score_clip(template: Row, generic: Any, comparisons: Sequence[Any], header: Header) -> Row:

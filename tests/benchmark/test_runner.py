@@ -77,6 +77,17 @@ def test_the_cap_is_that_of_the_clip_and_not_what_a_uniform_method_reads(clip_fo
     assert shares.to_dict() == {4.0: 0.0, 8.0: 100.0}
 
 
+def test_the_histogram_of_counts_holds_every_pixel_and_spends_the_budget(clip_folder, tmp_path):
+    measure(run_plan(clip_folder, target_spp=(0.5, 8.0)), tmp_path / "r")
+    rows = table.read(tmp_path / "r")
+    rows = rows[rows["metric"].str.startswith(table.COUNT_PREFIX)]
+    spp = rows["metric"].str.removeprefix(table.COUNT_PREFIX).astype(int)
+    by_budget = rows.assign(spent=spp * rows["value"] / 100).groupby("target_spp")
+    assert by_budget["value"].sum().to_dict() == pytest.approx({0.5: 100, 8.0: 100})
+    assert by_budget["spent"].sum().to_dict() == pytest.approx({0.5: 0.5, 8.0: 8.0})
+    assert sorted(spp.unique()) == list(range(9))  # of 8 stored samples
+
+
 def test_a_metric_reads_motion_that_its_method_does_not_receive(tmp_path, monkeypatch):
     moved = Metric("moved", "px", "", "x", lambda c: c.motion[:, 0].mean((1, 2)), needs=("motion",))
     monkeypatch.setattr(registry, "load_run_metrics", lambda: {"psnr": moved})

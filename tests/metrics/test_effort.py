@@ -81,3 +81,12 @@ def test_pixels_at_the_cap_are_a_share_in_percent():
     grey = torch.full((2, 3, 2, 2), 0.5)
     frame = Comparison(grey, grey, grey, counts=counts, max_samples=1)
     assert AT_CAP.score(frame).tolist() == [75, 100]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int64])
+def test_ranks_of_negative_and_far_apart_values_equal_those_of_scipy(dtype):
+    values = torch.tensor([0.0, -0.0, -3e5, 7e5, -2.5, 4.0, -2.5, 1e-3], dtype=dtype)
+    others = torch.tensor([3.0, 1.0, -4.0, 1.0, -5.0, 9.0, 2.0, -6.0], dtype=dtype)
+    expected = spearmanr(values, others).statistic
+    found = rank_correlation(values.view(1, 1, 2, 4), others.view(1, 1, 2, 4))
+    assert found.item() == pytest.approx(expected, abs=1e-6)

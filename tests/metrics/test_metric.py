@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
+from metrics import image, ssim
 from metrics.metric import MAX_PREVIOUS, Comparison, Metric
+from rlbench import registry
 
 
 def comparison(value=0.5, previous=None, **given):
@@ -68,3 +72,38 @@ def test_a_comparison_says_what_it_has(given, known):
 def test_a_metric_of_whole_clips_cannot_be_scored_by_a_run():
     with pytest.raises(ValueError, match="give it scored_by_run=False"):
         Metric("vdp", "JOD", "higher", "all frames", lambda frames: 0.0, whole_clip=True)
+
+
+class DisplayCurves(TorchDispatchMode):
+    """Counts how often an image goes through the curve of sRGB, whose power is 1 / 2.4."""
+
+    count = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.count += func is torch.ops.aten.pow.Tensor_Scalar and args[1] == 1 / 2.4
+        return func(*args, **kwargs or {})
+
+
+def test_all_metrics_of_a_frame_share_what_they_derive_from_it(monkeypatch):
+    calls = Counter()
+
+    def counted(module, name):
+        function = getattr(module, name)
+
+        def call(*args):
+            calls[name] += 1
+            return function(*args)
+
+        monkeypatch.setattr(module, name, call)
+
+    counted(image, "bound_radiance")
+    counted(ssim, "similarity_terms")
+    half = torch.rand(1, 3, 176, 176, generator=torch.Generator().manual_seed(0))
+    counts = torch.arange(176).expand(1, 1, 176, 176)
+    frame = Comparison(half / 2, half, half + 0.1, counts=counts, static=True, max_samples=8)
+    with DisplayCurves() as curves:
+        for metric in registry.load_run_metrics().values():
+            if not metric.previous_frames:
+                metric.at(176, 176).score(frame)
+    assert curves.count == 4  # image, reference, and its two halves
+    assert calls == {"bound_radiance": 4, "similarity_terms": 5}  # the five scales of MS-SSIM
