@@ -44,7 +44,7 @@ def use_plugin(path: str | Path) -> None:
     name = _module_name(file)
     if _files.setdefault(name, file) != file:
         raise PluginError(
-            f"two plugin files are called {name}: {_files[name]} and {file}. Rename one"
+            f"two plugin files are called {_label(file)}: {_files[name]} and {file}. Rename one"
         )
 
 
@@ -55,12 +55,17 @@ def python_file(path: str | Path) -> Path:
 
 
 def _module_name(file: Path) -> str:
-    return file.parent.name if file.name == INIT else file.stem
+    return _label(file).removesuffix(".py")
 
 
 def clear_plugins() -> None:
     """Undo every `use_plugin`."""
     _files.clear()
+
+
+def _label(file: Path) -> str:
+    """The name of a file, or of the folder of a package."""
+    return file.parent.name if file.name == INIT else file.name
 
 
 def plugin_files() -> tuple[Path, ...]:
@@ -76,7 +81,7 @@ def plugin_file(module: str) -> Path | None:
 def file_entries(file: Path) -> list[PluginEntry]:
     """The families that a file defines, or one entry that raises the error of the file."""
     name = _module_name(file)
-    origin = f"--plugin {name if file.name == INIT else file.name}"
+    origin = f"--plugin {_label(file)}"
     try:
         module = import_file(file)
         families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]

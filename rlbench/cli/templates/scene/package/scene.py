@@ -14,7 +14,7 @@ CORNERS = [(x, y, z) for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)] 
 SIDES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
 FLOOR = [(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)]
 STEP = 0.05  # of the box, metres a frame
-TURN = math.radians(1)  # of the camera, a frame
+START, TURN = math.radians(30), math.radians(1)  # of the camera: at frame 0, and a frame
 
 
 def scene() -> Scene:
@@ -32,7 +32,7 @@ def scene() -> Scene:
 
 
 def _camera(time: float) -> Camera:
-    angle = TURN * time
+    angle = START + TURN * time
     return Camera((4 * math.sin(angle), -4 * math.cos(angle), 2.0), (0.0, 0.0, 0.5), fov=50.0)
 
 
