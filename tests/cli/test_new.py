@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from setuptools import build_meta
 
+from rlbench.benchmark import results
 from rlbench.cli.new import TEMPLATES
 from tests.cli.runner import CHECKOUT, ENVIRONMENT, rlbench
 from tests.procedural_folder import write_world
@@ -133,3 +134,15 @@ def test_templates_use_documented_names_alone(file):
     used = {pair for pair in used if pair[0].partition(".")[0] in ("rlbench", "metrics")}
     assert used - documented == set()
     assert all(hasattr(importlib.import_module(module), name) for module, name in used)
+
+
+@pytest.mark.slow
+def test_a_new_learned_method_trains_quickly_and_is_better_than_the_mean(make, tmp_path):
+    plugin = ("--plugin", make("student", "--training") / "student")
+    rlbench("train", "-m", "student", "--quick", "--device", "cpu", *plugin)
+    weights = tmp_path / "runs" / "student-quick" / "student.safetensors"
+    words = ("--clips", write_world(tmp_path / "clips" / "world", seed=50), "--spp", 1)
+    rlbench("run", "-m", "student,mean", "--weights", weights, *words, *plugin, "--scores-only")
+    rows = results.read(tmp_path / "results")
+    psnr = rows[rows["metric"] == "psnr"].groupby("method")["value"].mean()
+    assert psnr["student"] > psnr["mean"] + 3  # dB
