@@ -21,6 +21,7 @@ CLOCK = re.compile(r"perf_counter|monotonic\(|time\.time\(|process_time|cuda\.Ev
 TIMED = (  # what measures, what stops in time, and what writes down the cost of a sample
     "rlbench/benchmark/clock/stopwatch.py",
     "rlbench/training/loop.py",
+    "rlbench/parallel/time_limit.py",
     "methods/ours/experiments/compare_learners.py",
     "rlbench/training/profiler.py",
     "rlbench/render/mitsuba/tracer.py",

@@ -16,6 +16,7 @@ from rlbench.benchmark.cell_key import FAILED, CellId
 from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod, resolve_cells, resolve_method
 from rlbench.benchmark.results import HELD_OUT_PREFIX
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.clips.header import ClipError
 from rlbench.system import code_hash, provenance
 
 __all__ = ["CellIds"]
@@ -43,7 +44,7 @@ class CellIds:
         """The cell's key, and the hashes of its scores and times."""
         plan, method = self.plan, cell.method
         content = (
-            *(method.name, cell.clip.content(cell.traits.pool)),
+            *(method.name, _clip_content(cell)),
             *(cell.target_spp, cell.seed, cell.key.device),
             *(self.code_hashes[method.name], self.weights_hashes[method.name], self._metrics),
             *(plan.limit_frames, torch.__version__, cell.is_trained_on_clip),
@@ -152,6 +153,17 @@ class CellIds:
         held_out = self.plan.held_out_scene
         prefix = f"{HELD_OUT_PREFIX}{held_out} " if held_out else ""
         return prefix + _hash(method.weights_file)
+
+
+def _clip_content(cell: ResolvedCell) -> str:
+    """Hash of the cell's clip; what is wrong with it where files are missing.
+
+    Opening such a clip raises the same error, so its cells fail, and no others.
+    """
+    try:
+        return cell.clip.content(cell.traits.pool)
+    except ClipError as error:
+        return str(error)
 
 
 def _short_hash(content: object) -> str:

@@ -23,6 +23,7 @@ from rlbench.benchmark.timing_cache import TimingCache, TimingCallback
 from rlbench.method import Method, config_json
 from rlbench.parallel.executor import Executor, JobResult, ProgressCallback, Resources
 from rlbench.run import run_clip
+from rlbench.training.dataset import QUICK_PREFIX, QUICK_REMARK
 
 __all__ = ["CellOutput", "CellRunner"]
 
@@ -154,6 +155,8 @@ class CellRunner:
         remarks = []
         if cell.is_trained_on_clip:
             remarks.append(f"no test: its weights were trained on {cell.header.name}")
+        if any(name.startswith(QUICK_PREFIX) for name in cell.method.training_clips):
+            remarks.append(QUICK_REMARK)
         here = latency.device_name(self.plan.device)
         if here != cell.key.device:  # this worker is another machine than the rows name
             remarks.append(f"scored on {here}")

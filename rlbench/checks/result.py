@@ -18,6 +18,9 @@ __all__ = [
 ]
 
 
+PACKAGE = Path(__file__).parents[1]
+
+
 class Verdict(Enum):
     """Outcome of a check. Only FAILED makes a method or a clip unfit for a benchmark."""
 
@@ -77,10 +80,12 @@ def not_applicable(check: str, reason: str) -> CheckResult:
 def describe_exception(error: BaseException, *folders: Path) -> str:
     """The exception, the last line of code in `folders` that it passed through, and its notes.
 
-    A line in the first folder is preferred to one in the second, and so on.
+    A line in the first folder is preferred to one in the second, and so on; without any, it is the
+    last line outside this package.
     """
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for folder in folders for f in frames[::-1] if Path(f.filename).is_relative_to(folder)]
+    frames = traceback.extract_tb(error.__traceback__)[::-1]
+    own = [f for folder in folders for f in frames if Path(f.filename).is_relative_to(folder)]
+    own += [f for f in frames if not Path(f.filename).is_relative_to(PACKAGE)]
     place = f" ({Path(own[0].filename).name}, line {own[0].lineno})" if own else ""
     notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
     return f"raised {type(error).__name__}: {error}{place}{notes}"

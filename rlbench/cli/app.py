@@ -18,6 +18,7 @@ from rlbench.cli.evaluate import evaluate
 from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
+from rlbench.cli.new import new
 from rlbench.cli.plugins import check, list_, load_plugins
 from rlbench.cli.regress import regress
 from rlbench.cli.reports import report
@@ -85,6 +86,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "render-scene": render_scene,
     "import": import_,
     "lint": lint,
+    "new": new,
     "check": check,
     "stress": stress,
     "speed": speed,

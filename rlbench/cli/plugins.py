@@ -65,6 +65,9 @@ def check(
     ],
     plugin: options.Plugins = None,
     device: options.Device = "cpu",
+    debug: Annotated[
+        bool, typer.Option("--debug", help="print the traceback of an exception of a method")
+    ] = False,
 ) -> None:
     """Check that methods keep the contract.
 
@@ -77,6 +80,7 @@ def check(
     \b
       rlbench check ours
       rlbench check bright --plugin bright.py
+      rlbench check bright --plugin bright.py --debug
       rlbench check all
     """
     patterns = arguments.split_names(methods)
@@ -84,4 +88,4 @@ def check(
     from rlbench.benchmark.api import select_device
     from rlbench.checks.conformance.run import check_methods
 
-    raise typer.Exit(0 if check_methods(patterns, select_device(device)) else 1)
+    raise typer.Exit(0 if check_methods(patterns, select_device(device), debug) else 1)

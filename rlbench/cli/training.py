@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
+    from rlbench.parallel.executor import Executor
     from rlbench.training.config import TrainingConfig
     from rlbench.training.dataset import TrainingSplit
     from rlbench.training.runs import TrainingRuns
@@ -26,7 +28,7 @@ __all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
 def train(
     methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
     plugin: options.Plugins = None,
-    frames: training_options.Frames = training_options.DEFAULT_FRAMES,
+    frames: training_options.TrainFrames = None,
     batch: training_options.Batch = 1,
     crop: training_options.Crop = training_options.DEFAULT_CROP,
     train_spp: training_options.TrainSpp = training_options.DEFAULT_SPP,
@@ -43,6 +45,7 @@ def train(
         ),
     ] = False,
     allow_config_change: training_options.AllowConfigChange = False,
+    quick: training_options.Quick = False,
     preset: training_options.Preset = None,
     seeds: options.SceneSeeds = None,
     holdout: training_options.Holdout = None,
@@ -51,13 +54,15 @@ def train(
 ) -> None:
     """Train methods, or resume their training.
 
-    The clips are generated scenes, none of which belongs to a test set. With --holdout, they are
-    all test scenes of a preset except one, as in the papers. docs/how-to/train-a-method.md
-    describes the training.
+    The clips are generated scenes, none of which belongs to a test set; missing ones are rendered
+    first. With --holdout, they are all test scenes of a preset except one, as in the papers. With
+    --quick, they are procedural and there at once, and the run lies in NAME-quick.
+    docs/how-to/train-a-method.md describes the training.
 
     Examples:
 
     \b
+      rlbench train -m mine --plugin mine.py --quick
       rlbench train --methods ours,ntas
       rlbench train -m ours --minutes 30 --device cuda
       rlbench train -m ours --seeds 0:48 --train-spp 0.5,1
@@ -65,13 +70,26 @@ def train(
     """
     load_plugins(plugin)
     names = _trainable(methods)  # before torch
+    from rlbench.parallel.time_limit import TimeLimit, TimeLimitedExecutor
+    from rlbench.training import dataset
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.runs import archive_run
 
-    config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
+    limit = TimeLimit(math.inf if minutes is None else minutes)
+    default = training_options.QUICK_FRAMES if quick else training_options.DEFAULT_FRAMES
+    config = training_config(frames or default, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check(names)
-    split = _split(names, preset, seeds, holdout)
+    if quick:
+        _refuse_other_clips(preset, seeds, holdout)
+        split = dataset.split_quick(_pools(names))
+    else:
+        if names and holdout is None:
+            _announce_rendering(preset or "train", seeds)
+        split = _split(names, preset, seeds, holdout, TimeLimitedExecutor(limit))
+    if split.remark:
+        typer.echo(split.remark, err=True)
+    runs = replace(runs, minutes=limit.minutes_left, suffix="-quick" if quick else "")
     if names and (hint := tensorboard_hint()):
         typer.echo(hint, err=True)
     for name in names:
@@ -216,13 +234,47 @@ def _trainable(patterns: list[str]) -> list[str]:
 
 
 def _split(
-    names: list[str], preset: str | None, seeds: Seeds | None, holdout: str | None
+    names: list[str],
+    preset: str | None,
+    seeds: Seeds | None,
+    holdout: str | None,
+    executor: Executor | None = None,
 ) -> TrainingSplit:
     """Clips for the training of these methods; renders those that are missing."""
-    from rlbench import registry
     from rlbench.training import dataset
 
     if not names:
         return dataset.EMPTY_SPLIT
-    pools = {registry.get_variant(name).traits.pool for name in names}
-    return dataset.select_split(preset, seeds, holdout, pools)
+    return dataset.select_split(preset, seeds, holdout, _pools(names), executor=executor)
+
+
+def _pools(names: list[str]) -> set[str]:
+    """The kinds of sample pool that the methods draw from."""
+    from rlbench import registry
+
+    return {registry.get_variant(name).traits.pool for name in names}
+
+
+def _announce_rendering(preset: str, seeds: Seeds | None) -> None:
+    """Say how many training clips are rendered before the training begins."""
+    from rlbench.render.presets import PRESETS
+    from rlbench.training import dataset
+
+    if preset not in PRESETS:  # an error that suggests the nearest name follows
+        return
+    missing, total = dataset.count_unrendered(preset, seeds)
+    if missing:
+        typer.echo(
+            f"{missing} of {total} training clips have to be rendered first. --quick tries the "
+            "training on clips that need no rendering",
+            err=True,
+        )
+
+
+def _refuse_other_clips(preset: str | None, seeds: Seeds | None, holdout: str | None) -> None:
+    """Raise OptionError for options that choose clips, which --quick has of its own."""
+    chosen = {"--preset": preset, "--seeds": seeds, "--holdout": holdout}
+    if given := [option for option, value in chosen.items() if value is not None]:
+        raise OptionError(
+            f"--quick trains on clips of its own, and {given[0]} chooses others. Omit one of them"
+        )

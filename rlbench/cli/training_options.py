@@ -13,10 +13,28 @@ from rlbench.cli.arguments import Budgets
 TRAINING = "Training"  # title of a group of options
 
 DEFAULT_FRAMES, DEFAULT_CROP = 12_000, 128  # those of TrainingConfig
+QUICK_FRAMES = 600
 DEFAULT_SPP = Budgets(())  # those of the method
 
 Frames = Annotated[
     int, typer.Option(min=1, help="crops to train on, per method", rich_help_panel=TRAINING)
+]
+TrainFrames = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help=f"crops to train on, per method; default: {DEFAULT_FRAMES}, or {QUICK_FRAMES} with "
+        "--quick",
+        rich_help_panel=TRAINING,
+    ),
+]
+Quick = Annotated[
+    bool,
+    typer.Option(
+        "--quick",
+        help="try a training: on procedural clips, which need no rendering, not for results",
+        rich_help_panel=options.CLIPS,
+    ),
 ]
 Batch = Annotated[
     int, typer.Option(min=1, help="crops that advance together", rich_help_panel=TRAINING)
@@ -55,7 +73,8 @@ Minutes = Annotated[
     typer.Option(
         parser=arguments.parse_positive,
         metavar="MINUTES",
-        help="stop each training after this time; the same command resumes it",
+        help="stop each training after this time, rendering of clips included; the same command "
+        "resumes it",
         rich_help_panel=TRAINING,
     ),
 ]

@@ -25,7 +25,13 @@ from typing import Any
 from rlbench.errors import PluginError
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.plugin_code import exits_as_errors
-from rlbench.registry.plugin_files import file_entries, import_file, plugin_file, plugin_files
+from rlbench.registry.plugin_files import (
+    file_entries,
+    import_file,
+    plugin_file,
+    plugin_files,
+    python_file,
+)
 
 __all__ = [
     "GROUPS",
@@ -46,7 +52,7 @@ METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further method
 
 def plugin_file_error(path: str | Path) -> str | None:
     """The error and its line if a plugin file cannot be imported, else None."""
-    file = Path(path).resolve()
+    file = python_file(path)
     for entry in file_entries(file):
         try:
             entry.load()

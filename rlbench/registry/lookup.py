@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rlbench.errors import PluginError
-from rlbench.family import Family, Variant
+from rlbench.family import Family, Traits, Variant
 from rlbench.registry.discovery import list_entries
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.near_names import suggest
@@ -83,6 +83,7 @@ def load_family(name: str) -> Family:
         raise PluginError(f"{target} is an object of type {type(plugin).__name__}, not a Family")
     if plugin.name != key:
         raise PluginError(f"{target} has the name '{plugin.name}', but is registered as '{key}'")
+    _check_variants(plugin)
     return plugin
 
 
@@ -115,6 +116,28 @@ def load_run_metrics() -> dict[str, Any]:
 def load_metrics() -> dict[str, Any]:
     """All metrics by name. Raises PluginError for a metric that cannot be imported."""
     return {name: load_or_explain("metrics", name) for name in list_plugins("metrics")}
+
+
+def _check_variants(family: Family) -> None:
+    """Raise PluginError for variants that are declared by other types."""
+    variants = family.variants
+    if not isinstance(variants, Mapping):
+        raise PluginError(
+            f"'{family.name}' has variants of type {type(variants).__name__}; a dictionary is "
+            'expected, such as {"": Variant("its question", TRAITS)}'
+        )
+    for name, variant in variants.items():
+        found = type(variant).__name__
+        if not isinstance(variant, Variant):
+            raise PluginError(
+                f"variant '{name}' of '{family.name}' is of type {found}; a Variant is expected"
+            )
+        if not isinstance(variant.traits, Traits):
+            raise PluginError(
+                f"variant '{name}' of '{family.name}' has traits of type "
+                f"{type(variant.traits).__name__}; Traits(...) is expected, such as "
+                'Traits(inputs=frozenset({"albedo"}), adaptive=True)'
+            )
 
 
 def _kind(group: str) -> str:

@@ -32,6 +32,8 @@ __all__ = [
     "untrainable_reason",
 ]
 
+MEMBERS = ("traits", "start", "plan", "denoise")  # of a Method
+
 
 def load_method(
     name: str, device: torch.device | str = "cpu", weights: str | None = None
@@ -60,8 +62,10 @@ def load_method(
     with exits_as_errors():
         instance = resolve(build)(name.partition("/")[2], torch.device(device), weights)
     if not isinstance(instance, Method):
+        lacks = [name for name in MEMBERS if not hasattr(instance, name)]
         raise PluginError(
-            f"{build} returned an object of type {type(instance).__name__}, not a Method"
+            f"{build} returned an object of type {type(instance).__name__}, not a Method: it has "
+            f"no {', no '.join(lacks)}"
         )
     if instance.traits != declared.traits:
         raise PluginError(

@@ -1,4 +1,4 @@
-"""Plugin files: Python files given with `--plugin`, which define families of methods."""
+"""Plugin files: Python files and packages given with `--plugin`, which define method families."""
 
 from __future__ import annotations
 
@@ -19,29 +19,53 @@ __all__ = [
     "import_file",
     "plugin_file",
     "plugin_files",
+    "python_file",
     "use_plugin",
 ]
 
-_files: dict[str, Path] = {}  # plugin files by name without .py, in the order given
+INIT = "__init__.py"
+_files: dict[str, Path] = {}  # plugin files by the name of their module, in the order given
 
 
 def use_plugin(path: str | Path) -> None:
     """Add the families of a plugin file; it is imported when methods are next looked up.
 
-    Raises PluginError for a missing file and for two files of one name.
+    The folder of a package stands for its `__init__.py`. Raises PluginError for a missing file and
+    for two files of one name.
     """
-    file = Path(path).resolve()
+    file = python_file(path)
     if not file.is_file():
-        raise PluginError(f"no plugin file at {file}. --plugin takes the path of a Python file")
-    if _files.setdefault(file.stem, file) != file:
+        inner = file.parent / file.parent.name / INIT
+        hint = f". Did you mean {inner.parent}?" if file.name == INIT and inner.is_file() else ""
         raise PluginError(
-            f"two plugin files are called {file.name}: {_files[file.stem]} and {file}. Rename one"
+            f"no plugin file at {file}. --plugin takes the path of a Python file, or the folder of "
+            f"a package{hint}"
         )
+    name = _module_name(file)
+    if _files.setdefault(name, file) != file:
+        raise PluginError(
+            f"two plugin files are called {_label(file)}: {_files[name]} and {file}. Rename one"
+        )
+
+
+def python_file(path: str | Path) -> Path:
+    """The file that a value of `--plugin` names: itself, or the `__init__.py` of a folder."""
+    file = Path(path).resolve()
+    return file / INIT if file.is_dir() else file
+
+
+def _module_name(file: Path) -> str:
+    return _label(file).removesuffix(".py")
 
 
 def clear_plugins() -> None:
     """Undo every `use_plugin`."""
     _files.clear()
+
+
+def _label(file: Path) -> str:
+    """The name of a file, or of the folder of a package."""
+    return file.parent.name if file.name == INIT else file.name
 
 
 def plugin_files() -> tuple[Path, ...]:
@@ -56,7 +80,8 @@ def plugin_file(module: str) -> Path | None:
 
 def file_entries(file: Path) -> list[PluginEntry]:
     """The families that a file defines, or one entry that raises the error of the file."""
-    origin = f"--plugin {file.name}"
+    name = _module_name(file)
+    origin = f"--plugin {_label(file)}"
     try:
         module = import_file(file)
         families = getattr(module, "METHODS", None) or [getattr(module, "FAMILY", None)]
@@ -70,7 +95,7 @@ def file_entries(file: Path) -> list[PluginEntry]:
                 "expected, see docs/how-to/add-a-method.md"
             )
     except Exception as error:  # the plugin is listed, and raises this error when it is loaded
-        return [PluginEntry(file.stem, str(file), origin, partial(_raise, error))]
+        return [PluginEntry(name, str(file), origin, partial(_raise, error))]
     return [PluginEntry(f.name, f"{file}:{f.name}", origin, partial(_same, f)) for f in families]
 
 
@@ -79,7 +104,8 @@ def import_file(file: Path) -> Any:
     name = f"rlbench_plugin_{sha256(str(file).encode()).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, file)
+    folders = [str(file.parent)] if file.name == INIT else None  # of a package's other modules
+    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=folders)
     if spec is None or spec.loader is None:
         raise PluginError(f"{file} is not a Python file")
     module = importlib.util.module_from_spec(spec)

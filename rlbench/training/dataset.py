@@ -1,24 +1,44 @@
-"""Training and validation clips: generated scenes, or all scenes of a preset except one."""
+"""Training and validation clips: generated scenes, all scenes but one, or procedural clips."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from rlbench.clips.header import FILE
 from rlbench.errors import OptionError
 from rlbench.render.jobs.preset_clips import render_preset_clips
+from rlbench.system import paths
 
-__all__ = ["EMPTY_SPLIT", "TrainingSplit", "select_split", "split_generated", "split_holdout"]
+if TYPE_CHECKING:
+    from rlbench.parallel.executor import Executor
 
+__all__ = [
+    "EMPTY_SPLIT",
+    "QUICK_PREFIX",
+    "QUICK_REMARK",
+    "TrainingSplit",
+    "count_unrendered",
+    "select_split",
+    "split_generated",
+    "split_holdout",
+    "split_quick",
+]
+
+QUICK_PREFIX = "procedural-"  # of the names of clips for a quick training
+QUICK_CLIPS, QUICK_SIDE = 10, 160  # clips, and pixels; as large as those of the preset `train`
+QUICK_REMARK = "quick: trained on procedural clips, to try the training, not for results"
+ONE_CLIP_REMARK = "validated on the clip that it was trained on"
 VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
 
 
 class TrainingSplit(NamedTuple):
-    """Clip folders to train and to validate on; no clip is in both."""
+    """Clip folders to train and to validate on; a clip is in both only if there is one alone."""
 
     train: list[Path]
     validation: list[Path]
+    remark: str = ""  # what users of the weights should know, for their model card
 
 
 EMPTY_SPLIT = TrainingSplit([], [])  # for methods that have nothing to train
@@ -29,39 +49,79 @@ def select_split(
     seeds: tuple[int, ...] | None,
     held_out_scene: str | None,
     pool_kinds: Collection[str] | None = None,
+    executor: Executor | None = None,
 ) -> TrainingSplit:
     """The clips that the options --preset, --seeds and --holdout select.
 
-    Clips get the sample pools named in `pool_kinds`; missing clips are rendered. Raises
+    Clips get the sample pools named in `pool_kinds`; `executor` renders missing clips. Raises
     OptionError if the options contradict each other, and as `generated` and `holdout` do.
     """
     if held_out_scene is None:
-        return split_generated(preset or "train", seeds, pool_kinds)
+        return split_generated(preset or "train", seeds, pool_kinds, executor)
     if seeds is not None:
         raise OptionError(
             "--seeds applies to generated scenes only. With --holdout, training uses the other "
             "test scenes of a preset: omit --seeds or --holdout"
         )
-    return split_holdout(held_out_scene, preset or "mini", pool_kinds)
+    return split_holdout(held_out_scene, preset or "mini", pool_kinds, executor)
+
+
+def split_quick(pool_kinds: Collection[str]) -> TrainingSplit:
+    """Procedural clips, which need no rendering: seconds at first use. The last two validate.
+
+    Raises OptionError for pools other than the path tracer's.
+    """
+    from rlbench.clips.procedural.clip import procedural_clip
+    from rlbench.clips.procedural.folder import write_procedural_clip
+
+    if others := sorted(set(pool_kinds) - {"path"}):
+        raise OptionError(
+            f"--quick trains on samples of the pool 'path', and a method needs '{others[0]}'. "
+            "Train it without --quick"
+        )
+    version = procedural_clip().digest[:8]  # of the code that makes the clips
+    folders = [
+        paths.clips_folder() / f"quick-{version}" / f"{QUICK_PREFIX}{seed}"
+        for seed in range(QUICK_CLIPS)
+    ]
+    for seed, folder in enumerate(folders):
+        if not (folder / FILE).is_file():
+            write_procedural_clip(folder, seed, QUICK_SIDE)
+    return TrainingSplit(folders[:-2], folders[-2:], QUICK_REMARK)
+
+
+def count_unrendered(preset: str, seeds: tuple[int, ...] | None) -> tuple[int, int]:
+    """The number of training clips that were never rendered, and that of all; no test sets.
+
+    Raises OptionError if the preset or a seed belongs to a test set, UnknownPresetError if there is
+    no such preset.
+    """
+    from rlbench.render.jobs.render_clips import selected_names
+    from rlbench.render.presets import get_preset
+
+    _check_not_test_set(preset, seeds)
+    names = selected_names(get_preset(preset), seeds=seeds)
+    files = [paths.clips_folder() / preset / name / FILE for name in names]
+    return sum(not file.is_file() for file in files), len(files)
 
 
 def split_generated(
     preset: str,
     seeds: tuple[int, ...] | None = None,
     pool_kinds: Collection[str] | None = None,
+    executor: Executor | None = None,
 ) -> TrainingSplit:
     """Generated scenes of a preset, or those of `seeds`; the first and the middle one validate.
 
-    Missing clips are rendered. Raises OptionError if the preset or a seed belongs to a test set, or
-    if there are too few clips to keep one for validation.
+    Missing clips are rendered. A single clip trains and validates, and the split says so. Raises
+    OptionError if the preset or a seed belongs to a test set.
     """
-    if seeds is not None and len(seeds) < 2:
-        raise OptionError(
-            f"--seeds {seeds[0]} gives one clip. Training needs at least 2 clips, because one of "
-            "them validates"
-        )
     _check_not_test_set(preset, seeds)
-    folders = render_preset_clips(None, preset, seeds=seeds, pool_kinds=pool_kinds)
+    folders = render_preset_clips(
+        None, preset, seeds=seeds, pool_kinds=pool_kinds, executor=executor
+    )
+    if len(folders) == 1:
+        return TrainingSplit(folders, folders, ONE_CLIP_REMARK)
     validate = folders[:: max(len(folders) // 2, 2)][:2]
     return TrainingSplit([folder for folder in folders if folder not in validate], validate)
 
@@ -87,7 +147,10 @@ def _check_not_test_set(preset: str, seeds: tuple[int, ...] | None) -> None:
 
 
 def split_holdout(
-    scene: str, preset: str, pool_kinds: Collection[str] | None = None
+    scene: str,
+    preset: str,
+    pool_kinds: Collection[str] | None = None,
+    executor: Executor | None = None,
 ) -> TrainingSplit:
     """All scenes of a preset except one, which is the test scene: leave-one-scene-out.
 
@@ -109,7 +172,12 @@ def split_holdout(
             f"no scene '{scene}' to hold out: preset '{preset}' has: {', '.join(scenes)}"
         )
     folders = render_preset_clips(
-        [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds
+        [name for name in scenes if name != scene],
+        preset,
+        pool_kinds=pool_kinds,
+        executor=executor,
     )
-    validate = render_preset_clips(None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds)
+    validate = render_preset_clips(
+        None, "train", seeds=VALIDATION_SEEDS, pool_kinds=pool_kinds, executor=executor
+    )
     return TrainingSplit(folders, validate)

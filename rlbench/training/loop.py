@@ -44,13 +44,14 @@ def train(
     command: str = "",
     on_progress: Callable[[Progress, float], None] = lambda progress, loss: None,
     allow_config_change: bool = False,
+    remark: str = "",
 ) -> TrainingResult:
     """Train a method on clip folders, and write its weights and model card to `out`.
 
     While it runs, `out` gets checkpoint.safetensors, log.jsonl and, if TensorBoard is installed,
     its event files; after `config.frames` frames, or after `minutes`, NAME.safetensors and its
-    card NAME.toml. `command` is recorded in the card; `on_progress` is called with progress and
-    loss after each sequence.
+    card NAME.toml. `command` and `remark` are recorded in the card; `on_progress` is called with
+    progress and loss after each sequence.
 
     A finished run is left unchanged. An interrupted run resumes from its last checkpoint; on a CPU
     the final weights are bit-identical to those of an uninterrupted run. A checkpoint with a
@@ -92,7 +93,7 @@ def train(
                 checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
             on_progress(progress, loss)
     checkpoint.write(out / CHECKPOINT, state.state_dict(), asdict(progress))
-    save_weights(method, result.weights, state, progress, command)
+    save_weights(method, result.weights, state, progress, command, remark)
     return result
 
 

@@ -38,6 +38,7 @@ class TrainingRuns:
     command: str = ""  # recorded in the model cards
     allow_config_change: bool = False  # resume checkpoints that have a different config
     progress_bar: ProgressBar = hidden_progress
+    suffix: str = ""  # of the folders of all runs
 
     def folder(self, method: str, held_out_scene: str | None = None) -> Path:
         """The folder of a run; one for each combination of method, held-out scene and budgets.
@@ -48,8 +49,8 @@ class TrainingRuns:
         """
         fold = f"-without-{held_out_scene}" if held_out_scene else ""
         budgets = "+".join(f"{spp:g}" for spp in self.config.spp)
-        suffix = f"-{budgets}spp" if budgets else ""
-        return self.out / (method.replace("/", "-") + fold + suffix)
+        budgets = f"-{budgets}spp" if budgets else ""
+        return self.out / (method.replace("/", "-") + fold + budgets + self.suffix)
 
     def check(self, methods: Sequence[str]) -> None:
         """Raise TrainingError if one of the methods does not support a training budget."""
@@ -71,6 +72,7 @@ class TrainingRuns:
                 self.command,
                 on_progress,
                 self.allow_config_change,
+                split.remark,
             )
         return result.weights
 

@@ -39,9 +39,14 @@ def frames_in_weights(file: Path) -> int | None:
 
 
 def save_weights(
-    method: str, file: Path, state: TrainState, progress: Progress, command: str
+    method: str,
+    file: Path,
+    state: TrainState,
+    progress: Progress,
+    command: str,
+    remark: str = "",
 ) -> None:
-    """Write the averaged weights and their model card."""
+    """Write the averaged weights and their model card, whose note begins with the remark."""
     task, config = state.task, state.config
     extra = {"spp": config.spp or task.spp, "max_lr": task.max_lr}
     card = weights.ModelCard(
@@ -58,7 +63,7 @@ def save_weights(
         method_config=config_json(task.method),
         origin=task.origin,
         validation_history=tuple(progress.validation_history),
-        note=progress.note(config.frames),
+        note="; ".join(filter(None, (remark, progress.note(config.frames)))),
     )
     weights.save(state.ema_networks, file, card)
 

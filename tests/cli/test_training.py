@@ -10,7 +10,10 @@ import pytest
 from rlbench.render.presets import PRESETS
 from rlbench.training import dataset
 from rlbench.training.runs import TrainingRuns
+from rlbench.weights import read_card
 from tests.cli.runner import rlbench
+from tests.learning_plugin import write_learner
+from tests.procedural_folder import write_world
 
 
 def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
@@ -33,7 +36,6 @@ def test_a_held_out_scene_is_neither_trained_nor_validated_on(monkeypatch):
             "needs a preset with named scenes, and 'train' has none",
         ),
         (("--holdout", "hall", "--seeds", "0:9"), "--seeds applies to generated scenes only"),
-        (("--seeds", "7"), "error: --seeds 7 gives one clip. Training needs at least 2 clips"),
         (("--seeds", "390:402"), "--seeds 400, 401: these belong to test set 'unseen'"),
     ],
 )
@@ -91,9 +93,15 @@ def test_training_a_row_with_published_weights_by_its_name_is_refused(command, n
 
 @pytest.fixture
 def calls(monkeypatch):
-    """The runs that would be trained, and the split that would be rendered."""
+    """The clips that would be rendered, and the runs that would be trained."""
     runs = []
-    monkeypatch.setattr(dataset, "select_split", lambda *arguments: arguments)
+
+    def select(*arguments, executor):
+        clips = [Path("never rendered")]
+        runs.append(arguments)
+        return dataset.TrainingSplit(clips, clips)
+
+    monkeypatch.setattr(dataset, "select_split", select)
 
     def record(self, name, split, held_out_scene=None):
         runs.append((self, name, split, held_out_scene))
@@ -108,15 +116,16 @@ def test_train_hands_over_its_options(calls, tmp_path):
     words += ("--device", "cpu", "--out", tmp_path, "--seeds", "0:3", "--preset", "train")
     output = rlbench("train", "-m", "oidn/retrained,oidn/small,mean", *words)
     assert "mean has nothing to train" in output
-    assert [name for _, name, _, _ in calls] == ["oidn/retrained", "oidn/retrained-small"]
-    runs, _, split, held_out_scene = calls[0]
+    selection, (runs, *_), _ = calls
+    assert [name for _, name, _, _ in calls[1:]] == ["oidn/retrained", "oidn/retrained-small"]
     config = runs.config
     assert (config.frames, config.batch, config.crop, config.spp) == (60, 2, 32, (1, 4))
     assert (config.bf16, config.max_grad_norm, config.seed) == (True, 0.5, 3)
-    assert (runs.out, runs.device, runs.minutes) == (tmp_path, "cpu", 2)
+    assert (runs.out, runs.device, runs.suffix) == (tmp_path, "cpu", "")
+    assert 1.9 < runs.minutes < 2
     assert runs.allow_config_change
-    assert split == ("train", (0, 1, 2), None, {"path"})
-    assert held_out_scene is None
+    assert selection == ("train", (0, 1, 2), None, {"path"})
+    assert calls[1][3] is None
 
 
 def test_a_pattern_leaves_out_rows_with_published_weights_and_says_so(calls):
@@ -124,16 +133,53 @@ def test_a_pattern_leaves_out_rows_with_published_weights_and_says_so(calls):
     assert "oidn has weights that Intel trained and published" in output
     assert "oidn/fast has weights that Intel trained and published" in output
     trained = ["oidn/retrained", "oidn/retrained-small", "oidn/tuned"]
-    assert [name for _, name, _, _ in calls] == trained
+    assert [name for _, name, _, _ in calls[1:]] == trained
 
 
 def test_the_defaults_of_train_are_those_of_the_config(calls):
     rlbench("train", "-m", "oidn/retrained")
-    ((runs, _, split, _),) = calls
+    split, (runs, *_) = calls
     assert runs.config == type(runs.config)()
     assert runs.minutes == math.inf
     assert not runs.allow_config_change
     assert split == (None, None, None, {"path"})
+
+
+@pytest.mark.parametrize("words", [("--seeds", "3"), ("--preset", "train"), ("--holdout", "hall")])
+def test_a_quick_training_has_clips_of_its_own(words):
+    output = rlbench("train", "-m", "ntas", "--quick", *words, code=2)
+    assert f"--quick trains on clips of its own, and {words[0]} chooses others" in output
+
+
+def test_a_quick_training_renders_nothing_and_its_card_and_rows_say_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "QUICK_CLIPS", 3)
+    monkeypatch.setattr(dataset, "QUICK_SIDE", 32)
+    plugin, out = ("--plugin", write_learner(tmp_path)), tmp_path / "runs"
+    words = ("--quick", "--frames", 12, "--crop", 32, "--device", "cpu", "--out", out)
+    output = rlbench("train", "-m", "blur", *plugin, *words)
+    assert "quick: trained on procedural clips, to try the training, not for results" in output
+    weights = out / "blur-quick" / "blur.safetensors"
+    assert read_card(weights).note.startswith("quick: trained on procedural clips")
+    assert [clip.split()[0] for clip in read_card(weights).data] == ["procedural-0"]
+    words = ("--weights", weights, "--spp", 1, "--scores-only", "--out", tmp_path / "r")
+    clip = write_world(tmp_path / "clips" / "world", seed=5)
+    output = rlbench("run", "-m", "blur", *plugin, "--clips", clip, *words)
+    assert "blur: quick: trained on procedural clips, to try the training, not" in output
+
+
+def test_rendering_that_comes_first_is_announced(calls):
+    output = rlbench("train", "-m", "oidn/retrained", "--seeds", "0:3", "--device", "cpu")
+    assert "3 of 3 training clips have to be rendered first. --quick tries the training" in output
+
+
+def test_rendering_counts_as_time_of_a_training(calls, monkeypatch):
+    def render(*arguments, executor):
+        return [result.value for result in executor.map(lambda job, _: job, [1, 2])]
+
+    monkeypatch.setattr(dataset, "select_split", render)
+    output = rlbench("train", "-m", "oidn/retrained", "--minutes", "1e-9", code=2)
+    assert "error: 1e-09 minutes are over, and 1 of 2 jobs are not done" in output
+    assert calls == []
 
 
 def test_restart_archives_the_old_run(calls, tmp_path):

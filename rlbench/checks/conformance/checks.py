@@ -12,6 +12,7 @@ from rlbench.checks.conformance import (
     state_checks,
 )
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.returns import Fault
 from rlbench.family import Traits
 
 __all__ = ["CHECKS", "Check"]
@@ -27,8 +28,8 @@ class Check:
 
     name: str
     requirement: str  # in the imperative, as printed
-    remedy: str
-    find_fault: Callable[[MethodUnderTest], str | None]
+    remedy: str  # where a fault brings none of its own
+    find_fault: Callable[[MethodUnderTest], Fault | str | None]
     requires: tuple[str, ...] = ("built", "odd_size")  # skipped unless these checks pass
     skip_reason: Callable[[Traits], str | None] = _always_applies
 
@@ -54,11 +55,18 @@ _ALL = (
         requires=("built",),
     ),
     Check(
+        "returns",
+        "return a density from `plan`, and an image and a state from `denoise`",
+        "correct the line that raised; --debug prints the whole traceback",
+        interface_checks.check_returns,
+        requires=("built",),
+    ),
+    Check(
         "odd_size",
         "run on frames of 77 x 123 pixels",
         f"support any size ({_PAD}) and any budget within Traits(spp_range=...)",
         interface_checks.check_odd_size,
-        requires=("built",),
+        requires=("built", "returns"),
     ),
     Check(
         "tiny_size",
@@ -101,7 +109,7 @@ _ALL = (
     Check(
         "in_place",
         "leave gbuffer, samples and state unmodified",
-        "use operations without a trailing underscore, or .clone() the tensor first",
+        "return a new state; use operations without a trailing underscore, or .clone() first",
         interface_checks.check_in_place,
     ),
     Check(

@@ -14,6 +14,7 @@ from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Reference, Size, StoredPool
 from rlbench.run import FrameResult
 
+EVEN_SIZE = Size(1, 64, 96)  # divisible by the strides of all usual networks
 ODD_SIZE = Size(1, 77, 123)  # neither side is divisible by any stride of a network
 SMALL_SIZE = Size(1, 37, 53)  # odd as well, for checks in which the size does not matter
 TINY_SIZE = Size(1, 9, 13)  # both sides below the 16 or 32 pixels that networks reduce to one

@@ -6,23 +6,30 @@ A check returns a description of the fault, or None if the method conforms.
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
+from contextlib import suppress
 from dataclasses import is_dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from rlbench import registry
 from rlbench.checks.conformance import clips
 from rlbench.checks.conformance.method_under_test import MethodUnderTest, RecordedRun
-from rlbench.checks.conformance.recording import RecordingMethod, find_density_error
+from rlbench.checks.conformance.recording import RecordingMethod
+from rlbench.checks.conformance.returns import Fault, find_density_fault, find_signature_fault
 from rlbench.checks.frame_edits import to_clip
 from rlbench.family import Traits
 from rlbench.run import FrameResult, run_clip, unroll
+from rlbench.sampling import BudgetError
 from rlbench.wrappers import HalfPrecision
 
 
-def check_built(method_under_test: MethodUnderTest) -> str | None:
+def check_built(method_under_test: MethodUnderTest) -> Fault | str | None:
     """Its traits equal those of its family; `registry.method` raises for any other fault."""
+    build = registry.resolve(registry.load_family(method_under_test.name).build)
+    if fault := find_signature_fault(build, "build"):
+        return fault
     actual, declared = method_under_test.method.traits, method_under_test.traits
     return None if actual == declared else f"expected {declared}, found {actual}"
 
@@ -34,6 +41,17 @@ def check_frozen(method_under_test: MethodUnderTest) -> str | None:
     if is_dataclass(kind) and parameters.frozen:
         return None
     return f"expected a frozen dataclass, found {kind.__name__}, whose attributes can be set"
+
+
+def check_returns(method_under_test: MethodUnderTest) -> Fault | None:
+    """The first two frames, of a size that fits every network; recording checks the returns."""
+    for name in ("start", "plan", "denoise"):
+        if fault := find_signature_fault(getattr(method_under_test.method, name), name):
+            return fault
+    clip = clips.make_clip(method_under_test.device, clips.SEED, clips.EVEN_SIZE)
+    with suppress(BudgetError):  # which the check of sizes reports
+        method_under_test.run(to_clip(clip.frames[:2]))
+    return None
 
 
 def check_odd_size(method_under_test: MethodUnderTest) -> str | None:
@@ -58,12 +76,12 @@ def check_image(method_under_test: MethodUnderTest) -> str | None:
     return find_nonfinite(method_under_test.default_run.frames)
 
 
-def check_density(method_under_test: MethodUnderTest) -> str | None:
+def check_density(method_under_test: MethodUnderTest) -> Fault | str | None:
     """No samples can be allocated by a density that is negative, infinite or NaN."""
     size, densities = method_under_test.size, method_under_test.default_run.recording.densities
     for density in densities:
-        if error := find_density_error(density, (1, 1, size.h, size.w)):
-            return error
+        if fault := find_density_fault(density, (1, 1, size.h, size.w)):
+            return fault
     expected = clips.FRAMES * len(method_under_test.traits.passes)
     if len(densities) != expected:
         return f"expected {expected} densities, found {len(densities)}"

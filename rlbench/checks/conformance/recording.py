@@ -9,6 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rlbench.checks.conformance.returns import (
+    WrongReturnError,
+    find_density_fault,
+    find_return_fault,
+)
 from rlbench.checks.tensors import has_graph, is_bit_equal, iterate_tensors
 from rlbench.clips.header import BUFFER_CHANNELS
 from rlbench.family import Traits
@@ -23,7 +28,8 @@ class RecordingMethod(MethodWrapper[Method]):
 
     It continues where a benchmark run stops with an error, so that one fault does not hide others:
     an undeclared buffer is provided, and an invalid density is replaced by a uniform one. The
-    method receives copies, so that in-place writes have no further effect.
+    method receives copies, so that in-place writes have no further effect. What `denoise` returns
+    must be an image and a state; anything else raises WrongReturnError.
     """
 
     buffers_read: set[str] = field(default_factory=set)
@@ -49,9 +55,12 @@ class RecordingMethod(MethodWrapper[Method]):
     def denoise(self, gbuffer: GBuffer, samples: Samples, state: State) -> tuple[Tensor, State]:
         """The wrapped method's image and next state."""
         self.counts.append(samples.counts)
-        image, state = self._call(self.method.denoise, gbuffer, samples, state)
-        returned = (("image", image), ("state", state))
-        self.with_graph.update(name for name, value in returned if has_graph(value))
+        returned = self._call(self.method.denoise, gbuffer, samples, state)
+        if fault := find_return_fault(returned, samples.counts.shape[0]):
+            raise WrongReturnError(fault)
+        image, state = returned
+        parts = (("image", image), ("state", state))
+        self.with_graph.update(name for name, value in parts if has_graph(value))
         return image, state
 
     def _call(
@@ -77,22 +86,9 @@ class RecordingMethod(MethodWrapper[Method]):
 
     def _is_valid(self, density: Any, samples: Samples) -> bool:
         """Would a benchmark run accept this density?"""
-        if find_density_error(density, samples.counts.shape):
+        if find_density_fault(density, samples.counts.shape):
             return False
         return self.method.traits.adaptive or bool(density.max() == density.min())
-
-
-def find_density_error(density: Any, shape: tuple[int, ...]) -> str | None:
-    """Why a density is invalid for images of this shape, or None."""
-    if not isinstance(density, Tensor):
-        return f"expected a tensor, found {type(density).__name__}"
-    if density.shape != shape:
-        return f"expected shape {list(shape)}, found {list(density.shape)}"
-    if invalid := int((~torch.isfinite(density)).sum()):
-        return f"expected finite values, found {invalid} that are NaN or infinite"
-    if (density < 0).any():
-        return f"expected values >= 0, found {float(density.min()):g}"
-    return None
 
 
 @dataclass(frozen=True)

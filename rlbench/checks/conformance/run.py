@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import traceback
+from collections.abc import Iterator, Sequence
 
 import torch
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 
+from rlbench.checks.conformance.checks import CHECKS
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.suite import find_broken_families, run_checks, select_methods
+from rlbench.checks.conformance.suite import find_broken_families, run_check, select_methods
 from rlbench.checks.console import print_results
-from rlbench.checks.result import failed, not_applicable
+from rlbench.checks.result import CheckResult, failed, not_applicable
+from rlbench.system.progress import LoggedProgress
+
+COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
 
 
-def check_methods(patterns: Sequence[str], device: torch.device) -> bool:
+def check_methods(patterns: Sequence[str], device: torch.device, debug: bool = False) -> bool:
     """Run all checks on the selected methods and print the results. Returns False if one failed.
 
-    With `all`, a family that cannot be imported has failed. Raises PluginError for an unknown name.
+    With `all`, a family that cannot be imported has failed. With `debug`, the traceback of an
+    exception follows its line. Raises PluginError for an unknown name.
     """
     console = Console()
     broken = find_broken_families() if "all" in patterns else {}
@@ -24,17 +31,42 @@ def check_methods(patterns: Sequence[str], device: torch.device) -> bool:
         fix = "correct the module named in the error; `rlbench list methods` shows it again"
         print_results([failed("be importable", error, fix)], console, title=name)
     methods = select_methods(patterns, device)
-    nonconforming = [*broken, *(each.name for each in methods if not _check(each, console))]
-    summary = f"failed: {', '.join(nonconforming)}" if nonconforming else "none failed"
     noun = "method" if len(methods) == 1 else "methods"
+    nonconforming = list(broken)
+    with LoggedProgress(*COLUMNS, TimeRemainingColumn(), transient=True) as bar:
+        bar.console.print(
+            f"{len(methods)} {noun}, {len(CHECKS)} checks each: seconds for a method without "
+            "networks, up to a minute for a large network on a CPU",
+            highlight=False,
+            soft_wrap=True,
+        )
+        task = bar.add_task("checking", total=len(methods) * len(CHECKS))
+        for each in methods:
+            results = _results(each, console, bar, task, debug)
+            if not print_results(results, console, title=each.name):
+                nonconforming.append(each.name)
+    summary = f"failed: {', '.join(nonconforming)}" if nonconforming else "none failed"
     console.print(f"{len(methods)} {noun} checked; {summary}")
     return not nonconforming
 
 
-def _check(method_under_test: MethodUnderTest, console: Console) -> bool:
-    name = method_under_test.name
+def _results(
+    method_under_test: MethodUnderTest,
+    console: Console,
+    bar: LoggedProgress,
+    task: TaskID,
+    debug: bool,
+) -> Iterator[CheckResult]:
+    """The result of every check, shown on the bar; or the reason why none can run here."""
     if reason := method_under_test.unavailable_reason:
-        skipped = not_applicable("run on this machine", reason)
-        return print_results([skipped], console, title=name)
-    results = (result for _, result in run_checks(method_under_test))
-    return print_results(results, console, title=name)
+        bar.advance(task, len(CHECKS))
+        yield not_applicable("run on this machine", reason)
+        return
+    for name, check in CHECKS.items():
+        bar.update(task, description=f"{method_under_test.name}: {check.requirement}")
+        result = run_check(method_under_test, name)
+        bar.advance(task)
+        yield result
+        if debug and result.error:
+            lines = traceback.format_exception(result.error)
+            console.print("".join(lines), markup=False, highlight=False, soft_wrap=True)

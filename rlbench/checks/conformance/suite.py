@@ -9,6 +9,7 @@ import torch
 from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS, Check
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
+from rlbench.checks.conformance.returns import Fault, WrongReturnError
 from rlbench.checks.result import (
     CheckResult,
     Verdict,
@@ -69,8 +70,12 @@ def _run(method_under_test: MethodUnderTest, check: Check) -> CheckResult:
     try:
         with registry.exits_as_errors():
             fault = check.find_fault(method_under_test)
+    except WrongReturnError as error:
+        fault = error.fault
     except Exception as error:  # whatever a method raises is reported
         return failed(label, _describe(method_under_test, error), check.remedy, error)
+    if isinstance(fault, Fault):
+        return failed(label, *fault)
     return failed(label, fault, check.remedy) if fault else passed(label)
 
 

@@ -35,7 +35,14 @@ from rlbench.render.scene import Scene, SceneError
 from rlbench.system import paths
 from rlbench.system.progress import format_duration
 
-__all__ = ["ensure", "preset_jobs", "render_clip", "render_missing", "scene_of_clip"]
+__all__ = [
+    "ensure",
+    "preset_jobs",
+    "render_clip",
+    "render_missing",
+    "scene_of_clip",
+    "selected_names",
+]
 
 TRIAL_SPP = 8  # samples per pixel that are traced to estimate the rendering time
 
@@ -69,13 +76,19 @@ def preset_jobs(
     """The render jobs of a preset's clips, selected as by `ensure`; nothing is rendered."""
     preset = presets.get_preset(preset) if isinstance(preset, str) else preset
     folder = folder or paths.clips_folder() / preset.name
-    if scenes is None and seeds is None:
-        scenes, seeds = preset.scenes, preset.seeds
-    names = [*(scenes or ()), *(f"{preset.generator}-{seed:03d}" for seed in seeds or ())]
     scene_of: dict[str, Scene] = {}
-    for name in names:
+    for name in selected_names(preset, scenes, seeds):
         scene_of |= _select_takes(name, preset)
     return [Job(name, scene, preset, folder / name) for name, scene in scene_of.items()]
+
+
+def selected_names(
+    preset: Preset, scenes: Iterable[str] | None = None, seeds: Iterable[int] | None = None
+) -> list[str]:
+    """The names of the scenes and of the generated clips that `ensure` selects."""
+    if scenes is None and seeds is None:
+        scenes, seeds = preset.scenes, preset.seeds
+    return [*(scenes or ()), *(f"{preset.generator}-{seed:03d}" for seed in seeds or ())]
 
 
 def render_missing(

@@ -88,6 +88,11 @@ class LargePadding(Correct):
         return super().denoise(gbuffer, replace_mean(samples, image), state)
 
 
+class ImageAlone(Correct):
+    def denoise(self, gbuffer, samples, state):
+        return super().denoise(gbuffer, samples, state)[0]
+
+
 class DoublePrecision(Correct):
     def denoise(self, gbuffer, samples, state):
         image, state = super().denoise(gbuffer, samples, state)
@@ -320,6 +325,7 @@ FAULTS = {
             traits=traits, start=Correct().start, plan=Correct().plan, denoise=Correct().denoise
         ),
     ),
+    "returns an image alone": Fault("returns", ImageAlone),
     "fails at odd sizes": Fault("odd_size", WithoutPadding),
     "crops odd sizes": Fault("odd_size", Crops),
     "pads by more than the frame": Fault("tiny_size", LargePadding),

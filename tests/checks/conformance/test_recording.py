@@ -5,10 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rlbench.checks.conformance.recording import (
-    RecordingMethod,
-    find_density_error,
-)
+from rlbench.checks.conformance.recording import RecordingMethod
 from rlbench.checks.tensors import is_bit_equal, iterate_tensors
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Size
@@ -32,23 +29,6 @@ def test_reads_densities_and_counts_are_recorded():
 @pytest.mark.parametrize(("kind", "name"), [(WritesSamples, "samples"), (WritesGBuffer, "albedo")])
 def test_arguments_that_a_method_writes_to_are_recorded(kind, name):
     assert record(kind()).modified == {name}
-
-
-@pytest.mark.parametrize(
-    ("density", "error"),
-    [
-        (None, "expected a tensor, found NoneType"),
-        (torch.ones(1, 1, 2, 2), "expected shape [1, 1, 2, 3], found [1, 1, 2, 2]"),
-        (torch.full((1, 1, 2, 3), torch.nan), "expected finite values, found 6"),
-        (torch.full((1, 1, 2, 3), -0.5), "expected values >= 0, found -0.5"),
-    ],
-)
-def test_an_invalid_density_is_described(density, error):
-    assert (find_density_error(density, (1, 1, 2, 3)) or "").startswith(error)
-
-
-def test_a_valid_density_has_no_error():
-    assert find_density_error(torch.ones(1, 1, 2, 3), (1, 1, 2, 3)) is None
 
 
 def test_nan_is_bit_equal_to_nan_and_types_differ():

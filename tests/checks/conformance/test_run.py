@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
+from rlbench import registry
 from rlbench.checks.conformance import CHECKS, MethodUnderTest
 from rlbench.cli.app import app
 from tests.conftest import write_plugin
@@ -13,7 +14,7 @@ from tests.conftest import write_plugin
 def rlbench(*arguments: object, code: int) -> list[str]:
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
-    return result.output.splitlines()
+    return result.stdout.splitlines()
 
 
 def test_a_loose_method_gets_one_line_per_check(tmp_path):
@@ -42,6 +43,23 @@ def test_an_exception_of_a_method_is_printed_with_its_line(tmp_path):
     number = plugin.read_text().splitlines().index("        return 1 / 0, None") + 1
     assert f"ZeroDivisionError: division by zero (mine.py, line {number})" in line
     assert sum("requires a passed check: run on frames of 77 x 123" in line for line in lines) == 21
+
+
+def test_debug_prints_the_traceback_of_an_exception(tmp_path):
+    plugin = write_plugin(tmp_path / "mine.py", "mine", body="return 1 / 0, None")
+    words = ("check", "mine", "--plugin", plugin)
+    assert not any("Traceback" in line for line in rlbench(*words, code=1))
+    registry.clear_plugins()
+    text = "\n".join(rlbench(*words, "--debug", code=1))
+    assert "Traceback (most recent call last)" in text
+    assert "    return 1 / 0, None\n" in text
+
+
+def test_the_work_ahead_is_announced_on_the_error_stream(tmp_path):
+    plugin = write_plugin(tmp_path / "mine.py", "mine")
+    words = ["check", "mine", "mine/B1", "--plugin", str(plugin)]
+    result = CliRunner().invoke(app, words)
+    assert result.stderr.startswith(f"2 methods, {len(CHECKS)} checks each: seconds for a method")
 
 
 UNAVAILABLE = {

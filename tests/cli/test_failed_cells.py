@@ -1,0 +1,114 @@
+"""A failure costs one cell: the others are measured, and the last line names it."""
+
+from __future__ import annotations
+
+import pytest
+
+from rlbench.benchmark import results
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise, write_plugin
+
+UNIFORM = "return torch.ones_like(samples.counts, dtype=torch.float32)"
+EXIT = "PluginExitError: plugin code called sys.exit(3)"
+FAULTS = {  # what replaces a line of a method -> the reason in its row
+    ("return None\n", "raise SystemExit(3)\n"): EXIT,  # in start
+    (UNIFORM, "raise SystemExit(3)"): EXIT,
+    ("return samples.mean * GAIN, None", "raise SystemExit(3)"): EXIT,
+    ("return Scaled()", "raise SystemExit(3)"): EXIT,
+    ("return Scaled()", "import module_that_exits"): EXIT,
+    (UNIFORM, "return samples.counts.numpy() / 1.0"): "'numpy.ndarray' object has no attribute",
+    ("return samples.mean * GAIN, None", "return samples.mean.numpy(), None"): (
+        "PluginError: 'bad' returned an image of float32 [1, 3, 20, 24], expected torch.float32"
+    ),
+    ("return samples.mean * GAIN, None", "return samples.mean"): "ValueError: not enough values",
+    ("return samples.mean * GAIN, None", "pass"): "TypeError: cannot unpack non-iterable NoneType",
+}
+
+
+@pytest.fixture
+def clips(tmp_path):
+    """A folder with a clip, beside which a test may write others."""
+    write_noise(tmp_path / "clips" / "whole")
+    return tmp_path / "clips"
+
+
+def run(clips, methods, *words, code=1) -> str:
+    folder = clips.parent / "results"
+    return rlbench(
+        "run", "-m", methods, "--clips", clips, "--spp", 1, "--out", folder, *words, code=code
+    )
+
+
+def notes(clips) -> dict[tuple[str, str], str]:
+    """The note of the PSNR row of each cell that has no score."""
+    rows = results.read(clips.parent / "results")
+    rows = rows[(rows["metric"] == "psnr") & rows["value"].isna()]
+    return {(row.method, row.clip): row.note for row in rows.itertuples()}
+
+
+def scored(clips) -> set[tuple[str, str]]:
+    rows = results.read(clips.parent / "results")
+    rows = rows[(rows["metric"] == "psnr") & rows["value"].notna()]
+    return set(zip(rows["method"], rows["clip"], strict=True))
+
+
+@pytest.mark.parametrize("words", [(), ("--scores-only",)], ids=["timed", "scores"])
+def test_each_fault_of_a_method_costs_its_own_cell(clips, tmp_path, monkeypatch, words):
+    (tmp_path / "module_that_exits.py").write_text("raise SystemExit(3)")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    expected = {}
+    for number, ((line, replacement), reason) in enumerate(FAULTS.items()):
+        file = write_plugin(tmp_path / f"bad{number}.py", f"bad{number}")
+        assert line in file.read_text()
+        file.write_text(file.read_text().replace(line, replacement))
+        words = (*words, "--plugin", file)
+        expected[file.stem] = reason.replace("'bad'", f"'{file.stem}'")
+    output = run(clips, ",".join([*expected, "mean"]), *words)
+    assert scored(clips) == {("mean", "whole")}
+    found = {method: note for (method, _), note in notes(clips).items()}
+    assert {name for name in expected if expected[name] not in found[name]} == set()
+    assert "FAILED: 9 cells stopped by an error (bad0 on whole at 1 spp, seed 0, bad1 on" in output
+    assert output.endswith("and 6 more)")
+
+
+def damage(file, how):
+    if how == "missing":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+@pytest.mark.parametrize("words", [(), ("--scores-only",)], ids=["timed", "scores"])
+def test_each_damaged_file_costs_the_cell_of_its_clip(clips, words):
+    expected = {}
+    for how in ("missing", "truncated"):
+        for kind in ("view", "pool.path", "referenceA", "referenceB"):
+            file = write_noise(clips / f"{how}-{kind}") / f"{kind}.0001.exr"
+            damage(file, how)
+            expected[file.parent.name] = f"ClipError: {file} "
+    output = run(clips, "svgf", *words)
+    assert scored(clips) == {("svgf", "whole")}
+    found = {clip: note for (_, clip), note in notes(clips).items()}
+    assert {name for name in expected if expected[name] not in found[name]} == set()
+    assert "FAILED: 8 cells stopped by an error (svgf on missing-pool.path at 1 spp" in output
+
+
+def test_a_file_that_is_restored_is_measured_by_the_next_run(clips):
+    file = write_noise(clips / "worn") / "view.0001.exr"
+    content = file.read_bytes()
+    damage(file, "missing")
+    run(clips, "svgf", "--scores-only")
+    file.write_bytes(content)
+    output = run(clips, "svgf", "--scores-only", code=0)
+    assert "1 cells measured, 1 already in the results" in output
+    assert scored(clips) == {("svgf", "whole"), ("svgf", "worn")}
+    assert notes(clips) == {}
+
+
+def test_a_family_that_cannot_be_imported_is_an_error_before_anything_is_measured(clips, tmp_path):
+    (tmp_path / "gone.py").write_text("raise SystemExit(3)")
+    output = run(clips, "mean,gone", "--plugin", tmp_path / "gone.py", code=2)
+    assert output.endswith(
+        "sys.exit(3). Raise an exception that says what is wrong instead (line 1)"
+    )
+    assert not (tmp_path / "results").exists()
