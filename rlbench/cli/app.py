@@ -23,8 +23,10 @@ from rlbench.cli.regress import regress
 from rlbench.cli.reports import report
 from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
+from rlbench.cli.submit import submit
 from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
+from rlbench.cli.verify import verify
 from rlbench.cli.view import view
 
 __all__ = ["app"]
@@ -101,6 +103,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "images": images,
     "view": view,
     "regress": regress,
+    "submit": submit,
+    "verify": verify,
 }
 for name, command in COMMANDS.items():
     app.command(name, cls=CommandWithGroupedHelp)(command)
