@@ -119,7 +119,7 @@ def _scores(name: str, scores: PresetScores, page: str) -> str:
                 unbroken(f"{place} of {count}"),
                 f"{record['mean']:.2f}",
                 _gap(record),
-                *scenes,
+                *by_scene,
             ]
         )
     return (
