@@ -14,6 +14,7 @@ from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
 from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
+from rlbench.cli.download import download, pack
 from rlbench.cli.evaluate import evaluate
 from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
@@ -85,6 +86,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "list": list_,
     "render": render,
     "render-scene": render_scene,
+    "download": download,
+    "pack": pack,
     "import": import_,
     "lint": lint,
     "check": check,

@@ -16,7 +16,19 @@ from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress", "speed"),
+    *(
+        "doctor",
+        "list",
+        "render",
+        "render-scene",
+        "download",
+        "pack",
+        "import",
+        "lint",
+        "check",
+        "stress",
+        "speed",
+    ),
     *("fingerprint", "train", "lr-find", "replay", "crossval", "run", "evaluate", "report"),
     *("decide", "compare", "images", "view", "regress", "submit", "verify"),
 ]
