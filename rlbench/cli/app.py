@@ -9,6 +9,7 @@ import typer
 
 from rlbench.cli import options
 from rlbench.cli.benchmark import run
+from rlbench.cli.card import card
 from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
 from rlbench.cli.compare import compare
@@ -108,6 +109,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "regress": regress,
     "submit": submit,
     "verify": verify,
+    "card": card,
 }
 for name, command in COMMANDS.items():
     app.command(name, cls=CommandWithGroupedHelp)(command)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +16,7 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     from rlbench.clips.mirrors import ClipArchive
 
-__all__ = ["download", "pack"]
+__all__ = ["download", "pack", "rendered_clips"]
 
 PresetName = Annotated[
     str, typer.Argument(metavar="PRESET", help="preset: see rlbench list presets")
@@ -50,7 +50,7 @@ def pack(
     from rlbench.clips.archive import clip_digests, pack_clip
     from rlbench.clips.mirrors import INDEX, ClipArchive, file_hash, write_registry
 
-    folders = _rendered(preset, arguments.split_names(scenes))
+    folders = rendered_clips(preset, arguments.split_names(scenes))
     archives = []
     with console.counting("packing", len(folders)) as advance:
         for folder in folders:
@@ -128,8 +128,11 @@ def download(
             typer.echo(f"{target / archive.clip}")
 
 
-def _rendered(preset: str, names: list[str]) -> list[Path]:
-    """The finished clips of a preset in the cache, or those that are named."""
+def rendered_clips(preset: str, names: Collection[str] = ()) -> list[Path]:
+    """The finished clips of a preset in the cache, or those that are named; nothing is rendered.
+
+    Raises OptionError where there is none, and UnknownPresetError.
+    """
     from rlbench.clips.stored import find_clips, read_header
     from rlbench.render.presets import get_preset
     from rlbench.system import paths

@@ -30,7 +30,7 @@ PIPELINE = [
         "speed",
     ),
     *("fingerprint", "train", "lr-find", "replay", "crossval", "run", "evaluate", "report"),
-    *("decide", "compare", "images", "view", "regress", "submit", "verify"),
+    *("decide", "compare", "images", "view", "regress", "submit", "verify", "card"),
 ]
 HELP_SECONDS = 0.5  # of processor time
 
