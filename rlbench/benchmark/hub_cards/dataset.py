@@ -24,7 +24,8 @@ SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"))  # fram
 DATASET = """# rlbench {preset}
 
 {clips} path-traced clips for adaptive sampling and denoising. Each frame has a G-buffer
-({buffers}), {pool_spp} independent images of 1 sample per pixel in each pool ({pools}), and a reference as two
+({buffers}), {pool_spp} independent images of 1 sample per pixel in each pool
+({pools}), and a reference as two
 independent halves, all linear HDR in OpenEXR.
 
 {table}
