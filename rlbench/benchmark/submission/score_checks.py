@@ -19,6 +19,7 @@ from rlbench.benchmark.regression.baseline import (
 )
 from rlbench.benchmark.regression.comparison import BaselineDiff, compare
 from rlbench.benchmark.regression.scores import scores, seeds
+from rlbench.benchmark.results import COLUMNS
 from rlbench.benchmark.submission.current import plan_of, uncheckable_methods
 from rlbench.benchmark.submission.document import Submission, SubmittedCell
 from rlbench.checks.result import CheckResult, failed, not_applicable, passed, warning
@@ -40,7 +41,7 @@ def to_scores(submission: Submission) -> pd.DataFrame:
         {
             **{key: value for key, value in asdict(cell).items() if isinstance(value, str | int)},
             "target_spp": cell.target_spp,
-            "scene": scenes[cell.clip],
+            "scene": scenes.get(cell.clip, cell.clip),
             "preset": submission.preset,
             "frame": frame,
             "metric": "psnr",
@@ -51,7 +52,7 @@ def to_scores(submission: Submission) -> pd.DataFrame:
         for cell in submission.measured
         for frame, value in enumerate(cell.scores.get("psnr", ()))
     ]
-    return pd.DataFrame(records)
+    return pd.DataFrame(records, columns=None if records else list(COLUMNS))
 
 
 def check_against_scores(submission: Submission, source: str) -> CheckResult:

@@ -1,4 +1,4 @@
-"""A real submission: one method on two small clips, with times."""
+"""A real submission: two methods on two small clips, one of them with times."""
 
 from __future__ import annotations
 
@@ -37,8 +37,10 @@ def submitted(tmp_path_factory) -> Submitted:
             name: StoredSource(write_noise(folder / "clips" / name, name, **header))
             for name in ("foyer", "attic")
         }
-        plan = RunPlan(("mean", "svgf"), tuple(clips.values()), (0.5, 2.0), repeats=4)
+        plan = RunPlan(("mean",), tuple(clips.values()), (0.5, 2.0), repeats=1)
         measure(plan, folder / "results")
+        scored = RunPlan(("svgf",), tuple(clips.values()), (0.5, 2.0))
+        measure(scored, folder / "results", scores_only=True)
         results = read(folder / "results")
         submission = collect_submission(results, folder / "results", clips, contact="nobody")
         return Submitted(

@@ -71,9 +71,9 @@ def test_cells_are_drawn_at_random_from_those_that_can_be_measured(submitted):
 
 
 def test_a_cell_measured_again_has_its_score(submitted, tmp_path):
-    cells = submitted.submission.measured
+    cells = submitted.submission.measured[::3]
     results = measure_again(submitted.submission, cells, submitted.clips, tmp_path / "again")
-    assert [result.verdict for result in results] == [Verdict.PASSED] * 6
+    assert [result.verdict for result in results] == [Verdict.PASSED] * 2
     assert results[0].found.endswith("+0.000 dB")
 
 
@@ -90,3 +90,10 @@ def test_a_cell_without_its_clip_is_not_measured_again(submitted, tmp_path):
     cells = submitted.submission.measured[:1]
     (result,) = measure_again(submitted.submission, cells, {}, tmp_path / "again")
     assert result.verdict is Verdict.SKIPPED
+
+
+def test_a_submission_without_scores_or_with_unknown_clips_agrees_with_nothing(submitted):
+    for change in ({"cells": ()}, {"clips": ()}):
+        changed = replace(submitted.submission, **change)
+        result = check_against_scores(changed, str(submitted.results))
+        assert (result.verdict is Verdict.SKIPPED) == ("cells" in change)
