@@ -151,7 +151,9 @@ training: .venv/run.stamp
 contact: .venv/run.stamp
 	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
 
-# the documentation as a site, in site/; a broken link or an undocumented name fails it
+# documentation and results as a site, in site/; a broken link or an undocumented name fails it
+# results are those of the shipped baseline, or of folders: make site SITE_RESULTS=results
+site: export RLBENCH_SITE_RESULTS = $(SITE_RESULTS)
 site: .venv/docs.stamp
 	$(BIN)/mkdocs build
 

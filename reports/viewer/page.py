@@ -24,7 +24,7 @@ from reports.viewer.decision_data import decision_data, student_factors
 from reports.viewer.pictures import MAX_METHODS, ShownClip, pack_clips
 from reports.viewer.table_data import frame_scores, provenance, table_data
 
-__all__ = ["write"]
+__all__ = ["to_json", "write"]
 
 ASSETS = files("reports.viewer") / "assets"
 # perceptually uniform and safe for colour-blind readers: Smith and van der Walt 2015 (matplotlib);
@@ -115,8 +115,8 @@ def _render(data: Mapping[str, Any], clips: Sequence[str], error: float) -> str:
     return template.render(
         title=data["title"],
         style=sources["style.css"],
-        imports=_json({"imports": modules}),
-        data=_json({**data, "relative_error": error}),
+        imports=to_json({"imports": modules}),
+        data=to_json({**data, "relative_error": error}),
         clips=[text.replace("</", "<\\/") for text in clips],
     )
 
@@ -125,7 +125,7 @@ def _data_url(module: str) -> str:
     return "data:text/javascript;base64," + base64.b64encode(module.encode()).decode()
 
 
-def _json(document: Any) -> str:
+def to_json(document: Any) -> str:
     """JSON that may stand in a script element; numbers that are not finite are null."""
     return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).replace(
         "</", "<\\/"

@@ -9,11 +9,13 @@ import typer
 
 from rlbench.cli import options
 from rlbench.cli.benchmark import run
+from rlbench.cli.card import card
 from rlbench.cli.clips import lint, render
 from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
 from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
+from rlbench.cli.download import download, pack
 from rlbench.cli.evaluate import evaluate
 from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
@@ -24,8 +26,10 @@ from rlbench.cli.regress import regress
 from rlbench.cli.reports import report
 from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
+from rlbench.cli.submit import submit
 from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
+from rlbench.cli.verify import verify
 from rlbench.cli.view import view
 
 __all__ = ["app"]
@@ -84,6 +88,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "list": list_,
     "render": render,
     "render-scene": render_scene,
+    "download": download,
+    "pack": pack,
     "import": import_,
     "lint": lint,
     "new": new,
@@ -103,6 +109,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "images": images,
     "view": view,
     "regress": regress,
+    "submit": submit,
+    "verify": verify,
+    "card": card,
 }
 for name, command in COMMANDS.items():
     app.command(name, cls=CommandWithGroupedHelp)(command)

@@ -51,13 +51,16 @@ export function tableView() {
       () => metric().metric,
       (value) => set({ metric: value }),
     ),
-    select(
-      "device",
-      () => data.devices.map((each, i) => [i, each.name || "unnamed device"]),
-      () => state.device,
-      (value) => set({ device: Number(value) }),
-    ),
   ];
+  if (data.devices.length > 1)
+    controls.push(
+      select(
+        "device",
+        () => data.devices.map((each, i) => [i, each.name || "unnamed device"]),
+        () => state.device,
+        (value) => set({ device: Number(value) }),
+      ),
+    );
   const search = h("input", {
     type: "search",
     "aria-label": "name contains",
@@ -163,10 +166,7 @@ function draw(shown) {
     );
   });
   head.splice(4, 0, h("th", { scope: "col" }, "interval"));
-  const ends = shown
-    .flatMap((row) => [row.low, row.high, row.difference])
-    .filter((value) => Number.isFinite(value));
-  const reach = [Math.min(0, ...ends), Math.max(0, ...ends)];
+  const reach = scale(shown);
   const body = shown.map((row) =>
     h(
       "tr",
@@ -197,8 +197,8 @@ function named(method) {
     Object.assign(lines, { paper: traits.paper, inputs: traits.inputs.join(", ") || "none" });
   return h(
     "span",
-    { class: "named", tabindex: 0 },
-    method,
+    { class: "named", tabindex: traits.page ? null : 0 },
+    traits.page ? h("a", { href: traits.page }, method) : method,
     h(
       "span",
       { class: "provenance", role: "tooltip" },
@@ -207,9 +207,21 @@ function named(method) {
   );
 }
 
+/** Ends of the scale of the bars: of the rows near the best; others end at its border. */
+function scale(shown) {
+  const sizes = shown.map((row) => Math.abs(row.difference ?? 0)).sort((a, b) => a - b);
+  const near = 4 * sizes[sizes.length >> 1];
+  const ends = shown
+    .filter((row) => Math.abs(row.difference ?? 0) <= near)
+    .flatMap((row) => [row.low, row.high, row.difference])
+    .filter((value) => Number.isFinite(value));
+  return [Math.min(0, ...ends), Math.max(0, ...ends)];
+}
+
 function bar(row, [low, high]) {
   if (row.best || row.difference === null) return "";
-  const x = (value) => (118 * (value - low)) / (high - low || 1) + 1;
+  const x = (value) =>
+    (118 * (Math.min(Math.max(value, low), high) - low)) / (high - low || 1) + 1;
   const parts = [s("line", { class: "zero", x1: x(0), x2: x(0), y1: 0, y2: 14 })];
   if (row.low !== null)
     parts.push(

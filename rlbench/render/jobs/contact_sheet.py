@@ -28,7 +28,7 @@ from rlbench.render.scene import Scene
 from rlbench.system import paths
 from rlbench.system.progress import LoggedProgress
 
-__all__ = ["tile_images", "tone_map", "write_sheet"]
+__all__ = ["cut_tile", "tile_images", "tone_map", "write_sheet"]
 
 TIME = 4.0  # the frame shown
 STREAM = "referenceA"
@@ -87,6 +87,15 @@ def tile_images(images: Sequence[UInt8[Array, "h w 3"]]) -> UInt8[Array, "H W 3"
         top, left = number // 2 * (height + GAP), number % 2 * (width + GAP)
         page[top : top + height, left : left + width] = image
     return page
+
+
+def cut_tile(page: UInt8[Array, "H W 3"], number: int, count: int) -> UInt8[Array, "h w 3"]:
+    """Image `number`, from 0, of the `count` images that `tile_images` put on a page."""
+    rows, columns = math.ceil(count / 2), min(2, count)
+    height = (page.shape[0] + GAP) // rows - GAP
+    width = (page.shape[1] + GAP) // columns - GAP
+    top, left = number // 2 * (height + GAP), number % 2 * (width + GAP)
+    return page[top : top + height, left : left + width]
 
 
 def _cached_frame(
