@@ -149,7 +149,7 @@ def _number_format(unit: str, values: pd.Series[float]) -> Callable[[float], str
     return lambda value: f"{value:.{decimals}f}"
 
 
-def _by_frame_time(times: pd.DataFrame) -> list[Mapping[Hashable, Any]]:
+def _by_frame_time(times: pd.DataFrame) -> Sequence[Mapping[Hashable, Any]]:
     """The rows by budget, the fastest frame first."""
     return times.sort_values(["target_spp", "frame_ms", "method"]).to_dict("records")
 

@@ -53,4 +53,6 @@ def decibels(error: float) -> float:
 
 def luminance(radiance: Floats) -> Floats:
     """Linear luminance [... h w] of images [... 3 h w], weights of Rec. 709."""
-    return np.einsum("...chw,c->...hw", radiance.astype(np.float32), np.float32(REC_709))
+    weights = np.array(REC_709, np.float32)[:, None, None]
+    summed: Floats = (radiance.astype(np.float32) * weights).sum(axis=-3)
+    return summed

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from reports.analysis.crops import Crop
 from reports.analysis.image_errors import Floats, encode_srgb
@@ -30,8 +32,8 @@ PERCENTILE = 99.0  # of the sizes in maps, at the end of their scale
 def draw_picture(axes: Axes, radiance: Floats, title: str = "") -> AxesImage:
     """Show a linear image [3 h w] in sRGB; pixels that are not finite are magenta."""
     display = encode_srgb(radiance).transpose(1, 2, 0)
-    is_finite = np.isfinite(radiance.astype(np.float32)).all(axis=0)
-    return _show(axes, np.where(is_finite[..., None], display, NONFINITE_COLOUR), title)
+    finite: NDArray[np.bool_] = np.isfinite(radiance.astype(np.float32)).all(axis=0)[..., None]
+    return _show(axes, np.where(finite, display, NONFINITE_COLOUR), title)
 
 
 def draw_map(axes: Axes, values: Floats, title: str = "", **scale: Any) -> AxesImage:
@@ -72,6 +74,8 @@ def add_colour_bar(
     bar = figure.colorbar(drawn, cax=figure.add_axes(box), orientation="horizontal", extend=extend)
     bar.set_label(label, fontsize=11)
     bar.ax.tick_params(labelsize=10.5)
+    bar.locator = MaxNLocator(6)
+    bar.update_ticks()
     bar.ax.grid(visible=False)
 
 
@@ -85,5 +89,5 @@ def add_caption(figure: Figure, caption: str) -> None:
 
 def _show(axes: Axes, values: Floats, title: str, **scale: Any) -> AxesImage:
     hide_axes(axes)
-    axes.set_title(title, fontsize=11, pad=4)
+    axes.set_title(title, fontsize=10.5, pad=4)
     return axes.imshow(values, interpolation="nearest", **scale)

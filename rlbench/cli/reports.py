@@ -121,7 +121,7 @@ def _find_images(
     from rlbench.benchmark.results import MissingRowsError
     from rlbench.cli.view import find_images
 
-    found, reason = find_images(results, rows, clips, spp and (spp,))
+    found, reason = find_images(results, rows, clips, None if spp is None else (spp,))
     if reason:
         raise MissingRowsError(reason)
     return found

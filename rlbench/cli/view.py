@@ -164,8 +164,11 @@ def find_images(
     for each in kept:
         by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
     if strangers := by_preset.pop("", None):
-        names = ", ".join(sorted(strangers))
-        return ShownClips(), f"the preset of {names} is not known; name the folder with --clips"
+        unknown_clips = ", ".join(sorted(strangers))
+        return (
+            ShownClips(),
+            f"the preset of {unknown_clips} is not known; name the folder with --clips",
+        )
     pools = {each.pool for each in kept}
     sources = [
         source
