@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from reports.analysis.crops import Crop
 from reports.analysis.image_errors import Floats, encode_srgb
@@ -32,8 +31,8 @@ PERCENTILE = 99.0  # of the sizes in maps, at the end of their scale
 def draw_picture(axes: Axes, radiance: Floats, title: str = "") -> AxesImage:
     """Show a linear image [3 h w] in sRGB; pixels that are not finite are magenta."""
     display = encode_srgb(radiance).transpose(1, 2, 0)
-    finite: NDArray[np.bool_] = np.isfinite(radiance.astype(np.float32)).all(axis=0)[..., None]
-    return _show(axes, np.where(finite, display, NONFINITE_COLOUR), title)
+    finite = np.asarray(np.isfinite(radiance.astype(np.float32)).all(axis=0))
+    return _show(axes, np.where(finite[..., None], display, NONFINITE_COLOUR), title)
 
 
 def draw_map(axes: Axes, values: Floats, title: str = "", **scale: Any) -> AxesImage:

@@ -164,11 +164,8 @@ def find_images(
     for each in kept:
         by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
     if strangers := by_preset.pop("", None):
-        unknown_clips = ", ".join(sorted(strangers))
-        return (
-            ShownClips(),
-            f"the preset of {unknown_clips} is not known; name the folder with --clips",
-        )
+        reason = f"the preset of {', '.join(sorted(strangers))} is not known"
+        return ShownClips(), f"{reason}; name the folder with --clips"
     pools = {each.pool for each in kept}
     sources = [
         source

@@ -1,4 +1,4 @@
-"""Kept images of a real run: a uniform method, one with a memory, and one that samples adaptively."""
+"""Kept images of a real run: of two methods that sample uniformly, and an adaptive one."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def test_the_samples_are_those_that_were_drawn(kept, tmp_path):
 def test_all_maps_of_samples_share_one_scale_and_so_do_errors(frames):
     figure = draw_sampling(frames, "2 clips")
     for name in ("viridis", "magma"):
-        images = [image for axes in figure.axes for image in axes.images]
+        images = [im for axes in figure.axes for im in axes.images if im.get_array().ndim == 2]
         limits = [image.get_clim() for image in images if image.get_cmap().name == name]
         assert len(limits) == 2
         assert len(set(limits)) == 1
