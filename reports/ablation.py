@@ -27,6 +27,7 @@ from reports.layout.tables import (
     format_difference,
     format_ms,
     pivot_by_budget,
+    rank_rows,
 )
 from reports.published import published
 
@@ -83,7 +84,7 @@ def _only_label(methods: set[str]) -> str:
 def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     paper = published()
     base = paper.find(family)
-    header, rows = pivot_by_budget(records, format_difference)
+    header, rows = pivot_by_budget(records, format_difference, rank_rows(records, "difference"))
     caption = (
         f"PSNR in dB ({scores.convention}) of each variant minus that of {family}, paired by "
         "scene, clip, frame, budget and seed; mean over scenes. Another training would differ too. "
@@ -102,7 +103,9 @@ def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
 
 def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     header, rows = pivot_by_budget(
-        records, lambda row: format_ms(row["frame_ms"], row["unreliable"], sign="+")
+        records,
+        lambda row: format_ms(row["frame_ms"], row["unreliable"], sign="+"),
+        rank_rows(records, "frame_ms", "lower"),
     )
     caption = (
         "Frame time in ms (G-buffer + plan + allocate + sampling + denoise) minus that of "
@@ -115,7 +118,8 @@ def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
 
 
 def _config_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
-    header, rows = pivot_by_budget(records, lambda row: str(row["pairs"]))
+    order = rank_rows(records, "difference")
+    header, rows = pivot_by_budget(records, lambda row: str(row["pairs"]), order)
     lines = tuple((*row, config_changes(scores, row[0], family)) for row in rows)
     caption = (
         f"Settings that differ between the configs in the results, {family} -> variant; rlbench "

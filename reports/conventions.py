@@ -77,11 +77,12 @@ def _matrix(metric: str, scores: Mapping[str, Scores], ranked: pd.DataFrame, spp
         (method, *(_cell(cells[method, convention]) for convention in conventions))
         for method in methods["method"]
     )
-    caption = (
-        f"Mean over scenes and, in brackets, the rank among these methods; bold is best. "
-        f"{first.direction.capitalize()} is better. {OF_RUNS} is the convention of runs."
+    caption = f"{first.direction.capitalize()} is better."
+    note = (
+        "Mean over scenes and, in brackets, the rank among these methods; bold is best. "
+        f"{OF_RUNS} is the convention of runs."
     )
-    return Table(f"{metric}{unit} at {spp:g} spp", caption, ("method", *conventions), rows)
+    return Table(f"{metric}{unit} at {spp:g} spp", caption, ("method", *conventions), rows, note)
 
 
 def _cell(row: Mapping[Hashable, Any]) -> str:
@@ -97,9 +98,9 @@ def _agreement_table(metric: str, agreement: pd.DataFrame, spp: float) -> list[T
         (row, *(f"{taus[row, other]:.2f}" if (row, other) in taus else "" for other in columns))
         for row in rows
     )
-    caption = "Kendall's tau-b between the means of two conventions: 1 is the same order."
+    note = "Kendall's tau-b between the means of two conventions: 1 is the same order."
     title = f"agreement of the order in {metric} at {spp:g} spp"
-    return [Table(title, caption, ("convention", *columns), cells)]
+    return [Table(title, "", ("convention", *columns), cells, note)]
 
 
 def _sentences(swapped: pd.DataFrame) -> list[str]:

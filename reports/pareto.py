@@ -22,7 +22,7 @@ def write(
     """Write PNG, PDF and SVG of the plot and a CSV of its points, one set for each device.
 
     Frame time = gbuffer + plan + allocate + sampling + denoise. Points without a score or time are
-    not plotted; those with an unreliable time are hollow and never on the front. Raises ReportError
+    not plotted; those with an unreliable time are pale and never on the front. Raises ReportError
     if no point is left.
     """
     devices = split_by_device(results)
@@ -125,7 +125,7 @@ def _missing_methods(scores: Scores) -> str:
     missing = {
         "Not on every scene and frame": partial,
         "Without a time on every scene": untimed,
-        "Hollow: an unreliable time, measured on a busy machine": unreliable,
+        "Pale: an unreliable time, measured on a busy machine": unreliable,
     }
     return "".join(
         f"\n{title}: {', '.join(sorted(methods))}." for title, methods in missing.items() if methods

@@ -83,11 +83,11 @@ def _clip_table(
         ("mean over scenes", *_format_scores(overall.reindex(methods))),
         (f"minus {base}", *(cells.get(method, "-") for method in methods)),
     )
-    caption = (
+    note = (
         f"{scores.convention}; mean over frames, the best of a row bold. Last row: mean over "
         f"scenes of the difference to {base}, paired by frame. {VERDICT_NOTE}"
     )
-    return Table(f"PSNR [dB] at {spp:g} spp", caption, ("clip", *methods), rows)
+    return Table(f"PSNR [dB] at {spp:g} spp", "", ("clip", *methods), rows, note)
 
 
 def _format_scores(scores: pd.Series) -> list[str]:

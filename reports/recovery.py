@@ -23,13 +23,19 @@ from reports.analysis.recovery import (
 from reports.layout import style
 from reports.layout.event_panels import MAX_PANELS, draw_event_panels
 from reports.layout.page import Section, describe_clips, write_page
-from reports.layout.tables import Table, pivot_by_budget
+from reports.layout.tables import Table, pivot_by_budget, rank_rows
 from rlbench.benchmark.results import MissingRowsError
 
 __all__ = ["summarize", "write"]
 
 FIGURE_SPP = 1.0  # the figure shows the budget that is nearest
 TITLES = {"frames": "Frames to recover", "loss": "PSNR lost in the first frame [dB]"}
+NOTE = (
+    f"Brackets: {INTERVAL_NOTE}. The level is the method's own mean PSNR over the last quarter of "
+    f"the frames before the next event or the end, at least {LEVEL_FRAMES}; a method has recovered "
+    f"in the first frame that is at most {TOLERANCE_DB:g} dB below it. After `>=` some clips ended "
+    "before the PSNR was steady."
+)
 EVENTS = {"cut": "a cut", "light": "a light change", "cut and light": "a cut with a light change"}
 
 
@@ -96,18 +102,12 @@ def summarize(recoveries: pd.DataFrame, seed: int, draws: int) -> pd.DataFrame:
 def _tables(summary: pd.DataFrame) -> list[Table]:
     tables = []
     for (event, column), records in summary.groupby(["event", "column"], sort=False):
-        header, rows = pivot_by_budget(records, _format)
+        header, rows = pivot_by_budget(records, _format, rank_rows(records, "mean", "lower"))
         what = EVENTS.get(str(event), str(event))
         count = int(records["events"].max())
-        caption = (
-            f"Mean over scenes, {count} event{'s' * (count != 1)}; brackets: {INTERVAL_NOTE}. The "
-            "level is the method's own mean PSNR over the last quarter of the frames before the "
-            f"next event or the end, at least {LEVEL_FRAMES}; a method has recovered in the first "
-            f"frame that is at most {TOLERANCE_DB:g} dB below it. After `>=` some clips ended "
-            "before the PSNR was steady."
-        )
+        caption = f"Mean over scenes, {count} event{'s' * (count != 1)}; the least first."
         title = f"{TITLES[str(column)]}, {what}"
-        tables.append(Table(title, caption, ("method", *header[1:]), tuple(rows)))
+        tables.append(Table(title, caption, ("method", *header[1:]), tuple(rows), NOTE))
     return tables
 
 

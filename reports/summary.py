@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from reports.layout.tables import (
     Bold,
     Table,
     format_ms,
+    rank_rows,
 )
 
 __all__ = ["write"]
@@ -37,8 +39,13 @@ TIME_COLUMNS = {
     "inference_ms": "inference",
     "inference_p95_ms": "inference p95",
 }
-RULES = {"higher": "Higher is better. ", "lower": "Lower is better. "}
-OVERALL_CAPTION = f"Bold is best at its budget; others are compared with it. {VERDICT_NOTE}"
+RULES = {"higher": "Higher is better.", "lower": "Lower is better."}
+NOTE = (
+    "Methods are in the order of their scores at the budget nearest to 1 spp that most have. Bold "
+    f"is best at its budget; others are compared with it. {VERDICT_NOTE}"
+)
+DIGITS = 3  # significant ones, of the median of a table without a unit
+MAX_DECIMALS = 6
 
 
 def write(
@@ -60,14 +67,17 @@ def write(
         ranked = [rank_methods(scores, seed, draws) for scores in metrics]
         records = correct_by_holm(pd.concat(ranked)) if ranked else pd.DataFrame()
         ranks = [records[records["metric"] == scores.metric] for scores in metrics]
+        overall = [rank[rank["scene"] == ALL_SCENES] for rank in ranks]
         tables = [
-            _score_table(scores, rank[rank["scene"] == ALL_SCENES], OVERALL_CAPTION)
-            for scores, rank in zip(metrics, ranks, strict=True)
+            _score_table(scores, rank, f"{scores.convention}. ")
+            for scores, rank in zip(metrics, overall, strict=True)
+            if not _is_constant(rank)
         ]
         if metrics:
             tables += [*_time_tables(metrics[0]), *_scene_tables(metrics[0], ranks[0])]
         lists = {
             "Differences": difference_notes(records) if ranked else [],
+            "Equal for all": _constant_metrics(metrics, overall),
             "Not run": notes.skip_reasons(rows),
             "Left out of the means": [x for scores in metrics for x in scores.incomplete_groups],
             "Unreliable times": unreliable_times(rows),
@@ -79,15 +89,29 @@ def write(
 
 def _scene_tables(scores: Scores, rank: pd.DataFrame) -> list[Table]:
     return [
-        _score_table(scores, rows, "Bold is best at its budget.")
-        for scene, rows in rank.groupby("scene")
-        if scene != ALL_SCENES
+        _score_table(scores, rows) for scene, rows in rank.groupby("scene") if scene != ALL_SCENES
     ]
 
 
-def _score_table(scores: Scores, rank: pd.DataFrame, caption: str) -> Table:
+def _is_constant(rank: pd.DataFrame) -> bool:
+    """Do all of several methods have one value at all budgets?"""
+    return rank["method"].nunique() > 1 and rank["mean"].nunique() == 1
+
+
+def _constant_metrics(metrics: Sequence[Scores], ranks: Sequence[pd.DataFrame]) -> list[str]:
+    """A sentence in place of each table that would hold one number."""
+    return [
+        f"{scores.metric} ({scores.convention}): {rank['mean'].iloc[0]:g} "
+        f"{scores.column_text('unit')}".rstrip()
+        + f" for all {rank['method'].nunique()} methods"
+        for scores, rank in zip(metrics, ranks, strict=True)
+        if _is_constant(rank)
+    ]
+
+
+def _score_table(scores: Scores, rank: pd.DataFrame, caption: str = "") -> Table:
     unit = scores.column_text("unit")
-    number = _number_format(unit)
+    number = _number_format(unit, rank["mean"])
     cells = {
         (row["method"], row["target_spp"]): _format_score(row, number)
         for row in rank.to_dict("records")
@@ -95,14 +119,14 @@ def _score_table(scores: Scores, rank: pd.DataFrame, caption: str) -> Table:
     budgets = sorted(set(rank["target_spp"]))
     rows = tuple(
         (method, *(cells.get((method, spp), "-") for spp in budgets))
-        for method in sorted(set(rank["method"]))
+        for method in rank_rows(rank, "mean", scores.direction)
     )
     scenes = set(rank["scene"]) - {ALL_SCENES}
     title = f"{scores.metric} [{unit}]" if unit else scores.metric
     title += f", {scenes.pop() if scenes else 'mean over scenes'}"
-    ranked = RULES.get(scores.direction, "") + (caption if scores.direction else "Not ranked.")
+    caption += RULES.get(scores.direction, "Not ranked.")
     header = ("method", *(f"{spp:g} spp" for spp in budgets))
-    return Table(title, f"{scores.convention}. {ranked}", header, rows)
+    return Table(title, caption, header, rows, NOTE if scores.direction else "")
 
 
 def _format_score(row: Mapping[Hashable, Any], number: Callable[[float], str]) -> str:
@@ -115,8 +139,19 @@ def _format_score(row: Mapping[Hashable, Any], number: Callable[[float], str]) -
     return text if row["verdict"] in ("", LEADS, TRAILS) else f"{text} {row['verdict']}"
 
 
-def _number_format(unit: str) -> Callable[[float], str]:
-    return (lambda v: f"{v:.2f}") if unit in ("dB", "ms") else (lambda v: f"{v:.3g}")
+def _number_format(unit: str, values: pd.Series[float]) -> Callable[[float], str]:
+    """Equal decimals in a table: two of dB and ms, else as many as its median needs."""
+    sizes = values.abs()
+    median = float(sizes[sizes > 0].median())
+    decimals = 2
+    if unit not in ("dB", "ms") and median == median:
+        decimals = min(max(DIGITS - 1 - math.floor(math.log10(median)), 0), MAX_DECIMALS)
+    return lambda value: f"{value:.{decimals}f}"
+
+
+def _by_frame_time(times: pd.DataFrame) -> Sequence[Mapping[Hashable, Any]]:
+    """The rows by budget, the fastest frame first."""
+    return times.sort_values(["target_spp", "frame_ms", "method"]).to_dict("records")
 
 
 def _time_tables(scores: Scores) -> list[Table]:
@@ -126,7 +161,7 @@ def _time_tables(scores: Scores) -> list[Table]:
     rows = tuple(
         (row["method"], f"{row['target_spp']:g}", f"{row['mean_spp']:.3g}")
         + tuple(format_ms(row[c], row["unreliable"], 2) for c in TIME_COLUMNS)
-        for _, row in scores.overall.iterrows()
+        for row in _by_frame_time(scores.overall)
     )
     caption = (
         f"Plan, allocate and denoise on {scores.device_name}, means of the middle half of their "

@@ -13,7 +13,7 @@ from reports.analysis.method_names import label_of, training_series_of, without_
 from reports.analysis.training_differences import BASE, differences_to
 from reports.analysis.verdicts import HOLM_MARK
 from reports.layout.page import Section, write_page
-from reports.layout.tables import Table, format_difference, pivot_by_budget
+from reports.layout.tables import Table, format_difference, pivot_by_budget, rank_rows
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError
 
@@ -123,7 +123,7 @@ def _difference_table(scores: Scores, differences: pd.DataFrame) -> Table:
     named = differences.assign(method=differences["series"] + "0, ...").rename(
         columns={"difference_low": "low", "difference_high": "high"}
     )
-    (_, *budgets), rows = pivot_by_budget(named, format_difference)
+    (_, *budgets), rows = pivot_by_budget(named, format_difference, rank_rows(named, "difference"))
     caption = (
         f"Mean PSNR in dB ({scores.convention}) of a series of trainings minus that of the "
         f"trainings of {BASE}. Brackets: 95 % interval of Welch's t-test over trainings, bold if "

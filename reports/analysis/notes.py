@@ -8,17 +8,21 @@ from reports.analysis.time_notes import is_about_times
 
 __all__ = ["remarks", "skip_reasons"]
 
+REQUESTED = ", requested "  # in a reason, before the budget that a sentence names anyway
+
 
 def skip_reasons(rows: pd.DataFrame) -> list[str]:
-    """What was not measured and why, one sentence for each method and reason."""
+    """What was not measured and why, one sentence for all methods that share place and reason."""
     skipped = rows[rows["value"].isna()]
-    lines = []
-    for (method, note), group in skipped.groupby(["method", "note"], sort=True):
+    reasons = skipped["note"].map(lambda note: note.partition(REQUESTED)[0]).rename("reason")
+    methods: dict[str, list[str]] = {}
+    for (method, reason), group in skipped.groupby(["method", reasons], sort=True):
         scenes = ", ".join(sorted({name for name in group["scene"] if name})) or "any scene"
         budgets = ", ".join(f"{spp:g}" for spp in sorted(set(group["target_spp"].dropna())))
         metrics = ", ".join(sorted(set(group["metric"])))
-        lines.append(f"{method} on {scenes} at {budgets or 'any'} spp ({metrics}): {note}")
-    return lines
+        place = f"on {scenes} at {budgets or 'any'} spp ({metrics}): {reason}"
+        methods.setdefault(place, []).append(str(method))
+    return [f"{', '.join(names)} {place}" for place, names in methods.items()]
 
 
 def remarks(rows: pd.DataFrame) -> list[str]:

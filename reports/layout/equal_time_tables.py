@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,11 +40,11 @@ def half_table(records: pd.DataFrame, base: Curve) -> Table:
     caption = (
         f"{base.method} against the best method of another family with twice its samples. PSNR in "
         "dB, paired by scene. "
-        f"{VERDICT_NOTE} Faster: frame time of the rival / that of the method. "
+        "Faster: frame time of the rival / that of the method. "
         f"Last row, where it is there: the numbers of {published().title}, at its cost of a sample."
     )
     header = ("method", "best rival", "difference", "ms", "rival ms", "faster")
-    return Table("Half the samples", caption, header, tuple(rows))
+    return Table("Half the samples", caption, header, tuple(rows), VERDICT_NOTE)
 
 
 def _published_row(base: str) -> tuple[str, ...] | None:
@@ -83,7 +84,7 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
         f"{scores.device_name}) + samples x {sample_ms:.3g} ms "
         f"({scores.cost_source or 'an unnamed source'}), mean over scenes. "
         "Between measured budgets linear in log spp; none is extrapolated. Parentheses: paired "
-        f"difference to the best. {VERDICT_NOTE} "
+        "difference to the best. "
     )
     if late:
         caption += (
@@ -96,7 +97,11 @@ def deadline_table(records: pd.DataFrame, scores: Scores, sample_ms: float, late
             )
         )
     title = "Quality at a deadline that 95 % of frames meet" if late else "Equal time"
-    return by_column(title, caption, records, "deadline_ms", lambda ms: f"{ms:g} ms", cell)
+    best_first = records.sort_values(["deadline_ms", "value"], ascending=False)["method"]
+    table = by_column(
+        title, caption, records, "deadline_ms", lambda ms: f"{ms:g} ms", cell, best_first
+    )
+    return replace(table, note=VERDICT_NOTE)
 
 
 def crossover_table(records: pd.DataFrame) -> Table:
@@ -140,14 +145,15 @@ def by_column(
     column: str,
     heading: Callable[[float], str],
     cell: Callable[[Record], str],
+    order: Iterable[str] = (),
 ) -> Table:
-    """A row per method and a column per value of `column`."""
+    """A row per method, in `order` or else by name, and a column per value of `column`."""
     if records.empty:
         return Table(title, caption, ("method",), ())
     values = sorted(set(records[column]))
     cells = {(row["method"], row[column]): cell(row) for row in records.to_dict("records")}
     rows = tuple(
         (method, *(cells.get((method, value), "-") for value in values))
-        for method in sorted(set(records["method"]))
+        for method in dict.fromkeys([*order, *sorted(set(records["method"]))])
     )
     return Table(title, caption, ("method", *map(heading, values)), rows)

@@ -1,4 +1,4 @@
-"""Curves of a score over the frames of clips, a panel for each clip, with its events marked."""
+"""Curves of a score over the frames of clips, named at their ends, with the events marked."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from reports.layout import style
+from reports.layout.curve_labels import LABEL_DISTANCE, label_curves
 from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
@@ -20,9 +21,8 @@ __all__ = ["MAX_PANELS", "draw_event_panels"]
 
 MAX_PANELS = 6
 COLUMNS = 2
-WIDTH, PANEL = 13.0, 3.5  # inches: of the figure, height of a row of panels
+WIDTH, PANEL = 13.0, 3.5  # inches: of the figure, height of a row of panels; more for many names
 WINDOW_DB = 12.0  # methods that are always further below the best score are below the axis
-LEGEND_COLUMNS = 5
 CAPTION_LETTERS = 160  # in a line
 
 
@@ -35,16 +35,21 @@ def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) 
     styles = style.line_styles(curves["method"])
     caption = "\n".join(fill(line, CAPTION_LETTERS) for line in caption.splitlines())
     rows, columns = ceil(len(clips) / COLUMNS), min(len(clips), COLUMNS)
-    footer = 0.85 + 0.2 * (caption.count("\n") + 1) + 0.27 * ceil(len(styles) / LEGEND_COLUMNS)
-    height = PANEL * rows + footer
+    footer = 0.75 + 0.2 * (caption.count("\n") + 1)
+    panel = max(PANEL, LABEL_DISTANCE * 1.45 * len(styles))
+    height = panel * rows + footer
     figure = Figure(figsize=(WIDTH, height))
     panels = figure.subplots(
         rows, columns, squeeze=False,
-        gridspec_kw={"left": 0.06, "right": 0.985, "top": 1 - 0.4 / height,
-                     "bottom": footer / height, "wspace": 0.12, "hspace": 0.34},
+        gridspec_kw={"left": 0.055, "right": 0.855, "top": 1 - 0.4 / height,
+                     "bottom": footer / height, "wspace": 0.52, "hspace": 0.34},
     )  # fmt: skip
     for axes, clip in zip(panels.flat, clips, strict=False):
-        _draw_panel(axes, curves[curves["clip"] == clip], events[events["clip"] == clip], styles)
+        part = curves[curves["clip"] == clip]
+        _draw_panel(axes, part, events[events["clip"] == clip], styles)
+        ends = part.sort_values("frame").groupby("method").last()
+        names = [(str(row.Index), row.frame, row.value) for row in ends.itertuples()]
+        label_curves(axes, names, styles, panel - 0.8, ".1f")
         axes.set_title(clip, loc="left", fontweight="bold")
     for axes in panels.flat[len(clips) :]:
         axes.set_axis_off()
@@ -52,11 +57,6 @@ def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) 
         axes.set_ylabel("PSNR [dB]")
     for axes in panels[-1]:
         axes.set_xlabel("frame")
-    handles, labels = panels.flat[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="upper left", ncol=LEGEND_COLUMNS, frameon=False, handlelength=2.6,
-        bbox_to_anchor=(0.05, (footer - 0.5) / height),
-    )  # fmt: skip
     figure.text(0.012, 0.1 / height, caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
 
@@ -68,7 +68,7 @@ def _draw_panel(
         curve = curves[curves["method"] == method].sort_values("frame")
         axes.plot(
             curve["frame"], curve["value"], c=line.color, ls=line.dash, lw=1.5,
-            marker=line.marker, ms=4.5, mfc=line.face, mec=line.color, label=method,
+            marker=line.marker, ms=4.5, mfc=line.face, mec=line.color,
         )  # fmt: skip
     high = float(curves["value"].max())
     best = curves.groupby("method")["value"].transform("max")

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.layout.tables import Table, to_latex, to_markdown
+from reports.layout.latex import PREAMBLE, to_latex
+from reports.layout.tables import Table, to_markdown
 
 __all__ = ["Section", "describe_clips", "write_page"]
+
+MAX_LINES = 6  # of a list that is not folded
 
 
 @dataclass(frozen=True)
@@ -28,14 +31,19 @@ def write_page(
 ) -> list[Path]:
     """Write `name`.md, .csv and .tex with a section for each device, and return the files.
 
-    The title names the clips of `results`, the last line of the page its runs. Rows of the CSV have
-    a column with their device.
+    The title names the clips of `results`, the last line of the page its runs. A note that tables
+    share is printed once. Rows of the CSV have a column with their device.
     """
-    parts, floats = [f"# {title}: {describe_clips(results)}\n"], []
+    parts, floats = [f"# {title}: {describe_clips(results)}\n"], [PREAMBLE]
+    printed: set[str] = set()  # notes, in LaTeX
     for section in sections:
-        parts += [f"## {section.device or 'Unnamed device'}\n"]
+        notes = dict.fromkeys(table.note for table in section.tables if table.note)
+        parts += [f"## {section.device or 'Unnamed device'}\n", *(f"{note}\n" for note in notes)]
         parts += [*map(to_markdown, section.tables), _format_lists(section.lists)]
-        floats += [f"% {section.device}\n", *map(to_latex, section.tables)]
+        floats += [f"% {section.device}\n"]
+        for table in section.tables:
+            floats.append(to_latex(table, with_note=table.note not in printed))
+            printed.add(table.note)
     parts += [f"Runs: {', '.join(sorted(set(results['run_id'])))}\n", *_describe_looks(results)]
     records = [section.records.assign(device=section.device) for section in sections]
     folder.mkdir(parents=True, exist_ok=True)
@@ -69,8 +77,15 @@ def _describe_looks(results: pd.DataFrame) -> list[str]:
 
 def _format_lists(lists: Mapping[str, Sequence[str]]) -> str:
     sections = [
-        f"### {title}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
-        for title, lines in lists.items()
-        if lines
+        f"### {title}\n\n{_format_list(lines)}\n" for title, lines in lists.items() if lines
     ]
     return "\n".join(sections)
+
+
+def _format_list(lines: Sequence[str]) -> str:
+    """The lines; of many, the number, and the lines folded below it."""
+    text = "\n".join(f"- {line}" for line in lines)
+    if len(lines) <= MAX_LINES:
+        return text
+    summary = f"<summary>{len(lines)} entries</summary>"
+    return f'<details markdown="1">\n{summary}\n\n{text}\n\n</details>'

@@ -10,19 +10,19 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from reports.analysis.rises import longest_rise
 from reports.layout import style
+from reports.layout.curve_labels import label_curves, marker_size
 from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["AXES", "Axis", "draw_pair", "spread_labels"]
+__all__ = ["AXES", "Axis", "draw_pair"]
 
 WIDTH, HEIGHT = 13.0, 6.6  # inches; the caption comes on top of the height
 WINDOW_DB = 13.0  # below the best score, that a panel shows
 CAPTION_LETTERS = 148  # in a line
-MARKER_SIZE, STAR_SIZE = 7.5, 11.0  # points across; a star of the same width looks smaller
-LABEL_SIZE, LABEL_DISTANCE = 10.5, 0.205  # points; inches between two labels
 LOG_RATIO = 4.0  # values that span a larger factor get a logarithmic axis
 
 
@@ -114,12 +114,14 @@ def _draw_measured(
     for method, curve in points.groupby("method"):
         line, curve = styles[str(method)], curve.sort_values("target_spp")
         x, y = curve[axis.column], curve["value"]
+        rise = longest_rise(list(x))
+        axes.plot(x.iloc[rise], y.iloc[rise], c=line.color, ls=line.dash, lw=1.6, zorder=2)
         axes.plot(
-            x, y, c=line.color, ls=line.dash, lw=1.6, marker=line.marker, ms=_marker_size(line),
-            mfc=line.color, mec="white", mew=0.7, zorder=3,
+            x, y, c=line.color, ls="", marker=line.marker, ms=marker_size(line), mfc=line.color,
+            mec="white", mew=0.7, zorder=3,
         )  # fmt: skip
         ends.append((str(method), float(x.iloc[-1]), float(y.iloc[-1])))
-    _label_curves(axes, ends, styles, ".2f", hollow=False)
+    label_curves(axes, ends, styles, HEIGHT, ".2f", hollow=False)
 
 
 def _draw_published(
@@ -131,71 +133,8 @@ def _draw_published(
         x, y = curve[axis.column], curve["value"]
         axes.plot(x, y, c=line.color, ls=":", lw=1.4, zorder=2)
         axes.plot(
-            x, y, c=line.color, ls="", marker=line.marker, ms=_marker_size(line), mfc="white",
+            x, y, c=line.color, ls="", marker=line.marker, ms=marker_size(line), mfc="white",
             mec=line.color, mew=1.6, zorder=3,
         )  # fmt: skip
         ends.append((str(method), float(x.iloc[-1]), float(y.iloc[-1])))
-    _label_curves(axes, ends, styles, ".1f", hollow=True)
-
-
-def _label_curves(
-    axes: Axes,
-    ends: list[tuple[str, float, float]],
-    styles: dict[str, LineStyle],
-    number_format: str,
-    hollow: bool,
-) -> None:
-    """Write name and last value of each curve at the right, without overlaps, with leader lines."""
-    if not ends:
-        return
-    low, high = axes.get_ylim()
-    step = (high - low) * LABEL_DISTANCE / (0.93 * HEIGHT)  # a panel's share of the height
-    ends = sorted(ends, key=lambda end: end[2])
-    heights = spread_labels([max(low, value) for _, _, value in ends], step, low, high)
-    for (method, x, value), height in zip(ends, heights, strict=True):
-        line = styles[method]
-        end = max(low, value)
-        axes.annotate(
-            "", (x, end), (1.025, height), xycoords="data",
-            textcoords=axes.get_yaxis_transform(), annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": line.color, "alpha": 0.5, "lw": 0.7,
-                        "shrinkA": 0, "shrinkB": 4, "zorder": 1},
-        )  # fmt: skip
-        axes.plot(
-            [1.04], [height], transform=axes.get_yaxis_transform(), clip_on=False, ls="",
-            marker=line.marker, ms=_marker_size(line) - 1, c=line.color, mec=line.color,
-            mfc="white" if hollow else line.color,
-        )  # fmt: skip
-        axes.text(
-            1.062, height, f"{method} {value:{number_format}}", va="center",
-            transform=axes.get_yaxis_transform(), fontsize=LABEL_SIZE, color=line.color,
-        )  # fmt: skip
-
-
-def _marker_size(line: LineStyle) -> float:
-    return STAR_SIZE if line.marker == "*" else MARKER_SIZE
-
-
-def spread_labels(heights: list[float], step: float, low: float, high: float) -> list[float]:
-    """Ascending heights, moved as little as possible to be at least `step` apart within bounds.
-
-    Heights that do not all fit are spread evenly over the bounds.
-
-    >>> spread_labels([5.0, 5.0], step=1.0, low=0.0, high=10.0)
-    [4.5, 5.5]
-    """
-    count = len(heights)
-    if (count - 1) * step >= high - low:
-        return [low + (high - low) * i / max(count - 1, 1) for i in range(count)]
-    # isotonic regression (pool adjacent violators): heights that are too near form a block
-    blocks: list[tuple[float, int]] = []  # mean of heights minus their steps, and their number
-    for i, height in enumerate(heights):
-        mean, size = height - i * step, 1
-        while blocks and blocks[-1][0] > mean:
-            last, count_of_last = blocks.pop()
-            total = size + count_of_last
-            mean, size = (mean * size + last * count_of_last) / total, total
-        blocks.append((mean, size))
-    means = [mean for mean, size in blocks for _ in range(size)]
-    top = high - (count - 1) * step
-    return [min(max(mean, low), top) + i * step for i, mean in enumerate(means)]
+    label_curves(axes, ends, styles, HEIGHT, ".1f", hollow=True)

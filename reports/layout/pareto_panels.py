@@ -1,11 +1,11 @@
-"""Panels of score against frame time: a curve per method, the dominated area grey, keys below."""
+"""Panels of score against frame time: a curve per method with its name, the dominated area grey."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -13,7 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from reports.analysis.rises import longest_rise
 from reports.layout import style
+from reports.layout.curve_labels import LABEL_DISTANCE, label_curves
 from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
@@ -21,12 +23,12 @@ if TYPE_CHECKING:
 
 __all__ = ["MAX_PANELS", "OVERALL", "Labels", "draw_pareto"]
 
-LOG_RATIO = 10.0  # values that span a larger factor get a logarithmic axis
+LOG_RATIO = 3.0  # values that span a larger factor get a logarithmic axis
 WINDOW_DB = 10.0  # below the best score, that a panel shows
-UNRELIABLE = "hollow: unreliable time"
+UNRELIABLE, PALE = "pale: unreliable time", 0.35  # opacity
 MAX_PANELS = 8  # with more scenes, only their mean is drawn
-WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top of the height
-METHOD_KEY_WIDTH = 9.0  # inches
+WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top; many names need more height
+LABELS, GAP = 1.85, 0.75  # inches: for names beside the first panel, and then for an axis
 OVERALL = "mean of all scenes"
 HEADING_LETTERS = 150  # in a line
 DOMINATED, DOMINATED_COLOUR = "slower and worse than another", "#EFEFEF"
@@ -46,32 +48,37 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     """The figure: the mean over scenes at the left, a panel per scene at the right, keys below.
 
     A single scene has the only panel. With more than MAX_PANELS scenes only their mean is drawn.
+    The names of the methods stand beside the first panel, in the order of the ends of their curves.
     """
     names = set(plotted["scene"])
     scenes = sorted(names - {OVERALL})
     single = scenes if len(scenes) <= MAX_PANELS else []
     scenes = [*names & {OVERALL}, *single] if len(scenes) > 1 else scenes
     styles = style.line_styles(plotted["method"])
-    columns = _key_columns(styles)
-    extra_lines = labels.caption.count("\n") - 1  # beyond two
-    # inches for keys and caption
-    footer = 1.25 + 0.17 * extra_lines + 0.27 * math.ceil((len(styles) + 2) / columns)
-    figure = Figure(figsize=(WIDTH, HEIGHT + footer))
+    height = max(HEIGHT, LABEL_DISTANCE * 1.3 * len(styles))
+    footer = 1.5 + 0.17 * (labels.caption.count("\n") - 1)  # inches for keys and caption
+    figure = Figure(figsize=(WIDTH, height + footer))
     heading = fill(labels.heading, HEADING_LETTERS)
     top = 0.95 - 0.035 * len(heading.splitlines())
-    panels = _add_panels(figure, scenes, footer / (HEIGHT + footer), top)
+    panels = _add_panels(figure, scenes, footer / (height + footer), top)
     figure.text(0.012, 0.985, heading, fontsize=12, fontweight="bold", color=style.BLACK, va="top")
     sizes = _marker_areas(plotted["target_spp"])
+    parts = {scene: plotted[plotted["scene"] == scene] for scene in panels}
+    windows = {scene: _window(part, labels.direction) for scene, part in parts.items()}
+    is_log = any(_spans_decades(*window.times) for window in windows.values())
     for scene, axes in panels.items():
-        points = plotted[plotted["scene"] == scene]
-        _set_scales(axes, points, labels.direction)
-        _shade_dominated(axes, points[points["front"]], labels.direction)
-        _draw_curves(axes, points, styles, sizes)
+        _set_scales(axes, windows[scene], is_log, labels.direction)
+        style.note_hidden_points(axes, parts[scene], axes.get_ylim()[0])
+        front = parts[scene][parts[scene]["front"]]
+        _shade_dominated(axes, front, labels.direction)
+        ends = _draw_curves(axes, parts[scene], styles, sizes)
+        if scene == scenes[0]:
+            label_curves(axes, ends, styles, height, ".2f" if "dB" in labels.score else ".3g")
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
     better = f"  ({labels.direction} is better)" if labels.direction else ""
     panels[scenes[0]].set_ylabel(labels.score + better)
     has_unreliable = bool(plotted["unreliable"].any())
-    _add_keys(figure, styles, sizes, columns, has_unreliable, (footer - 0.58) / (HEIGHT + footer))
+    _add_keys(figure, sizes, has_unreliable, (footer - 0.58) / (height + footer))
     figure.text(0.012, 0.014, labels.caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
 
@@ -79,29 +86,47 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
 def _add_panels(figure: Figure, scenes: list[str], bottom: float, top: float) -> dict[str, Axes]:
     rows = 1 if len(scenes) <= 2 else 2
     columns = math.ceil((len(scenes) - 1) / rows)
-    grid = figure.add_gridspec(
-        rows, 1 + columns, width_ratios=[1.3 if columns > 1 else 1] + [0.85] * columns,
-        left=0.075, right=0.988, top=top, bottom=bottom, wspace=0.17, hspace=0.3,
-    )  # fmt: skip
-    panels = {scenes[0]: figure.add_subplot(grid[:, 0])}
-    for i, scene in enumerate(scenes[1:]):
-        panels[scene] = figure.add_subplot(grid[i // columns, 1 + i % columns])
+    others = (WIDTH - LABELS - GAP - 1.2) * columns / (columns + 1.5) if columns else -GAP
+    end = WIDTH - others - GAP - LABELS - 0.15  # of the first panel, inches
+    shared = {"top": top, "bottom": bottom}
+    first = figure.add_gridspec(1, 1, left=0.068, right=end / WIDTH, **shared)
+    panels = {scenes[0]: figure.add_subplot(first[0])}
+    if columns:
+        grid = figure.add_gridspec(
+            rows, columns, left=1 - (others + 0.15) / WIDTH, right=0.988, wspace=0.17,
+            hspace=0.3, **shared,
+        )  # fmt: skip
+        for i, scene in enumerate(scenes[1:]):
+            panels[scene] = figure.add_subplot(grid[i // columns, i % columns])
     for i, axes in enumerate(panels.values()):
         if i == 0 or i + columns >= len(scenes):
             axes.set_xlabel("frame time [ms]")
     return panels
 
 
-def _set_scales(axes: Axes, points: pd.DataFrame, direction: str) -> None:
-    """Set limits and scales: logarithmic for values that span decades, PSNR from 10 dB below best.
+class _Window(NamedTuple):
+    """What a panel shows: the values of the points in it, and their times."""
 
-    Methods below that window are named at the lower edge.
-    """
+    values: tuple[float, float]
+    times: tuple[float, float]
+
+
+def _window(points: pd.DataFrame, direction: str) -> _Window:
+    """What is seen of these points; of PSNR, from WINDOW_DB below the best on."""
     low, high = points["value"].min(), points["value"].max()
     bottom = max(low, high - WINDOW_DB) if direction == "higher" else low
     times = points[points["value"] >= bottom]["frame_ms"]
-    left, right = times.min(), times.max()
-    if left > 0 and right / left > LOG_RATIO:
+    return _Window((bottom, high), (times.min(), times.max()))
+
+
+def _spans_decades(left: float, right: float) -> bool:
+    return left > 0 and right / left > LOG_RATIO
+
+
+def _set_scales(axes: Axes, window: _Window, is_log: bool, direction: str) -> None:
+    """Set limits and scales; a low score that spans decades is logarithmic too."""
+    left, right = window.times
+    if is_log and left > 0:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=20))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
@@ -109,13 +134,13 @@ def _set_scales(axes: Axes, points: pd.DataFrame, direction: str) -> None:
         axes.set_xlim(left / (right / left) ** 0.06, right * (right / left) ** 0.06)
     else:
         axes.set_xlim(left - 0.06 * (right - left or 1), right + 0.06 * (right - left or 1))
-    if direction == "lower" and low > 0 and high / low > LOG_RATIO:
+    low, high = window.values
+    if direction == "lower" and _spans_decades(low, high):
         axes.set_yscale("log")
         axes.set_ylim(low / 1.3, high * 1.3)
         return
-    margin = 0.07 * (high - bottom or 1)
-    axes.set_ylim(bottom - margin, high + margin)
-    style.note_hidden_points(axes, points, bottom - margin)
+    margin = 0.07 * (high - low or 1)
+    axes.set_ylim(low - margin, high + margin)
 
 
 def _shade_dominated(axes: Axes, front: pd.DataFrame, direction: str) -> None:
@@ -131,21 +156,22 @@ def _shade_dominated(axes: Axes, front: pd.DataFrame, direction: str) -> None:
 
 def _draw_curves(
     axes: Axes, points: pd.DataFrame, styles: dict[str, LineStyle], sizes: dict[float, float]
-) -> None:
+) -> list[tuple[str, float, float]]:
+    """Draw the points of each method and a line through those whose times rise; returns ends."""
+    ends = []
     for method, curve in points.groupby("method"):
         line, curve = styles[str(method)], curve.sort_values("target_spp")
-        axes.plot(curve["frame_ms"], curve["value"], c=line.color, ls=line.dash, lw=1.8, zorder=2)
-        steady, unreliable = curve[~curve["unreliable"]], curve[curve["unreliable"]]
-        axes.scatter(
-            steady["frame_ms"], steady["value"], s=steady["target_spp"].map(sizes).tolist(),
-            color=line.face, marker=line.marker, edgecolors=line.edge, linewidths=line.edge_width,
-            zorder=3,
-        )  # fmt: skip
-        axes.scatter(
-            unreliable["frame_ms"], unreliable["value"], marker=line.marker, facecolors="none",
-            s=unreliable["target_spp"].map(sizes).tolist(), edgecolors=line.color, linewidths=1.1,
-            linestyles=":", zorder=3,
-        )  # fmt: skip
+        rise = curve.iloc[longest_rise(list(curve["frame_ms"]))]
+        axes.plot(rise["frame_ms"], rise["value"], c=line.color, ls=line.dash, lw=1.8, zorder=2)
+        for is_pale, part in curve.groupby("unreliable"):
+            axes.scatter(
+                part["frame_ms"], part["value"], s=part["target_spp"].map(sizes).tolist(),
+                color=line.face, marker=line.marker, edgecolors=line.edge, zorder=3,
+                linewidths=line.edge_width, alpha=PALE if is_pale else 1,
+            )  # fmt: skip
+        last = curve.iloc[-1]
+        ends.append((str(method), float(last["frame_ms"]), float(last["value"])))
+    return ends
 
 
 def _marker_areas(spp: pd.Series) -> dict[float, float]:
@@ -154,52 +180,24 @@ def _marker_areas(spp: pd.Series) -> dict[float, float]:
     return {spp: 26 + 95 * i / max(len(budgets) - 1, 1) for i, spp in enumerate(budgets)}
 
 
-def _key_columns(styles: dict[str, LineStyle]) -> int:
-    """Number of columns of the key of methods that fit beside the key of budgets."""
-    inches = 0.85 + 0.1 * max(len(name) for name in styles)
-    columns = int((METHOD_KEY_WIDTH - len(DOMINATED) * 0.1) / inches) + 1
-    return max(1, min(len(styles) + 1, columns))
-
-
-def _add_keys(
-    figure: Figure,
-    styles: dict[str, LineStyle],
-    sizes: dict[float, float],
-    columns: int,
-    has_unreliable: bool,
-    y: float,
-) -> None:
-    methods: list[Any] = [_method_handle(line, name) for name, line in styles.items()]
-    methods.append(Patch(color=DOMINATED_COLOUR, label=DOMINATED))
-    methods += [_unreliable_handle()] * has_unreliable
-    budgets = [_budget_handle(size, f"{spp:g}") for spp, size in sizes.items()]
+def _add_keys(figure: Figure, sizes: dict[float, float], has_unreliable: bool, y: float) -> None:
+    areas: list[Any] = [Patch(color=DOMINATED_COLOUR, label=DOMINATED)]
+    areas += [_dot(64.0, UNRELIABLE, PALE)] * has_unreliable
+    budgets = [_dot(size, f"{spp:g}") for spp, size in sizes.items()]
     shared: dict[str, Any] = {"frameon": False, "fontsize": 12, "borderaxespad": 0}
     figure.legend(
-        handles=methods, loc="upper left", bbox_to_anchor=(0.012, y), columnspacing=1.4,
-        ncol=columns, handlelength=2.8, handletextpad=0.5, **shared,
+        handles=areas, loc="upper left", bbox_to_anchor=(0.012, y), columnspacing=1.4,
+        ncol=len(areas), handletextpad=0.5, **shared,
     )  # fmt: skip
-    figure.legend(
+    budget_key = figure.legend(
         handles=budgets, loc="upper right", bbox_to_anchor=(0.99, y), columnspacing=0.8,
         ncol=len(budgets), handletextpad=0.1, title="samples per pixel", **shared,
     )  # fmt: skip
+    budget_key.set_alignment("right")
 
 
-def _method_handle(line: LineStyle, name: str) -> Line2D:
-    return Line2D(
-        [], [], color=line.color, linestyle=line.dash, linewidth=1.8, marker=line.marker,
-        label=name, markersize=8, markerfacecolor=line.face, markeredgecolor=line.edge,
-    )  # fmt: skip
-
-
-def _unreliable_handle() -> Line2D:
-    return Line2D(
-        [], [], linestyle="", marker="o", markersize=8, markerfacecolor="none",
-        markeredgecolor=style.GREY, markeredgewidth=1.1, label=UNRELIABLE,
-    )  # fmt: skip
-
-
-def _budget_handle(area: float, name: str) -> Line2D:
+def _dot(area: float, name: str, alpha: float = 1.0) -> Line2D:
     return Line2D(
         [], [], linestyle="", marker="o", color=style.GREY, markersize=math.sqrt(area),
-        markeredgecolor="white", label=name,
+        markeredgecolor="white", label=name, alpha=alpha,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,11 +42,12 @@ FAMILY_COLOURS = {
     "restir+oidn": "#4B8B3B",
     "eaw": "#8C564B",
     "nppd": "#20808D",
+    "accumulate": "#A03050",
 }
 SPARE_COLOURS = (  # of families that are not listed above
-    "#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D", "#A03050",
+    "#B8860B", "#CC79A7", "#56B4E9", "#7A4FA3", "#8C564B", "#4B8B3B", "#20808D",
 )  # fmt: skip
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">", "p", "h", "d", "8", "H")
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 LETTER_WIDTH = 0.072  # inches
 NARROW_PANEL = 4.0  # inches; a narrower panel names no method
@@ -86,25 +88,39 @@ def line_styles(methods: Iterable[str]) -> dict[str, LineStyle]:
     """A style for each method: the colour by family, dashes and marker by variant.
 
     Families in FAMILY_COLOURS have the same colour in every figure; others get spare colours in
-    the order of their names.
+    the order of their names. No two methods share a marker while there are enough markers.
     """
     names = sorted(set(methods))
-    families = list(dict.fromkeys(map(family_of, names)))
-    unlisted = [family for family in families if family not in FAMILY_COLOURS]
-    used = {FAMILY_COLOURS.get(family) for family in families}
+    present = set(map(family_of, names))
+    unlisted = sorted(present - set(FAMILY_COLOURS))
+    used = {FAMILY_COLOURS.get(family) for family in present}
     free = [color for color in SPARE_COLOURS if color not in used]
     spare = {family: free[i % len(free)] for i, family in enumerate(unlisted)}
     order = [*FAMILY_COLOURS, *unlisted]
-    styles = {}
-    for family in families:
+    variants = {name: _variant_index(name, names) for name in names}
+    styles: dict[str, LineStyle] = {}
+    for name in sorted(names, key=lambda name: (variants[name], order.index(family_of(name)))):
+        family, i = family_of(name), variants[name]
         color = FAMILY_COLOURS.get(family) or spare[family]
-        variants = [name for name in names if family_of(name) == family]
-        for i, name in enumerate(variants):
-            marker = MARKERS[(order.index(family) + i) % len(MARKERS)]
-            dash = DASHES[(i + i // len(MARKERS)) % len(DASHES)]  # no pair twice
-            face, edge, width = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
-            styles[name] = LineStyle(color, marker, dash, face, edge, width)
-    return styles
+        marker, dash = _free_marker(order.index(family) + i, i, styles.values())
+        face, edge, width = (color, "white", 0.8) if i == 0 else ("white", color, 1.5)
+        styles[name] = LineStyle(color, marker, dash, face, edge, width)
+    return {name: styles[name] for name in names}
+
+
+def _variant_index(name: str, names: list[str]) -> int:
+    """The place of a method among those of its family."""
+    return [other for other in names if family_of(other) == family_of(name)].index(name)
+
+
+def _free_marker(first: int, variant: int, styles: Iterable[LineStyle]) -> tuple[str, Any]:
+    """The marker and the dashes that fewest methods have, from a preferred place on."""
+    markers = [MARKERS[(first + i) % len(MARKERS)] for i in range(len(MARKERS))]
+    dashes = [DASHES[(variant + i) % len(DASHES)] for i in range(len(DASHES))]
+    uses = Counter(style.marker for style in styles)
+    marker = min(markers, key=lambda marker: uses[marker])
+    beside = Counter(str(style.dash) for style in styles if style.marker == marker)
+    return marker, min(dashes, key=lambda dash: beside[str(dash)])
 
 
 def note_hidden_points(axes: Axes, points: pd.DataFrame, bottom: float) -> None:

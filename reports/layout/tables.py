@@ -1,8 +1,9 @@
-"""Tables of text, written as Markdown and as LaTeX."""
+"""Tables of text, and their cells; written as Markdown here, as LaTeX in `latex`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,18 +19,12 @@ __all__ = [
     "format_difference",
     "format_ms",
     "pivot_by_budget",
-    "to_latex",
+    "rank_rows",
     "to_markdown",
 ]
 
 UNRELIABLE_MARK = "?"  # after a time
 UNRELIABLE_MEANING = "an unreliable time, see the list below and rlbench run --retime"
-
-LATEX_ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-}
 
 
 class Bold(str):
@@ -44,6 +39,7 @@ class Table:
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    note: str = ""  # how to read it; a page prints it once for all tables that share it
 
 
 def format_difference(record: Mapping[Hashable, Any]) -> str:
@@ -75,19 +71,39 @@ def format_ms(ms: float, unreliable: bool, decimals: int = 1, sign: str = "") ->
 
 
 def pivot_by_budget(
-    records: pd.DataFrame, format_record: Callable[[Mapping[Hashable, Any]], str]
+    records: pd.DataFrame,
+    format_record: Callable[[Mapping[Hashable, Any]], str],
+    order: Sequence[str],
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows of a table with a row for each `method` and a column for each budget."""
+    """Header and rows of a table: a row for each method of `order`, a column for each budget."""
     budgets = sorted(set(records["target_spp"]))
     cells = {
         (record["method"], record["target_spp"]): format_record(record)
         for record in records.to_dict("records")
     }
-    rows = [
-        (method, *(cells.get((method, spp), "-") for spp in budgets))
-        for method in sorted(set(records["method"]))
-    ]
+    rows = [(method, *(cells.get((method, spp), "-") for spp in budgets)) for method in order]
     return ("variant", *(f"{spp:g} spp" for spp in budgets)), rows
+
+
+def rank_rows(records: pd.DataFrame, column: str, direction: str = "higher") -> list[str]:
+    """The methods of `records`, best first at one budget: that which most have, nearest to 1 spp.
+
+    Methods without a number there come last, by name. Without a direction the order is by name.
+
+    >>> table = pd.DataFrame({"method": ["a", "b"], "target_spp": [1.0, 1.0], "psnr": [20.0, 21.0]})
+    >>> rank_rows(table, "psnr"), rank_rows(table, "psnr", "lower")
+    (['b', 'a'], ['a', 'b'])
+    """
+    names = sorted(set(records["method"]))
+    known = records[records[column].notna()]
+    counts = known.groupby("target_spp")["method"].nunique()
+    if counts.empty or not direction:
+        return names
+    budgets = [float(spp) for spp in counts.index if counts[spp] == counts.max()]
+    nearest = min(budgets, key=lambda spp: abs(math.log(spp)) if spp > 0 else math.inf)
+    at = known[known["target_spp"] == nearest].groupby("method")[column].mean()
+    sign = 1 if direction == "lower" else -1
+    return sorted(names, key=lambda name: (name not in at, sign * at.get(name, 0.0), name))
 
 
 def to_markdown(table: Table) -> str:
@@ -96,37 +112,9 @@ def to_markdown(table: Table) -> str:
     lines = [[_markdown_cell(cell) for cell in row] for row in (table.header, *table.rows)]
     lines.insert(1, rule)
     body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    return f"### {table.title}\n\n{table.caption}\n\n{body}\n"
-
-
-def to_latex(table: Table) -> str:
-    """The table as a LaTeX float; it needs the package booktabs."""
-    lines = [" & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)]
-    return "\n".join(
-        [
-            r"\begin{table}",
-            rf"\caption{{{_escape_latex(table.title)}. {_escape_latex(table.caption)}}}",
-            rf"\begin{{tabular}}{{l{'r' * (len(table.header) - 1)}}}",
-            r"\toprule",
-            lines[0],
-            r"\midrule",
-            *lines[1:],
-            r"\bottomrule",
-            r"\end{tabular}",
-            r"\end{table}",
-            "",
-        ]
-    )
+    return "\n\n".join(filter(None, [f"### {table.title}", table.caption, f"{body}\n"]))
 
 
 def _markdown_cell(cell: str) -> str:
     text = cell.replace("|", "\\|")
     return f"**{text}**" if isinstance(cell, Bold) else text
-
-
-def _latex_cell(cell: str) -> str:
-    return rf"\textbf{{{_escape_latex(cell)}}}" if isinstance(cell, Bold) else _escape_latex(cell)
-
-
-def _escape_latex(text: str) -> str:
-    return "".join(LATEX_ESCAPES.get(c, c) for c in text)

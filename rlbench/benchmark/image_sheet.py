@@ -1,4 +1,4 @@
-"""A sheet of one frame: image, error and sample counts of each method, beside the reference."""
+"""A sheet of one frame: image, errors and sample counts of each method, beside the reference."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ __all__ = ["NONFINITE_COLOUR", "LinearImage", "MethodImage", "draw_sheet"]
 
 NONFINITE_COLOUR = (255, 0, 255)  # of NaN and infinite pixels, which a display would hide
 MAX_ERROR = 0.25  # end of the error scale: mean over channels, in units of display white
+DIFFERENCE_PERCENTILE = 98  # of the sizes of differences, at the ends of their scale
 PANEL_INCHES, TITLE_INCHES = 2.6, 0.25  # width of a panel, and height of the line above it
 DPI = 150
 
@@ -68,12 +69,13 @@ def draw_sheet(
 ) -> Path:
     """Write a PNG with a column for each method, reference first; returns `file`.
 
-    Its rows are images, errors and, if any method is adaptive, samples of each pixel.
+    Its rows are images, errors, for several methods their squared error minus that of the best one,
+    and, if any method is adaptive, samples of each pixel.
     """
     from matplotlib.figure import Figure
 
-    is_adaptive = any(method.counts.min() < method.counts.max() - 1 for method in methods)
-    rows, columns = 2 + is_adaptive, 1 + len(methods)
+    is_adaptive, is_compared = any(map(_is_adaptive, methods)), len(methods) > 1
+    rows, columns = 2 + is_compared + is_adaptive, 1 + len(methods)
     h, w, _ = reference.radiance.shape
     width, height = PANEL_INCHES * columns, (PANEL_INCHES * h / w + TITLE_INCHES) * rows
     figure = Figure(figsize=(width, height + TITLE_INCHES))
@@ -85,8 +87,10 @@ def draw_sheet(
         axes.set_axis_off()
     _draw_images(grid[0], methods, reference)
     _draw_errors(grid[1], methods, reference)
+    if is_compared:
+        _draw_differences(grid[2], methods, reference)
     if is_adaptive:
-        _draw_counts(grid[2], methods)
+        _draw_counts(grid[-1], methods)
     figure.suptitle(title, fontsize=9, y=1 - 0.25 * TITLE_INCHES / (height + TITLE_INCHES))
     with paths.atomic_write(file) as temporary:
         figure.savefig(temporary, dpi=DPI, format="png")
@@ -112,12 +116,43 @@ def _draw_errors(
     _color_bar(row[0], drawn, "absolute error in sRGB,\nmean over channels", "max")
 
 
+def _draw_differences(
+    row: Sequence[Axes], methods: Sequence[MethodImage], reference: LinearImage
+) -> None:
+    """Squared errors minus that of the method with the highest PSNR; red is worse than it."""
+    errors = [((method.image.srgb - reference.srgb) ** 2).mean(-1) for method in methods]
+    best = max(range(len(methods)), key=lambda i: methods[i].psnr)
+    others = [error - errors[best] for i, error in enumerate(errors) if i != best]
+    limit = float(np.percentile(np.abs(others), DIFFERENCE_PERCENTILE)) or 1.0
+    for i, axes in enumerate(row[1:]):
+        if i == best:
+            _write(axes, "the best: others minus this")
+            continue
+        title = f"squared error minus that of {methods[best].row_name}"
+        difference = errors[i] - errors[best]
+        drawn = _panel(axes, difference, title, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    _color_bar(row[0], drawn, "difference of squared error in sRGB,\nmean over channels", "both")
+
+
+def _is_adaptive(method: MethodImage) -> bool:
+    """Do the samples of two pixels differ by more than a rounded budget makes them?"""
+    return bool(method.counts.min() < method.counts.max() - 1)
+
+
 def _draw_counts(row: Sequence[Axes], methods: Sequence[MethodImage]) -> None:
     most = max(int(method.counts.max()) for method in methods)
     for axes, method in zip(row[1:], methods, strict=True):
+        if not _is_adaptive(method):
+            _write(axes, f"uniform: {method.counts.mean():.3g} spp")
+            continue
         title = f"{method.counts.min()} to {method.counts.max()} samples per pixel"
         drawn = _panel(axes, method.counts, title, cmap="viridis", vmin=0, vmax=most)
     _color_bar(row[0], drawn, "samples per pixel", "neither")
+
+
+def _write(axes: Axes, text: str) -> None:
+    """A sentence in place of a panel that would show one colour."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=9)
 
 
 def _panel(axes: Axes, values: Array, title: str, **style: Any) -> AxesImage:

@@ -31,7 +31,7 @@ def list_installed(kind: str = "all") -> Listing:
         "methods": _list_methods,
         "metrics": lambda: _list_plugins("metrics", ("unit", "direction", "convention")),
         "scenes": lambda: _find_plugins("scenes"),
-        "reports": lambda: _find_plugins("reports"),
+        "reports": lambda: _find_plugins("reports") + _find_plugins("image_reports"),
         "pools": lambda: _list_plugins("pools", ("title",)),
         "presets": _list_presets,
         "profiles": _list_profiles,

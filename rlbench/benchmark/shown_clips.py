@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from rlbench.benchmark.evaluation import KeptCell, find_kept_cells
 from rlbench.clips.stored import open_clip
 from rlbench.frames import BUFFERS
 
-__all__ = ["ShownClip", "ShownImages", "read_shown_clips"]
+__all__ = ["ShownClip", "ShownClips", "ShownImages", "find_shown_clips"]
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,27 @@ class ShownClip:
     images: tuple[ShownImages, ...]
 
 
-def read_shown_clips(
+@dataclass(frozen=True)
+class ShownClips:
+    """Clips with their images; each is read when it is its turn, so that one at a time is held."""
+
+    kept: tuple[tuple[StoredSource, tuple[KeptImages, ...]], ...] = ()
+
+    def __len__(self) -> int:
+        """Number of clips."""
+        return len(self.kept)
+
+    def __iter__(self) -> Iterator[ShownClip]:
+        """Read the clips in their order."""
+        return (_read_clip(source, images) for source, images in self.kept)
+
+
+def find_shown_clips(
     folder: Path,
     clips: Sequence[StoredSource],
     methods: Collection[str],
     target_spp: Collection[float],
-) -> list[ShownClip]:
+) -> ShownClips:
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
 
     Clips without images are left out. Of several seeds or devices the first is shown. Raises
@@ -62,11 +77,8 @@ def read_shown_clips(
     ):
         if kept.cell.key.target_spp in target_spp:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
-    read = []
-    for clip in clips:
-        if own := [kept.images for kept in first.values() if kept.clip is clip]:
-            read.append(_read_clip(clip, own))
-    return read
+    images = [tuple(kept.images for kept in first.values() if kept.clip is clip) for clip in clips]
+    return ShownClips(tuple((clip, own) for clip, own in zip(clips, images, strict=True) if own))
 
 
 def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,6 +15,8 @@ from rlbench.errors import OptionError, RlbenchError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rlbench.benchmark.shown_clips import ShownClips
+
 __all__ = ["report", "select_budgets", "select_rows"]
 
 
@@ -21,6 +24,16 @@ def report(
     name: Annotated[str, typer.Argument(metavar="NAME", help="name of a report, or all")] = "all",
     methods: options.RowMethods = None,
     results: options.Results = Path("results"),
+    clips: options.Clips = None,
+    spp: Annotated[
+        float | None,
+        typer.Option(
+            parser=arguments.parse_positive,
+            metavar="SPP",
+            help="budget of reports that show images; default: that nearest to 1 spp",
+            rich_help_panel=options.MEASUREMENT,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -34,6 +47,8 @@ def report(
     """Write reports from the results: tables and plots.
 
     `all` writes every report that the results have rows for, and says why it skips the others.
+    Some reports show images: they need results of `rlbench run --keep-images`, and the first
+    methods in --methods are those that they compare.
 
     Examples:
 
@@ -42,17 +57,19 @@ def report(
       rlbench report pareto --results results/ --out figures/ --methods ours,ntas
       rlbench report table1
       rlbench report ablation --methods 'ours/*'
+      rlbench report zooms --methods ours,ntas --spp 4
     """
-    from rlbench import registry
     from rlbench.benchmark.results import MissingRowsError, read
 
     rows = read(results)
     if names := arguments.split_names(methods):
         rows = select_rows(rows, names, results)
+    writers = _find_writers(name)
+    images = partial(_find_images, results, rows, clips, spp)
     failures: dict[str, list[str]] = {}  # names of reports, by error
-    for each in registry.list_plugins("reports") if name == "all" else [name]:
+    for each, has_images in writers.items():
         try:
-            for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
+            for file in _write(each, rows, out or results / "report", has_images and images, names):
                 typer.echo(file)
         except Exception as error:
             if not isinstance(error, RlbenchError):
@@ -65,6 +82,49 @@ def report(
         raise OptionError(
             "; ".join(f"cannot write {', '.join(names)}: {why}" for why, names in failures.items())
         )
+
+
+def _find_writers(name: str) -> dict[str, bool]:
+    """The reports to write, and whether each shows images; `all` is all. Raises PluginError."""
+    from rlbench import registry
+    from rlbench.registry.near_names import suggest
+
+    groups = ("reports", "image_reports")
+    known = {each: group == groups[1] for group in groups for each in registry.list_plugins(group)}
+    if name != "all" and name not in known:
+        raise registry.PluginError(
+            f"'{name}' is not a report; there are: {', '.join(sorted(known))}{suggest(name, known)}"
+        )
+    return known if name == "all" else {name: known[name]}
+
+
+def _write(
+    name: str,
+    rows: pd.DataFrame,
+    folder: Path,
+    images: Callable[[], ShownClips] | Literal[False],
+    methods: Sequence[str],
+) -> list[Path]:
+    """Write one report and return its files; `images` finds those of the results."""
+    from rlbench import registry
+
+    if images is False:
+        return list(registry.load_or_explain("reports", name)(rows, folder))
+    writer = registry.load_or_explain("image_reports", name)
+    return list(writer(rows, folder, images(), methods))
+
+
+def _find_images(
+    results: Path, rows: pd.DataFrame, clips: list[Path] | None, spp: float | None
+) -> ShownClips:
+    """The clips with kept images. Raises MissingRowsError where there are none."""
+    from rlbench.benchmark.results import MissingRowsError
+    from rlbench.cli.view import find_images
+
+    found, reason = find_images(results, rows, clips, None if spp is None else (spp,))
+    if reason:
+        raise MissingRowsError(reason)
+    return found
 
 
 def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:

@@ -17,9 +17,9 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rlbench.benchmark.shown_clips import ShownClip
+    from rlbench.benchmark.shown_clips import ShownClip, ShownClips
 
-__all__ = ["describe_traits", "nearest_to_one", "read_images", "view"]
+__all__ = ["describe_traits", "find_images", "nearest_to_one", "read_images", "view"]
 
 NAME = "viewer"  # of the page, among the entry points
 
@@ -128,16 +128,30 @@ def read_images(
     spp: Collection[float] | None = None,
 ) -> tuple[list[ShownClip], list[str]]:
     """The clips of `rows` with their kept images, and a sentence if there are none to show."""
+    found, reason = find_images(results, rows, clips, spp)
+    return list(found), [f"the page has decision and table alone: {reason}"] if reason else []
+
+
+def find_images(
+    results: Path,
+    rows: pd.DataFrame,
+    clips: list[Path] | None = None,
+    spp: Collection[float] | None = None,
+) -> tuple[ShownClips, str]:
+    """The clips of `rows` with their kept images, not read yet, or the reason why there are none.
+
+    Raises OptionError for a budget in `spp` without images; the default is that nearest to 1 spp.
+    """
     from rlbench.benchmark.api import select_clips
     from rlbench.benchmark.cell_images import list_images
-    from rlbench.benchmark.shown_clips import read_shown_clips
+    from rlbench.benchmark.shown_clips import ShownClips, find_shown_clips
 
     methods, names = set(rows["method"]), set(rows["clip"])
     kept = [each for each in list_images(results) if each.cell.key.method in methods]
     kept = [each for each in kept if each.cell.key.clip in names]
     if not kept:
-        hint = "run the same command of `rlbench run` with --keep-images for the rest"
-        return [], [f"the results keep no images, so the page has decision and table alone; {hint}"]
+        hint = "repeat the command `rlbench run` with --keep-images"
+        return ShownClips(), f"the results keep no images; {hint}"
     known = {each.cell.key.target_spp for each in kept}
     if unknown := set(spp or ()) - known:
         raise OptionError(
@@ -145,22 +159,20 @@ def read_images(
         )
     budgets = spp or (nearest_to_one(known),)
     if clips:
-        return read_shown_clips(results, select_clips(clips), methods, budgets), []
+        return find_shown_clips(results, select_clips(clips), methods, budgets), ""
     by_preset: dict[str, set[str]] = {}
     for each in kept:
         by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
     if strangers := by_preset.pop("", None):
         reason = f"the preset of {', '.join(sorted(strangers))} is not known"
-        return [], [
-            f"the page has decision and table alone: {reason}; name the folder with --clips"
-        ]
+        return ShownClips(), f"{reason}; name the folder with --clips"
     pools = {each.pool for each in kept}
     sources = [
         source
         for preset, own in sorted(by_preset.items())
         for source in select_clips(None, sorted(own), preset, pool_kinds=pools)
     ]
-    return read_shown_clips(results, sources, methods, budgets), []
+    return find_shown_clips(results, sources, methods, budgets), ""
 
 
 def _join(budgets: Collection[float]) -> str:

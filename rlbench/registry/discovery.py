@@ -45,7 +45,7 @@ __all__ = [
 
 GROUPS = (
     "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
-    "comparisons", "pages",
+    "comparisons", "pages", "image_reports",
 )  # fmt: skip
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 

@@ -94,6 +94,14 @@ def test_a_missing_frame_is_an_error(clip_folder, tmp_path, frame):
         list(write_images(plan(clip_folder, "mean"), frame, tmp_path))
 
 
+def test_several_methods_have_a_row_of_differences_to_the_best(clip_folder, tmp_path):
+    one, two = (
+        imread(next(write_images(plan(clip_folder, *names), 0, tmp_path / names[0])).file)
+        for names in (("mean",), ("eaw", "mean"))
+    )
+    assert two.shape[0] > 1.3 * one.shape[0]
+
+
 def test_sample_counts_of_an_adaptive_method_are_a_row_of_the_sheet(clip_folder, tmp_path):
     body = "return samples.mean, None"
     plugin = write_plugin(tmp_path / "left.py", "left", traits="adaptive=True", body=body)

@@ -9,7 +9,7 @@ import torch
 from rlbench.benchmark.cell_images import list_images
 from rlbench.benchmark.evaluation import EvaluationError
 from rlbench.benchmark.runner import measure
-from rlbench.benchmark.shown_clips import read_shown_clips
+from rlbench.benchmark.shown_clips import find_shown_clips
 from rlbench.clips.stored import open_clip
 from tests.benchmark.test_runner import run_plan
 from tests.conftest import write_noise
@@ -23,7 +23,7 @@ def plan(clip_folder, tmp_path):
 
 
 def test_images_reference_and_buffers_are_those_on_disk(plan, tmp_path):
-    (shown,) = read_shown_clips(tmp_path / "r", plan.clips, ["mean"], [2.0])
+    (shown,) = find_shown_clips(tmp_path / "r", plan.clips, ["mean"], [2.0])
     clip = open_clip(plan.clips[0].folder)
     (images,) = shown.images  # of the first seed
     kept = next(
@@ -44,4 +44,4 @@ def test_a_clip_that_has_changed_is_an_error(plan, tmp_path):
     write_noise(plan.clips[0].folder, exposure=2.0)
     changed = run_plan(plan.clips[0].folder).clips
     with pytest.raises(EvaluationError, match="show a clip with digest"):
-        read_shown_clips(tmp_path / "r", changed, ["mean"], [1.0])
+        find_shown_clips(tmp_path / "r", changed, ["mean"], [1.0])

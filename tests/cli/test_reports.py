@@ -30,6 +30,25 @@ def test_report_all_skips_reports_without_rows_and_says_why(run_mean, tmp_path):
     assert "error: cannot write ablation: " in rlbench("report", "ablation", *words, code=2)
 
 
+def test_a_report_of_images_needs_kept_images_and_shows_the_named_rows_in_order(tmp_path):
+    write_noise(tmp_path / "clips" / "city", "city")
+    run = ("run", "-m", "mean,eaw", "--spp", "1", "--scores-only", "--out", tmp_path / "r")
+    words = ("report", "zooms", "--results", tmp_path / "r", "--clips", tmp_path / "clips")
+    rlbench(*run, "--clips", tmp_path / "clips")
+    assert "the results keep no images" in rlbench(*words, code=2)
+    rlbench(*run, "--clips", tmp_path / "clips", "--keep-images")
+    rlbench(*words, "-m", "mean,eaw", "--out", tmp_path / "figures")
+    lines = (tmp_path / "figures" / "zooms.csv").read_text().splitlines()
+    assert [line.split(",")[8] for line in lines[1:3]] == ["mean", "eaw"]
+    assert "no images at 4 spp" in rlbench(*words, "--spp", "4", code=2)
+
+
+def test_an_unknown_report_names_the_nearest_one(run_mean, tmp_path):
+    rlbench(*run_mean)
+    output = rlbench("report", "zoom", "--results", tmp_path / "r", code=2)
+    assert "Did you mean 'zooms'?" in output
+
+
 @pytest.mark.parametrize("report", ["summary", "pareto"])
 def test_scenes_of_one_cost_profile_are_reported_together(tmp_path, report):
     for scene in ("city", "temple", "foyer"):

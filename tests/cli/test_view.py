@@ -35,7 +35,7 @@ def test_view_shows_the_budgets_that_are_named(run, clip_folder, tmp_path):
 
 def test_view_says_how_to_get_images(run):
     output = rlbench("view", run())
-    assert "keep no images, so the page has decision and table alone" in output
+    assert "the page has decision and table alone: the results keep no images" in output
     assert "--keep-images" in output
 
 

@@ -251,4 +251,4 @@ def test_latex_and_markdown_escape_settings_and_names(tmp_path):
     page, _, tex = write_and_read(to_dataframe(table), tmp_path)
     assert "| ours/a_b\\|c |" in page
     assert r"ours/a\_b|c & " in tex
-    assert r'x: - -> \{"y": 1\}' in tex
+    assert r'x: - -\textgreater{} \{"y": 1\}' in tex

@@ -127,11 +127,11 @@ def test_one_scene_is_one_panel():
     ] == ["city"]
 
 
-def test_times_that_span_more_than_ten_are_logarithmic(figure):
+def test_times_that_span_more_than_three_are_logarithmic(figure):
     assert {a.get_xscale() for a in figure.axes} == {"log"}
 
 
-def test_times_that_span_less_than_ten_are_linear():
+def test_times_that_span_less_than_three_are_linear():
     near = to_dataframe([r for r in rows(["ours", "ntas"]) if r.target_spp in (1, 2)])
     assert {
         a.get_xscale() for a in draw_pareto(pareto.plotted_points(Scores(near)), LABELS).axes
@@ -142,7 +142,23 @@ def test_methods_below_the_window_are_named(figure):
     axes = figure.axes[0]
     top = 29.9 + 3 * 1.15 + sum(SCENES.values()) / 4
     assert axes.get_ylim()[0] == pytest.approx(top - WINDOW_DB * 1.07)
-    assert [text.get_text() for text in axes.texts] == ["below the axis: mean from 13.0"]
+    assert "below the axis: mean from 13.0" in [text.get_text() for text in axes.texts]
+
+
+def test_names_stand_beside_the_first_panel_in_the_order_of_the_last_values(figure):
+    names = [t for t in figure.axes[0].texts if t.get_text().partition(" ")[0] in METHODS]
+    names.sort(key=lambda text: -text.get_position()[1])
+    expected = ["ours", "ours/small", "ntas", "oidn", "mean"]
+    assert [text.get_text().partition(" ")[0] for text in names] == expected
+    assert [t.get_text() for t in figure.axes[1].texts] == ["1 below the axis"]
+
+
+def test_a_line_skips_a_point_whose_time_runs_backwards():
+    points = pareto.plotted_points(Scores(to_dataframe(rows(["ours"]))))
+    points.loc[points["target_spp"] == 2, "frame_ms"] = 1.0
+    line = next(a for a in draw_pareto(points, LABELS).axes[0].lines if a.get_linestyle() == "-")
+    assert len(line.get_xdata()) == 4
+    assert (pd.Series(line.get_xdata()).diff().dropna() > 0).all()
 
 
 def test_no_two_titles_of_a_panel_touch(figure):

@@ -112,7 +112,7 @@ def test_every_panel_has_the_curves_of_its_clip_and_marks_its_events():
     figure = draw_event_panels(curves, find_spans(Scores(rows)), "caption")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["city-cut", "hall-cut"]
     for axes in figure.axes:
-        memory, steady, *marks = axes.lines
+        memory, steady, *marks = axes.lines[:4]
         assert memory.get_ydata().tolist() == [psnr("memory", f) for f in range(FRAMES)]
         assert steady.get_ydata().tolist() == [LEVEL["steady"]] * FRAMES
         assert [line.get_xdata()[0] for line in marks] == [CUT - 0.5, LIGHT - 0.5]

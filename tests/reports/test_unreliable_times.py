@@ -10,7 +10,7 @@ import pytest
 from reports import ablation, pareto, published_pareto, summary, table1
 from reports.analysis.aggregate import Scores, metrics_with_values
 from reports.analysis.time_notes import device_mixes, unreliable_times
-from reports.layout.pareto_panels import OVERALL, draw_pareto
+from reports.layout.pareto_panels import OVERALL, PALE, UNRELIABLE, draw_pareto
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import rows
 
@@ -56,17 +56,15 @@ def test_an_unreliable_point_is_never_on_the_front():
         assert points.loc[points["scene"] == scene, "front"].any()
 
 
-def test_an_unreliable_point_is_hollow():
+def test_an_unreliable_point_is_pale():
     points = pareto.plotted_points(Scores(busy()))
     figure = draw_pareto(points, pareto.figure_labels(Scores(busy())))
     for axes in figure.axes:
-        hollow = [
-            c for c in axes.collections if len(c.get_edgecolor()) and not len(c.get_facecolor())
-        ]
-        count = sum(len(c.get_offsets()) for c in hollow)
+        pale = [c for c in axes.collections if c.get_alpha() == PALE]
+        count = sum(len(c.get_offsets()) for c in pale)
         assert count == (5 if axes.get_title(loc="left") in ("hall", OVERALL) else 0)
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert "hollow: unreliable time" in labels
+    assert UNRELIABLE in labels
 
 
 def test_a_figure_without_any_reliable_time_has_no_front(tmp_path):

@@ -5,22 +5,21 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import rlbench
 from rlbench.benchmark.results import UNRELIABLE, read
 from rlbench.benchmark.shown_clips import ShownClip
 from rlbench.cli.view import describe_traits, read_images
-from rlbench.clips.stored import read_header, write_header
-from rlbench.system import provenance
-from tests.procedural_folder import write_world
+from tests.reports.kept_run import SIDE, run_with_images
 from tests.reports.viewer.screen import Screen
 
-SIDE, FRAMES, CUT = 48, 4, 2
+__all__ = ["CUT", "METHODS", "SIDE"]
+
+CUT = 2
 METHODS = ("svgf", "eaw", "mean")
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), ""
@@ -40,20 +39,7 @@ class Report:
 def run_folder(tmp_path_factory) -> Path:
     """A folder with `clips` and, with images, `results` of three methods on two clips."""
     folder = tmp_path_factory.mktemp("viewer")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RLBENCH_CACHE", str(folder / "cache"))
-        for seed, name in enumerate(("alpha", "beta")):
-            clip = write_world(folder / "clips" / name, seed, SIDE, FRAMES)
-            write_header(
-                clip, replace(read_header(clip), cuts=(CUT,), device=provenance.machine().name)
-            )
-        rlbench.run(
-            METHODS,
-            spp=[1, 2],
-            clips=[folder / "clips"],
-            keep_images=True,
-            out=folder / "results",
-        )
+    run_with_images(folder, METHODS, [1, 2], CUT)
     return folder
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from reports.layout.paired_panels import spread_labels
+from reports.layout.curve_labels import spread_labels
 
 
 @pytest.mark.parametrize(

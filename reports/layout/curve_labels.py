@@ -1,0 +1,90 @@
+"""Names beside the ends of curves, in the order of the ends, joined to them by thin lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from reports.layout.style import LineStyle
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["LABEL_DISTANCE", "label_curves", "marker_size", "spread_labels"]
+
+MARKER_SIZE, STAR_SIZE = 7.5, 11.0  # points across; a star of the same width looks smaller
+LABEL_SIZE, LABEL_DISTANCE = 10.5, 0.205  # points; inches between two labels
+
+
+def label_curves(
+    axes: Axes,
+    ends: Sequence[tuple[str, float, float]],
+    styles: Mapping[str, LineStyle],
+    height: float,
+    number_format: str,
+    hollow: bool | None = None,
+) -> None:
+    """Write name and last value of each curve at the right, without overlaps, with leader lines.
+
+    `ends` has name, x and y of each curve; `height` is that of the panel in inches. Markers are as
+    in `styles`, or all hollow, or all filled.
+    """
+    if not ends:
+        return
+    low, high = axes.get_ylim()
+    is_log = axes.get_yscale() == "log"
+    low, high = (math.log(low), math.log(high)) if is_log else (low, high)
+    step = (high - low) * LABEL_DISTANCE / (0.93 * height)  # a panel's share of the height
+    ends = sorted(ends, key=lambda end: end[2])
+    values = [math.log(y) if is_log else y for _, _, y in ends]
+    heights = spread_labels([min(max(low, value), high) for value in values], step, low, high)
+    for (method, x, value), place in zip(ends, heights, strict=True):
+        line = styles[method]
+        face = line.face if hollow is None else "white" if hollow else line.color
+        end = max(axes.get_ylim()[0], value)
+        place = math.exp(place) if is_log else place
+        axes.annotate(
+            "", (x, end), (1.025, place), xycoords="data",
+            textcoords=axes.get_yaxis_transform(), annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": line.color, "alpha": 0.5, "lw": 0.7,
+                        "shrinkA": 0, "shrinkB": 4, "zorder": 1},
+        )  # fmt: skip
+        axes.plot(
+            [1.04], [place], transform=axes.get_yaxis_transform(), clip_on=False, ls="",
+            marker=line.marker, ms=marker_size(line) - 1, c=line.color, mec=line.color, mfc=face,
+        )  # fmt: skip
+        axes.text(
+            1.062, place, f"{method} {value:{number_format}}", va="center",
+            transform=axes.get_yaxis_transform(), fontsize=LABEL_SIZE, color=line.color,
+        )  # fmt: skip
+
+
+def marker_size(line: LineStyle) -> float:
+    """Width of a method's marker in points."""
+    return STAR_SIZE if line.marker == "*" else MARKER_SIZE
+
+
+def spread_labels(heights: list[float], step: float, low: float, high: float) -> list[float]:
+    """Ascending heights, moved as little as possible to be at least `step` apart within bounds.
+
+    Heights that do not all fit are spread evenly over the bounds.
+
+    >>> spread_labels([5.0, 5.0], step=1.0, low=0.0, high=10.0)
+    [4.5, 5.5]
+    """
+    count = len(heights)
+    if (count - 1) * step >= high - low:
+        return [low + (high - low) * i / max(count - 1, 1) for i in range(count)]
+    # isotonic regression (pool adjacent violators): heights that are too near form a block
+    blocks: list[tuple[float, int]] = []  # mean of heights minus their steps, and their number
+    for i, height in enumerate(heights):
+        mean, size = height - i * step, 1
+        while blocks and blocks[-1][0] > mean:
+            last, count_of_last = blocks.pop()
+            total = size + count_of_last
+            mean, size = (mean * size + last * count_of_last) / total, total
+        blocks.append((mean, size))
+    means = [mean for mean, size in blocks for _ in range(size)]
+    top = high - (count - 1) * step
+    return [min(max(mean, low), top) + i * step for i, mean in enumerate(means)]

@@ -1,0 +1,165 @@
+"""Crops of reference and outputs, chosen by rule, with the PSNR of crop and frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from reports.analysis.crops import SHARE, Crop, choose_crops
+from reports.analysis.image_errors import Floats, decibels, squared_error
+from reports.analysis.shown_rows import first_of_scenes, select_images
+from reports.layout import style
+from reports.layout.image_grid import (
+    CROP_COLOURS,
+    add_caption,
+    draw_crop_frames,
+    draw_picture,
+)
+from reports.layout.page import describe_clips
+from reports.viewer.pictures import ShownClip
+
+__all__ = ["Zoom", "draw_zooms", "find_zoom", "write"]
+
+USUAL = ("ours", "ntas")  # as in the paper's figure
+MIN_ROWS, MAX_ROWS, MAX_SCENES = 2, 5, 4
+RULES = ("largest difference", "median difference")
+WIDTH, CAPTION = 13.0, 0.62  # inches
+
+
+@dataclass(frozen=True, eq=False)
+class Zoom:
+    """A frame of a clip with its two crops, and the images of all rows."""
+
+    clip: str
+    scene: str
+    target_spp: float
+    crops: tuple[Crop, Crop]
+    reference: Floats  # [3 h w], linear
+    images: dict[str, Floats]  # by method
+
+    @property
+    def frame(self) -> int:
+        """Index of the frame."""
+        return self.crops[0].frame
+
+    def psnr(self, method: str, crop: Crop | None = None) -> float:
+        """PSNR in dB of the frame, or of a crop."""
+        error = squared_error(self.images[method], self.reference)
+        return decibels(float(error[crop.slices if crop else ...].mean()))
+
+
+def write(
+    results: pd.DataFrame,
+    folder: Path,
+    clips: Iterable[ShownClip],
+    methods: Sequence[str] = (),
+    name: str = "zooms",
+) -> list[Path]:
+    """Write `name`.png, .pdf, .svg and a .csv of crops and PSNR; the first clip of four scenes.
+
+    `methods` are shown in their order; the crops are chosen by the first two. Without methods, ours
+    and ntas come first. Raises MissingRowsError where fewer than two methods have images.
+    """
+    zooms = [find_zoom(clip, methods) for clip in first_of_scenes(clips, MAX_SCENES)]
+    with mpl.rc_context(style.RC):
+        files = style.save_figure(draw_zooms(zooms, describe_clips(results)), folder, name)
+    table = folder / f"{name}.csv"
+    pd.DataFrame([row for zoom in zooms for row in _records(zoom)]).to_csv(table, index=False)
+    return [*files, table]
+
+
+def find_zoom(clip: ShownClip, methods: Sequence[str] = ()) -> Zoom:
+    """The frame and the crops of a clip in which its first two rows differ."""
+    rows = select_images(clip, methods, USUAL, MIN_ROWS, MAX_ROWS)
+    length = min(len(row.frames) for row in rows[:2])
+    first, second = (
+        squared_error(row.frames[:length], clip.reference[:length]) for row in rows[:2]
+    )
+    crops = choose_crops(first, second)
+    frame = crops[0].frame
+    images = {row.method: np.asarray(row.frames[frame]) for row in rows}
+    spp = rows[0].target_spp
+    return Zoom(clip.name, clip.scene, spp, crops, clip.reference[frame], images)
+
+
+def draw_zooms(zooms: Sequence[Zoom], clips: str) -> Figure:
+    """The figure: for each clip its frame at the left, and its crops in two rows at the right."""
+    columns = 1 + max(len(zoom.images) for zoom in zooms)
+    side = WIDTH / (columns + 2.35)  # inches, of a crop
+    block = 2 * side + 0.72
+    height = block * len(zooms) + CAPTION
+    figure = Figure(figsize=(WIDTH, height))
+    for index, zoom in enumerate(zooms):
+        top = height - 0.42 - block * index
+        h, w = zoom.reference.shape[1:]
+        frame_side = 2 * side + 0.22
+        fit = min(1.0, w / h)  # as large as the two crops
+        tall = frame_side * min(1.0, h / w)
+        place = _box(figure, 0.1, top - tall, frame_side * fit, tall)
+        axes = figure.add_axes(place)
+        draw_picture(axes, zoom.reference, f"{zoom.clip}, frame {zoom.frame}: reference")
+        draw_crop_frames(axes, zoom.crops)
+        for row, crop in enumerate(zoom.crops):
+            bottom = top - side - row * (side + 0.22)
+            _draw_crops(figure, zoom, row, crop, (frame_side + 0.2, bottom, side))
+    chosen = list(zooms[0].images)[:2]
+    add_caption(
+        figure,
+        f"{zooms[0].target_spp:g} spp, {clips}. Above the crops: PSNR of the frame (bold) and of "
+        f"the crop. A crop has {SHARE:.0%} of the frame's side".replace("%", " %")
+        + f". Chosen by rule: orange, where the squared errors of {' and '.join(chosen)} differ "
+        "most in any frame; blue, the median difference in the same frame.",
+    )
+    return figure
+
+
+def _draw_crops(
+    figure: Figure, zoom: Zoom, row: int, crop: Crop, place: tuple[float, float, float]
+) -> None:
+    """A row of crops, the reference first, from a left and lower edge on, in inches."""
+    left, bottom, side = place
+    rows, columns = crop.slices
+    for index, method in enumerate([None, *zoom.images]):
+        axes = figure.add_axes(_box(figure, left + index * (side + 0.06), bottom, side, side))
+        image = zoom.images[method] if method else zoom.reference
+        draw_picture(axes, image[:, rows, columns])
+        for spine in axes.spines.values():
+            spine.set(visible=True, edgecolor=CROP_COLOURS[row], linewidth=2.2)
+        if row == 0:
+            text = f"{method}  {zoom.psnr(method):.2f} dB" if method else "reference"
+            axes.text(0.5, 1.11, text, transform=axes.transAxes, ha="center", fontsize=11,
+                      fontweight="bold")  # fmt: skip
+        text = f"{zoom.psnr(method, crop):.2f} dB" if method else RULES[row]
+        axes.set_title(text, fontsize=10, pad=3)
+
+
+def _box(
+    figure: Figure, left: float, bottom: float, width: float, height: float
+) -> tuple[float, float, float, float]:
+    """A box in inches as shares of the figure."""
+    wide, tall = figure.get_size_inches()
+    return left / wide, bottom / tall, width / wide, height / tall
+
+
+def _records(zoom: Zoom) -> list[dict[str, object]]:
+    """The numbers of a clip's crops, and where they are."""
+    return [
+        {
+            "clip": zoom.clip,
+            "scene": zoom.scene,
+            "target_spp": zoom.target_spp,
+            "rule": rule,
+            **crop._asdict(),
+            "method": method,
+            "crop_psnr": zoom.psnr(method, crop),
+            "frame_psnr": zoom.psnr(method),
+        }
+        for rule, crop in zip(RULES, zoom.crops, strict=True)
+        for method in zoom.images
+    ]
