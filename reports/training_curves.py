@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
 
-from reports.layout.paired_panels import spread_labels
+from reports.layout.curve_labels import spread_labels
 from reports.layout.style import RC, LineStyle, line_styles, save_figure
 
 if TYPE_CHECKING:
