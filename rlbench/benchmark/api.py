@@ -30,6 +30,7 @@ from rlbench.benchmark.runner import CellCallback, measure, read_cells
 from rlbench.clips.stored import find_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
+from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.preset_clips import render_preset_clips
 from rlbench.system.bfloat16 import require_native_bf16
 
@@ -186,9 +187,8 @@ def select_clips(
     names = {source: {source.header.scene, source.header.name} for source in sources}
     available = sorted(set().union(*names.values()))
     if unknown := [name for name in selected if name not in available]:
-        raise OptionError(
-            f"the clips show no scene {', '.join(unknown)}; available: {', '.join(available)}"
-        )
+        problem = f"the clips show no scene {', '.join(unknown)}"
+        raise OptionError(unknown_name(problem, unknown[0], available))
     return tuple(source for source in sources if not selected or names[source] & set(selected))
 
 

@@ -11,6 +11,7 @@ import typer
 from rlbench.cli import arguments, options
 from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError
+from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,10 +102,8 @@ def select_scenes(rows: pd.DataFrame, names: Collection[str], results: Path) -> 
     """The rows of scenes and clips with these names. Raises OptionError for an unknown name."""
     available = {*rows["scene"], *rows["clip"]}
     if unknown := [name for name in names if name not in available]:
-        raise OptionError(
-            f"--scenes {','.join(unknown)}: {results} has no rows of it; available: "
-            f"{', '.join(sorted(available))}"
-        )
+        problem = f"--scenes {','.join(unknown)}: {results} has no rows of it"
+        raise OptionError(unknown_name(problem, unknown[0], sorted(available)))
     return rows[rows["scene"].isin(names) | rows["clip"].isin(names)]
 
 
@@ -118,10 +117,8 @@ def select_by_inputs(
     from rlbench.clips.header import BUFFER_CHANNELS
 
     if unknown := [name for name in channels if name not in BUFFER_CHANNELS]:
-        raise OptionError(
-            f"--needs {','.join(unknown)}: no such G-buffer channel; available: "
-            f"{', '.join(BUFFER_CHANNELS)}"
-        )
+        problem = f"--needs {','.join(unknown)}: no such G-buffer channel"
+        raise OptionError(unknown_name(problem, unknown[0], BUFFER_CHANNELS))
     reasons = {method: _lacking(method, channels) for method in sorted(set(rows["method"]))}
     left_out = [f"{method} is left out: {reason}" for method, reason in reasons.items() if reason]
     if len(left_out) == len(reasons):

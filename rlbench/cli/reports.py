@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +10,7 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.errors import OptionError, RlbenchError
+from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,10 +85,9 @@ def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) ->
     single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
     missing = [name for name in single if not select_methods(table, [name]).any()]
     if missing or rows.empty:
-        raise OptionError(
-            f"{results} has no rows of {', '.join(missing or methods)}; "
-            f"available: {_join(available)}"
-        )
+        names = missing or list(methods)
+        problem = f"{results} has no rows of {', '.join(names)}"
+        raise OptionError(unknown_name(problem, names[0], sorted(available)))
     return rows
 
 
@@ -100,7 +100,3 @@ def select_budgets(table: pd.DataFrame, spp: Collection[float], results: Path) -
             f"available: {', '.join(f'{budget:g}' for budget in sorted(available))}"
         )
     return table[table["target_spp"].isin(list(spp))]
-
-
-def _join(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)) or "none"

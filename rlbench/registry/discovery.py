@@ -18,6 +18,8 @@ import importlib.util
 import os
 import sys
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from rlbench.errors import PluginError
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.plugin_files import file_entries, import_file, plugin_file, plugin_files
+from rlbench.registry.shadowing import shadowing_reason
 
 __all__ = [
     "GROUPS",
@@ -87,7 +90,7 @@ def resolve(target: str) -> Any:
     """
     module, _, attribute = target.partition(":")
     file = plugin_file(module)
-    with exits_as_errors():
+    with exits_as_errors(), _naming_what_shadows(module):
         value: Any = import_file(file) if file else importlib.import_module(module)
     for part in attribute.split("."):
         value = getattr(value, part)
@@ -107,7 +110,8 @@ def module_file(target: str) -> Path:
     except ModuleNotFoundError:  # raised for a missing parent package
         spec = None
     if spec is None or not spec.origin:
-        raise PluginError(f"no module '{module}', named by '{target}'. Check that it is installed")
+        reason = shadowing_reason(module) or "Check that it is installed"
+        raise PluginError(f"no module '{module}', named by '{target}'. {reason}")
     return Path(spec.origin)
 
 
@@ -130,8 +134,19 @@ def _read_entry_points(path: tuple[str, ...]) -> Any:
 
 
 def _load(point: importlib.metadata.EntryPoint) -> Any:
-    with exits_as_errors():
+    with exits_as_errors(), _naming_what_shadows(point.module):
         return point.load()
+
+
+@contextmanager
+def _naming_what_shadows(module: str) -> Iterator[None]:
+    """Raise PluginError where the package of `module` is hidden by a file of the same name."""
+    try:
+        yield
+    except ImportError as error:
+        if reason := shadowing_reason(module):
+            raise PluginError(reason) from error
+        raise
 
 
 def _origin(point: importlib.metadata.EntryPoint) -> str:

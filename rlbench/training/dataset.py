@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rlbench.errors import OptionError
+from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.preset_clips import render_preset_clips
 
 __all__ = ["EMPTY_SPLIT", "TrainingSplit", "select_split", "split_generated", "split_holdout"]
@@ -105,9 +106,8 @@ def split_holdout(
             f"Choose --preset {allowed}"
         )
     if scene not in scenes:
-        raise OptionError(
-            f"no scene '{scene}' to hold out: preset '{preset}' has: {', '.join(scenes)}"
-        )
+        problem = f"no scene '{scene}' to hold out"
+        raise OptionError(unknown_name(problem, scene, scenes, f": preset '{preset}' has"))
     folders = render_preset_clips(
         [name for name in scenes if name != scene], preset, pool_kinds=pool_kinds
     )
