@@ -107,9 +107,7 @@ def profile(name: str) -> CostProfile:
     except CostError:
         raise
     except ValueError as error:
-        raise CostError(
-            f"cost profile '{name}' cannot be read: {error}. {PAGE}"
-        ) from error
+        raise CostError(f"cost profile '{name}' cannot be read: {error}. {PAGE}") from error
 
 
 def _check(name: str, document: Mapping[str, Any]) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rlbench.cli import arguments, options
+from rlbench.cli.json_output import as_json_text
 from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
@@ -16,7 +17,7 @@ from rlbench.registry.near_names import unknown_name
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["as_json_text", "decide", "select_by_inputs", "select_scenes"]
+__all__ = ["decide", "select_by_inputs", "select_scenes"]
 
 NAME = "frame-time"  # of the decision, among the entry points
 
@@ -136,11 +137,3 @@ def _lacking(method: str, channels: Collection[str]) -> str:
     except registry.PluginError:
         return "it is not installed, so its inputs are not known; name its file with --plugin"
     return f"it needs {', '.join(missing)}" if (missing := sorted(inputs - set(channels))) else ""
-
-
-def as_json_text(answer: Any) -> str:
-    """An answer as indented JSON, for scripts."""
-    import msgspec
-
-    # msgspec writes numbers that are not finite as null
-    return msgspec.json.format(msgspec.json.encode(answer), indent=1).decode()

@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rlbench.cli import arguments, options
+from rlbench.cli.completion import complete_names
+from rlbench.cli.json_output import ReportOutput, print_json
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
 from rlbench.registry.near_names import unknown_name
+from rlbench.system.disk import check_writable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,7 +23,14 @@ __all__ = ["report", "select_budgets", "select_rows"]
 
 
 def report(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="name of a report, or all")] = "all",
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="name of a report, or all",
+            autocompletion=complete_names("reports", ("all",)),
+        ),
+    ] = "all",
     methods: options.RowMethods = None,
     results: options.Results = Path("results"),
     out: Annotated[
@@ -31,6 +42,7 @@ def report(
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
+    as_json: options.Json = False,
 ) -> None:
     """Write reports from the results: tables and plots.
 
@@ -44,28 +56,60 @@ def report(
       rlbench report table1
       rlbench report ablation --methods 'ours/*'
     """
-    from rlbench import registry
-    from rlbench.benchmark.results import MissingRowsError, read
+    from rlbench.benchmark.results import read
 
+    selected, target = _select_reports(name), out or results / "report"
     rows = read(results)
     if names := arguments.split_names(methods):
         rows = select_rows(rows, names, results)
-    failures: dict[str, list[str]] = {}  # names of reports, by error
-    for each in registry.list_plugins("reports") if name == "all" else [name]:
-        try:
-            for file in registry.load_or_explain("reports", each)(rows, out or results / "report"):
+    check_writable(target)
+    output = ReportOutput()
+    for each in selected:
+        files = _write_report(each, rows, target, output, is_one_of_all=name == "all")
+        if not as_json:
+            for file in files:
                 typer.echo(file)
-        except Exception as error:
-            if not isinstance(error, RlbenchError):
-                raise
-            if name == "all" and isinstance(error, MissingRowsError):
-                typer.echo(f"report {each} is skipped: {error}", err=True)
-            else:
-                failures.setdefault(str(error), []).append(each)
-    if failures:
-        raise OptionError(
-            "; ".join(f"cannot write {', '.join(names)}: {why}" for why, names in failures.items())
-        )
+    if as_json:
+        print_json(output)
+    if output.failed:
+        names_by_error: dict[str, list[str]] = {}
+        for each, why in output.failed.items():
+            names_by_error.setdefault(why, []).append(each)
+        faults = [f"cannot write {', '.join(n)}: {why}" for why, n in names_by_error.items()]
+        raise OptionError("; ".join(faults))
+
+
+def _select_reports(name: str) -> list[str]:
+    """The report of this name, or all. Raises OptionError for an unknown name."""
+    from rlbench import registry
+
+    known = registry.list_plugins("reports")
+    if name not in ("all", *known):
+        problem = f"'{name}' is not a report"
+        raise OptionError(unknown_name(problem, name, ["all", *known], "; there are"))
+    return known if name == "all" else [name]
+
+
+def _write_report(
+    name: str, rows: pd.DataFrame, target: Path, output: ReportOutput, is_one_of_all: bool
+) -> list[Path]:
+    """Write a report, and note in `output` what became of it; returns its files."""
+    from rlbench import registry
+    from rlbench.benchmark.results import MissingRowsError
+
+    try:
+        files = list(registry.load_or_explain("reports", name)(rows, target))
+    except Exception as error:
+        if not isinstance(error, RlbenchError):
+            raise
+        if is_one_of_all and isinstance(error, MissingRowsError):
+            output.skipped[name] = str(error)
+            note(f"report {name} is skipped: {error}")
+        else:
+            output.failed[name] = str(error)
+        return []
+    output.files.extend(map(str, files))
+    return files
 
 
 def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) -> pd.DataFrame:

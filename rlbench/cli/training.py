@@ -13,6 +13,7 @@ import typer
 from rlbench.cli import arguments, options, training_options
 from rlbench.cli.arguments import Budgets, Seeds
 from rlbench.cli.plugins import load_plugins
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ __all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
 
 
 def train(
-    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     frames: training_options.Frames = training_options.DEFAULT_FRAMES,
     batch: training_options.Batch = 1,
@@ -64,16 +65,18 @@ def train(
       rlbench train -m ntas --holdout hall --preset standard
     """
     load_plugins(plugin)
-    names = _trainable(methods)  # before torch
+    names = _trainable(methods or ["all"])  # before torch
+    from rlbench.system.disk import check_writable
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.runs import archive_run
 
+    check_writable(out)
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check(names)
     split = _split(names, preset, seeds, holdout)
-    if names and (hint := tensorboard_hint()):
-        typer.echo(hint, err=True)
+    if hint := tensorboard_hint():
+        note(hint)
     for name in names:
         folder = runs.folder(name, holdout)
         if restart and (archived := archive_run(folder)):
@@ -83,7 +86,7 @@ def train(
 
 
 def lr_find(
-    methods: options.Methods,
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     frames: training_options.Frames = training_options.DEFAULT_FRAMES,
     batch: training_options.Batch = 1,
@@ -110,7 +113,10 @@ def lr_find(
       rlbench lr-find -m mine --plugin mine.py --frames 1200
     """
     load_plugins(plugin)
-    names = _trainable(methods)  # before torch
+    names = _trainable(arguments.require_methods(methods))  # before torch
+    from rlbench.system.disk import check_writable
+
+    check_writable(out)
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device)
     runs.check(names)
@@ -184,7 +190,7 @@ def training_runs(
 
     selected = str(select_device(device))
     if config.bf16 and (reason := emulation_reason(selected)):
-        typer.echo(f"warning: {reason}; training is faster without --bf16", err=True)
+        note(f"warning: {reason}; training is faster without --bf16")
     return TrainingRuns(
         out,
         config,
@@ -199,7 +205,8 @@ def training_runs(
 def _trainable(patterns: list[str]) -> list[str]:
     """The selected methods that can be trained; reports the others.
 
-    Raises OptionError for a method with published weights that is selected by its name.
+    Raises OptionError for a method with published weights that is selected by its name, and where
+    no selected method can be trained.
     """
     from rlbench import registry
 
@@ -210,8 +217,11 @@ def _trainable(patterns: list[str]) -> list[str]:
         reason = registry.untrainable_reason(name)
         if name in by_name and registry.get_variant(name).trained_by:
             raise OptionError(f"{name} {reason}")
-        if reason:
-            typer.echo(f"{name} {reason}")
+        if reason and trainable:
+            note(f"{name} {reason}")
+    if not trainable:
+        reasons = ", ".join(f"{name} {registry.untrainable_reason(name)}" for name in names)
+        raise OptionError(f"nothing to train: {reasons}")
     return trainable
 
 
@@ -222,7 +232,5 @@ def _split(
     from rlbench import registry
     from rlbench.training import dataset
 
-    if not names:
-        return dataset.EMPTY_SPLIT
     pools = {registry.get_variant(name).traits.pool for name in names}
     return dataset.select_split(preset, seeds, holdout, pools)

@@ -42,7 +42,7 @@ __all__ = [
 
 GROUPS = (
     "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
-    "comparisons", "pages",
+    "comparisons", "pages", "demo",
 )  # fmt: skip
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 

@@ -23,7 +23,9 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f". Did you mean '{by_lower[nearest[0]]}'?" if nearest else ""
 
 
-def unknown_name(problem: str, name: str, known: Iterable[str], introduction: str = "; available") -> str:
+def unknown_name(
+    problem: str, name: str, known: Iterable[str], introduction: str = "; available"
+) -> str:
     """An error message: the problem, the known names, and the one nearest to `name`.
 
     A long list is left out where a name is near. `introduction` comes before the list.

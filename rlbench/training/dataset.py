@@ -10,7 +10,7 @@ from rlbench.errors import OptionError
 from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.preset_clips import render_preset_clips
 
-__all__ = ["EMPTY_SPLIT", "TrainingSplit", "select_split", "split_generated", "split_holdout"]
+__all__ = ["TrainingSplit", "select_split", "split_generated", "split_holdout"]
 
 VALIDATION_SEEDS = (0, 14)  # of generated scenes, for runs that are not trained on generated ones
 
@@ -20,9 +20,6 @@ class TrainingSplit(NamedTuple):
 
     train: list[Path]
     validation: list[Path]
-
-
-EMPTY_SPLIT = TrainingSplit([], [])  # for methods that have nothing to train
 
 
 def select_split(
