@@ -23,7 +23,8 @@ REMADE_AT_ONCE = "decoded frames"  # the kind that `prune` removes without a sel
 
 def cache(
     action: Annotated[
-        Literal["list", "prune"], typer.Argument(metavar="[prune]", help="prune removes entries")
+        Literal["list", "prune"],
+        typer.Argument(metavar="ACTION", help="list, or prune, which removes"),
     ] = "list",
     older_than: Annotated[
         float | None,

@@ -73,7 +73,10 @@ def render(
     """
     from rlbench.parallel.ray_executor import open_executor
     from rlbench.render.jobs.preset_clips import render_preset_clips
+    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import cache_folder
 
+    check_writable(cache_folder(), "RLBENCH_CACHE")
     names, buffer_names = arguments.split_names(scenes), arguments.split_names(buffers)
     with open_executor(engine, ray_address) as executor:
         folders = render_preset_clips(

@@ -107,7 +107,11 @@ def regress(
     from rlbench.benchmark.regression.comparison import compare
     from rlbench.benchmark.regression.scores import only_preset
     from rlbench.benchmark.results import read
+    from rlbench.system.disk import check_writable
 
+    for option, file in (("--junit", junit), ("--summary", summary)):
+        if file:
+            check_writable(file.parent, option)
     names = arguments.split_names(methods)
     if update:
         _update(results, baseline, names)

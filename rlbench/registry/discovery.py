@@ -15,6 +15,7 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import importlib.util
+import logging
 import os
 import sys
 import traceback
@@ -44,6 +45,8 @@ GROUPS = (
     "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
     "comparisons", "pages", "demo",
 )  # fmt: skip
+_logger = logging.getLogger(__name__)
+
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 
@@ -134,6 +137,7 @@ def _read_entry_points(path: tuple[str, ...]) -> Any:
 
 
 def _load(point: importlib.metadata.EntryPoint) -> Any:
+    _logger.debug("%s of %s: %s", point.name, point.group, point.value)
     with exits_as_errors(), _naming_what_shadows(point.module):
         return point.load()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import importlib.metadata
+import logging
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,8 @@ from rlbench.system import paths
 from rlbench.system.progress import format_duration
 
 __all__ = ["ensure", "preset_jobs", "render_clip", "render_missing", "scene_of_clip"]
+
+_logger = logging.getLogger(__name__)
 
 TRIAL_SPP = 8  # samples per pixel that are traced to estimate the rendering time
 
@@ -86,7 +89,11 @@ def render_missing(
     Pools other than the path tracer's are added last, always on this machine: their samples depend
     on earlier frames.
     """
-    if unfinished := [job for job in jobs if not job.is_finished]:
+    unfinished = [job for job in jobs if not job.is_finished]
+    for job in jobs:
+        status = f"{len(job.missing_frames)} frames missing" if job in unfinished else "finished"
+        _logger.info("clip %s: %s, in %s", job.name, status, job.folder)
+    if unfinished:
         with progress.new_or_given_bar(bar, executor) as active_bar:
             _render_all(unfinished, active_bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):
