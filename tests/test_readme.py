@@ -57,7 +57,7 @@ def _check_arguments(words: list[str], line: str) -> None:
     assert name in click_commands(), f"no command {name}: {line}"
     parameters = click_commands()[name].params
     known = {option for each in parameters for option in (*each.opts, *each.secondary_opts)}
-    known |= {"--help"}
+    known |= {"-h", "--help", "-v", "--verbose", "-q", "--quiet"}
     unknown = [word for word in rest if re.match(r"--?[a-zA-Z]", word)]
     unknown = [word for word in unknown if word.partition("=")[0] not in known]
     assert not unknown, f"rlbench {name} has no option {unknown}: {line}"

@@ -119,6 +119,6 @@ class CommandGroup(TyperGroup):
                 raise
             remedy = ""
             if isinstance(error, WriteError) and not isinstance(error, FolderNotWritableError):
-                remedy = f". {write_remedy(error)}"
+                remedy = f": {write_remedy(error)}"
             typer.secho(f"error: {error}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error

@@ -35,18 +35,18 @@ def check_writable(folder: Path, setting: str = "--out") -> None:
         free = f"{_free_bytes(existing)} bytes free"
         raise FolderNotWritableError(
             f"nothing can be written to {folder} ({error.strerror}; {existing} has {free}). "
-            f"{_remedy(setting)}"
+            f"Free some space, or name another folder by {_describe(setting)}"
         ) from error
 
 
 def write_remedy(error: WriteError) -> str:
-    """What to set after a file could not be written: the message of `error` names the file."""
-    return _remedy("RLBENCH_CACHE" if str(paths.cache_folder()) in str(error) else "--out")
+    """What names another folder than the one in the message of `error`; what is done is kept."""
+    is_in_cache = str(paths.cache_folder()) in str(error)
+    return f"{_describe('RLBENCH_CACHE' if is_in_cache else '--out')} names another folder"
 
 
-def _remedy(setting: str) -> str:
-    name = "the variable RLBENCH_CACHE" if setting == "RLBENCH_CACHE" else setting
-    return f"Free some space, or name another folder by {name}"
+def _describe(setting: str) -> str:
+    return "the variable RLBENCH_CACHE" if setting == "RLBENCH_CACHE" else setting
 
 
 def _free_bytes(path: Path) -> int:

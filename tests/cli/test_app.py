@@ -16,8 +16,18 @@ from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress", "speed"),
-    *("fingerprint", "train", "lr-find", "replay", "crossval", "run", "evaluate", "report"),
+    *("doctor", "list", "cache", "render", "render-scene", "import", "lint", "check", "stress"),
+    *(
+        "speed",
+        "fingerprint",
+        "train",
+        "lr-find",
+        "replay",
+        "crossval",
+        "run",
+        "evaluate",
+        "report",
+    ),
     *("decide", "compare", "images", "view", "regress"),
 ]
 HELP_SECONDS = 0.5  # of processor time
