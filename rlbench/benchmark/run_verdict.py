@@ -38,9 +38,9 @@ class NonFinite:
         >>> print(NonFinite(CellKey("nan", "city", 1.0, 0, "EPYC"), 3, 16, 36864))
         nan: 16 of 36864 pixels not finite in frame 3 of city at 1 spp, seed 0
         """
-        key, whole = self.cell, f" of {self.of_pixels}" * bool(self.of_pixels)
+        key, total = self.cell, f" of {self.of_pixels}" * bool(self.of_pixels)
         return (
-            f"{key.method}: {self.pixels}{whole} pixels not finite in frame {self.frame} of "
+            f"{key.method}: {self.pixels}{total} pixels not finite in frame {self.frame} of "
             f"{key.clip} at {key.target_spp:g} spp, seed {key.seed}"
         )
 

@@ -82,7 +82,7 @@ def _select(
     entries: Sequence[CacheEntry], older_than: float | None, preset: str | None
 ) -> list[CacheEntry]:
     """The entries to remove. Raises OptionError for a preset of which there is no clip."""
-    import time
+    from datetime import UTC, datetime
 
     from rlbench.registry.near_names import unknown_name
 
@@ -92,7 +92,7 @@ def _select(
     if preset is not None and preset not in presets:
         problem = f"--preset {preset}: the cache has no clip of it"
         raise OptionError(unknown_name(problem, preset, presets))
-    before = time.time() - (older_than or 0.0)
+    before = datetime.now(UTC).timestamp() - (older_than or 0.0)
     chosen = [entry for entry in entries if preset in (None, entry.preset)]
     return [entry for entry in chosen if entry.last_used <= before]
 
