@@ -27,6 +27,8 @@ class ShownImages:
 
     method: str  # name of the rows
     target_spp: float
+    seed: int  # of the sample order
+    device: str  # model name
     frames: Float16[Array, "t 3 h w"]  # linear radiance
     counts: Float16[Array, "t h w"]  # samples of each pixel
 
@@ -50,11 +52,13 @@ def read_shown_clips(
     clips: Sequence[StoredSource],
     methods: Collection[str],
     target_spp: Collection[float],
+    buffers: Collection[str] = BUFFERS,
 ) -> list[ShownClip]:
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
 
-    Clips without images are left out. Of several seeds or devices the first is shown. Raises
-    EvaluationError where there are no images, or where a clip has changed since.
+    Clips without images are left out, and G-buffer channels that are not among `buffers`. Of
+    several seeds or devices the first is shown. Raises EvaluationError where there are no images,
+    or where a clip has changed since.
     """
     first: dict[CellKey, KeptCell] = {}  # without seed and device
     for kept in sorted(
@@ -65,14 +69,16 @@ def read_shown_clips(
     read = []
     for clip in clips:
         if own := [kept.images for kept in first.values() if kept.clip is clip]:
-            read.append(_read_clip(clip, own))
+            read.append(_read_clip(clip, own, buffers))
     return read
 
 
-def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:
+def _read_clip(
+    source: StoredSource, kept: Sequence[KeptImages], buffers: Collection[str]
+) -> ShownClip:
     header = source.header
     length = max(map(len, kept))
-    inputs = frozenset(BUFFERS) & set(header.buffers)
+    inputs = frozenset(buffers) & set(header.buffers)
     clip = open_clip(source.folder, inputs, max_samples=1, pool=header.pools[0])
     frames = [clip.frame(index) for index in range(length)]
     names = [name for name in BUFFERS if name in frames[0].gbuffer.buffers]
@@ -93,9 +99,12 @@ def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:
 
 def _read_images(kept: KeptImages) -> ShownImages:
     frames = [kept.frame(index) for index in range(len(kept))]
+    key = kept.cell.key
     return ShownImages(
-        kept.cell.key.method,
-        kept.cell.key.target_spp,
+        key.method,
+        key.target_spp,
+        key.seed,
+        key.device,
         np.stack([frame.image for frame in frames]),
         np.stack([frame.counts for frame in frames]),
     )

@@ -25,6 +25,7 @@ from rlbench.cli.speed import speed
 from rlbench.cli.stress import stress
 from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
+from rlbench.cli.video import video
 from rlbench.cli.view import view
 
 __all__ = ["app"]
@@ -100,6 +101,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "compare": compare,
     "images": images,
     "view": view,
+    "video": video,
     "regress": regress,
 }
 for name, command in COMMANDS.items():

@@ -39,7 +39,7 @@ __all__ = [
 
 GROUPS = (
     "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
-    "comparisons", "pages",
+    "comparisons", "pages", "videos",
 )  # fmt: skip
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
