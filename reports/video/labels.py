@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -11,12 +10,11 @@ import matplotlib as mpl
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from reports.video.panels import Rgb8
+from reports.video.panels import BACKGROUND, Rgb8
 
-__all__ = ["BACKGROUND", "Label", "draw_label", "fit_size"]
+__all__ = ["Label", "draw_label", "fit_size"]
 
-BACKGROUND = (24, 24, 24)
-TITLE, REMARK = (255, 255, 255), (190, 190, 190)
+COLOUR = (235, 235, 235)
 LARGEST, SMALLEST = 16, 8  # height of the font, pixels
 LINE_HEIGHT = 1.6  # of the font's
 MARGIN = 0.4  # at both ends, and twice as much between the texts; of the font's height
@@ -30,11 +28,12 @@ class Label(NamedTuple):
     right: str
 
 
-def fit_size(labels: Iterable[Label], width: int) -> int:
+@cache
+def fit_size(labels: tuple[Label, ...], width: int) -> int:
     """The largest size of the font at which all labels fit `width` pixels, or the smallest."""
-    longest = list(dict.fromkeys(labels))
+    different = set(labels)
     for size in range(LARGEST, SMALLEST, -1):
-        if all(_text_width(label, size) <= width for label in longest):
+        if all(_text_width(label, size) <= width for label in different):
             return size
     return SMALLEST
 
@@ -48,8 +47,8 @@ def draw_label(label: Label, width: int, size: int) -> Rgb8:
     left = label.left
     while left and _text_width(Label(left, label.right), size) > width:
         left = left.removesuffix(ELLIPSIS)[:-1] + ELLIPSIS if left != ELLIPSIS else ""
-    draw.text((margin, height // 2), left, TITLE, font, "lm")
-    draw.text((width - margin, height // 2), label.right, REMARK, font, "rm")
+    draw.text((margin, height // 2), left, COLOUR, font, "lm")
+    draw.text((width - margin, height // 2), label.right, COLOUR, font, "rm")
     return np.asarray(image)
 
 

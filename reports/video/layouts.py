@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
-from reports.video.labels import BACKGROUND, Label, draw_label, fit_size
-from reports.video.panels import Panel, Rgb8, draw_panel
+from reports.video.labels import Label, draw_label, fit_size
+from reports.video.panels import BACKGROUND, Panel, Rgb8, draw_panel
 from reports.video.style import VideoStyle
 
 __all__ = ["divider_position", "pictures"]
@@ -51,28 +52,18 @@ def _wipe(panels: Sequence[Panel], style: VideoStyle, frame: int, position: floa
     picture = np.concatenate([left[:, :x], right[:, x:]], axis=1)
     start = min(max(x - DIVIDER // 2, 0), width - DIVIDER)
     picture[:, start : start + DIVIDER] = 255
-    if not style.labels:
-        return picture
-    labels = [
-        Label(*(f"{panel.title}  {remark}" for panel, remark in zip(panels, remarks, strict=True)))
-        for remarks in zip(*(panel.remarks for panel in panels), strict=True)
-    ]
-    size = fit_size(labels, width)
-    return np.concatenate([draw_label(labels[frame], width, size), picture])
+    if style.labels:
+        texts = [[f"{panel.title}  {remark}" for remark in panel.remarks] for panel in panels]
+        (picture,) = _add_labels([picture], [list(map(Label, *texts))], frame)
+    return picture
 
 
 def _side_by_side(panels: Sequence[Panel], style: VideoStyle, frame: int) -> Rgb8:
     """Panels in lines of `style.columns`, each with its label above it."""
     drawn = [draw_panel(panel, frame, style.zoom) for panel in panels]
     if style.labels:
-        width = drawn[0].shape[1]
-        size = fit_size(
-            (Label(panel.title, remark) for panel in panels for remark in panel.remarks), width
-        )
-        drawn = [
-            np.concatenate([draw_label(Label(p.title, p.remarks[frame]), width, size), picture])
-            for p, picture in zip(panels, drawn, strict=True)
-        ]
+        labels = [[Label(panel.title, remark) for remark in panel.remarks] for panel in panels]
+        drawn = _add_labels(drawn, labels, frame)
     height, width, _ = drawn[0].shape
     columns = min(style.columns or len(drawn), len(drawn))
     lines = -(-len(drawn) // columns)
@@ -81,6 +72,16 @@ def _side_by_side(panels: Sequence[Panel], style: VideoStyle, frame: int) -> Rgb
         top, left = index // columns * (height + GAP), index % columns * (width + GAP)
         canvas[top : top + height, left : left + width] = picture
     return canvas
+
+
+def _add_labels(drawn: Sequence[Rgb8], labels: Sequence[Sequence[Label]], frame: int) -> list[Rgb8]:
+    """Pictures of one width below their labels of a frame; the font fits the labels of all."""
+    width = drawn[0].shape[1]
+    size = fit_size(tuple(chain.from_iterable(labels)), width)
+    return [
+        np.concatenate([draw_label(of_frame[frame], width, size), picture])
+        for of_frame, picture in zip(labels, drawn, strict=True)
+    ]
 
 
 def _extend(picture: Rgb8, height: int, width: int) -> Rgb8:

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from reports.video.style import VideoStyle
 
-__all__ = ["DisplayClip", "DisplayImages", "Panel", "Rgb8", "draw_panel", "panels_of"]
+__all__ = ["BACKGROUND", "DisplayClip", "DisplayImages", "Panel", "Rgb8", "draw_panel", "panels_of"]
 
+BACKGROUND = (24, 24, 24)
 COUNT_COLOURS = "viridis"  # as in the page of rlbench view
 SLICE_SHARE = 0.25  # height of a slice through time, as a share of the image above it
+SLICE_GAP = 4  # pixels between them
 MARK = 255  # white: the line of the slice, and the frame in the slice
 
 Rgb8 = NDArray[np.uint8]  # [h w 3]
@@ -68,7 +70,8 @@ def draw_panel(panel: Panel, frame: int, zoom: int) -> Rgb8:
     step = max(zoom, round(SLICE_SHARE * height * zoom / frames))  # height of one frame
     through_time = _magnify(panel.frames[:, panel.line], step, zoom)
     _mark_edges(through_time, frame * step, step)
-    return np.concatenate([picture, through_time])
+    gap = np.full((SLICE_GAP, picture.shape[1], 3), BACKGROUND, np.uint8)
+    return np.concatenate([picture, gap, through_time])
 
 
 def _contents(clip: DisplayClip, style: VideoStyle) -> Iterator[tuple[str, Sequence[str], Rgb8]]:
