@@ -185,12 +185,12 @@ def video(
     for images in {each.cell.key.clip: each for each in kept}.values():
         _, height, width = images.frame(0).image.shape
         style.check(len(names), reference, height, width)
-    shown = read_shown_clips(results, find_sources(kept, clips), names, budgets, buffers=())
-    per_clip = [style.pictures_written(len(clip.reference), suffixes) for clip in shown]
+    shown_clips = read_shown_clips(results, find_sources(kept, clips), names, budgets, buffers=())
+    per_clip = [style.pictures_written(len(clip.reference), suffixes) for clip in shown_clips]
     with console.counting("pictures", len(budgets) * sum(per_clip)) as on_picture:
         files = [
             file
-            for clip in shown
+            for clip in shown_clips
             for each in display_clips(clip, names, budgets, rows, reference)
             for file in module.write(each, out or results / "video", suffixes, style, on_picture)
         ]

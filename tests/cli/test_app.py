@@ -18,7 +18,7 @@ from tests.test_readme import check_command
 PIPELINE = [
     *("doctor", "list", "render", "render-scene", "import", "lint", "check", "stress", "speed"),
     *("fingerprint", "train", "lr-find", "replay", "crossval", "run", "evaluate", "report"),
-    *("decide", "compare", "images", "view", "regress"),
+    *("decide", "compare", "images", "view", "video", "regress"),
 ]
 HELP_SECONDS = 0.5  # of processor time
 

@@ -24,13 +24,14 @@ MAX_MEAN_ERROR = 2.5
 
 
 def read_webp(file: Path) -> np.ndarray:
-    """All pictures of an animation [t h w 3]."""
+    """All pictures of an animation [t h w 3]; equal ones in a row are stored once."""
     with Image.open(file) as image:
-        pictures = []
+        pictures, times = [], []
         for index in range(image.n_frames):
             image.seek(index)
             pictures.append(np.asarray(image.convert("RGB")))
-    return np.stack(pictures)
+            times.append(image.info["duration"])
+    return np.repeat(pictures, np.rint(np.array(times) / min(times)).astype(int), axis=0)
 
 
 def read_mp4(file: Path) -> np.ndarray:
@@ -80,9 +81,9 @@ def test_saturated_colours_stay(tmp_path, suffix):
     picture = np.array([colours], np.uint8).repeat(32, 0).repeat(32, 1)
     file = tmp_path / f"colours.{suffix}"
     if suffix == "mp4":
-        write_mp4(iter([picture, picture]), file, 8)
+        write_mp4(iter([picture, 255 - picture]), file, 8)
     else:
-        write_webp(iter([picture, picture]), file, 8, 90)
+        write_webp(iter([picture, 255 - picture]), file, 8, 90)
     decoded = READERS[suffix](file)[0, 16, 16::32].astype(int)
     assert np.abs(decoded - colours).max() <= 3  # 8-bit YUV; the matrix of BT.601 is off by 20
 
@@ -137,7 +138,7 @@ def test_the_divider_is_where_its_position_says(clip, tmp_path, suffix):
     brightest = decoded.min(-1).mean(1).argmax(1)  # the column of the white divider
     for index in (1, 5, len(decoded) - 8):
         position = divider_position(index, len(decoded)) * ZOOM * SIDE
-        assert abs(brightest[index] + 1 - position) <= 1
+        assert abs(brightest[index] + 1 - position) < 1.5  # it covers two columns
 
 
 def test_without_the_package_an_mp4_says_how_to_install_it(clip, tmp_path, monkeypatch):
