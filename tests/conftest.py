@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,12 @@ import torch
 
 from rlbench import registry
 from rlbench.clips.stored import Header, write_frame, write_header
+from rlbench.render.mitsuba.llvm import wheel_files
 from rlbench.system import paths
+
+# Dr.Jit loads LLVM on its first import, which may be a test's own: not an older one of the system
+for library in wheel_files():
+    os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(library))
 
 
 @pytest.fixture(autouse=True)
