@@ -60,11 +60,11 @@ class _Column:
         matches = [match for match in found if match]
         self.has_suffix = not self.is_text and any(match[4] for match in matches)
         signs = any(match[1] for match in matches)
-        whole, decimals = (max((len(m[i] or "") for m in matches), default=0) for i in (2, 3))
-        self.format = f"{'+' * signs}{whole}.{decimals}"
+        digits, decimals = (max((len(m[i] or "") for m in matches), default=0) for i in (2, 3))
+        self.format = f"{'+' * signs}{digits}.{decimals}"
         longest = max((len(cell) for cell in cells), default=0)
         suffix = max((len(match[4]) for match in matches), default=0)
-        width = longest if self.is_text else signs + whole + decimals + 1 + SUFFIX_SIZE * suffix
+        width = longest if self.is_text else signs + digits + decimals + 1 + SUFFIX_SIZE * suffix
         self.width = max(width, len(title)) + 2
 
     @property
