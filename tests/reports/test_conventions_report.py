@@ -92,7 +92,7 @@ def test_the_page_has_scores_with_ranks_agreement_and_a_sentence_a_swap(tmp_path
     assert "hable: convention of psnr@hable" in page
     assert set(pd.read_csv(tmp_path / "conventions.csv")["table"]) == {"scores", "tau", "swap"}
     assert csv
-    assert r"\begin{tabular}{lS[table-format=2.1]@{\,}lS" in tex
+    assert r"\begin{tabular}{lS[table-format=2.0]@{\,}lS" in tex
 
 
 def test_conventions_that_agree_are_said_to_agree(tmp_path):

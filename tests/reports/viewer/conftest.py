@@ -14,10 +14,10 @@ import pytest
 from rlbench.benchmark.results import UNRELIABLE, read
 from rlbench.benchmark.shown_clips import ShownClip
 from rlbench.cli.view import describe_traits, read_images
-from tests.reports.kept_run import SIDE, run_with_images
+from tests.reports.kept_run import FRAMES, SIDE, run_with_images
 from tests.reports.viewer.screen import Screen
 
-__all__ = ["CUT", "METHODS", "SIDE"]
+__all__ = ["CUT", "FRAMES", "METHODS", "SIDE"]
 
 CUT = 2
 METHODS = ("svgf", "eaw", "mean")
