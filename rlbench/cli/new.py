@@ -25,7 +25,7 @@ def new(
         str, typer.Argument(metavar="NAME", help="of the method, its package and its folder")
     ],
     training: Annotated[
-        bool, typer.Option("--training", help="a method that learns, and how it is trained")
+        bool, typer.Option("--learned", help="a method that learns, and how it is trained")
     ] = False,
     metric: Annotated[bool, typer.Option("--metric", help="a metric as well")] = False,
     scene: Annotated[bool, typer.Option("--scene", help="a scene as well")] = False,
@@ -42,7 +42,7 @@ def new(
 
     \b
       rlbench new my_method
-      rlbench new my_method --training --metric --scene
+      rlbench new my_method --learned --metric --scene
       rlbench new my_method --out ~/research/my_method
     """
     folder = out or Path(name)

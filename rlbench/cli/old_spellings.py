@@ -22,6 +22,7 @@ RENAMED_OPTIONS = {  # former name -> today's
 CURRENT_OPTIONS = {
     ("stress", "--only"),
     ("run", "--retime"),
+    ("new", "--scene"),
 }  # a newer command may use a former name
 FORMER_MODES = {  # command and option that selected a mode -> today's command, takes a file?
     ("render", "--scene"): ("render-scene", True),

@@ -18,7 +18,7 @@ from tests.cli.runner import CHECKOUT, ENVIRONMENT, rlbench
 from tests.procedural_folder import write_world
 from tests.test_api import GUARANTEED, PUBLIC
 
-ALL = ("--training", "--metric", "--scene")
+ALL = ("--learned", "--metric", "--scene")
 SOURCES = sorted(TEMPLATES.rglob("*.py"))
 
 
@@ -54,7 +54,7 @@ def python(*words: object, cwd: Path, env: dict[str, str]) -> str:
     return process.stdout
 
 
-@pytest.mark.parametrize("options", [(), ("--training",)])
+@pytest.mark.parametrize("options", [(), ("--learned",)])
 def test_a_new_method_passes_every_check_without_being_installed(make, options):
     folder = make("fresh", *options)
     output = rlbench("check", "fresh", "--plugin", folder / "fresh")
@@ -121,7 +121,7 @@ def test_new_says_what_to_do_next(tmp_path):
     output = rlbench("new", "study", "--out", folder)
     third = "rlbench run -m study,mean"
     assert output.endswith(f"cd {folder} && pip install -e . rlbench check study {third}")
-    output = rlbench("new", "learner", "--training", "--out", tmp_path / "learner")
+    output = rlbench("new", "learner", "--learned", "--out", tmp_path / "learner")
     assert output.endswith("rlbench train -m learner --quick")
 
 
@@ -138,7 +138,7 @@ def test_templates_use_documented_names_alone(file):
 
 @pytest.mark.slow
 def test_a_new_learned_method_trains_quickly_and_is_better_than_the_mean(make, tmp_path):
-    plugin = ("--plugin", make("student", "--training") / "student")
+    plugin = ("--plugin", make("student", "--learned") / "student")
     rlbench("train", "-m", "student", "--quick", "--device", "cpu", *plugin)
     weights = tmp_path / "runs" / "student-quick" / "student.safetensors"
     words = ("--clips", write_world(tmp_path / "clips" / "world", seed=50), "--spp", 1)
