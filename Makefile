@@ -6,7 +6,6 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip --disable-pip-version-check install -qq -c constraints.txt
 RESULTS := results
 REPORT := $(RESULTS)/report
-METHODS := ours,ntas,oidn,oidn/tuned,mean
 
 # what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule, or untrained
 RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule,ours/initial
@@ -41,7 +40,7 @@ TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 .PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact site test test-all format clean
 
 demo: .venv/run.stamp
-	$(BIN)/rlbench run --methods $(METHODS) --preset mini --keep-images --out $(RESULTS)
+	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
 	$(BIN)/rlbench report all --results $(RESULTS) --out $(REPORT)
 	$(BIN)/rlbench view $(RESULTS) --out $(REPORT)/report.html
 	@echo

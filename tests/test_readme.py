@@ -24,6 +24,7 @@ DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [README, *DOCS]
 GUIDES = [README, *(page for page in DOCS if page.parent.name in ("start", "how-to", "concepts"))]
 SEPARATORS = ("&&", "||", "|", ";")
+PROGRAM_OPTIONS = ("--help", "--version", "--install-completion", "--show-completion")
 PACKAGES = "rlbench|baselines|methods|metrics|reports|tests|docs"
 
 page_id = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -52,12 +53,12 @@ def check_command(line: str) -> None:
 
 def _check_arguments(words: list[str], line: str) -> None:
     name, *rest = (word.rstrip(";") for word in words)
-    if name in ("--help", "--version", "COMMAND"):
+    if name in ("COMMAND", "-h", *PROGRAM_OPTIONS):
         return
     assert name in click_commands(), f"no command {name}: {line}"
     parameters = click_commands()[name].params
     known = {option for each in parameters for option in (*each.opts, *each.secondary_opts)}
-    known |= {"--help"}
+    known |= {"-h", "--help", "-v", "--verbose", "-q", "--quiet"}
     unknown = [word for word in rest if re.match(r"--?[a-zA-Z]", word)]
     unknown = [word for word in unknown if word.partition("=")[0] not in known]
     assert not unknown, f"rlbench {name} has no option {unknown}: {line}"

@@ -12,6 +12,7 @@ from rlbench import registry
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import StoredSource
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.run_table import read_outcome
 from rlbench.benchmark.runner import RunSummary, measure
 from rlbench.cli import console
 from rlbench.clips.procedural.clip import procedural_clip
@@ -85,7 +86,7 @@ def test_half_precision_has_its_own_rows_beside_the_others(clip_folder, tmp_path
 def test_the_printed_table_of_a_bf16_run_shows_its_bf16_rows(clip_folder, tmp_path, capsys):
     plan = replace(bf16_plan(clip_folder, "ours/A2"), weights="random")
     measure(plan, tmp_path / "r")
-    console.print_scores(plan, RunSummary(), tmp_path / "r")
+    console.print_outcome(read_outcome(plan, RunSummary(), tmp_path / "r"))
     assert "ours/A2@bf16" in capsys.readouterr().out
 
 

@@ -24,12 +24,14 @@ from rlbench.backends import EAGER, select_backend
 from rlbench.benchmark import cost as costs
 from rlbench.benchmark import results
 from rlbench.benchmark.clip_sources import POOLS, StoredSource, open_source
+from rlbench.benchmark.preflight import check_run
 from rlbench.benchmark.run_plan import DEFAULT_SPP, RunPlan
 from rlbench.benchmark.run_verdict import RunWarning, judge_run
 from rlbench.benchmark.runner import CellCallback, measure, read_cells
-from rlbench.clips.stored import find_clips
+from rlbench.clips.clip_folders import find_all_clips
 from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
+from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.preset_clips import render_preset_clips
 from rlbench.system.bfloat16 import require_native_bf16
 
@@ -87,20 +89,23 @@ def run(
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    names = tuple(registry.expand(methods))
+    names, target_spp = tuple(registry.expand(methods)), tuple(float(budget) for budget in spp)
+    target, file = select_device(device), None if weights is None else str(weights)
+    selected_backend = select_backend(backend, target)
     check_precision(names, bf16, device, executor)
+    check_run(names, target_spp, Path(out), None if clips else preset, cost, file)
     pool_kinds = {registry.get_variant(name).traits.pool for name in names}
     plan = RunPlan(
         methods=names,
         clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
-        target_spp=tuple(float(budget) for budget in spp),
+        target_spp=target_spp,
         seeds=tuple(seeds),
-        device=select_device(device),
+        device=target,
         cost=cost,
-        weights=None if weights is None else str(weights),
+        weights=file,
         weights_label=weights_label,
         bf16=bf16,
-        backend=select_backend(backend, select_device(device)),
+        backend=selected_backend,
         skip_tiles=skip_tiles,
         limit_frames=limit_frames,
     )
@@ -182,13 +187,12 @@ def select_clips(
             "--takes applies to preset scenes only. With --clips, select clips by name: "
             "--scenes NAME"
         )
-    sources = [open_source(path, pool) for folder in clips for path in find_clips(Path(folder))]
+    sources = [open_source(path, pool) for path in find_all_clips(clips)]
     names = {source: {source.header.scene, source.header.name} for source in sources}
     available = sorted(set().union(*names.values()))
     if unknown := [name for name in selected if name not in available]:
-        raise OptionError(
-            f"the clips show no scene {', '.join(unknown)}; available: {', '.join(available)}"
-        )
+        problem = f"the clips show no scene {', '.join(unknown)}"
+        raise OptionError(unknown_name(problem, unknown[0], available))
     return tuple(source for source in sources if not selected or names[source] & set(selected))
 
 
@@ -210,7 +214,15 @@ def select_device(name: str = "auto") -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
+    except RuntimeError as error:  # its message names 25 back ends
+        raise OptionError(
+            f"device {name} cannot be used on this machine, it is not known. Use cpu, cuda or auto"
+        ) from error
+    try:
         torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise OptionError(f"device {name} cannot be used on this machine: {error}") from error
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).partition("\n")[0]
+        raise OptionError(
+            f"device {name} cannot be used on this machine: {reason}. Use cpu or auto"
+        ) from error
     return device

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, replace
 
 from rlbench import registry
@@ -16,6 +17,8 @@ from rlbench.system.bfloat16 import require_native_bf16
 from rlbench.wrappers import HalfPrecision, SkipTiles
 
 __all__ = ["CellLoader"]
+
+_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ class CellLoader:
         """The cell's method. Raises what building it raised, the first time and every time."""
         name = cell.method.name
         if name not in self._methods:
+            _logger.info("%s: built with weights %s", name, cell.method.weights_file or "none")
             try:
                 self._methods[name] = self._build(cell.method)
             except Exception as error:  # missing weights or packages: a reason for each cell

@@ -94,6 +94,13 @@ def measured(header: Header, machine: str, pool: str = "path") -> Cost:
         tracer = header.tracer_of_times
         convention += f", {tracer}" * bool(tracer)
         return Cost(known_ms, convention, _spread_reason(header) or note, _device(tracer, machine))
+    if header.scene not in registry.list_entries("scenes"):
+        reason = (
+            f"rendered on '{header.device}', not here, and '{header.scene}' is not a scene that "
+            "can be traced here; give your renderer's time: --cost mine.toml "
+            "(docs/how-to/charge-your-renderer.md)"
+        )
+        return Cost(math.nan, convention, reason, machine)
     try:
         sample_ms, tracer = _traced_here(header, machine, pool)
     except Exception as error:  # a missing scene or tracer is a reason, it does not stop a run

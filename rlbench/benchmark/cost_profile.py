@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rlbench.errors import RlbenchError
+from rlbench.registry.near_names import suggest
 from rlbench.system import documents
 
 __all__ = ["MEASURED", "CostError", "CostProfile", "ProfileTime", "profile", "profiles"]
@@ -16,6 +17,7 @@ __all__ = ["MEASURED", "CostError", "CostProfile", "ProfileTime", "profile", "pr
 MEASURED = "measured"  # the name of no profile: times of this machine
 PROFILES = Path(__file__).parent / "profiles"
 TABLES = ("scene_ms", "inference_ms")
+PAGE = "docs/how-to/charge-your-renderer.md has one to copy"
 
 
 class CostError(RlbenchError, ValueError):
@@ -93,8 +95,11 @@ def profile(name: str) -> CostProfile:
     """A cost profile by name, or by the path of a TOML file. Raises CostError."""
     file = PROFILES / f"{name}.toml" if name in profiles() else Path(name)
     if not file.is_file():
-        names = ", ".join([MEASURED, *profiles()])
-        raise CostError(f"no cost profile '{name}'. Use {names}, or the path of a TOML file")
+        names = [MEASURED, *profiles()]
+        raise CostError(
+            f"no cost profile '{name}'. Use {', '.join(names)}, or the path of a TOML file"
+            f"{suggest(name, names)}"
+        )
     try:
         document = documents.read_toml(file)
         _check(name, document)
@@ -102,18 +107,18 @@ def profile(name: str) -> CostProfile:
     except CostError:
         raise
     except ValueError as error:
-        raise CostError(
-            f"cost profile '{name}' cannot be read: {error}. "
-            "docs/how-to/charge-your-renderer.md has one to copy"
-        ) from error
+        raise CostError(f"cost profile '{name}' cannot be read: {error}. {PAGE}") from error
 
 
 def _check(name: str, document: Mapping[str, Any]) -> None:
-    """Raise CostError for unknown keys, and for numbers that are no times or sizes."""
-    if unknown := documents.unknown_keys(document, CostProfile):
-        raise CostError(
-            f"cost profile '{name}' cannot be read: unknown keys {', '.join(unknown)}. Remove them"
-        )
+    """Raise CostError for missing and unknown keys, and for numbers that are no times or sizes."""
+    required = [each.name for each in fields(CostProfile) if each.default_factory is MISSING]
+    missing = [key for key in required if key not in document]
+    unknown = documents.unknown_keys(document, CostProfile)
+    if missing or unknown:
+        faults = {"missing": missing, "unknown": unknown}
+        keys = "; ".join(f"{what}: {', '.join(keys)}" for what, keys in faults.items() if keys)
+        raise CostError(f"cost profile '{name}' cannot be read: {keys}. {PAGE}")
     bad = [key for key, time in _times(document) if not _is_at_least(0, time)]
     bad += [key for key in ("height", "width") if not _is_at_least(1, document.get(key, 1))]
     if bad:

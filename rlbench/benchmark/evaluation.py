@@ -30,6 +30,7 @@ from rlbench.clips.stored import open_clip
 from rlbench.errors import RlbenchError
 from rlbench.frames import Samples, StoredPool
 from rlbench.run import FrameResult
+from rlbench.system.folder_lock import locked_folder
 
 __all__ = [
     "EvaluationError",
@@ -120,8 +121,20 @@ def evaluate(
     """Score the images of `cells`, in the results `folder`, and write rows into the folder `out`.
 
     Older scores of the same cells are removed. `on_cell` is called with each finished cell. Raises
-    KeptImagesError for damaged images, and TableError for results that cannot be used.
+    KeptImagesError for damaged images, TableError for results that cannot be used, and
+    FolderInUseError where another process writes to `out`.
     """
+    with locked_folder(out):
+        return _evaluate(folder, cells, metrics, out, on_cell)
+
+
+def _evaluate(
+    folder: Path,
+    cells: Sequence[KeptCell],
+    metrics: Sequence[EvaluatedMetric],
+    out: Path,
+    on_cell: Callable[[KeptCell], None],
+) -> EvaluationSummary:
     results.set_aside_damaged(out)
     stored = results.cells(out)
     scored, cached, failures = 0, 0, []

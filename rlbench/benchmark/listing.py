@@ -8,6 +8,7 @@ from typing import Any
 from rlbench import registry
 from rlbench.benchmark import cost
 from rlbench.family import Variant
+from rlbench.registry.near_names import unknown_name
 
 __all__ = ["Listing", "list_installed"]
 
@@ -37,7 +38,8 @@ def list_installed(kind: str = "all") -> Listing:
         "profiles": _list_profiles,
     }
     if kind != "all" and kind not in kinds:
-        raise registry.PluginError(f"no kind '{kind}' to list; available: all, {', '.join(kinds)}")
+        problem = f"no kind '{kind}' to list"
+        raise registry.PluginError(unknown_name(problem, kind, ["all", *kinds]))
     return {name: rows() for name, rows in kinds.items() if kind in ("all", name)}
 
 

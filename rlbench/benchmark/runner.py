@@ -11,6 +11,7 @@ damaged row file is set aside, and its cell counts as missing.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -22,12 +23,14 @@ from rlbench.benchmark.cell_key import CellsError, check_no_overwrite
 from rlbench.benchmark.cell_runner import CellOutput, CellRunner
 from rlbench.benchmark.cell_store import CellStore
 from rlbench.benchmark.looks import record_looks
+from rlbench.benchmark.preflight import check_times_alone
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.results import CellId, CellKey, Row
 from rlbench.benchmark.run_plan import RunPlan
 from rlbench.benchmark.timing_cache import TimingCallback
-from rlbench.errors import OptionError
 from rlbench.parallel.executor import LOCAL, Executor
+from rlbench.system.folder_lock import locked_folder
+from rlbench.system.paths import WriteError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
 __all__ = ["CellCallback", "ProgressCallbacks", "RunSummary", "measure", "read_cells"]
 
 CellCallback = Callable[[ResolvedCell], None]
+
+_logger = logging.getLogger(__name__)
 
 
 def _ignore(cell: ResolvedCell) -> None:
@@ -96,18 +101,36 @@ def measure(
     Raises, before anything is measured: PluginError for an unknown method, CostError for an
     unknown cost profile, CellsError for clips with the same name, where scores of whole clips or
     of another preset would be lost, or where `retime` finds no cell; OptionError for `retime` with
-    `keep_images` or `scores_only`. Raises ExecutorError where no cell can be run.
+    `keep_images` or `scores_only`; FolderInUseError where another process writes to `folder`.
+    Raises ExecutorError where no cell can be run, and WriteError where the disk is full: what is
+    measured by then is kept.
     """
     if retime:
-        _check_times_alone(scores_only, keep_images)
+        check_times_alone(scores_only, keep_images)
     plan.check_unique_names()
     cells, ids = resolve_cells(plan), CellIds(plan)
     runner = CellRunner(plan, cells, ids, keep_images=keep_images, scores_only=scores_only)
-    store = CellStore(folder)
+    with locked_folder(folder):
+        return _measure(
+            cells, ids, runner, folder, ProgressCallbacks(on_cell, on_timing), executor, retime
+        )
+
+
+def _measure(
+    cells: Sequence[ResolvedCell],
+    ids: CellIds,
+    runner: CellRunner,
+    folder: Path,
+    progress: ProgressCallbacks,
+    executor: Executor,
+    retime: bool,
+) -> RunSummary:
+    """`measure` in a folder that no other process writes to."""
+    store, scores_only = CellStore(folder), runner.scores_only
     cell_ids = {cell.key: store.identify(ids.cell_id(cell), scores_only) for cell in cells}
     for cell_id in cell_ids.values():
         check_no_overwrite(cell_id, store.slots)
-    stored = {key: store.rows(cell_id, keep_images) for key, cell_id in cell_ids.items()}
+    stored = {key: store.rows(each, runner.keep_images) for key, each in cell_ids.items()}
     known = {key: rows for key, rows in stored.items() if rows is not None}
     unscored = [cell for cell in cells if cell.key not in known]
     current = {key for key in known if cell_ids[key] in store.cells and not retime}
@@ -122,9 +145,12 @@ def measure(
         if cell.key in current:
             replaced = store.drop_superseded(cell_ids[cell.key])
             summary += RunSummary(cached=1, replaced=replaced)
-            on_cell(cell)
+            _logger.info("%s: in the results already", cell.key)
+            progress.on_cell(cell)
     record_looks(folder, [cell for cell in due if cell.key not in known], ids.code_hashes)
-    for outcome in runner.run(due, executor, on_timing, known):
+    for outcome in runner.run(due, executor, progress.on_timing, known):
+        if isinstance(outcome.error, WriteError):  # a full disk fails every cell after this one
+            raise outcome.error
         if outcome.error:  # whatever a method may raise is reported in its row
             cell_id = ids.failed_id(outcome.job)
             output = CellOutput([runner.failure(outcome.job, outcome.error)])
@@ -132,18 +158,17 @@ def measure(
             cell_id, output = cell_ids[outcome.job.key], outcome.result()
         counts = _count_cell(cell_id, output.rows, is_timed=cell_id.key in known)
         summary += replace(counts, replaced=store.write(cell_id, *output))
-        on_cell(outcome.job)
+        _log_cell(outcome.job, counts, output.rows)
+        progress.on_cell(outcome.job)
     return summary
 
 
-def _check_times_alone(scores_only: bool, keep_images: bool) -> None:
-    """Raise OptionError for options that contradict `retime`."""
-    if scores_only:
-        raise OptionError("--retime measures times alone, --scores-only scores alone. Omit one")
-    if keep_images:
-        raise OptionError(
-            "--retime measures times alone, so it makes no images. Use --keep-images without it"
-        )
+def _log_cell(cell: ResolvedCell, counts: RunSummary, rows: Sequence[Row]) -> None:
+    what = next(
+        name for name in ("failed", "skipped", "timed", "measured") if getattr(counts, name)
+    )
+    reason = f": {rows[0].note}" if counts.failed or counts.skipped else ""
+    _logger.info("%s: %s%s", cell.key, what, reason)
 
 
 def _count_cell(cell: CellId, rows: Sequence[Row], is_timed: bool) -> RunSummary:

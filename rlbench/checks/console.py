@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from typing import Protocol
 
 from rich.console import Console
 from rich.markup import escape
 
 from rlbench.checks.result import CheckResult, Verdict
 
-__all__ = ["format_line", "print_results"]
+__all__ = ["OnResults", "format_line", "print_results"]
 
 MARKS = {
     Verdict.PASSED: "[green]✓[/green]",
@@ -18,6 +19,13 @@ MARKS = {
     Verdict.FAILED: "[bold red]✗[/bold red]",
     Verdict.SKIPPED: "[dim]-[/dim]",
 }
+
+
+class OnResults(Protocol):
+    """What happens to the results of a method, a clip or this machine."""
+
+    def __call__(self, results: Iterable[CheckResult], /, *, title: str = "") -> bool:
+        """Show or keep the results as they arrive; returns whether no check failed."""
 
 
 def print_results(results: Iterable[CheckResult], console: Console, title: str = "") -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable
 from typing import Annotated
 
@@ -9,9 +10,10 @@ import typer
 
 from rlbench.cli import options
 from rlbench.cli.benchmark import run
+from rlbench.cli.cache import cache
 from rlbench.cli.card import card
 from rlbench.cli.clips import lint, render
-from rlbench.cli.command_group import CommandGroup, CommandWithGroupedHelp
+from rlbench.cli.command_group import Command, CommandGroup
 from rlbench.cli.compare import compare
 from rlbench.cli.crossval import crossval
 from rlbench.cli.decide import decide
@@ -20,6 +22,7 @@ from rlbench.cli.evaluate import evaluate
 from rlbench.cli.fingerprint import fingerprint
 from rlbench.cli.images import images
 from rlbench.cli.importing import import_
+from rlbench.cli.json_output import ChecksOutput, print_json
 from rlbench.cli.new import new
 from rlbench.cli.plugins import check, list_, load_plugins
 from rlbench.cli.regress import regress
@@ -29,6 +32,7 @@ from rlbench.cli.stress import stress
 from rlbench.cli.submit import submit
 from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
+from rlbench.cli.verbosity import set_verbosity
 from rlbench.cli.verify import verify
 from rlbench.cli.view import view
 
@@ -37,8 +41,10 @@ __all__ = ["app"]
 app = typer.Typer(
     cls=CommandGroup,
     no_args_is_help=True,
-    add_completion=False,
-    context_settings={"max_content_width": 100},  # examples are there to be copied
+    context_settings={
+        "max_content_width": 100,  # examples are there to be copied
+        "help_option_names": ["-h", "--help"],
+    },
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Which adaptive sampler and denoiser gives the least error in a given frame time?\n\n"
@@ -62,11 +68,20 @@ def _main(
             "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", "-v", help="Print what is looked up, cached and skipped, with times."
+        ),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print results and errors, and no progress.")
+    ] = False,
 ) -> None:
-    pass
+    set_verbosity(verbose, quiet)
 
 
-def doctor(plugin: options.Plugins = None) -> None:
+def doctor(plugin: options.Plugins = None, as_json: options.Json = False) -> None:
     """Report what this machine has, lacks, and how to get it.
 
     Examples:
@@ -80,12 +95,18 @@ def doctor(plugin: options.Plugins = None) -> None:
     from rlbench.checks.console import print_results
     from rlbench.cli.doctor import inspect_machine
 
-    print_results(inspect_machine(), Console())
+    if as_json:
+        output = ChecksOutput()
+        output.add(inspect_machine(), title=platform.node())
+        print_json(output)
+    else:
+        print_results(inspect_machine(), Console())
 
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "doctor": doctor,
     "list": list_,
+    "cache": cache,
     "render": render,
     "render-scene": render_scene,
     "download": download,
@@ -114,4 +135,4 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "card": card,
 }
 for name, command in COMMANDS.items():
-    app.command(name, cls=CommandWithGroupedHelp)(command)
+    app.command(name, cls=Command)(command)

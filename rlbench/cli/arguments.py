@@ -20,6 +20,7 @@ __all__ = [
     "Seeds",
     "WeightsChoice",
     "expand_methods",
+    "parse_age",
     "parse_budgets",
     "parse_definition",
     "parse_positive",
@@ -28,6 +29,7 @@ __all__ = [
     "parse_sizes",
     "parse_train_spp",
     "parse_weights",
+    "require_methods",
     "split_names",
 ]
 
@@ -69,17 +71,30 @@ def split_names(values: Iterable[str] | None) -> list[str]:
     return [name.strip() for value in values or () for name in value.split(",") if name.strip()]
 
 
-def expand_methods(patterns: Iterable[str], pretrained_only: bool = True) -> tuple[str, ...]:
+def require_methods(patterns: Iterable[str] | None) -> list[str]:
+    """Names and patterns of methods, as `split_names`. Raises a usage error where there are none.
+
+    >>> require_methods(["ours,ntas"])
+    ['ours', 'ntas']
+    """
+    if names := split_names(patterns):
+        return names
+    raise typer.BadParameter("name methods, for example -m ours,mean; 'rlbench list' has them all")
+
+
+def expand_methods(
+    patterns: Iterable[str] | None, pretrained_only: bool = True, default: str = ""
+) -> tuple[str, ...]:
     """The methods that the names and patterns select, as in `registry.expand`.
 
-    Families that `all` skips because they cannot be imported are reported on the error stream.
+    Without any, `default` is the pattern; a usage error where that is empty. Families that `all`
+    skips because they cannot be imported are reported on the error stream.
     """
     from rlbench import registry
+    from rlbench.cli.verbosity import note
 
-    def report(message: str) -> None:
-        typer.echo(message, err=True)
-
-    return tuple(registry.expand(split_names(patterns), pretrained_only, report))
+    names = split_names(patterns) or require_methods([default])
+    return tuple(registry.expand(names, pretrained_only, note))
 
 
 @text_parser
@@ -169,6 +184,19 @@ def parse_positive(text: str) -> float:
     if not 0 < number < math.inf:
         raise typer.BadParameter(f"'{text}' is no number above 0")
     return number
+
+
+@text_parser
+def parse_age(text: str) -> float:
+    """Seconds of a time such as 12h, 30d or 2w.
+
+    >>> parse_age("12h")
+    43200.0
+    """
+    match = re.fullmatch(r"(\d+)([hdw])", text, re.ASCII)
+    if not match:
+        raise typer.BadParameter(f"'{text}' is no age. Give hours, days or weeks: 12h, 30d, 2w")
+    return float(match[1]) * {"h": 3600, "d": 86_400, "w": 604_800}[match[2]]
 
 
 @text_parser

@@ -11,13 +11,14 @@ import typer
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Seeds, WeightsChoice
 from rlbench.cli.plugins import load_plugins
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 __all__ = ["run", "warn_without_networks"]
 
 
 def run(
-    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    methods: options.Methods = None,
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
     backend: options.Backend = "eager",
@@ -91,16 +92,20 @@ def run(
         ),
     ] = False,
     out: options.ResultsOut = Path("results"),
+    as_json: options.Json = False,
 ) -> None:
     """Score and time methods on clips, and add the results.
 
-    Cells that the results hold already are not measured again, so a killed run resumes. A damaged
-    row file is set aside, and its cell is measured again. The exit code is 1 if an error stopped a
-    cell, if an image is not finite, or if there are no numbers; the last line names the cells.
+    Without --methods, the rows of `make demo` are measured, and those of --plugin; -m all measures
+    one row of every method. Cells that the results hold already are not measured again, so a killed
+    run resumes. A damaged row file is set aside, and its cell is measured again. The exit code is 1
+    if an error stopped a cell, if an image is not finite, or if there are no numbers; the last line
+    names the cells.
 
     Examples:
 
     \b
+      rlbench run
       rlbench run --methods ours,ntas
       rlbench run -m ours -m 'oidn/*' --scenes city --spp 1,4 --cost paper-2080ti --out paper
       rlbench run -m mine --plugin mine.py --clips my_renders/ --out mine
@@ -117,16 +122,24 @@ def run(
     """
     seeds = _orders(seed, draws)
     load_plugins(plugin)
-    names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
+    names = _select_methods(methods)  # before torch
+    chosen = weights or WeightsChoice()
     from rlbench import registry
     from rlbench.backends import select_backend
     from rlbench.benchmark.api import check_precision, select_clips, select_device
+    from rlbench.benchmark.preflight import check_run, check_times_alone
     from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.benchmark.run_table import read_outcome
     from rlbench.benchmark.runner import measure
-    from rlbench.cli import console
+    from rlbench.cli import console, json_output
     from rlbench.parallel.ray_executor import open_executor
 
+    if retime:
+        check_times_alone(scores_only, keep_images)
     warn_without_networks(names, bf16, chosen)
+    target = select_device(device)
+    selected_backend = select_backend(backend, target)
+    check_run(names, spp, out, None if clips else preset, cost, chosen.file)
     pools = {registry.get_variant(name).traits.pool for name in names}
     scene_names = arguments.split_names(scenes)
     with open_executor(engine, ray_address) as executor:
@@ -136,12 +149,12 @@ def run(
             clips=select_clips(clips, scene_names, preset, takes, pool, pools, executor),
             target_spp=spp,
             seeds=seeds,
-            device=select_device(device),
+            device=target,
             cost=cost,
             weights=chosen.file,
             weights_label=chosen.label,
             bf16=bf16,
-            backend=select_backend(backend, select_device(device)),
+            backend=selected_backend,
             skip_tiles=skip_tiles,
             limit_frames=limit_frames,
             repeats=repeats,
@@ -157,9 +170,24 @@ def run(
                 scores_only=scores_only,
                 keep_images=keep_images,
             )
-    console.print_summary(summary, out)
-    if not console.print_scores(plan, summary, out):
+    outcome = read_outcome(plan, summary, out)
+    if as_json:
+        json_output.print_json(json_output.run_output(outcome))
+    else:
+        console.print_outcome(outcome)
+    if not outcome.verdict.has_passed:
         raise typer.Exit(1)
+
+
+def _select_methods(patterns: list[str] | None) -> tuple[str, ...]:
+    """The methods to run; without any, those of a first run, and a note that says so."""
+    from rlbench import registry
+
+    if patterns:
+        return arguments.expand_methods(patterns)
+    names = arguments.expand_methods(registry.demo_methods())
+    note(f"rows of a first run: {', '.join(names)}; -m all runs one row of every method")
+    return names
 
 
 def _orders(seeds: Seeds, draws: int | None) -> tuple[int, ...]:
@@ -180,4 +208,4 @@ def warn_without_networks(names: Collection[str], bf16: bool, weights: WeightsCh
     has_networks = any(registry.get_variant(name).learned for name in names)
     if (bf16 or weights.file) and not has_networks:
         text = f"--bf16 and --weights have no effect, because {', '.join(names)} has no networks"
-        typer.echo(text, err=True)
+        note(text)

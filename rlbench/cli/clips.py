@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import arguments, options
+from rlbench.cli.json_output import ChecksOutput, print_json
 
 __all__ = ["lint", "render"]
 
@@ -72,7 +73,10 @@ def render(
     """
     from rlbench.parallel.ray_executor import open_executor
     from rlbench.render.jobs.preset_clips import render_preset_clips
+    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import cache_folder
 
+    check_writable(cache_folder(), "RLBENCH_CACHE")
     names, buffer_names = arguments.split_names(scenes), arguments.split_names(buffers)
     with open_executor(engine, ray_address) as executor:
         folders = render_preset_clips(
@@ -125,6 +129,7 @@ def lint(
         Path,
         typer.Option(dir_okay=False, metavar="FILE", help="file that --guess writes"),
     ] = Path("engine.toml"),
+    as_json: options.Json = False,
 ) -> None:
     """Check a clip's motion, depth, normals, samples, reference.
 
@@ -142,10 +147,14 @@ def lint(
         _write_guess(clips, layout)
         return
     from rlbench.checks.lint.run import lint_clips
-    from rlbench.clips.stored import find_clips
+    from rlbench.clips.clip_folders import find_all_clips
 
-    folders = [folder for path in clips for folder in find_clips(path)]
-    raise typer.Exit(0 if lint_clips(folders, figure, frames) else 1)
+    folders = find_all_clips(clips)
+    output = ChecksOutput() if as_json else None
+    has_passed = lint_clips(folders, figure, frames, output.add if output else None)
+    if output:
+        print_json(output)
+    raise typer.Exit(0 if has_passed else 1)
 
 
 def _write_guess(sources: list[Path], layout: Path) -> None:

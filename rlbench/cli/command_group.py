@@ -1,4 +1,4 @@
-"""The behaviour that all commands share: grouped help, errors without traceback, old spellings."""
+"""The behaviour that all commands share: grouped help, names without -m, one-line errors."""
 
 from __future__ import annotations
 
@@ -7,17 +7,26 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from rlbench.cli import interruption
+from rlbench.cli.completion import complete_methods
 from rlbench.cli.old_spellings import translate
 from rlbench.errors import RlbenchError
 from rlbench.registry.plugin_code import exits_as_errors
+from rlbench.system.disk import FolderNotWritableError, write_remedy
+from rlbench.system.paths import WriteError
 
-__all__ = ["CommandGroup", "CommandWithGroupedHelp"]
+__all__ = ["Command", "CommandGroup"]
 
 OTHER = "Options"  # title of the options that belong to no group
+PROGRAM_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}  # accepted behind the command too
 
 
-class CommandWithGroupedHelp(TyperCommand):
-    """A command whose help lists its options in groups, by their `rich_help_panel`."""
+class Command(TyperCommand):
+    """A command whose help lists its options in groups, by their `rich_help_panel`.
+
+    Where it has the option --methods and no argument, words that belong to no option are methods:
+    `rlbench check ours` is `rlbench check -m ours`.
+    """
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write one section for each group, in the order of the options; ungrouped ones last."""
@@ -32,6 +41,52 @@ class CommandWithGroupedHelp(TyperCommand):
             with formatter.section(title):
                 formatter.write_dl(sections[title])
 
+    @property
+    def takes_bare_methods(self) -> bool:
+        """Are words without an option methods?"""
+        has_argument = any(each.param_type_name == "argument" for each in self.params)
+        return not has_argument and any(each.name == "methods" for each in self.params)
+
+    def make_parser(self, ctx: Any) -> Any:
+        """The parser of this command's words, which adds bare words to the methods."""
+        parser: Any = super().make_parser(ctx)
+        if self.takes_bare_methods:
+            parse_options = parser.parse_args
+
+            def parse(args: list[str]) -> tuple[dict[str, Any], list[str], list[Any]]:
+                options, words, order = parse_options(args=args)
+                if words:
+                    options["methods"] = [*options.get("methods", []), *words]
+                return options, [], order
+
+            parser.parse_args = parse
+        return parser
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """What the shell completes: options, and methods where they may stand alone."""
+        from typer._click.shell_completion import CompletionItem
+
+        completed = super().shell_complete(ctx, incomplete)
+        if self.takes_bare_methods and not incomplete.startswith("-"):
+            completed += [CompletionItem(name) for name in complete_methods(incomplete)]
+        return completed
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command. After Ctrl-C, say what is kept; after a closed pipe, nothing."""
+        try:
+            with exits_as_errors():
+                return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.echo(f"\n{interruption.what_is_kept(str(self.name), ctx.params)}", err=True)
+            raise typer.Exit(interruption.INTERRUPTED) from None
+        except Exception as error:
+            if not interruption.is_broken_pipe(error):
+                raise
+            raise typer.Exit(interruption.PIPE_CLOSED) from None
+        finally:
+            if interruption.is_output_closed():
+                interruption.silence_output()
+
 
 class CommandGroup(TyperGroup):
     """Commands whose expected errors are one message and exit code 2, without a traceback.
@@ -39,6 +94,14 @@ class CommandGroup(TyperGroup):
     Neither a plugin nor a library ends a command without a message: commands signal their exit code
     by `typer.Exit`, so every other exit is an error.
     """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the program's options, which may also stand behind the command."""
+        end = args.index("--") if "--" in args else len(args)
+        words, rest = args[:end], args[end:]
+        first = [word for word in words if word in PROGRAM_OPTIONS]
+        others = [word for word in words if word not in PROGRAM_OPTIONS]
+        return super().parse_args(ctx, [*first, *others, *rest])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command and its arguments; old spellings are translated, with a note."""
@@ -50,10 +113,12 @@ class CommandGroup(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Errors that users cannot cause are defects and keep their traceback."""
         try:
-            with exits_as_errors():
-                return super().invoke(ctx)
+            return super().invoke(ctx)
         except Exception as error:
             if not isinstance(error, RlbenchError):
                 raise
-            typer.secho(f"error: {error}", fg="red", err=True)
+            remedy = ""
+            if isinstance(error, WriteError) and not isinstance(error, FolderNotWritableError):
+                remedy = f": {write_remedy(error)}"
+            typer.secho(f"error: {error}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error

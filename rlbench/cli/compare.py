@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import arguments, options
-from rlbench.cli.decide import as_json_text, select_scenes
+from rlbench.cli.completion import complete_methods
+from rlbench.cli.decide import select_scenes
+from rlbench.cli.json_output import as_json_text
 from rlbench.cli.reports import select_budgets, select_rows
 
 __all__ = ["compare"]
@@ -17,8 +19,17 @@ NAME = "paired"  # of the comparison, among the entry points
 
 
 def compare(
-    first: Annotated[str, typer.Argument(metavar="A", help="name of a row in the results")],
-    second: Annotated[str, typer.Argument(metavar="B", help="name of another row")],
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--methods",
+            "-m",
+            metavar="A,B",
+            help="names of two rows in the results; -m can be left out",
+            autocompletion=complete_methods,
+            rich_help_panel=options.METHODS,
+        ),
+    ] = None,
     scenes: options.RowScenes = None,
     spp: options.RowBudgets = None,
     metric: options.Metric = "psnr",
@@ -34,16 +45,20 @@ def compare(
     Examples:
 
     \b
-      rlbench compare ours accumulate/contrast
-      rlbench compare ours oidn/tuned --spp 1,4 --scenes city,hall
-      rlbench compare ours ours/A1 --metric relmse --results results/unseen --json
+      rlbench compare -m ours,accumulate/contrast
+      rlbench compare -m ours,oidn/tuned --spp 1,4 --scenes city,hall
+      rlbench compare -m ours,ours/A1 --metric relmse --results results/unseen --json
     """
     from rlbench import registry
     from rlbench.benchmark.results import read
 
-    rows = select_rows(read(results), [first, second], results)
-    if names := arguments.split_names(scenes):
-        rows = select_scenes(rows, names, results)
+    names = arguments.split_names(methods)
+    if len(names) != 2:
+        raise typer.BadParameter(f"name two rows, for example -m ours,oidn; {len(names)} are named")
+    first, second = names
+    rows = select_rows(read(results), names, results)
+    if scene_names := arguments.split_names(scenes):
+        rows = select_scenes(rows, scene_names, results)
     if spp:
         rows = select_budgets(rows, spp, results)
     module = registry.load_or_explain("comparisons", NAME)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,24 +11,20 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rlbench.benchmark import latency, results
-from rlbench.benchmark.resolve import ResolvedCell, resolve_cells, resolve_method
+from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.run_verdict import judge_run
+from rlbench.benchmark.run_table import RunOutcome
 from rlbench.benchmark.runner import ProgressCallbacks
 from rlbench.system.progress import LoggedProgress
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from rlbench.benchmark.runner import RunSummary
     from rlbench.training import Progress as TrainingProgress
 
 __all__ = [
     "counting",
     "measuring",
-    "print_scores",
-    "print_summary",
+    "print_outcome",
     "training",
     "training_status",
 ]
@@ -80,9 +76,22 @@ def counting(title: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: bar.advance(task)
 
 
-def print_summary(summary: RunSummary, out: Path) -> None:
-    """Print what happened to the cells of a run."""
+def print_outcome(outcome: RunOutcome) -> None:
+    """Print what happened to the cells of a run, its scores and times, and the verdict."""
     console = Console()
+    _print_summary(outcome.summary, outcome.folder, console)
+    _print_scores(outcome, console)
+    for line in outcome.missing:
+        console.print(line, markup=False)
+    for line in outcome.remarks:
+        console.print(line, style="yellow", markup=False, soft_wrap=True)
+    for each in outcome.verdict.nonfinite:
+        console.print(str(each), style="red", markup=False, soft_wrap=True)
+    style = "" if outcome.verdict.has_passed else "red"
+    console.print(str(outcome.verdict), style=style, markup=False, soft_wrap=True)
+
+
+def _print_summary(summary: RunSummary, out: Path, console: Console) -> None:
     for file in summary.set_aside:
         text = f"a damaged row file was set aside as {file}; cells of this run are measured again"
         console.print(text, style="yellow", markup=False, soft_wrap=True)
@@ -100,73 +109,18 @@ def print_summary(summary: RunSummary, out: Path) -> None:
     console.print(f"{text}; results are in {out}")
 
 
-def print_scores(
-    plan: RunPlan, summary: RunSummary, out: Path, row_names: Iterable[str] = ()
-) -> bool:
-    """Print mean PSNR and times of a plan, why numbers are missing, and whether the run passed.
-
-    Returns False if a cell failed, an image is not finite, or there are no numbers. `row_names` are
-    the methods' names in the results, where they are not those of the plan.
-    """
-    rows = _planned_rows(plan, results.read(out), row_names)
-    clips = len(plan.clips)
+def _print_scores(outcome: RunOutcome, console: Console) -> None:
+    """Print mean PSNR and times of a run's rows."""
+    clips = outcome.clips
     table = Table(title="one clip" if clips == 1 else f"mean over {clips} clips")
     for column in ("method", "spp", "PSNR dB", "inference ms", "frame ms"):
         table.add_column(column, justify="left" if column == "method" else "right")
-    for (method, spp), group in rows.groupby(["method", "target_spp"]):
-        means = group.groupby("metric")["value"].mean()
-        numbers = [means.get(name) for name in ("psnr", "inference_ms", "frame_ms")]
-        doubted = set(group.loc[_is_unreliable(group), "metric"])
-        marks = ("", *("?" * (name in doubted) for name in ("inference_ms", "frame_ms")))
-        scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
-        part = f" ({scored} of them)" if 0 < scored < clips else ""
-        cells = [f"{_format_number(n)}{mark}" for n, mark in zip(numbers, marks, strict=True)]
-        table.add_row(f"{method}{part}", f"{spp:g}", *cells)
-    console = Console()
+    for row in outcome.scores:
+        part = f" ({row.clips} of them)" if 0 < row.clips < clips else ""
+        times = {"inference_ms": row.inference_ms, "frame_ms": row.frame_ms}
+        cells = [f"{_format_number(ms)}{'?' * (n in row.unreliable)}" for n, ms in times.items()]
+        table.add_row(f"{row.method}{part}", f"{row.spp:g}", _format_number(row.psnr), *cells)
     console.print(table)
-    _print_notes(rows, console)
-    verdict = judge_run(summary, rows)
-    style = "" if verdict.has_passed else "red"
-    console.print(str(verdict), style=style, markup=False, soft_wrap=True)
-    return verdict.has_passed
-
-
-def _planned_rows(plan: RunPlan, rows: pd.DataFrame, row_names: Iterable[str]) -> pd.DataFrame:
-    names = list(row_names) or [resolve_method(plan, name).row_name for name in plan.methods]
-    clips = [clip.header.name for clip in plan.clips]
-    rows = rows[rows["method"].isin(names) & rows["clip"].isin(clips)]
-    rows = rows[rows["target_spp"].isin(plan.target_spp) & rows["seed"].isin(plan.seeds)]
-    return rows[rows["device"] == latency.device_name(plan.device)]
-
-
-def _print_notes(rows: pd.DataFrame, console: Console) -> None:
-    """Print why clips have no score or no sample time, and remarks on scores."""
-    missing = rows[(rows["frame"] == results.WHOLE_CLIP) & rows["value"].isna()]
-    for (method, metric, note), group in missing.groupby(["method", "metric", "note"]):
-        if metric in ("psnr", "sample_ms"):
-            clips = ", ".join(sorted(set(group["clip"])))
-            console.print(f"{method}: no {metric} on {clips}: {note}", markup=False)
-    _print_unreliable(rows, console)
-    scored = rows[(rows["metric"] == "psnr") & rows["value"].notna() & (rows["note"] != "")]
-    for (method, note), _ in scored.groupby(["method", "note"]):
-        console.print(f"{method}: {note}", style="yellow", markup=False)
-
-
-def _print_unreliable(rows: pd.DataFrame, console: Console) -> None:
-    """Print how many rows have unreliable times, and the first reason."""
-    frames = rows[(rows["metric"] == "frame_ms") & _is_unreliable(rows)]
-    cells = frames[["method", "target_spp"]].drop_duplicates()
-    if len(cells):
-        reason = frames["note"].iloc[0].removeprefix(results.UNRELIABLE).strip()
-        text = (
-            f"{len(cells)} rows have unreliable times, marked ?: {reason}. When the machine is "
-            "idle, repeat the command with --retime"
-        )
-        console.print(text, style="yellow", markup=False, soft_wrap=True)
-
-
-def _is_unreliable(rows: pd.DataFrame) -> pd.Series[bool]:
-    return rows["note"].str.startswith(results.UNRELIABLE)
 
 
 def _progress_bar() -> LoggedProgress:
@@ -175,4 +129,4 @@ def _progress_bar() -> LoggedProgress:
 
 
 def _format_number(value: float | None) -> str:
-    return "-" if value is None or value != value else f"{value:.2f}"
+    return "-" if value is None else f"{value:.2f}"

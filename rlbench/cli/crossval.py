@@ -15,7 +15,7 @@ __all__ = ["crossval"]
 
 
 def crossval(
-    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     preset: options.Preset = "mini",
     scenes: options.Scenes = None,
@@ -56,15 +56,18 @@ def crossval(
       rlbench report all --results crossval/results --out crossval/report
     """
     load_plugins(plugin)
-    names = arguments.expand_methods(methods)  # before torch
+    names = arguments.expand_methods(methods, default="all")  # before torch
     from rlbench.benchmark import crossval as protocol
     from rlbench.benchmark.api import select_device
+    from rlbench.benchmark.preflight import check_run
     from rlbench.benchmark.run_plan import RunPlan
+    from rlbench.benchmark.run_table import read_outcome
     from rlbench.cli import console
 
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device, minutes, allow_config_change)
     runs.check([name for name in map(protocol.variant_to_train, names) if name])
+    check_run(names, spp, out / "results", preset, cost)
     folds = protocol.folds(preset, arguments.split_names(scenes), names)
     clips = tuple(clip for fold in folds for clip in fold.clips)
     plan = RunPlan(
@@ -72,6 +75,7 @@ def crossval(
     )
     results = out / "results"
     summary = protocol.crossval(folds, runs, plan, results, typer.echo, console.measuring)
-    console.print_summary(summary, results)
-    if not console.print_scores(plan, summary, results, protocol.row_names(plan)):
+    outcome = read_outcome(plan, summary, results, protocol.row_names(plan))
+    console.print_outcome(outcome)
+    if not outcome.verdict.has_passed:
         raise typer.Exit(1)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rlbench.cli import arguments, options
+from rlbench.cli.json_output import as_json_text
 from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError
+from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["as_json_text", "decide", "select_by_inputs", "select_scenes"]
+__all__ = ["decide", "select_by_inputs", "select_scenes"]
 
 NAME = "frame-time"  # of the decision, among the entry points
 
@@ -101,10 +103,8 @@ def select_scenes(rows: pd.DataFrame, names: Collection[str], results: Path) -> 
     """The rows of scenes and clips with these names. Raises OptionError for an unknown name."""
     available = {*rows["scene"], *rows["clip"]}
     if unknown := [name for name in names if name not in available]:
-        raise OptionError(
-            f"--scenes {','.join(unknown)}: {results} has no rows of it; available: "
-            f"{', '.join(sorted(available))}"
-        )
+        problem = f"--scenes {','.join(unknown)}: {results} has no rows of it"
+        raise OptionError(unknown_name(problem, unknown[0], sorted(available)))
     return rows[rows["scene"].isin(names) | rows["clip"].isin(names)]
 
 
@@ -118,10 +118,8 @@ def select_by_inputs(
     from rlbench.clips.header import BUFFER_CHANNELS
 
     if unknown := [name for name in channels if name not in BUFFER_CHANNELS]:
-        raise OptionError(
-            f"--needs {','.join(unknown)}: no such G-buffer channel; available: "
-            f"{', '.join(BUFFER_CHANNELS)}"
-        )
+        problem = f"--needs {','.join(unknown)}: no such G-buffer channel"
+        raise OptionError(unknown_name(problem, unknown[0], BUFFER_CHANNELS))
     reasons = {method: _lacking(method, channels) for method in sorted(set(rows["method"]))}
     left_out = [f"{method} is left out: {reason}" for method, reason in reasons.items() if reason]
     if len(left_out) == len(reasons):
@@ -139,11 +137,3 @@ def _lacking(method: str, channels: Collection[str]) -> str:
     except registry.PluginError:
         return "it is not installed, so its inputs are not known; name its file with --plugin"
     return f"it needs {', '.join(missing)}" if (missing := sorted(inputs - set(channels))) else ""
-
-
-def as_json_text(answer: Any) -> str:
-    """An answer as indented JSON, for scripts."""
-    import msgspec
-
-    # msgspec writes numbers that are not finite as null
-    return msgspec.json.format(msgspec.json.encode(answer), indent=1).decode()

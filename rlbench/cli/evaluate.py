@@ -75,14 +75,15 @@ def evaluate(
     from rlbench.benchmark.evaluation import evaluate as score
     from rlbench.benchmark.evaluation import find_kept_cells, image_pools
     from rlbench.cli import console
+    from rlbench.system.disk import check_writable
 
     selected = select_metrics(
         arguments.split_names(metrics) or ["psnr"], arguments.split_names(convention)
     )
-    scene_names = arguments.split_names(scenes)
+    target, scene_names = out or results / "evaluated", arguments.split_names(scenes)
+    check_writable(target)
     sources = select_clips(clips, scene_names, preset, takes, pool_kinds=image_pools(results))
     cells = find_kept_cells(results, sources, arguments.split_names(methods))
-    target = out or results / "evaluated"
     with console.counting("scoring images", len(cells)) as advance:
         summary = score(results, cells, selected, target, lambda kept: advance())
     names = ", ".join(each.name for each in selected)

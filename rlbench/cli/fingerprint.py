@@ -14,7 +14,6 @@ __all__ = ["fingerprint"]
 
 
 def fingerprint(
-    methods: Annotated[list[str], typer.Argument(metavar="METHODS", help="names a,b; family/*")],
     clips: Annotated[
         list[Path],
         typer.Option(
@@ -24,6 +23,7 @@ def fingerprint(
             rich_help_panel=options.CLIPS,
         ),
     ],
+    methods: options.Methods = None,
     spp: Annotated[
         float, typer.Option(min=0, help="samples per pixel", rich_help_panel=options.MEASUREMENT)
     ] = 1.0,
@@ -52,8 +52,8 @@ def fingerprint(
     Examples:
 
     \b
-      rlbench fingerprint ours --clips clips/atrium
-      rlbench fingerprint ours,svgf --clips clips/ --spp 4 --out results/fingerprint
+      rlbench fingerprint -m ours --clips clips/atrium
+      rlbench fingerprint -m ours,svgf --clips clips/ --spp 4 --out results/fingerprint
     """
     load_plugins(plugin)
     names = arguments.expand_methods(methods)
@@ -62,12 +62,14 @@ def fingerprint(
     from rlbench.benchmark.api import select_device
     from rlbench.checks.fingerprint.run import fingerprint_method
     from rlbench.checks.fingerprint.tables import to_rich_table, write_losses
-    from rlbench.clips.stored import find_clips
+    from rlbench.clips.clip_folders import find_all_clips
+    from rlbench.system.disk import check_writable
 
-    folders = [folder for path in clips for folder in find_clips(path)]
+    target, folders = select_device(device), find_all_clips(clips)
+    check_writable(out)
     losses = []
     for name in names:
-        own = fingerprint_method(name, folders, spp, limit_frames, select_device(device))
+        own = fingerprint_method(name, folders, spp, limit_frames, target)
         losses += own
         Console().print(to_rich_table(name, own) if own else f"{name} reads no buffer")
     for path in write_losses(losses, out):

@@ -16,7 +16,7 @@ __all__ = ["images"]
 
 
 def images(
-    methods: options.Methods,
+    methods: options.Methods = None,
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
     plugin: options.Plugins = None,
@@ -73,11 +73,14 @@ def images(
     from rlbench import registry
     from rlbench.benchmark.api import check_precision, select_clips, select_device
     from rlbench.benchmark.frame_images import write_images
+    from rlbench.benchmark.preflight import check_run
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
 
     warn_without_networks(names, bf16, chosen)
+    target = select_device(device)
     check_precision(names, bf16, device)
+    check_run(names, spp, out, None if clips else preset, weights=chosen.file)
     pools = {registry.get_variant(name).traits.pool for name in names}
     scene_names = arguments.split_names(scenes)
     plan = RunPlan(
@@ -85,7 +88,7 @@ def images(
         clips=select_clips(clips, scene_names, preset, takes, pool_kinds=pools),
         target_spp=spp,
         seeds=(seed,),
-        device=select_device(device),
+        device=target,
         weights=chosen.file,
         weights_label=chosen.label,
         bf16=bf16,

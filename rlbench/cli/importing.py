@@ -72,7 +72,9 @@ def import_(
     from rlbench.clips.importers import writer
     from rlbench.clips.importers.formats import find_sequences
     from rlbench.clips.importers.sequence import parse_frame_range
+    from rlbench.system.disk import check_writable
 
+    check_writable(out)
     frame_range = parse_frame_range(frames) if frames else None
     clips = [
         (sequence, writer.clip_header(sequence, samples, exposure or 1.0), out / sequence.name)

@@ -9,6 +9,7 @@ import typer
 
 from rlbench.cli import arguments
 from rlbench.cli.arguments import Budgets, Seeds, WeightsChoice
+from rlbench.cli.completion import complete_methods, complete_names
 
 METHODS, CLIPS = "Methods", "Clips"  # titles of groups of options
 MEASUREMENT, EXECUTION, OUTPUT = "Measurement", "Execution", "Output"
@@ -20,12 +21,13 @@ DEFAULT_SEEDS = Seeds((0,))
 
 # methods
 Methods = Annotated[
-    list[str],
+    list[str] | None,
     typer.Option(
         "--methods",
         "-m",
         metavar="NAMES",
-        help="names a,b; all; family/*; all/*; can be repeated",
+        help="names a,b; all; family/*; all/*; can be repeated, and -m can be left out",
+        autocompletion=complete_methods,
         rich_help_panel=METHODS,
     ),
 ]
@@ -36,6 +38,7 @@ RowMethods = Annotated[
         "-m",
         metavar="NAMES",
         help="names a,b of rows in the results; default: all",
+        autocompletion=complete_methods,
         rich_help_panel=METHODS,
     ),
 ]
@@ -79,6 +82,7 @@ Scenes = Annotated[
         "--scenes",
         metavar="NAMES",
         help="scenes or clips a,b; default: all",
+        autocompletion=complete_names("scenes"),
         rich_help_panel=CLIPS,
     ),
 ]
@@ -87,6 +91,7 @@ Preset = Annotated[
     typer.Option(
         metavar="PRESET",
         help="size and length of the clips: see rlbench list presets",
+        autocompletion=complete_names("presets"),
         rich_help_panel=CLIPS,
     ),
 ]
@@ -118,6 +123,7 @@ RowScenes = Annotated[
         "--scenes",
         metavar="NAMES",
         help="scenes or clips a,b of the results; default: all",
+        autocompletion=complete_names("scenes"),
         rich_help_panel=CLIPS,
     ),
 ]
@@ -138,6 +144,7 @@ Metric = Annotated[
     typer.Option(
         metavar="NAME",
         help="the score that decides, as in the results",
+        autocompletion=complete_names("metrics"),
         rich_help_panel=MEASUREMENT,
     ),
 ]
@@ -173,6 +180,7 @@ Cost = Annotated[
     typer.Option(
         metavar="COST",
         help="time of a sample: measured, paper-2080ti, or a TOML file",
+        autocompletion=complete_names("profiles"),
         rich_help_panel=MEASUREMENT,
     ),
 ]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from rlbench.cli import arguments, options
+from rlbench.cli.json_output import ChecksOutput, print_json
 
 __all__ = ["check", "list_", "load_plugins"]
 
@@ -30,7 +30,7 @@ def load_plugins(files: list[Path] | None, allow_broken: bool = False) -> None:
 
 def list_(
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help="what to list")] = "all",
-    as_json: Annotated[bool, typer.Option("--json", help="print JSON, for scripts")] = False,
+    as_json: options.Json = False,
     plugin: options.Plugins = None,
 ) -> None:
     """List installed methods, metrics, scenes, presets, and more.
@@ -49,7 +49,7 @@ def list_(
 
     installed = list_installed(kind)
     if as_json:
-        typer.echo(json.dumps(installed, indent=1))
+        print_json(installed)
     else:
         from rlbench.cli.installed import print_installed
 
@@ -59,15 +59,13 @@ def list_(
 
 
 def check(
-    methods: Annotated[
-        list[str],
-        typer.Argument(metavar="METHODS", help="names a,b; family/*; all"),
-    ],
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     device: options.Device = "cpu",
     debug: Annotated[
         bool, typer.Option("--debug", help="print the traceback of an exception of a method")
     ] = False,
+    as_json: options.Json = False,
 ) -> None:
     """Check that methods keep the contract.
 
@@ -78,14 +76,20 @@ def check(
     Examples:
 
     \b
-      rlbench check ours
-      rlbench check bright --plugin bright.py
-      rlbench check bright --plugin bright.py --debug
-      rlbench check all
+      rlbench check -m ours
+      rlbench check -m bright --plugin bright.py
+      rlbench check -m bright --plugin bright.py --debug
+      rlbench check -m all
     """
-    patterns = arguments.split_names(methods)
+    patterns = arguments.require_methods(methods)
     load_plugins(plugin, allow_broken="all" in patterns)
     from rlbench.benchmark.api import select_device
     from rlbench.checks.conformance.run import check_methods
 
-    raise typer.Exit(0 if check_methods(patterns, select_device(device), debug) else 1)
+    output = ChecksOutput() if as_json else None
+    has_passed = check_methods(
+        patterns, select_device(device), debug, output.add if output else None
+    )
+    if output:
+        print_json(output)
+    raise typer.Exit(0 if has_passed else 1)

@@ -12,6 +12,7 @@ import typer
 from rlbench.cli import arguments, options
 from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError, RlbenchError
+from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,7 +107,11 @@ def regress(
     from rlbench.benchmark.regression.comparison import compare
     from rlbench.benchmark.regression.scores import only_preset
     from rlbench.benchmark.results import read
+    from rlbench.system.disk import check_writable
 
+    for option, file in (("--junit", junit), ("--summary", summary)):
+        if file:
+            check_writable(file.parent, option)
     names = arguments.split_names(methods)
     if update:
         _update(results, baseline, names)
@@ -141,10 +146,8 @@ def select_baseline(
     """
     available = {*table["method"], *(entry.method for entry in baseline.entries)}
     if unknown := sorted(set(methods) - available):
-        raise OptionError(
-            f"--methods {','.join(unknown)}: neither the results nor the baseline have it; "
-            f"available: {', '.join(sorted(available)) or 'none'}"
-        )
+        problem = f"--methods {','.join(unknown)}: neither the results nor the baseline have it"
+        raise OptionError(unknown_name(problem, unknown[0], sorted(available)))
     entries = tuple(entry for entry in baseline.entries if entry.method in methods)
     return table[table["method"].isin(methods)], replace(baseline, entries=entries)
 

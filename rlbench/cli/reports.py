@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rlbench.cli import arguments, options
+from rlbench.cli.completion import complete_names
+from rlbench.cli.json_output import ReportOutput, print_json
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError, RlbenchError
+from rlbench.registry.near_names import unknown_name
+from rlbench.system.disk import check_writable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +26,14 @@ __all__ = ["report", "select_budgets", "select_rows"]
 
 
 def report(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="name of a report, or all")] = "all",
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="name of a report, or all",
+            autocompletion=complete_names("reports", ("all",)),
+        ),
+    ] = "all",
     methods: options.RowMethods = None,
     results: options.Results = Path("results"),
     clips: options.Clips = None,
@@ -43,6 +55,7 @@ def report(
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
+    as_json: options.Json = False,
 ) -> None:
     """Write reports from the results: tables and plots.
 
@@ -59,43 +72,62 @@ def report(
       rlbench report ablation --methods 'ours/*'
       rlbench report zooms --methods ours,ntas --spp 4
     """
-    from rlbench.benchmark.results import MissingRowsError, read
+    from rlbench.benchmark.results import read
 
+    writers, target = _find_writers(name), out or results / "report"
     rows = read(results)
     if names := arguments.split_names(methods):
         rows = select_rows(rows, names, results)
-    writers = _find_writers(name)
+    check_writable(target)
+    output = ReportOutput()
     images = partial(_find_images, results, rows, clips, spp)
-    failures: dict[str, list[str]] = {}  # names of reports, by error
     for each, has_images in writers.items():
-        try:
-            for file in _write(each, rows, out or results / "report", has_images and images, names):
+        write = partial(_write, each, rows, target, has_images and images, names)
+        files = _try_to_write(each, write, output, is_one_of_all=name == "all")
+        if not as_json:
+            for file in files:
                 typer.echo(file)
-        except Exception as error:
-            if not isinstance(error, RlbenchError):
-                raise
-            if name == "all" and isinstance(error, MissingRowsError):
-                typer.echo(f"report {each} is skipped: {error}", err=True)
-            else:
-                failures.setdefault(str(error), []).append(each)
-    if failures:
-        raise OptionError(
-            "; ".join(f"cannot write {', '.join(names)}: {why}" for why, names in failures.items())
-        )
+    if as_json:
+        print_json(output)
+    if output.failed:
+        names_by_error: dict[str, list[str]] = {}
+        for each, why in output.failed.items():
+            names_by_error.setdefault(why, []).append(each)
+        faults = [f"cannot write {', '.join(n)}: {why}" for why, n in names_by_error.items()]
+        raise OptionError("; ".join(faults))
 
 
 def _find_writers(name: str) -> dict[str, bool]:
-    """The reports to write, and whether each shows images; `all` is all. Raises PluginError."""
+    """The reports to write, and whether each shows images; `all` is all. Raises OptionError."""
     from rlbench import registry
-    from rlbench.registry.near_names import suggest
 
     groups = ("reports", "image_reports")
     known = {each: group == groups[1] for group in groups for each in registry.list_plugins(group)}
-    if name != "all" and name not in known:
-        raise registry.PluginError(
-            f"'{name}' is not a report; there are: {', '.join(sorted(known))}{suggest(name, known)}"
-        )
+    if name not in ("all", *known):
+        problem = f"'{name}' is not a report"
+        raise OptionError(unknown_name(problem, name, ["all", *sorted(known)], "; there are"))
     return known if name == "all" else {name: known[name]}
+
+
+def _try_to_write(
+    name: str, write: Callable[[], list[Path]], output: ReportOutput, is_one_of_all: bool
+) -> list[Path]:
+    """Write a report, and note in `output` what became of it; returns its files."""
+    from rlbench.benchmark.results import MissingRowsError
+
+    try:
+        files = write()
+    except Exception as error:
+        if not isinstance(error, RlbenchError):
+            raise
+        if is_one_of_all and isinstance(error, MissingRowsError):
+            output.skipped[name] = str(error)
+            note(f"report {name} is skipped: {error}")
+        else:
+            output.failed[name] = str(error)
+        return []
+    output.files.extend(map(str, files))
+    return files
 
 
 def _write(
@@ -144,10 +176,9 @@ def select_rows(table: pd.DataFrame, methods: Collection[str], results: Path) ->
     single = [n for n in methods if n.partition("/")[0] != "all" and not n.endswith("/*")]
     missing = [name for name in single if not select_methods(table, [name]).any()]
     if missing or rows.empty:
-        raise OptionError(
-            f"{results} has no rows of {', '.join(missing or methods)}; "
-            f"available: {_join(available)}"
-        )
+        names = missing or list(methods)
+        problem = f"{results} has no rows of {', '.join(names)}"
+        raise OptionError(unknown_name(problem, names[0], sorted(available)))
     return rows
 
 
@@ -160,7 +191,3 @@ def select_budgets(table: pd.DataFrame, spp: Collection[float], results: Path) -
             f"available: {', '.join(f'{budget:g}' for budget in sorted(available))}"
         )
     return table[table["target_spp"].isin(list(spp))]
-
-
-def _join(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)) or "none"

@@ -18,7 +18,7 @@ SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((108
 
 
 def speed(
-    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     sizes: Annotated[
         PixelSizes,
@@ -57,7 +57,13 @@ def speed(
     ] = 10,
     device: options.Device = "auto",
     out: Annotated[
-        Path, typer.Option(help="folder of the table", rich_help_panel=options.OUTPUT)
+        Path,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="folder of the table",
+            rich_help_panel=options.OUTPUT,
+        ),
     ] = Path("results/speed"),
 ) -> None:
     """Time methods by image size, backend and precision.
@@ -74,17 +80,19 @@ def speed(
       rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
     """
     load_plugins(plugin)
-    names = arguments.expand_methods(methods, pretrained_only=False)
+    names = arguments.expand_methods(methods, pretrained_only=False, default="all")
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
     from rlbench.benchmark.api import check_precision, select_device
     from rlbench.benchmark.speed import Configuration, measure_speed
     from rlbench.benchmark.speed_page import write_speed
     from rlbench.cli import console
+    from rlbench.system.disk import check_writable
 
     target = select_device(device)
     backends = [select_backend(name, target) for name in arguments.split_names(backend) or [EAGER]]
     check_precision(names, bf16, device)
+    check_writable(out)
     configurations = [
         Configuration(name, each, half)
         for name in names

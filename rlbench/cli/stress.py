@@ -14,13 +14,7 @@ __all__ = ["stress"]
 
 
 def stress(
-    methods: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[METHODS]",
-            help="names a,b; family/*; all; default: all pretrained rows with weights of their own",
-        ),
-    ] = None,
+    methods: options.Methods = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -57,7 +51,8 @@ def stress(
     per method and section, and reused while code and weights are the same. The exit code is 1 if a
     test failed.
 
-    Sections of the suite itself (allocation, metrics) run without METHODS or if --only names them.
+    Without --methods, all pretrained rows with weights of their own are tested. Sections of the
+    suite itself (allocation, metrics) run without --methods or if --only names them.
 
     Sections: bad-pixel, budgets, allocation, long-runs, precision, transformations, lying-buffers,
     metrics, and those of plugins.
@@ -66,18 +61,21 @@ def stress(
 
     \b
       rlbench stress
-      rlbench stress ours,svgf --only bad-pixel
-      rlbench stress mine --plugin mine.py --quick
+      rlbench stress -m ours,svgf --only bad-pixel
+      rlbench stress -m mine --plugin mine.py --quick
     """
     load_plugins(plugin)
     from rlbench.benchmark.api import select_device
     from rlbench.checks.stress.run import stress_methods
+    from rlbench.system.disk import check_writable
 
+    target = select_device(device)
+    check_writable(out)
     has_passed = stress_methods(
         arguments.split_names(methods),
         arguments.split_names(only),
         quick,
-        select_device(device),
+        target,
         out,
         restart,
     )

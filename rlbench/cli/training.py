@@ -14,6 +14,7 @@ import typer
 from rlbench.cli import arguments, options, training_options
 from rlbench.cli.arguments import Budgets, Seeds
 from rlbench.cli.plugins import load_plugins
+from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ __all__ = ["lr_find", "replay", "train", "training_config", "training_runs"]
 
 
 def train(
-    methods: options.Methods = ["all"],  # noqa: B006 - Typer reads it and never changes it
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     frames: training_options.TrainFrames = None,
     batch: training_options.Batch = 1,
@@ -69,12 +70,14 @@ def train(
       rlbench train -m ntas --holdout hall --preset standard
     """
     load_plugins(plugin)
-    names = _trainable(methods)  # before torch
+    names = _trainable(methods or ["all"])  # before torch
     from rlbench.parallel.time_limit import TimeLimit, TimeLimitedExecutor
+    from rlbench.system.disk import check_writable
     from rlbench.training import dataset
     from rlbench.training.logger import tensorboard_hint
     from rlbench.training.runs import archive_run
 
+    check_writable(out)
     limit = TimeLimit(math.inf if minutes is None else minutes)
     default = training_options.QUICK_FRAMES if quick else training_options.DEFAULT_FRAMES
     config = training_config(frames or default, batch, crop, seed, max_grad_norm, bf16, train_spp)
@@ -84,14 +87,14 @@ def train(
         _refuse_other_clips(preset, seeds, holdout)
         split = dataset.split_quick(_pools(names))
     else:
-        if names and holdout is None:
+        if holdout is None:
             _announce_rendering(preset or "train", seeds)
         split = _split(names, preset, seeds, holdout, TimeLimitedExecutor(limit))
     if split.remark:
-        typer.echo(split.remark, err=True)
+        note(split.remark)
     runs = replace(runs, minutes=limit.minutes_left, suffix="-quick" if quick else "")
-    if names and (hint := tensorboard_hint()):
-        typer.echo(hint, err=True)
+    if hint := tensorboard_hint():
+        note(hint)
     for name in names:
         folder = runs.folder(name, holdout)
         if restart and (archived := archive_run(folder)):
@@ -101,7 +104,7 @@ def train(
 
 
 def lr_find(
-    methods: options.Methods,
+    methods: options.Methods = None,
     plugin: options.Plugins = None,
     frames: training_options.Frames = training_options.DEFAULT_FRAMES,
     batch: training_options.Batch = 1,
@@ -128,7 +131,10 @@ def lr_find(
       rlbench lr-find -m mine --plugin mine.py --frames 1200
     """
     load_plugins(plugin)
-    names = _trainable(methods)  # before torch
+    names = _trainable(arguments.require_methods(methods))  # before torch
+    from rlbench.system.disk import check_writable
+
+    check_writable(out)
     config = training_config(frames, batch, crop, seed, max_grad_norm, bf16, train_spp)
     runs = training_runs(out, config, device)
     runs.check(names)
@@ -202,7 +208,7 @@ def training_runs(
 
     selected = str(select_device(device))
     if config.bf16 and (reason := emulation_reason(selected)):
-        typer.echo(f"warning: {reason}; training is faster without --bf16", err=True)
+        note(f"warning: {reason}; training is faster without --bf16")
     return TrainingRuns(
         out,
         config,
@@ -217,7 +223,8 @@ def training_runs(
 def _trainable(patterns: list[str]) -> list[str]:
     """The selected methods that can be trained; reports the others.
 
-    Raises OptionError for a method with published weights that is selected by its name.
+    Raises OptionError for a method with published weights that is selected by its name, and where
+    no selected method can be trained.
     """
     from rlbench import registry
 
@@ -228,8 +235,11 @@ def _trainable(patterns: list[str]) -> list[str]:
         reason = registry.untrainable_reason(name)
         if name in by_name and registry.get_variant(name).trained_by:
             raise OptionError(f"{name} {reason}")
-        if reason:
-            typer.echo(f"{name} {reason}")
+        if reason and trainable:
+            note(f"{name} {reason}")
+    if not trainable:
+        reasons = ", ".join(f"{name} {registry.untrainable_reason(name)}" for name in names)
+        raise OptionError(f"nothing to train: {reasons}")
     return trainable
 
 
@@ -243,8 +253,6 @@ def _split(
     """Clips for the training of these methods; renders those that are missing."""
     from rlbench.training import dataset
 
-    if not names:
-        return dataset.EMPTY_SPLIT
     return dataset.select_split(preset, seeds, holdout, _pools(names), executor=executor)
 
 
@@ -264,10 +272,9 @@ def _announce_rendering(preset: str, seeds: Seeds | None) -> None:
         return
     missing, total = dataset.count_unrendered(preset, seeds)
     if missing:
-        typer.echo(
+        note(
             f"{missing} of {total} training clips have to be rendered first. --quick tries the "
-            "training on clips that need no rendering",
-            err=True,
+            "training on clips that need no rendering"
         )
 
 

@@ -9,6 +9,7 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Budgets
+from rlbench.cli.completion import complete_names
 
 TRAINING = "Training"  # title of a group of options
 
@@ -92,6 +93,7 @@ Preset = Annotated[
         "--preset",
         metavar="PRESET",
         help="clips to train on; default: train, or mini with --holdout",
+        autocompletion=complete_names("presets"),
         rich_help_panel=options.CLIPS,
     ),
 ]

@@ -81,7 +81,10 @@ def view(
     from rlbench.benchmark.results import read
     from rlbench.cli.decide import select_scenes
     from rlbench.cli.reports import select_rows
+    from rlbench.system.disk import check_writable
 
+    target = out or results / "report.html"
+    check_writable(target.parent)
     rows = read(results)
     if names := arguments.split_names(methods):
         rows = select_rows(rows, names, results)
@@ -90,7 +93,6 @@ def view(
     images, remarks = read_images(results, rows, clips, spp)
     page = registry.load_or_explain("pages", NAME)
     traits = {name: describe_traits(name) for name in sorted(set(rows["method"]))}
-    target = out or results / "report.html"
     remarks += page.write(rows, target, images, traits, remarks, int(max_mb * 1e6))
     typer.echo(target)
     for remark in remarks:

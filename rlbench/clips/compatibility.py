@@ -27,6 +27,11 @@ def compatibility_summary(header: Header) -> str:
 
 def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
     """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
+    if spp > header.pool_spp:
+        return (
+            f"{spp:g} spp requested, the clip stores {header.pool_spp} samples per pixel; "
+            f"request at most {header.pool_spp} spp"
+        )
     if reason := traits.unsupported_reason(spp):
         return reason
     if traits.pool not in header.pools:
@@ -37,11 +42,6 @@ def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
         buffers = ", ".join(header.buffers)
         hint = "; render the clip with them" if missing <= OPTIONAL_BUFFERS.keys() else ""
         return f"needs buffers {', '.join(sorted(missing))}, the clip has: {buffers}{hint}"
-    if spp > header.pool_spp:
-        return (
-            f"{spp:g} spp requested, the clip has {header.pool_spp} samples per pixel; "
-            f"request at most {header.pool_spp} spp"
-        )
     return None
 
 

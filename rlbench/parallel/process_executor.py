@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,7 +68,7 @@ class ProcessExecutor:
         A job that ends its process (exit, a crash, out of memory) has an ExecutorError. `resources`
         sets the number of torch's threads per process; progress is not reported.
         """
-        queue = deque(jobs)
+        queue, others = deque(jobs), set(multiprocessing.active_children())
         arguments = (work, plugin_files.plugin_files(), resources.cpus)
         count = min(self.processes, len(queue))
         idle = [_start(arguments) for _ in range(count)]
@@ -75,7 +77,8 @@ class ProcessExecutor:
             while queue or running:
                 while queue and idle:
                     job, worker = queue.popleft(), idle.pop()
-                    running[worker.submit(_run, job)] = job, worker
+                    with _ignoring_interrupts():
+                        running[worker.submit(_run, job)] = job, worker
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     job, worker = running.pop(future)
                     is_lost = isinstance(future.exception(), BrokenProcessPool)
@@ -84,12 +87,31 @@ class ProcessExecutor:
         finally:
             for worker in [*idle, *(worker for _, worker in running.values())]:
                 worker.shutdown(wait=False, cancel_futures=True)
+            if running:  # interrupted: nobody waits for these jobs
+                for process in set(multiprocessing.active_children()) - others:
+                    process.terminate()
 
 
 def _start(arguments: tuple[Any, tuple[Path, ...], int]) -> ProcessPoolExecutor:
     """A pool of one process, so that a crash breaks no other job."""
     context = multiprocessing.get_context("spawn")  # a fork would copy torch's threads
     return ProcessPoolExecutor(1, context, initializer=_set_up, initargs=arguments)
+
+
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """Processes that start in this block ignore Ctrl-C, which a terminal sends to all of them.
+
+    The process that started them ends them.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler or signal.default_int_handler)
 
 
 def _set_up(work: Any, plugins: tuple[Path, ...], threads: int) -> None:

@@ -1,6 +1,7 @@
 """Plugins by name: methods, metrics, reports, pools and scenes, imported when they are used."""
 
 from rlbench.errors import PluginError
+from rlbench.registry.demo import demo_methods
 from rlbench.registry.discovery import (
     GROUPS,
     METHODS_VARIABLE,
@@ -40,6 +41,7 @@ __all__ = [
     "PluginExitError",
     "clear_plugins",
     "current_name",
+    "demo_methods",
     "list_entries",
     "exits_as_errors",
     "expand",

@@ -15,9 +15,12 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import importlib.util
+import logging
 import os
 import sys
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +35,7 @@ from rlbench.registry.plugin_files import (
     plugin_files,
     python_file,
 )
+from rlbench.registry.shadowing import shadowing_reason
 
 __all__ = [
     "GROUPS",
@@ -45,8 +49,10 @@ __all__ = [
 
 GROUPS = (
     "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
-    "comparisons", "pages", "image_reports",
+    "comparisons", "pages", "image_reports", "demo",
 )  # fmt: skip
+_logger = logging.getLogger(__name__)
+
 METHODS_VARIABLE = "RLBENCH_METHODS"  # environment variable with further methods
 
 
@@ -93,7 +99,7 @@ def resolve(target: str) -> Any:
     """
     module, _, attribute = target.partition(":")
     file = plugin_file(module)
-    with exits_as_errors():
+    with exits_as_errors(), _naming_what_shadows(module):
         value: Any = import_file(file) if file else importlib.import_module(module)
     for part in attribute.split("."):
         value = getattr(value, part)
@@ -113,7 +119,8 @@ def module_file(target: str) -> Path:
     except ModuleNotFoundError:  # raised for a missing parent package
         spec = None
     if spec is None or not spec.origin:
-        raise PluginError(f"no module '{module}', named by '{target}'. Check that it is installed")
+        reason = shadowing_reason(module) or "Check that it is installed"
+        raise PluginError(f"no module '{module}', named by '{target}'. {reason}")
     return Path(spec.origin)
 
 
@@ -136,8 +143,20 @@ def _read_entry_points(path: tuple[str, ...]) -> Any:
 
 
 def _load(point: importlib.metadata.EntryPoint) -> Any:
-    with exits_as_errors():
+    _logger.debug("%s of %s: %s", point.name, point.group, point.value)
+    with exits_as_errors(), _naming_what_shadows(point.module):
         return point.load()
+
+
+@contextmanager
+def _naming_what_shadows(module: str) -> Iterator[None]:
+    """Raise PluginError where the package of `module` is hidden by a file of the same name."""
+    try:
+        yield
+    except ImportError as error:
+        if reason := shadowing_reason(module):
+            raise PluginError(reason) from error
+        raise
 
 
 def _origin(point: importlib.metadata.EntryPoint) -> str:

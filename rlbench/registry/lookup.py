@@ -9,7 +9,7 @@ from rlbench.errors import PluginError
 from rlbench.family import Family, Traits, Variant
 from rlbench.registry.discovery import list_entries
 from rlbench.registry.entry import PluginEntry
-from rlbench.registry.near_names import suggest
+from rlbench.registry.near_names import unknown_name
 
 __all__ = [
     "current_name",
@@ -102,9 +102,8 @@ def get_variant(name: str) -> Variant:
     parent, name = load_family(name), current_name(name)
     key = name.partition("/")[2]
     if key not in parent.variants or name not in parent.method_names():
-        known = ", ".join(parent.method_names())
-        near = suggest(name, parent.method_names())
-        raise PluginError(f"'{parent.name}' has no variant '{key}'; it has: {known}{near}")
+        problem = f"'{parent.name}' has no variant '{key}'"
+        raise PluginError(unknown_name(problem, name, parent.method_names(), "; it has"))
     return parent.variants[key]
 
 
@@ -145,5 +144,4 @@ def _kind(group: str) -> str:
 
 
 def _unknown(name: str, kind: str, known: Mapping[str, PluginEntry]) -> str:
-    names = ", ".join(known) or "none"
-    return f"'{name}' is not {kind}; there are: {names}{suggest(name, known)}"
+    return unknown_name(f"'{name}' is not {kind}", name, known, "; there are")

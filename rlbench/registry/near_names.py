@@ -1,11 +1,13 @@
-"""Suggests the known name that is nearest to a misspelt one."""
+"""What to say about a name that does not exist: the nearest one that does, and all if few do."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["suggest"]
+__all__ = ["suggest", "unknown_name"]
+
+SHORT_LIST = 8  # names that are all listed beside the nearest one
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
@@ -16,5 +18,24 @@ def suggest(name: str, known: Iterable[str]) -> str:
     >>> suggest("reshade", ["mean", "ours"])
     ''
     """
-    nearest = difflib.get_close_matches(name.lower(), list(known), n=1)
-    return f". Did you mean '{nearest[0]}'?" if nearest else ""
+    by_lower = {each.lower(): each for each in known}
+    nearest = difflib.get_close_matches(name.lower(), list(by_lower), n=1)
+    return f". Did you mean '{by_lower[nearest[0]]}'?" if nearest else ""
+
+
+def unknown_name(
+    problem: str, name: str, known: Iterable[str], introduction: str = "; available"
+) -> str:
+    """An error message: the problem, the known names, and the one nearest to `name`.
+
+    A long list is left out where a name is near. `introduction` comes before the list.
+
+    >>> unknown_name("no preset 'minni'", "minni", ["mini", "paper"])
+    "no preset 'minni'; available: mini, paper. Did you mean 'mini'?"
+    >>> unknown_name("no row 'r77'", "r77", [f"r{n}" for n in range(20)])
+    "no row 'r77'. Did you mean 'r7'?"
+    """
+    names = list(known)
+    nearest = suggest(name, names)
+    listed = f"{introduction}: {', '.join(names) or 'none'}"
+    return f"{problem}{'' if nearest and len(names) > SHORT_LIST else listed}{nearest}"

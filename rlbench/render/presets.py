@@ -9,6 +9,7 @@ from typing import Literal, cast, get_args
 
 from rlbench.clips.header import OPTIONAL_BUFFERS
 from rlbench.errors import RlbenchError
+from rlbench.registry.near_names import unknown_name
 
 __all__ = [
     "GENERATORS",
@@ -208,5 +209,5 @@ def is_test_split(preset: str) -> bool:
 def get_preset(name: str) -> Preset:
     """The preset called `name`. Raises UnknownPresetError, which lists all presets."""
     if name not in PRESETS:
-        raise UnknownPresetError(f"no preset '{name}'; available: {', '.join(PRESETS)}")
+        raise UnknownPresetError(unknown_name(f"no preset '{name}'", name, PRESETS))
     return PRESETS[name]

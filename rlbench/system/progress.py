@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import logging
 from threading import Event, Thread
 from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress, ProgressColumn, Task
 
-__all__ = ["LOG_PERIOD_S", "LoggedProgress", "format_duration"]
+__all__ = ["LOG_PERIOD_S", "LoggedProgress", "format_duration", "is_shown"]
 
 LOG_PERIOD_S = 30.0
 
@@ -31,7 +32,8 @@ class LoggedProgress(Progress):
         **options: Any,
     ) -> None:
         """Columns, console and options of the bar; the default console is standard error."""
-        super().__init__(*columns, console=console or Console(stderr=True), **options)
+        console = console or Console(stderr=True, quiet=not is_shown())
+        super().__init__(*columns, console=console, **options)
         self._log_period_s, self._stopped = log_period_s, Event()
         self._thread = Thread(target=self._log, daemon=True)
 
@@ -57,6 +59,15 @@ class LoggedProgress(Progress):
     def _log(self) -> None:
         while not self._stopped.wait(self._log_period_s):
             self.print_status()
+
+
+def is_shown() -> bool:
+    """Is progress shown? Not where the logger `rlbench` is above WARNING, as `rlbench -q` sets it.
+
+    >>> is_shown()
+    True
+    """
+    return logging.getLogger("rlbench").isEnabledFor(logging.WARNING)
 
 
 def format_duration(seconds: float) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rlbench.clips.header import FILE
 from rlbench.errors import OptionError
+from rlbench.registry.near_names import unknown_name
 from rlbench.render.jobs.preset_clips import render_preset_clips
 from rlbench.system import paths
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from rlbench.parallel.executor import Executor
 
 __all__ = [
-    "EMPTY_SPLIT",
     "QUICK_PREFIX",
     "QUICK_REMARK",
     "TrainingSplit",
@@ -39,9 +39,6 @@ class TrainingSplit(NamedTuple):
     train: list[Path]
     validation: list[Path]
     remark: str = ""  # what users of the weights should know, for their model card
-
-
-EMPTY_SPLIT = TrainingSplit([], [])  # for methods that have nothing to train
 
 
 def select_split(
@@ -168,9 +165,8 @@ def split_holdout(
             f"Choose --preset {allowed}"
         )
     if scene not in scenes:
-        raise OptionError(
-            f"no scene '{scene}' to hold out: preset '{preset}' has: {', '.join(scenes)}"
-        )
+        problem = f"no scene '{scene}' to hold out"
+        raise OptionError(unknown_name(problem, scene, scenes, f": preset '{preset}' has"))
     folders = render_preset_clips(
         [name for name in scenes if name != scene],
         preset,

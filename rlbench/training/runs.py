@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
+from rlbench.system.folder_lock import locked_folder
 from rlbench.training import lr_range_test
 from rlbench.training.config import TrainingConfig
 from rlbench.training.dataset import TrainingSplit
@@ -58,9 +59,15 @@ class TrainingRuns:
             check_budgets(method, self.config)
 
     def train(self, method: str, split: TrainingSplit, held_out_scene: str | None = None) -> Path:
-        """Train a method, resume its run, or reuse it if it is finished; returns the weights."""
+        """Train a method, resume its run, or reuse it if it is finished; returns the weights.
+
+        Raises FolderInUseError where another process trains in the same folder.
+        """
         folder = self.folder(method, held_out_scene)
-        with self.progress_bar(method, self.config.frames) as on_progress:
+        with (
+            locked_folder(folder),
+            self.progress_bar(method, self.config.frames) as on_progress,
+        ):
             result = train(
                 method,
                 split.train,
@@ -86,9 +93,14 @@ class TrainingRuns:
 
 
 def archive_run(folder: Path) -> Path | None:
-    """Rename the folder of a run to NAME.old-N; returns its new path, or None if there is none."""
+    """Rename the folder of a run to NAME.old-N; returns its new path, or None if there is none.
+
+    Raises FolderInUseError where another process trains in it.
+    """
     if not folder.exists():
         return None
+    with locked_folder(folder):
+        pass
     number = 1
     while (archived := folder.with_name(f"{folder.name}.old-{number}")).exists():
         number += 1

@@ -16,10 +16,10 @@ from tests.cli.runner import CHECKOUT, python, rlbench
 from tests.test_readme import check_command
 
 PIPELINE = [
-    *("doctor", "list", "render", "render-scene", "download", "pack", "import", "lint", "new"),
-    *("check", "stress", "speed", "fingerprint", "train", "lr-find", "replay", "crossval", "run"),
-    *("evaluate", "report", "decide", "compare", "images", "view", "regress", "submit", "verify"),
-    "card",
+    *("doctor", "list", "cache", "render", "render-scene", "download", "pack", "import", "lint"),
+    *("new", "check", "stress", "speed", "fingerprint", "train", "lr-find", "replay", "crossval"),
+    *("run", "evaluate", "report", "decide", "compare", "images", "view", "regress", "submit"),
+    *("verify", "card"),
 ]
 HELP_SECONDS = 0.5  # of processor time
 
@@ -105,7 +105,7 @@ def test_what_needs_no_computing_imports_nothing_heavy(words, code):
 
 def test_a_typo_in_a_name_is_answered_with_the_nearest_name(tmp_path):
     out = ("--out", tmp_path / "r")
-    assert rlbench("run", "-m", "uors", *out, code=2).endswith("svgf. Did you mean 'ours'?")
+    assert rlbench("run", "-m", "uors", *out, code=2).endswith("not a method. Did you mean 'ours'?")
     assert "Did you mean 'ours/reinforce'?" in rlbench("run", "-m", "ours/reinforc", *out, code=2)
     assert "Did you mean 'mini'?" in rlbench("render", "--preset", "minni", code=2)
     assert "Did you mean 'temple'?" in rlbench("render", "--scenes", "tempel", code=2)

@@ -45,7 +45,7 @@ def test_methods_that_need_other_channels_are_left_out_and_named(folder):
 
 def test_an_unknown_channel_is_refused_with_those_that_there_are(folder):
     output = rlbench("decide", *COSTS, "--results", folder, "--needs", "albdo", code=2)
-    assert "--needs albdo: no such G-buffer channel; available: albedo, normal" in output
+    assert "--needs albdo: no such G-buffer channel. Did you mean 'albedo'?" in output
 
 
 def test_scenes_select_and_an_unknown_one_is_refused(folder):

@@ -36,7 +36,7 @@ def test_a_metric_that_fails_is_named_and_the_exit_code_is_1(kept, clip_folder, 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--metrics", "psnrr"), "error: 'psnrr' is not a metric; there are: "),
+        (("--metrics", "psnrr"), "error: 'psnrr' is not a metric. Did you mean 'psnr'?"),
         (("--convention", "foo"), "error: --convention foo: 'foo' is no convention"),
         (("--metrics", "relmse", "--convention", "hable"), "relmse takes no convention"),
         (("-m", "svgf"), "no images of svgf on noise; it has eaw, mean on noise"),

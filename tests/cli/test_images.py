@@ -24,7 +24,9 @@ def test_images_writes_the_requested_frame(clip_folder, tmp_path):
 
 
 def test_images_needs_methods(clip_folder):
-    assert "Missing option '--methods'" in rlbench("images", "--clips", clip_folder, code=2)
+    assert "name methods, for example -m ours,mean" in rlbench(
+        "images", "--clips", clip_folder, code=2
+    )
 
 
 def _rename(folder, name):

@@ -93,7 +93,7 @@ def test_former_modes_reach_their_commands(tmp_path):
     assert "a.xml' does not exist" in output
     output = rlbench("train", "--replay", tmp_path / "b.safetensors", code=2)
     assert "b.safetensors' does not exist" in output
-    assert "mean has nothing to train" in rlbench("train", "-m", "mean", "--range-test")
+    assert "mean has nothing to train" in rlbench("train", "-m", "mean", "--range-test", code=2)
 
 
 def test_the_former_name_of_an_import_format_works(tmp_path):

@@ -78,8 +78,8 @@ def test_numbers_that_train_nothing_are_refused(command, words, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["train", "lr-find"])
-def test_a_method_with_nothing_to_train_is_reported(command):
-    assert "mean has nothing to train" in rlbench(command, "-m", "mean")
+def test_a_method_with_nothing_to_train_is_wrong_use(command):
+    assert "error: nothing to train: mean has" in rlbench(command, "-m", "mean", code=2)
 
 
 @pytest.mark.parametrize("command", ["train", "lr-find"])

@@ -54,7 +54,7 @@ STAGES = (
     Stage("reading and writing results", "suite", (
         ("rlbench.benchmark.cell_store", "CellStore.__init__"),
         ("rlbench.benchmark.cell_store", "CellStore.write"),
-        ("rlbench.cli.console", "print_scores"),
+        ("rlbench.benchmark.run_table", "read_outcome"),
     )),
 )  # fmt: skip
 REST = Stage("everything else, with imports", "suite")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import torch
 from rich.console import Console
@@ -12,24 +13,31 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rlbench.checks.conformance.checks import CHECKS
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
 from rlbench.checks.conformance.suite import find_broken_families, run_check, select_methods
-from rlbench.checks.console import print_results
+from rlbench.checks.console import OnResults, print_results
 from rlbench.checks.result import CheckResult, failed, not_applicable
 from rlbench.system.progress import LoggedProgress
 
 COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
 
 
-def check_methods(patterns: Sequence[str], device: torch.device, debug: bool = False) -> bool:
+def check_methods(
+    patterns: Sequence[str],
+    device: torch.device,
+    debug: bool = False,
+    on_results: OnResults | None = None,
+) -> bool:
     """Run all checks on the selected methods and print the results. Returns False if one failed.
 
-    With `all`, a family that cannot be imported has failed. With `debug`, the traceback of an
-    exception follows its line. Raises PluginError for an unknown name.
+    With `debug`, the traceback of an exception follows its line. `on_results` receives the results
+    and the name of each method in place of the printing. With `all`, a family that cannot be
+    imported has failed. Raises PluginError for an unknown name.
     """
-    console = Console()
+    console = Console(quiet=on_results is not None)
+    show = on_results or partial(print_results, console=console)
     broken = find_broken_families() if "all" in patterns else {}
     for name, error in broken.items():
         fix = "correct the module named in the error; `rlbench list methods` shows it again"
-        print_results([failed("be importable", error, fix)], console, title=name)
+        show([failed("be importable", error, fix)], title=name)
     methods = select_methods(patterns, device)
     noun = "method" if len(methods) == 1 else "methods"
     nonconforming = list(broken)
@@ -43,7 +51,7 @@ def check_methods(patterns: Sequence[str], device: torch.device, debug: bool = F
         task = bar.add_task("checking", total=len(methods) * len(CHECKS))
         for each in methods:
             results = _results(each, console, bar, task, debug)
-            if not print_results(results, console, title=each.name):
+            if not show(results, title=each.name):
                 nonconforming.append(each.name)
     summary = f"failed: {', '.join(nonconforming)}" if nonconforming else "none failed"
     console.print(f"{len(methods)} {noun} checked; {summary}")

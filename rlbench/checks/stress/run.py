@@ -18,6 +18,8 @@ from rlbench.checks.stress.runner import default_executor, is_for_suite, plan_jo
 from rlbench.checks.stress.sections import select_sections
 from rlbench.checks.stress.tables import write_tables
 from rlbench.parallel.executor import Executor
+from rlbench.system.folder_lock import locked_folder
+from rlbench.system.progress import is_shown
 
 __all__ = ["stress_methods"]
 
@@ -36,7 +38,8 @@ def stress_methods(
     No pattern selects all pretrained rows that have weights of their own or none, no section all
     sections; with patterns, those of the suite run only if they are named. Returns False if a test
     failed, or if `all` left out a family that cannot be imported. Raises PluginError for an unknown
-    method and OptionError for an unknown section.
+    method, OptionError for an unknown section, and FolderInUseError where another process writes to
+    `out`.
     """
     broken: list[str] = []
     rows_of = ["all/*" if pattern == "all" else pattern for pattern in patterns or ["all"]]
@@ -49,13 +52,15 @@ def stress_methods(
     jobs = plan_jobs(methods, selected, is_quick, device)
     executor = executor or default_executor(device, len(jobs))
     console, results = Console(), dict[StressJob, tuple[StressResult, ...]]()
-    for finished in run_jobs(jobs, out, executor, is_restart):
-        results[finished.job] = finished.results
-        origin = ", from an earlier run" if finished.is_stored else ""
-        sys.stderr.write(f"[{len(results)}/{len(jobs)}] {finished.job.title}{origin}\n")
-        print_job(finished.job.title, finished.results, console)
-    rows = [row for job in jobs for row in results[job]]
-    files = write_tables(rows, out, is_quick, str(device))
+    with locked_folder(out):
+        for finished in run_jobs(jobs, out, executor, is_restart):
+            results[finished.job] = finished.results
+            origin = ", from an earlier run" if finished.is_stored else ""
+            if is_shown():
+                sys.stderr.write(f"[{len(results)}/{len(jobs)}] {finished.job.title}{origin}\n")
+            print_job(finished.job.title, finished.results, console)
+        rows = [row for job in jobs for row in results[job]]
+        files = write_tables(rows, out, is_quick, str(device))
     for line in [*map(str, files), *(f"failed: {message}" for message in broken)]:
         console.print(line, highlight=False, soft_wrap=True, markup=False)
     print_summary(rows, console)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from rlbench.parallel.executor import LOCAL, Executor, JobResult
 from rlbench.parallel.process_executor import ProcessExecutor
 
 __all__ = ["FinishedJob", "default_executor", "is_for_suite", "plan_jobs", "run_jobs"]
+
+_logger = logging.getLogger(__name__)
 
 PROCESSES = 2  # at once; a method at 1080p takes up to 4 GB
 
@@ -60,6 +63,7 @@ def run_jobs(
         if results is None:
             missing.append(job)
         else:
+            _logger.info("%s: in the results already", job.title)
             yield FinishedJob(job, results, is_stored=True)
     for finished in executor.map(SectionWork(), missing):
         outcome = _outcome(finished)

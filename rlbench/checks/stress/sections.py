@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from rlbench import registry
 from rlbench.errors import OptionError, PluginError
+from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     from rlbench.checks.stress.section import MethodSection, SuiteSection
@@ -52,9 +53,8 @@ def select_sections(names: Iterable[str] = ()) -> list[str]:
     """
     installed, selected = list_sections(), list(names)
     if unknown := [name for name in selected if name not in installed]:
-        raise OptionError(
-            f"--only {','.join(unknown)}: no such section; there are: {', '.join(installed)}"
-        )
+        problem = f"--only {','.join(unknown)}: no such section"
+        raise OptionError(unknown_name(problem, unknown[0], installed, "; there are"))
     return [name for name in installed if not selected or name in selected]
 
 

@@ -28,24 +28,20 @@ def render_preset_clips(
 
     `radiance_cap` and extra G-buffer `buffers` select a variant of the preset, in folders of its
     own. `scenes`, seeds of generated scenes, and `takes` (main or all) replace those of the preset.
-    Of its sample pools only the given kinds are rendered; default all. Raises OptionError for an
-    unknown preset or scene, and PresetError for other values.
+    Of its sample pools only the given kinds are rendered; default all. Raises UnknownPresetError
+    and OptionError for an unknown preset or scene, and PresetError for other values.
     """
     from rlbench import registry
     from rlbench.parallel.executor import LOCAL
-    from rlbench.registry.near_names import suggest
+    from rlbench.registry.near_names import unknown_name
     from rlbench.render.jobs.render_clips import ensure
-    from rlbench.render.presets import PRESETS
+    from rlbench.render.presets import get_preset
 
-    if preset not in PRESETS:
-        near = suggest(preset, PRESETS)
-        raise OptionError(f"no preset '{preset}'; available: {', '.join(PRESETS)}{near}")
+    selected = get_preset(preset)
     installed = registry.list_plugins("scenes")
     for name in scenes or ():
         if not {name, name.rpartition("-")[0]} & set(installed):
-            near = suggest(name, installed)
-            raise OptionError(f"no scene '{name}'; available: {', '.join(installed)}{near}")
-    selected = PRESETS[preset]
+            raise OptionError(unknown_name(f"no scene '{name}'", name, installed))
     if radiance_cap is not None:
         selected = selected.with_radiance_cap(radiance_cap)
     if buffers:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import importlib.metadata
+import logging
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -43,6 +44,8 @@ __all__ = [
     "scene_of_clip",
     "selected_names",
 ]
+
+_logger = logging.getLogger(__name__)
 
 TRIAL_SPP = 8  # samples per pixel that are traced to estimate the rendering time
 
@@ -99,7 +102,11 @@ def render_missing(
     Pools other than the path tracer's are added last, always on this machine: their samples depend
     on earlier frames.
     """
-    if unfinished := [job for job in jobs if not job.is_finished]:
+    unfinished = [job for job in jobs if not job.is_finished]
+    for job in jobs:
+        status = f"{len(job.missing_frames)} frames missing" if job in unfinished else "finished"
+        _logger.info("clip %s: %s, in %s", job.name, status, job.folder)
+    if unfinished:
         with progress.new_or_given_bar(bar, executor) as active_bar:
             _render_all(unfinished, active_bar, executor)
     if missing := extra_pools.find_missing_pools(jobs):

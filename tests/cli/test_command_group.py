@@ -1,0 +1,187 @@
+"""What all commands share: names with and without -m, verbosity, Ctrl-C, pipes, full disks."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from rlbench import registry
+from rlbench.benchmark import results as table
+from rlbench.cli.app import COMMANDS, app
+from rlbench.cli.interruption import KEPT, what_is_kept
+from rlbench.system.folder_lock import LOCK_FILE, locked_folder
+from tests.cli.runner import CHECKOUT, ENVIRONMENT, rlbench
+from tests.conftest import write_plugin
+from tests.test_readme import click_commands
+
+RLBENCH = [sys.executable, "-m", "rlbench"]
+
+
+def commands_with_methods() -> list[str]:
+    """The commands whose bare words are methods."""
+    return [name for name, each in click_commands().items() if each.takes_bare_methods]
+
+
+def test_bare_words_are_methods_where_a_command_has_no_argument():
+    expected = {"check", "compare", "crossval", "decide", "fingerprint", "images", "lr-find"}
+    expected |= {"regress", "run", "speed", "stress", "train"}
+    assert set(commands_with_methods()) == expected
+
+
+@pytest.mark.parametrize("command", commands_with_methods())
+def test_methods_may_stand_alone_and_the_help_shows_one_form(command):
+    parser = click_commands()[command].make_context
+    for words in (["ours,ntas", "mean"], ["-m", "ours,ntas", "-m", "mean"], ["ours,ntas", "-m=x"]):
+        context = parser(command, words, resilient_parsing=True)
+        assert len(context.params["methods"]) == 2
+    text = CliRunner().invoke(app, [command, "--help"]).output
+    assert f"Usage: root {command} [OPTIONS]\n" in text
+    assert "-m, --methods" in text
+
+
+def test_a_command_without_methods_refuses_bare_words():
+    assert "unexpected extra argument(s) (city)" in rlbench("render", "city", code=2)
+
+
+def test_compare_needs_two_names():
+    assert "name two rows, for example -m ours,oidn; 1 are named" in rlbench(
+        "compare", "ours", code=2
+    )
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_h_is_help(command):
+    words = (command,) if command else ()
+    assert rlbench(*words, "-h") == rlbench(*words, "--help")
+
+
+def test_a_run_without_methods_measures_the_rows_of_the_demo_and_says_so(clip_folder, tmp_path):
+    rows = registry.demo_methods()
+    words = ("run", "--clips", clip_folder, "--spp", 1, "--scores-only", "--limit-frames", 1)
+    output = rlbench(*words, "--out", tmp_path / "r")
+    note = f"rows of a first run: {', '.join(rows)}; -m all runs one row of every method"
+    assert output.startswith(note)
+    assert set(table.read(tmp_path / "r")["method"]) == set(rows)
+
+
+def test_make_demo_runs_the_same_rows():
+    assert set(registry.demo_methods()) == {"mean", "ntas", "oidn", "oidn/tuned", "ours"}
+    (line,) = re.findall(r"rlbench run .*--keep-images.*", (CHECKOUT / "Makefile").read_text())
+    assert "--methods" not in line
+    assert "-m" not in line.split()
+
+
+def test_a_plugin_joins_the_rows_of_a_first_run(tmp_path):
+    registry.use_plugin(write_plugin(tmp_path / "mine.py", "mine"))
+    assert registry.demo_methods()[-1] == "mine"
+
+
+def test_quiet_prints_results_alone_and_verbose_each_step(run_mean):
+    words = (*run_mean, "--spp", 1, "--bf16", "--scores-only")
+    note, step = "--bf16 and --weights have no effect", "rlbench.benchmark.runner: mean on noise"
+    quiet = rlbench(*words, "-q")
+    assert "passed" in quiet
+    assert note not in quiet
+    assert step not in quiet
+    verbose = rlbench("--verbose", *words)
+    assert note in verbose
+    assert re.search(rf"\d\d:\d\d:\d\d\.\d+ {step} at 1 spp, seed 0: in the results", verbose)
+
+
+def test_quiet_and_verbose_contradict():
+    assert "Omit one" in rlbench("list", "-v", "-q", code=2)
+
+
+@pytest.mark.usefixtures("interrupts")
+def test_ctrl_c_says_what_is_kept_and_the_same_command_continues(clip_folder, tmp_path):
+    flag = tmp_path / "flag"
+    flag.touch()
+    body = (
+        f"import os, signal; os.path.exists({str(flag)!r}) and (os.remove({str(flag)!r}), "
+        "signal.raise_signal(signal.SIGINT)); return samples.mean, None"
+    )
+    plugin = write_plugin(tmp_path / "slow.py", "slow", body=body)
+    words = ("run", "mean,slow", "--plugin", plugin, "--clips", clip_folder, "--spp", 1)
+    words = (*words, "--scores-only", "--out", tmp_path / "r")
+    output = rlbench(*words, code=130)
+    kept = f"interrupted: finished cells are kept in {tmp_path}/r. The same command continues"
+    assert kept in output
+    assert "1 cells measured, 1 already in the results" in rlbench(*words)
+
+
+def test_the_commands_that_continue_say_what_they_keep():
+    assert KEPT.keys() >= {"run", "render", "train", "stress", "crossval", "evaluate"}
+    assert KEPT.keys() <= COMMANDS.keys()
+    assert "kept in a/evaluated" in what_is_kept("evaluate", {"results": "a", "out": None})
+    assert what_is_kept("decide", {}) == "interrupted: nothing was kept"
+
+
+@pytest.mark.parametrize("words", [["list"], ["list", "--json"], ["cache"]])
+def test_a_reader_that_goes_away_ends_a_command_quietly(tmp_path, words):
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = subprocess.run(
+        [*RLBENCH, *words],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**ENVIRONMENT, "RLBENCH_CACHE": str(tmp_path)},
+        check=False,
+    )
+    os.close(writer)
+    assert process.stderr == ""
+    assert process.returncode == 141
+
+
+def test_a_second_run_into_the_same_folder_is_refused(run_mean, tmp_path):
+    with locked_folder(tmp_path / "r"):
+        output = rlbench(*run_mean, code=2)
+    assert f"another rlbench (process {os.getpid()} on " in output
+    assert f"writes to {tmp_path}/r. Wait until it ends and repeat the command" in output
+    rlbench(*run_mean, "--spp", 1, "--scores-only")
+    assert not (tmp_path / "r" / LOCK_FILE).exists()
+
+
+def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, small_disk):
+    words = (*run_mean[:-1], small_disk / "r", "--spp", "1,2,3,4,5,6,7,8", "--scores-only")
+    output = rlbench(*words, code=2)
+    assert re.search(r"error: \S+.* cannot be written .* has \d+ bytes free", output)
+    assert output.endswith("--out names another folder")
+    assert 0 < len(table.cells(small_disk / "r")) < 8
+
+
+def test_a_full_disk_is_found_before_the_run(run_mean, small_disk, monkeypatch):
+    (small_disk / "rest").write_bytes(bytes(os.statvfs(small_disk).f_bavail * 4096))
+    output = rlbench(*run_mean[:-1], small_disk / "r", code=2)
+    assert f"No space left on device; {small_disk} has 0 bytes free" in output
+    assert output.endswith("name another folder by --out")
+    monkeypatch.setenv("RLBENCH_CACHE", str(small_disk / "c"))
+    output = rlbench("render", code=2)
+    assert output.endswith("name another folder by the variable RLBENCH_CACHE")
+
+
+OUT = [  # commands that write, up to the option for the folder
+    ("run", "mean", "--clips", "CLIP"),
+    ("images", "mean", "--clips", "CLIP"),
+    ("speed", "mean"),
+    ("stress", "mean"),
+    ("fingerprint", "mean", "--clips", "CLIP"),
+    ("train", "oidn/tuned"),
+    ("lr-find", "oidn/tuned"),
+    ("crossval", "mean"),
+]
+
+
+@pytest.mark.parametrize("words", OUT, ids=lambda words: words[0])
+def test_an_output_folder_below_a_file_is_found_at_once(words, clip_folder, tmp_path):
+    (tmp_path / "file").touch()
+    words = [clip_folder if word == "CLIP" else word for word in words]
+    output = rlbench(*words, "--out", tmp_path / "file" / "r", code=2)
+    assert f"nothing can be written to {tmp_path}/file/r" in output
+    assert "name another folder by --out" in output
+    assert not (tmp_path / "cache").exists()

@@ -1,0 +1,136 @@
+"""What a user sees after a frequent mistake: one row each, with the words that help."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from rlbench.benchmark.cost_profile import CostError, profile
+from tests.cli.runner import ENVIRONMENT, rlbench
+from tests.clips.importers.sources import write_oidn
+from tests.conftest import write_noise, write_plugin
+
+Words = tuple[object, ...]
+
+
+class Mistake(NamedTuple):
+    """A command with a mistake, its exit code and a pattern of what it has to print."""
+
+    words: Callable[[Path], Words]
+    pattern: str
+    code: int = 2
+
+
+def own_clip(folder: Path, *options: object) -> Words:
+    clip = write_noise(folder / "clips" / "city", "imported-city")
+    return ("run", "mean", "--clips", clip, "--spp", 1, "--out", folder / "r", *options)
+
+
+def nan_method(folder: Path) -> Words:
+    body = "return samples.mean * float('nan'), None"
+    plugin = write_plugin(folder / "nan.py", "nan", body=body)
+    return (*own_clip(folder, "--plugin", plugin), "-m", "nan")
+
+
+def cost_file(folder: Path) -> Words:
+    (folder / "mine.toml").write_text('title = "mine"\nsample_ms = 4.2\n')
+    return own_clip(folder, "--cost", folder / "mine.toml")
+
+
+def dump(folder: Path) -> Words:
+    write_oidn(folder / "dump", frames=1, seeds=1)
+    return ("run", "-m", "mean", "--clips", folder / "dump", "--out", folder / "r")
+
+
+def run(*words: object) -> Callable[[Path], Words]:
+    return lambda folder: ("run", *words, "--out", folder / "r")
+
+
+TABLE = {
+    "a method with a typo": Mistake(
+        run("-m", "uors"), r"error: 'uors' is not a method\. Did you mean 'ours'\?$"
+    ),
+    "more spp than a preset stores": Mistake(
+        run("-m", "mean", "--spp", 16), "clips of preset 'mini' store 8 samples per pixel"
+    ),
+    "more spp than a clip stores": Mistake(
+        lambda folder: (*own_clip(folder), "--spp", 16),
+        "no psnr on city: 16 spp requested, the clip stores 8 samples per pixel; request at most 8",
+        code=1,
+    ),
+    "a method whose image is all NaN": Mistake(
+        nan_method, "nan: 480 of 480 pixels not finite in frame 0 of city at 1 spp", code=1
+    ),
+    "an own clip without a cost": Mistake(
+        own_clip,
+        r"give your renderer's time: --cost mine.toml \(docs/how-to/charge-your-renderer.md\)",
+        code=0,
+    ),
+    "a cost file that lacks keys": Mistake(
+        cost_file,
+        "missing: source, device, height, width, default_ms, scene_ms; unknown: sample_ms",
+    ),
+    "a method without weights to train": Mistake(
+        lambda folder: ("train", "-m", "mean", "--out", folder / "r"),
+        "error: nothing to train: mean has nothing to train",
+    ),
+    "a device that torch does not know": Mistake(
+        run("-m", "mean", "--device", "gpu"),
+        r"error: device gpu cannot be used on this machine, it is not known\. "
+        r"Use cpu, cuda or auto$",
+    ),
+    "a folder that does not exist": Mistake(
+        run("-m", "mean", "--clips", "nowhere"), "error: nowhere does not exist. Name a folder"
+    ),
+    "a folder of EXR files": Mistake(
+        dump, "dump holds EXR files and no clip. To make clips of them: rlbench import .*dump"
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", TABLE.values(), ids=TABLE)
+def test_a_mistake_is_answered_with_what_helps(tmp_path, mistake):
+    output = rlbench(*mistake.words(tmp_path), code=mistake.code)
+    assert re.search(mistake.pattern, output), output
+    assert "Traceback" not in output
+
+
+@pytest.mark.parametrize("name", [n for n, mistake in TABLE.items() if mistake.code == 2])
+def test_a_wrong_option_costs_no_rendering_and_writes_nothing(tmp_path, name):
+    rlbench(*TABLE[name].words(tmp_path), code=2)
+    assert not (tmp_path / "r").exists()
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(
+    ("package", "kind"),
+    [
+        ("metrics", "metrics"),
+        ("baselines", "methods"),
+        ("methods", "methods"),
+        ("reports", "reports"),
+    ],
+)
+def test_a_file_that_shadows_a_package_is_named(tmp_path, package, kind):
+    file = tmp_path / f"{package}.py"
+    file.write_text("")
+    command = [sys.executable, "-m", "rlbench", "list", kind, "--json"]
+    process = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, env=ENVIRONMENT, check=False
+    )
+    advice = "run from another folder, or rename that file"
+    assert f"`{package}` is shadowed by {file}: {advice}" in process.stdout
+    assert process.returncode == 1
+
+
+def test_a_cost_file_with_one_missing_key_names_it_alone(tmp_path):
+    text = 'title = "t"\nsource = "s"\ndevice = "d"\nheight = 8\nwidth = 8\ndefault_ms = 1.0\n'
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(CostError, match=r"cannot be read: missing: scene_ms\. docs/how-to/"):
+        profile(str(tmp_path / "mine.toml"))
