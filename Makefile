@@ -37,7 +37,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact site test test-all format clean
+.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact teaser site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -149,6 +149,12 @@ training: .venv/run.stamp
 # one frame of each scene; resumes if it was killed; make contact SPP=64 is quick
 contact: .venv/run.stamp
 	$(BIN)/python -m rlbench.render.jobs.contact_sheet docs/results/scenes.png --spp $(SPP)
+
+# the animation of the README: a minute of scoring
+teaser: .venv/dev.stamp
+	$(BIN)/rlbench run -m mean,oidn,ours --preset mini --spp 1 --scenes city --keep-images --scores-only --out $(RESULTS)/teaser
+	$(BIN)/rlbench video $(RESULTS)/teaser -m mean,oidn,ours --titles 'noisy samples,denoiser without memory,ours' --samples --columns 2 --crop 0,40,192,144 --fps 6 --quality 80 --out $(RESULTS)/teaser/video
+	cp $(RESULTS)/teaser/video/city-1spp-mean-oidn-ours.webp docs/results/teaser.webp
 
 # documentation and results as a site, in site/; a broken link or an undocumented name fails it
 # results are those of the shipped baseline, or of folders: make site SITE_RESULTS=results

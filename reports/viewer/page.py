@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +16,7 @@ import pandas as pd
 
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.verdicts import TIE_DB
+from reports.layout.finished_file import finished_file
 from reports.layout.page import describe_clips
 from reports.layout.tables import UNRELIABLE_MARK
 from reports.viewer.decision_data import decision_data, student_factors
@@ -69,7 +68,8 @@ def write(
     }
     frame = _render(data, [], math.nan)
     texts, error = pack_clips(chosen, max_bytes - len(frame.encode()) - FEW_BYTES)
-    _write_whole(file, _render(data, texts, error))
+    with finished_file(file) as temporary:
+        temporary.write_text(_render(data, texts, error), encoding="utf-8")
     return left_out
 
 
@@ -146,17 +146,3 @@ def _colours(name: str) -> str:
     """256 colours of a map, RGB, as base64."""
     colours = mpl.colormaps[name](np.arange(256) / 255.0)[:, :3]
     return base64.b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode()
-
-
-def _write_whole(file: Path, text: str) -> None:
-    """Write a file that appears whole or not at all."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, file)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

@@ -27,6 +27,8 @@ class ShownImages:
 
     method: str  # name of the rows
     target_spp: float
+    seed: int  # of the sample order
+    device: str  # model name
     frames: Float16[Array, "t 3 h w"]  # linear radiance
     counts: Float16[Array, "t h w"]  # samples of each pixel
 
@@ -50,6 +52,7 @@ class ShownClips:
     """Clips with their images; each is read when it is its turn, so that one at a time is held."""
 
     kept: tuple[tuple[StoredSource, tuple[KeptImages, ...]], ...] = ()
+    buffers: frozenset[str] = frozenset(BUFFERS)  # channels of the G-buffer to read
 
     def __len__(self) -> int:
         """Number of clips."""
@@ -57,7 +60,7 @@ class ShownClips:
 
     def __iter__(self) -> Iterator[ShownClip]:
         """Read the clips in their order."""
-        return (_read_clip(source, images) for source, images in self.kept)
+        return (_read_clip(source, images, self.buffers) for source, images in self.kept)
 
 
 def find_shown_clips(
@@ -65,11 +68,13 @@ def find_shown_clips(
     clips: Sequence[StoredSource],
     methods: Collection[str],
     target_spp: Collection[float],
+    buffers: Collection[str] = BUFFERS,
 ) -> ShownClips:
     """Each of `clips` with the images that a results folder keeps of these methods and budgets.
 
-    Clips without images are left out. Of several seeds or devices the first is shown. Raises
-    EvaluationError where there are no images, or where a clip has changed since.
+    Clips without images are left out, and G-buffer channels that are not among `buffers`. Of
+    several seeds or devices the first is shown. Raises EvaluationError where there are no images,
+    or where a clip has changed since.
     """
     first: dict[CellKey, KeptCell] = {}  # without seed and device
     for kept in sorted(
@@ -78,13 +83,16 @@ def find_shown_clips(
         if kept.cell.key.target_spp in target_spp:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
     images = [tuple(kept.images for kept in first.values() if kept.clip is clip) for clip in clips]
-    return ShownClips(tuple((clip, own) for clip, own in zip(clips, images, strict=True) if own))
+    shown = tuple((clip, own) for clip, own in zip(clips, images, strict=True) if own)
+    return ShownClips(shown, frozenset(buffers))
 
 
-def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:
+def _read_clip(
+    source: StoredSource, kept: Sequence[KeptImages], buffers: Collection[str]
+) -> ShownClip:
     header = source.header
     length = max(map(len, kept))
-    inputs = frozenset(BUFFERS) & set(header.buffers)
+    inputs = frozenset(buffers) & set(header.buffers)
     clip = open_clip(source.folder, inputs, max_samples=1, pool=header.pools[0])
     frames = [clip.frame(index) for index in range(length)]
     names = [name for name in BUFFERS if name in frames[0].gbuffer.buffers]
@@ -105,9 +113,12 @@ def _read_clip(source: StoredSource, kept: Sequence[KeptImages]) -> ShownClip:
 
 def _read_images(kept: KeptImages) -> ShownImages:
     frames = [kept.frame(index) for index in range(len(kept))]
+    key = kept.cell.key
     return ShownImages(
-        kept.cell.key.method,
-        kept.cell.key.target_spp,
+        key.method,
+        key.target_spp,
+        key.seed,
+        key.device,
         np.stack([frame.image for frame in frames]),
         np.stack([frame.counts for frame in frames]),
     )

@@ -34,6 +34,7 @@ from rlbench.cli.training import lr_find, replay, train
 from rlbench.cli.user_scene import render_scene
 from rlbench.cli.verbosity import set_verbosity
 from rlbench.cli.verify import verify
+from rlbench.cli.video import video
 from rlbench.cli.view import view
 
 __all__ = ["app"]
@@ -129,6 +130,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "compare": compare,
     "images": images,
     "view": view,
+    "video": video,
     "regress": regress,
     "submit": submit,
     "verify": verify,

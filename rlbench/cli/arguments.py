@@ -14,6 +14,7 @@ import typer
 
 __all__ = [
     "Budgets",
+    "Crop",
     "Definition",
     "PixelSize",
     "PixelSizes",
@@ -22,6 +23,7 @@ __all__ = [
     "expand_methods",
     "parse_age",
     "parse_budgets",
+    "parse_crop",
     "parse_definition",
     "parse_positive",
     "parse_seeds",
@@ -39,6 +41,7 @@ Budgets = NewType("Budgets", tuple[float, ...])  # samples per pixel
 Seeds = NewType("Seeds", tuple[int, ...])
 PixelSize = NewType("PixelSize", tuple[int, int])  # height, width
 PixelSizes = NewType("PixelSizes", tuple[PixelSize, ...])
+Crop = NewType("Crop", tuple[int, int, int, int])  # x, y, width, height
 Definition = NewType("Definition", tuple[str, str])  # name, value
 
 VIDEO_SIZES = {"720p": "1280x720", "1080p": "1920x1080", "1440p": "2560x1440", "4k": "3840x2160"}
@@ -172,6 +175,19 @@ def parse_sizes(text: str) -> PixelSizes:
     if not sizes:
         raise typer.BadParameter(f"'{text}' has no size. Give for example 192,640x480,1080p")
     return PixelSizes(tuple(sizes))
+
+
+@text_parser
+def parse_crop(text: str) -> Crop:
+    """Left, top, width and height in pixels of X,Y,WIDTH,HEIGHT.
+
+    >>> parse_crop("16,0,64,48")
+    (16, 0, 64, 48)
+    """
+    if not re.fullmatch(r"\d+(,\d+){3}", text, re.ASCII):
+        raise typer.BadParameter(f"'{text}' is no part of a frame. Give X,Y,WIDTH,HEIGHT in pixels")
+    x, y, width, height = map(int, text.split(","))
+    return Crop((x, y, width, height))
 
 
 @text_parser

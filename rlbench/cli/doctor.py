@@ -25,6 +25,7 @@ EXTRAS = {  # extra: what it adds, and a module of each of its packages
     "flip": ("FLIP and HDR-FLIP in rlbench evaluate", ("flip_evaluator",)),
     "cvvdp": ("ColorVideoVDP in rlbench evaluate", ("pycvvdp",)),
     "lpips": ("LPIPS in rlbench evaluate", ("lpips",)),
+    "video": ("MP4 files in rlbench video", ("imageio_ffmpeg",)),
     "dev": ("tools for make test", ("pytest", "ruff", "mypy", "importlinter", "hypothesis")),
 }
 

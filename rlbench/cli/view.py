@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,9 +17,18 @@ from rlbench.errors import OptionError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rlbench.benchmark.cell_images import KeptImages
+    from rlbench.benchmark.clip_sources import StoredSource
     from rlbench.benchmark.shown_clips import ShownClip, ShownClips
 
-__all__ = ["describe_traits", "find_images", "nearest_to_one", "read_images", "view"]
+__all__ = [
+    "describe_traits",
+    "find_images",
+    "find_sources",
+    "nearest_to_one",
+    "read_images",
+    "view",
+]
 
 NAME = "viewer"  # of the page, among the entry points
 
@@ -144,7 +153,6 @@ def find_images(
 
     Raises OptionError for a budget in `spp` without images; the default is that nearest to 1 spp.
     """
-    from rlbench.benchmark.api import select_clips
     from rlbench.benchmark.cell_images import list_images
     from rlbench.benchmark.shown_clips import ShownClips, find_shown_clips
 
@@ -160,21 +168,38 @@ def find_images(
             f"--spp: no images at {_join(unknown)} spp; the results keep {_join(known)}"
         )
     budgets = spp or (nearest_to_one(known),)
+    try:
+        sources = find_sources(kept, clips)
+    except OptionError as error:
+        return ShownClips(), str(error)
+    return find_shown_clips(results, sources, methods, budgets), ""
+
+
+def find_sources(
+    kept: Collection[KeptImages], clips: list[Path] | None = None
+) -> Sequence[StoredSource]:
+    """The clips that images show: folders, or those of the presets, rendered where they lack.
+
+    Raises OptionError where a clip has no preset, and no folder is given.
+    """
+    from rlbench.benchmark.api import select_clips
+
     if clips:
-        return find_shown_clips(results, select_clips(clips), methods, budgets), ""
+        return select_clips(clips)
     by_preset: dict[str, set[str]] = {}
     for each in kept:
         by_preset.setdefault(each.cell.key.preset, set()).add(each.cell.key.clip)
     if strangers := by_preset.pop("", None):
-        reason = f"the preset of {', '.join(sorted(strangers))} is not known"
-        return ShownClips(), f"{reason}; name the folder with --clips"
+        raise OptionError(
+            f"the preset of {', '.join(sorted(strangers))} is not known; name the folder with "
+            "--clips"
+        )
     pools = {each.pool for each in kept}
-    sources = [
+    return [
         source
         for preset, own in sorted(by_preset.items())
         for source in select_clips(None, sorted(own), preset, pool_kinds=pools)
     ]
-    return find_shown_clips(results, sources, methods, budgets), ""
 
 
 def _join(budgets: Collection[float]) -> str:

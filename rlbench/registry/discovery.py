@@ -49,7 +49,7 @@ __all__ = [
 
 GROUPS = (
     "methods", "metrics", "reports", "pools", "scenes", "stress", "decisions",
-    "comparisons", "pages", "image_reports", "demo",
+    "comparisons", "pages", "image_reports", "demo", "videos",
 )  # fmt: skip
 _logger = logging.getLogger(__name__)
 

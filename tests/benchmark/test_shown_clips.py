@@ -45,3 +45,8 @@ def test_a_clip_that_has_changed_is_an_error(plan, tmp_path):
     changed = run_plan(plan.clips[0].folder).clips
     with pytest.raises(EvaluationError, match="show a clip with digest"):
         find_shown_clips(tmp_path / "r", changed, ["mean"], [1.0])
+
+
+def test_only_the_buffers_that_are_named_are_read(plan, tmp_path):
+    (shown,) = find_shown_clips(tmp_path / "r", plan.clips, ["mean"], [2.0], buffers=["depth"])
+    assert list(shown.buffers) == ["depth"]
