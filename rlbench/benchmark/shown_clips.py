@@ -83,8 +83,8 @@ def find_shown_clips(
         if kept.cell.key.target_spp in target_spp:
             first.setdefault(replace(kept.cell.key, seed=0, device=""), kept)
     images = [tuple(kept.images for kept in first.values() if kept.clip is clip) for clip in clips]
-    shown = tuple((clip, own) for clip, own in zip(clips, images, strict=True) if own)
-    return ShownClips(shown, frozenset(buffers))
+    kept_by_clip = tuple((clip, own) for clip, own in zip(clips, images, strict=True) if own)
+    return ShownClips(kept_by_clip, frozenset(buffers))
 
 
 def _read_clip(
