@@ -30,9 +30,9 @@ def open_tracer(
 
 def describe_tracer() -> str:
     """Variant and threads of this machine's tracer, on which its times depend."""
-    import drjit as dr
-
     variant = llvm.select_variant()
+    import drjit as dr  # only now: it loads LLVM on import
+
     return variant if variant.startswith("cuda") else f"{variant}, {dr.thread_count()} threads"
 
 

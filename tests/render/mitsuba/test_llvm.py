@@ -151,3 +151,21 @@ def test_a_library_that_needs_a_missing_one_says_which(tmp_path, monkeypatch):
     (library,) = llvm.find_libraries()
     assert "libc++.so.1: cannot open shared object file" in library.unusable_reason
     assert not (tmp_path / "empty" / "llvm.json").exists()  # probed again once it is installed
+
+
+def test_no_first_call_loads_dr_jit_before_its_library_is_chosen():
+    script = """
+import sys
+from rlbench.render.mitsuba import llvm
+from rlbench.render.mitsuba.open_tracer import describe_tracer
+
+configure = llvm._configure_drjit
+def check(library):
+    assert "drjit" not in sys.modules
+    configure(library)
+llvm._configure_drjit = check
+print(describe_tracer())
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "_rgb" in done.stdout
