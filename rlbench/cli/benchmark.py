@@ -13,6 +13,7 @@ from rlbench.cli.arguments import Seeds, WeightsChoice
 from rlbench.cli.plugins import load_plugins
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
+from rlbench.system.openmp import wait_asleep
 
 __all__ = ["run", "warn_without_networks"]
 
@@ -121,6 +122,8 @@ def run(
       rlbench run -m all --preset standard --takes main --engine ray --out large
     """
     seeds = _orders(seed, draws)
+    if scores_only:
+        wait_asleep()  # before a plugin imports torch
     load_plugins(plugin)
     names = _select_methods(methods)  # before torch
     chosen = weights or WeightsChoice()
