@@ -10,7 +10,7 @@ import pandas as pd
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
-from reports.analysis.multiplicity import difference_notes
+from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.analysis.network_sizes import BASE, SIZES, nearest_budget, select_sizes
 from reports.analysis.variant_differences import differences
 from reports.analysis.verdicts import VERDICT_NOTE
@@ -30,6 +30,7 @@ from rlbench.benchmark.results import MissingRowsError
 __all__ = ["write"]
 
 TIMES = ("plan_ms", "denoise_ms", "inference_ms")
+LATENCY = "equal time"
 
 
 def write(
@@ -59,22 +60,30 @@ def write(
 
 
 def _section(scores: Scores, seed: int, draws: int) -> Section:
-    gaps = differences(scores, BASE, seed, draws)
-    latencies = measure_sizes(scores, seed, draws)
+    gaps = differences(scores, BASE, seed, draws).assign(table="equal samples")
+    latencies = _nearest_latencies(measure_sizes(scores, seed, draws))
+    records = correct_by_holm(pd.concat([gaps, latencies]))
+    gaps, latencies = (records[records["table"] == name] for name in ("equal samples", LATENCY))
     order = [row for row in SIZES if row in set(scores.measured["method"])]
     tables = [_score_table(scores, gaps, order), _time_table(scores, order)]
-    parts = {"equal samples": gaps, "equal time": latencies}
     if len(latencies):
         tables.append(_latency_table(latencies, order))
     lists = {
-        "Differences": difference_notes(gaps),
+        "Differences": difference_notes(records),
         "Sizes without scores": [f"{row}: {SIZES[row]}" for row in SIZES if row not in order],
         "Not run": scores.skip_reasons,
         "Unreliable times": scores.unreliable_times,
         "Remarks": scores.remarks,
     }
-    records = pd.concat([part.assign(table=title) for title, part in parts.items()])
     return Section(scores.device, tables, records, lists)
+
+
+def _nearest_latencies(latencies: pd.DataFrame) -> pd.DataFrame:
+    """Those in the frame time of the base at the budget nearest to that of the paper's base."""
+    if latencies.empty:
+        return latencies.assign(table=LATENCY)
+    spp = nearest_budget(set(latencies["base_spp"]), published().network_study.rows[0].spp)
+    return latencies[latencies["base_spp"] == spp].assign(table=LATENCY)
 
 
 def _score_table(scores: Scores, gaps: pd.DataFrame, order: list[str]) -> Table:
@@ -91,9 +100,10 @@ def _score_table(scores: Scores, gaps: pd.DataFrame, order: list[str]) -> Table:
         "prints a figure without numbers. Another training would differ too."
     )
     lines = [
-        (row[0], SIZES[row[0]], *row[1:], text) for row, text in zip(rows, printed, strict=True)
+        (f"{row[0]}: {SIZES[row[0]]}", *row[1:], text)
+        for row, text in zip(rows, printed, strict=True)
     ]
-    head = ("row", "networks", *header[1:], f"paper, {paper.spp:g} spp")
+    head = ("row", *header[1:], f"paper, {paper.spp:g} spp")
     return Table("Equal samples", caption, head, tuple(lines), VERDICT_NOTE)
 
 
@@ -136,8 +146,7 @@ def _printed_times(row: str) -> tuple[str, ...]:
 
 def _latency_table(latencies: pd.DataFrame, order: list[str]) -> Table:
     study = published().network_study
-    spp = nearest_budget(set(latencies["base_spp"]), study.rows[0].spp)
-    at = latencies[latencies["base_spp"] == spp].set_index("method")
+    at = latencies.set_index("method")
     lines = []
     for row in (row for row in order if row in at.index):
         found: dict[str, Any] = dict(at.loc[row])
@@ -157,10 +166,11 @@ def _latency_table(latencies: pd.DataFrame, order: list[str]) -> Table:
             )
         )
     caption = (
-        f"In the frame time of {BASE} at {spp:g} spp, {at['deadline_ms'].iloc[0]:.1f} ms: the "
-        "best budget of each row that fits, between the measured ones. After `>=` no larger one was "
-        f"measured. Paper: spp in {study.frame_ms:g} ms on {study.scene}, at {study.sample_ms:g} "
-        "ms a sample. Ratios are to the base."
+        f"In the frame time of {BASE} at {at['base_spp'].iloc[0]:g} spp, "
+        f"{at['deadline_ms'].iloc[0]:.1f} ms: the best budget of each row that fits, between the "
+        "measured ones. After `>=` no larger was measured. Paper: spp in "
+        f"{study.frame_ms:g} ms on {study.scene}, at {study.sample_ms:g} ms a sample. Ratios are "
+        "to the base."
     )
     head = ("row", "spp", "ratio", "PSNR [dB]", f"minus {BASE}", "paper: spp", "ratio")
     return Table("Equal time", caption, head, tuple(lines))

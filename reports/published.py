@@ -88,6 +88,7 @@ class PublishedMemory:
     bytes_per_pixel: int  # more than these
     megabytes: int  # likewise, of the image
     weights_megabytes: int  # upper bound
+    working: str  # memory of intermediate features
 
 
 @dataclass(frozen=True)

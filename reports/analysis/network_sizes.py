@@ -17,16 +17,16 @@ from rlbench.benchmark.results import MissingRowsError
 __all__ = ["BASE", "SIZES", "at_equal_latency", "nearest_budget", "select_sizes"]
 
 BASE = "ours"
-SIZES = {  # row: the networks whose size differs from those of `ours`; in the paper's order
+SIZES = {  # row: how its networks differ from those of `ours`; in the paper's order
     "ours": "base",
     "ours/lean": "no encoder, memory by rule",
     "ours/small": "all three small",
-    "ours/sampler-small": "small sampler",
-    "ours/sampler-large": "large sampler",
-    "ours/encoder-small": "small encoder",
-    "ours/encoder-large": "large encoder",
-    "ours/denoiser-small": "small denoiser",
-    "ours/denoiser-large": "large denoiser",
+    "ours/sampler-small": "1 to 2 channels, base: 4 to 32",
+    "ours/sampler-large": "64 to 1024 channels",
+    "ours/encoder-small": "kernels of 1x1, base: 3x3",
+    "ours/encoder-large": "two more layers",
+    "ours/denoiser-small": "OIDN's fast network",
+    "ours/denoiser-large": "twice the channels",
 }
 AT_MOST = 0.98  # a frame that takes a smaller share of the time could draw more samples
 

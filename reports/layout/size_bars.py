@@ -23,10 +23,10 @@ __all__ = ["MAX_PANELS", "draw_sizes"]
 
 MAX_PANELS = 3  # of budgets; the samples are one more
 WIDTH, BAR, FOOTER = 13.0, 0.5, 1.75  # inches
-NAMES = 2.35  # inches, for names of rows and their sizes
+NAMES = 2.3  # inches, for names of rows and their sizes
 RISE, FALL, PALE = "#0072B2", "#D55E00", 0.35  # Okabe and Ito 2008; opacity if not resolved
 SAMPLES, PRINTED = "#B8B8B8", "#222222"
-ROOM = 0.75  # of the bars' range, kept free at their right for numbers
+ROOM = 1.1  # of the bars' range, kept free at their right for numbers
 
 
 def draw_sizes(latencies: pd.DataFrame, texts: Mapping[str, str], caption: str) -> Figure:
@@ -52,7 +52,7 @@ def draw_sizes(latencies: pd.DataFrame, texts: Mapping[str, str], caption: str) 
     spp = nearest_budget(budgets, published().network_study.rows[0].spp)
     _draw_samples(panels[-1], _rows(latencies[latencies["base_spp"] == spp], methods))
     panels[-1].set_title(
-        f"samples at {spp:g} spp of {BASE}:\nbar here, diamond published", loc="left",
+        f"samples at {spp:g} spp of {BASE};\nbar: here; diamond: paper", loc="left",
         fontweight="bold", fontsize=11.5,
     )  # fmt: skip
     panels[-1].set_xlabel(f"share of the samples of {BASE}")
@@ -108,7 +108,7 @@ def _draw_samples(axes: Axes, rows: list[tuple[int, dict[str, Any]]]) -> None:
         known = [number for number in (here, printed) if number == number]
         ends += known
         bound = ">=" * bool(row["is_bound"])
-        ours = f"{bound}{here:.2f}" if here == here else "-"
+        ours = f"{bound}{here:.2f}" if here == here else "none"
         paper = f"{printed:.2f}" if printed == printed else "-"
         _write(axes, max(known, default=0.0), place, f"{ours}, paper {paper}")
     axes.set_xlim(0, max(ends) * (1 + ROOM))
@@ -121,5 +121,5 @@ def _format_spp(row: Mapping[str, Any]) -> str:
 
 
 def _write(axes: Axes, x: float, place: int, text: str, colour: str = style.BLACK) -> None:
-    axes.annotate(text, (x, place), (6, 0), textcoords="offset points", va="center", fontsize=9.5,
+    axes.annotate(text, (x, place), (7, 0), textcoords="offset points", va="center", fontsize=9.5,
                   color=colour)  # fmt: skip
