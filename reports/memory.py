@@ -23,7 +23,8 @@ MEGA, MEBI = 1e6, 2**20
 INTRODUCTION = (
     "From the table of `rlbench speed` ([speed.csv](speed.csv)); PyTorch in single precision. "
     "*Parameters* and multiply-adds are those of networks that PyTorch runs: `oidn-intel` has 0, "
-    "because Intel's library holds its network. *State*: all that is kept for the next frame. "
+    "because Intel's library holds its network, and the memory of its layers is not counted. "
+    "*State*: all that is kept for the next frame. "
     "*Peak*: most memory of tensors during a frame, beyond its input."
 )
 
@@ -40,7 +41,7 @@ def memory_page(speed: pd.DataFrame) -> str:
     rows = plain[(plain["height"] == size[0]) & (plain["width"] == size[1])]
     tables = [method_table(rows), *beside_paper(rows, paper)]
     title = f"# Memory and work of a frame: {size[1]} x {size[0]}"
-    return "\n\n".join([title, INTRODUCTION, *map(to_markdown, tables)])
+    return "\n\n".join([title, INTRODUCTION, *(to_markdown(t).rstrip() for t in tables)]) + "\n"
 
 
 def method_table(rows: pd.DataFrame) -> Table:
