@@ -78,7 +78,8 @@ def measure_sizes(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES)
 
 def _select_budgets(latencies: pd.DataFrame) -> pd.DataFrame:
     """The budgets nearest to that of the paper's base."""
-    left, chosen = set(latencies["base_spp"]), set()
+    left: set[float] = set(latencies["base_spp"])
+    chosen: set[float] = set()
     while left and len(chosen) < MAX_PANELS:
         chosen.add(nearest_budget(left, published().network_study.rows[0].spp))
         left -= chosen

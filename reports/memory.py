@@ -59,8 +59,8 @@ def method_table(rows: pd.DataFrame) -> Table:
                 _format(row["memory_mb"]),
             )
         )
-    head = ("method", "thousand parameters", "thousand multiply-adds / pixel")
-    head += ("state, bytes / pixel", "state, MiB", "peak, MiB")
+    work = ("thousand parameters", "thousand multiply-adds / pixel")
+    head = ("method", *work, "state, bytes / pixel", "state, MiB", "peak, MiB")
     return Table("By method", "The least state first.", head, tuple(lines))
 
 

@@ -60,15 +60,17 @@ def at_equal_latency(
     measured), value, and those of `difference_columns` (value minus that of BASE, paired by scene).
     """
     base = next((curve for curve in curves if curve.method == BASE), None)
+    if base is None:
+        return pd.DataFrame()
     records = []
-    for base_spp in base.spp if base else ():
+    for base_spp in base.spp:
         own = np.array(base_spp)
-        deadline = float(base.frame_ms_at(own, sample_ms)) if base else math.nan
+        deadline = float(base.frame_ms_at(own, sample_ms))
         for curve in curves:
             limit = np.array(deadline)
             spp = base_spp if curve is base else float(curve.best_spp(np.array(sample_ms), limit))
             scores = curve.units_at(np.array(spp))
-            is_compared = base is not None and curve is not base and not math.isnan(spp)
+            is_compared = curve is not base and not math.isnan(spp)
             gap = interval_of(scores - base.units_at(own), seed, draws) if is_compared else UNKNOWN
             most = float(curve.frame_ms(np.array(sample_ms))[-1])
             records.append(
@@ -83,7 +85,7 @@ def at_equal_latency(
                     **difference_columns(gap),
                 }
             )
-    return correct_by_holm(pd.DataFrame(records)) if records else pd.DataFrame()
+    return correct_by_holm(pd.DataFrame(records))
 
 
 def nearest_budget(budgets: Iterable[float], spp: float) -> float:

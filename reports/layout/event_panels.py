@@ -41,8 +41,8 @@ def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) 
     panel = max(PANEL, LABEL_DISTANCE * 1.45 * len(styles))
     height = panel * rows + footer
     figure = Figure(figsize=(WIDTH, height))
-    names = curves.loc[curves["clip"].isin(clips), ["method", "value"]]
-    left, right, wspace = _place_columns(columns, label_width(names.to_numpy(), NUMBER))
+    drawn = curves.loc[curves["clip"].isin(clips), ["method", "value"]]
+    left, right, wspace = _place_columns(columns, label_width(drawn.to_numpy(), NUMBER))
     panels = figure.subplots(
         rows, columns, squeeze=False,
         gridspec_kw={"left": left, "right": right, "top": 1 - 0.4 / height,
