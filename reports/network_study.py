@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +149,7 @@ def _latency_table(latencies: pd.DataFrame, order: list[str]) -> Table:
     at = latencies.set_index("method")
     lines = []
     for row in (row for row in order if row in at.index):
-        found: dict[Hashable, Any] = dict(at.loc[row])
+        found: dict[Any, Any] = dict(at.loc[row])
         bound, mark = ">= " * bool(found["is_bound"]), UNRELIABLE_MARK * bool(found["unreliable"])
         is_fit = found["spp"] == found["spp"]
         gap = format_difference(found) if is_fit and row != BASE else "-"
