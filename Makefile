@@ -33,13 +33,16 @@ $(BIN)/rlbench report $(1) --results $(2) --out docs/made
 mv docs/made/$(1).md docs/results/$(3).md && rm -r docs/made
 endef
 
+# rows of the videos of each scene
+FILMED := mean,oidn,svgf,ntas,ours
+
 FROM1 := 1,2,4,6
 TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/reinforce:ours-reinforce-1+2+4+6spp/reinforce ours/A2:ours-A2-1+2+4+6spp/A2
 SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact teaser site test test-all format clean
+.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -81,6 +84,7 @@ unseen: .venv/dev.stamp
 speed: .venv/dev.stamp
 	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --bf16 --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
+	$(BIN)/python -m reports.memory docs/results
 
 # what learned memory and learned sampling give over rules, on the same scenes: 20 minutes of scoring
 controls: .venv/dev.stamp
@@ -117,6 +121,9 @@ appendix: .venv/dev.stamp
 	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset takes --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
+	$(BIN)/rlbench report equal-latency --results $(RESULTS)/appendix --out docs/made
+	cp docs/made/equal-latency.png docs/results
+	$(call page,network-study,$(RESULTS)/appendix,network-study)
 
 # parts of variance by scene and order of samples: 5 minutes
 variance: .venv/dev.stamp
@@ -156,6 +163,17 @@ teaser: .venv/dev.stamp
 	$(BIN)/rlbench run -m mean,oidn,ours --preset mini --spp 1 --scenes city --keep-images --scores-only --out $(RESULTS)/teaser
 	$(BIN)/rlbench video $(RESULTS)/teaser -m mean,oidn,ours --titles 'noisy samples,denoiser without memory,ours' --samples --columns 2 --crop 0,40,192,144 --fps 6 --quality 80 --out $(RESULTS)/teaser/video
 	cp $(RESULTS)/teaser/video/city-1spp-mean-oidn-ours.webp docs/results/teaser.webp
+
+# a light that is switched, with and without antilag, and without memory: half an hour of rendering, a minute of scoring
+switched: .venv/dev.stamp
+	$(BIN)/rlbench run -m ours/lag,ours,oidn-intel --preset takes --spp 4 --scenes hall-cut --keep-images --scores-only --out $(RESULTS)/switched
+	$(BIN)/rlbench video $(RESULTS)/switched -m ours/lag,ours,oidn-intel --titles 'ours without antilag,ours,oidn-intel' --fps 4 --quality 80 --out $(RESULTS)/switched/video
+	cp $(RESULTS)/switched/video/hall-cut-4spp-ours-lag-ours-oidn-intel.webp docs/results/switched.webp
+
+# each scene of mini, side by side, in results/videos/video: large files, not committed; two minutes of scoring
+videos: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(FILMED)' --preset mini --spp 1 --keep-images --scores-only --out $(RESULTS)/videos
+	$(BIN)/rlbench video $(RESULTS)/videos -m '$(FILMED)' --reference --columns 3 --zoom 2
 
 # documentation and results as a site, in site/; a broken link or an undocumented name fails it
 # results are those of the shipped baseline, or of folders: make site SITE_RESULTS=results

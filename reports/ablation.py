@@ -10,7 +10,7 @@ import pandas as pd
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
-from reports.analysis.method_names import family_of, label_of, without_label
+from reports.analysis.method_names import family_of, only_label, without_label
 from reports.analysis.multiplicity import difference_notes
 from reports.analysis.variant_differences import (
     choose_family,
@@ -49,7 +49,7 @@ def write(
     MissingRowsError if the family has scores of its main variant alone, and ReportError if a mean
     would mix rows that cannot be compared.
     """
-    label = _only_label(set(results["method"]))
+    label = only_label(set(results["method"]))
     if label:
         results = results.assign(method=results["method"].map(without_label))
     parts = [Scores(rows, device=device) for device, rows in split_by_device(results).items()]
@@ -70,15 +70,6 @@ def write(
         sections.append(Section(part.device, tables, records, _lists(scores, records, family)))
     title = f"Ablations of {family}" + (f", rows @{label}" if label else "")
     return write_page(folder, name, title, results, sections)
-
-
-def _only_label(methods: set[str]) -> str:
-    """The label to compare by: the only one, if its families have no rows without a label."""
-    labelled = {method for method in methods if label_of(method)}
-    labels, families = set(map(label_of, labelled)), set(map(family_of, labelled))
-    if len(labels) == 1 and families.isdisjoint(map(family_of, methods - labelled)):
-        return labels.pop()
-    return ""
 
 
 def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:

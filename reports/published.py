@@ -1,4 +1,4 @@
-"""Numbers printed in the paper: Table 1, cost of a sample, deviation between training seeds."""
+"""Numbers printed in the paper: its tables, cost of a sample, memory, deviation between seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,16 @@ import pandas as pd
 
 from rlbench.benchmark.results import MissingRowsError
 
-__all__ = ["Published", "PublishedPoint", "PublishedRow", "no_published_rows", "published"]
+__all__ = [
+    "NetworkStudy",
+    "NetworkTimes",
+    "Published",
+    "PublishedMemory",
+    "PublishedPoint",
+    "PublishedRow",
+    "no_published_rows",
+    "published",
+]
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,51 @@ class PublishedPoint:
 
 
 @dataclass(frozen=True)
+class NetworkTimes:
+    """A row of the paper's study of network sizes: times of inference, and spp in its frame."""
+
+    name: str  # as the paper writes it
+    row: str
+    sampler_ms: float
+    encoder_ms: float
+    denoiser_ms: float
+    total_ms: float
+    spp: float  # samples per pixel in the rest of the frame
+
+
+@dataclass(frozen=True)
+class NetworkStudy:
+    """The paper's study of network sizes on one scene and in one frame time."""
+
+    source: str
+    frame_ms: float
+    sample_ms: float
+    scene: str
+    rows: tuple[NetworkTimes, ...]
+
+    def find(self, row: str) -> NetworkTimes | None:
+        """The published times of the method `row`, or None."""
+        return next((times for times in self.rows if times.row == row), None)
+
+
+@dataclass(frozen=True)
+class PublishedMemory:
+    """What the paper's method keeps in memory, in channels of 4 bytes and in bytes."""
+
+    source: str
+    row: str
+    size: int  # pixels, side of the square image
+    state_channels: int
+    sample_channels: int
+    guide_channels: int
+    earlier_channels: int  # of samples and guides of the methods before it
+    bytes_per_pixel: int  # more than these
+    megabytes: int  # likewise, of the image
+    weights_megabytes: int  # upper bound
+    working: str  # memory of intermediate features
+
+
+@dataclass(frozen=True)
 class Published:
     """All of `published.toml`: the numbers, each with its place in the paper."""
 
@@ -52,6 +106,8 @@ class Published:
     deviation_db: float  # standard deviation between trainings with different seeds
     deviation_row: str
     trainings: int
+    network_study: NetworkStudy
+    memory: PublishedMemory
 
     def find(self, row: str) -> PublishedRow | None:
         """The published row of the method `row`, or None."""
@@ -71,6 +127,8 @@ def published() -> Published:
     """The numbers of `published.toml`. Raises TypeError or KeyError if a field is missing."""
     document = tomllib.loads((files("reports") / "published.toml").read_text(encoding="utf-8"))
     table, sampling, seeds = document["table1"], document["sampling"], document["seeds"]
+    study = document["network_study"]
+    sizes = tuple(NetworkTimes(**row) for row in study.pop("rows"))
     return Published(
         title=document["title"],
         conditions=document["conditions"],
@@ -83,6 +141,8 @@ def published() -> Published:
         deviation_db=seeds["deviation_db"],
         deviation_row=seeds["row"],
         trainings=seeds["trainings"],
+        network_study=NetworkStudy(rows=sizes, **study),
+        memory=PublishedMemory(**document["memory"]),
     )
 
 

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
+
+from matplotlib.textpath import TextPath
 
 from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LABEL_DISTANCE", "label_curves", "marker_size", "spread_labels"]
+__all__ = [
+    "LABEL_DISTANCE",
+    "LABEL_START",
+    "label_curves",
+    "label_width",
+    "marker_size",
+    "spread_labels",
+]
 
 MARKER_SIZE, STAR_SIZE = 7.5, 11.0  # points across; a star of the same width looks smaller
 LABEL_SIZE, LABEL_DISTANCE = 10.5, 0.205  # points; inches between two labels
+POINTS, HINTED = 72.0, 1.08  # points in an inch; letters on a grid of pixels are up to 8 % wider
+LABEL_START = 1.07  # where a label begins, as a share of its panel's width
 
 
 def label_curves(
@@ -55,9 +66,19 @@ def label_curves(
             marker=line.marker, ms=marker_size(line) - 1, c=line.color, mec=line.color, mfc=face,
         )  # fmt: skip
         axes.text(
-            1.062, place, f"{method} {value:{number_format}}", va="center",
+            LABEL_START, place, _label(method, value, number_format), va="center",
             transform=axes.get_yaxis_transform(), fontsize=LABEL_SIZE, color=line.color,
         )  # fmt: skip
+
+
+def label_width(curves: Iterable[tuple[str, float]], number_format: str) -> float:
+    """Inches that the widest label needs; `curves` has names and values, at an end or anywhere.
+
+    A panel needs this room at its right, after LABEL_START times its own width.
+    """
+    texts = {_label(method, value, number_format) for method, value in curves}
+    widths = (TextPath((0, 0), text, size=LABEL_SIZE).get_extents().xmax for text in texts)
+    return max(widths, default=0.0) / POINTS * HINTED
 
 
 def marker_size(line: LineStyle) -> float:
@@ -88,3 +109,7 @@ def spread_labels(heights: list[float], step: float, low: float, high: float) ->
     means = [mean for mean, size in blocks for _ in range(size)]
     top = high - (count - 1) * step
     return [min(max(mean, low), top) + i * step for i, mean in enumerate(means)]
+
+
+def _label(method: str, value: float, number_format: str) -> str:
+    return f"{method} {value:{number_format}}"

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from reports.layout import style
-from reports.layout.curve_labels import LABEL_DISTANCE, label_curves
+from reports.layout.curve_labels import LABEL_DISTANCE, LABEL_START, label_curves, label_width
 from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ MAX_PANELS = 6
 COLUMNS = 2
 WIDTH, PANEL = 13.0, 3.5  # inches: of the figure, height of a row of panels; more for many names
 WINDOW_DB = 12.0  # methods that are always further below the best score are below the axis
+LEFT, AXIS, EDGE = 0.72, 0.65, 0.12  # inches: of the first axis, of the others, at the right edge
 CAPTION_LETTERS = 160  # in a line
+NUMBER = ".1f"  # format of the last value of a curve
 
 
 def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) -> Figure:
@@ -39,17 +41,19 @@ def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) 
     panel = max(PANEL, LABEL_DISTANCE * 1.45 * len(styles))
     height = panel * rows + footer
     figure = Figure(figsize=(WIDTH, height))
+    drawn = curves.loc[curves["clip"].isin(clips), ["method", "value"]]
+    left, right, wspace = _place_columns(columns, label_width(drawn.to_numpy(), NUMBER))
     panels = figure.subplots(
         rows, columns, squeeze=False,
-        gridspec_kw={"left": 0.055, "right": 0.855, "top": 1 - 0.4 / height,
-                     "bottom": footer / height, "wspace": 0.52, "hspace": 0.34},
+        gridspec_kw={"left": left, "right": right, "top": 1 - 0.4 / height,
+                     "bottom": footer / height, "wspace": wspace, "hspace": 0.34},
     )  # fmt: skip
     for axes, clip in zip(panels.flat, clips, strict=False):
         part = curves[curves["clip"] == clip]
         _draw_panel(axes, part, events[events["clip"] == clip], styles)
         ends = part.sort_values("frame").groupby("method").last()
         names = [(str(row.Index), row.frame, row.value) for row in ends.itertuples()]
-        label_curves(axes, names, styles, panel - 0.8, ".1f")
+        label_curves(axes, names, styles, panel - 0.8, NUMBER)
         axes.set_title(clip, loc="left", fontweight="bold")
     for axes in panels.flat[len(clips) :]:
         axes.set_axis_off()
@@ -59,6 +63,13 @@ def draw_event_panels(curves: pd.DataFrame, events: pd.DataFrame, caption: str) 
         axes.set_xlabel("frame")
     figure.text(0.012, 0.1 / height, caption, fontsize=10.5, color=style.BLACK, va="bottom")
     return figure
+
+
+def _place_columns(columns: int, labels: float) -> tuple[float, float, float]:
+    """Left, right and wspace of columns of panels, each with `labels` inches at its right."""
+    width = (WIDTH - LEFT - EDGE - columns * labels - (columns - 1) * AXIS) / columns / LABEL_START
+    beside = (LABEL_START - 1) * width + labels  # a panel
+    return LEFT / WIDTH, 1 - (beside + EDGE) / WIDTH, (beside + AXIS) / width
 
 
 def _draw_panel(

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from reports.analysis.rises import longest_rise
 from reports.layout import style
-from reports.layout.curve_labels import LABEL_DISTANCE, label_curves
+from reports.layout.curve_labels import LABEL_DISTANCE, label_curves, label_width
 from reports.layout.style import LineStyle
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ WINDOW_DB = 10.0  # below the best score, that a panel shows
 UNRELIABLE, PALE = "pale: unreliable time", 0.35  # opacity
 MAX_PANELS = 8  # with more scenes, only their mean is drawn
 WIDTH, HEIGHT = 13.0, 5.4  # inches; keys and caption come on top; many names need more height
-LABELS, GAP = 1.85, 0.75  # inches: for names beside the first panel, and then for an axis
+LEADER, GAP = 0.4, 0.75  # inches: from the first panel to names beside it, from these to an axis
 OVERALL = "mean of all scenes"
 HEADING_LETTERS = 150  # in a line
 DOMINATED, DOMINATED_COLOUR = "slower and worse than another", "#EFEFEF"
@@ -60,7 +60,10 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     figure = Figure(figsize=(WIDTH, height + footer))
     heading = fill(labels.heading, HEADING_LETTERS)
     top = 0.95 - 0.035 * len(heading.splitlines())
-    panels = _add_panels(figure, scenes, footer / (height + footer), top)
+    number = ".2f" if "dB" in labels.score else ".3g"
+    named = plotted.loc[plotted["scene"] == scenes[0], ["method", "value"]]
+    beside = LEADER + label_width(named.to_numpy(), number)
+    panels = _add_panels(figure, scenes, beside, footer / (height + footer), top)
     figure.text(0.012, 0.985, heading, fontsize=12, fontweight="bold", color=style.BLACK, va="top")
     sizes = _marker_areas(plotted["target_spp"])
     parts = {scene: plotted[plotted["scene"] == scene] for scene in panels}
@@ -73,7 +76,7 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
         _shade_dominated(axes, front, labels.direction)
         ends = _draw_curves(axes, parts[scene], styles, sizes)
         if scene == scenes[0]:
-            label_curves(axes, ends, styles, height, ".2f" if "dB" in labels.score else ".3g")
+            label_curves(axes, ends, styles, height, number)
         axes.set_title(scene, loc="left", fontweight="bold" if scene == OVERALL else "normal")
     better = f"  ({labels.direction} is better)" if labels.direction else ""
     panels[scenes[0]].set_ylabel(labels.score + better)
@@ -83,11 +86,14 @@ def draw_pareto(plotted: pd.DataFrame, labels: Labels) -> Figure:
     return figure
 
 
-def _add_panels(figure: Figure, scenes: list[str], bottom: float, top: float) -> dict[str, Axes]:
+def _add_panels(
+    figure: Figure, scenes: list[str], beside: float, bottom: float, top: float
+) -> dict[str, Axes]:
+    """The panels by scene; `beside` is the room in inches at the right of the first one."""
     rows = 1 if len(scenes) <= 2 else 2
     columns = math.ceil((len(scenes) - 1) / rows)
-    others = (WIDTH - LABELS - GAP - 1.2) * columns / (columns + 1.5) if columns else -GAP
-    end = WIDTH - others - GAP - LABELS - 0.15  # of the first panel, inches
+    others = (WIDTH - beside - GAP - 1.2) * columns / (columns + 1.5) if columns else -GAP
+    end = WIDTH - others - GAP - beside - 0.15  # of the first panel, inches
     shared = {"top": top, "bottom": bottom}
     first = figure.add_gridspec(1, 1, left=0.068, right=end / WIDTH, **shared)
     panels = {scenes[0]: figure.add_subplot(first[0])}

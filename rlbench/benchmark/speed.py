@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -24,7 +24,7 @@ from rlbench.backends import EAGER, use_backend
 from rlbench.benchmark.clock.stopwatch import SystemClock
 from rlbench.benchmark.latency import REPEATS, TimedRow, Timing, time_methods
 from rlbench.benchmark.results import UNRELIABLE
-from rlbench.checks.tensors import iterate_tensors
+from rlbench.checks.tensors import iterate_parts, iterate_tensors
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import GBuffer, Samples, Size
@@ -37,6 +37,7 @@ __all__ = [
     "SPP",
     "Configuration",
     "count_multiply_adds",
+    "count_parameters",
     "generated_clip",
     "measure_speed",
 ]
@@ -53,6 +54,7 @@ COLUMNS = {
     "denoise_ms": "likewise",
     "inference_ms": "sum of the three",
     "inference_p95_ms": "95th percentile",
+    "parameters": "thousands, of the networks that PyTorch runs",
     "multiply_adds": "thousands per pixel, of convolutions and matrix products",
     "peak_share": "of the throughput of a matrix product in the same precision",
     "state_bytes": "per pixel, of all tensors that are kept for the next frame",
@@ -100,10 +102,8 @@ def measure_speed(
     that fails has no times, and the error as its note.
     """
     peaks = {bf16: peak_throughput(device, bf16) for bf16 in {c.bf16 for c in configurations}}
-    work = {
-        name: count_multiply_adds(Configuration(name).load(device), device)
-        for name in {c.method for c in configurations}
-    }
+    eager = {c.method: Configuration(c.method).load(device) for c in configurations}
+    work = {name: count_multiply_adds(method, device) for name, method in eager.items()}
     lines: list[dict[str, object]] = []
     for size in sizes:
         clip = generated_clip(size, device)
@@ -121,6 +121,7 @@ def measure_speed(
             multiply_adds = work[configuration.method]
             per_second = multiply_adds * size[0] * size[1] / (timing.inference.mean / 1e3)
             line |= _times(timing) | {
+                "parameters": count_parameters(eager[configuration.method]) / 1e3,
                 "multiply_adds": multiply_adds / 1e3,
                 "peak_share": per_second / peaks[configuration.bf16],
                 "state_bytes": _state_bytes(row) / (size[0] * size[1]),
@@ -140,6 +141,11 @@ def count_multiply_adds(method: Method, device: torch.device) -> float:
         next(results)
     flops: int = counter.get_total_flops()
     return flops / 2 / COUNTED_SIDE**2
+
+
+def count_parameters(method: Method) -> int:
+    """Parameters of all networks of a method; 0 where a library holds them."""
+    return sum(part.numel() for part in iterate_parts(method) if isinstance(part, nn.Parameter))
 
 
 def peak_throughput(device: torch.device, bf16: bool) -> float:

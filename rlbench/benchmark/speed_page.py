@@ -20,12 +20,13 @@ SHOWN = {
     "denoise_ms": "denoise",
     "inference_ms": "inference",
     "inference_p95_ms": "p95",
+    "parameters": "thousand parameters",
     "multiply_adds": "thousand multiply-adds / pixel",
     "peak_share": "share of peak",
     "state_bytes": "bytes of state / pixel",
     "memory_mb": "memory, MiB",
 }
-DECIMALS = {"multiply_adds": 1, "state_bytes": 0, "memory_mb": 0, "peak_share": 2}
+DECIMALS = {"parameters": 0, "multiply_adds": 1, "state_bytes": 0, "memory_mb": 0, "peak_share": 2}
 
 
 def write_speed(table: pd.DataFrame, device: torch.device, out: Path) -> list[Path]:

@@ -69,8 +69,9 @@ def speed(
     """Time methods by image size, backend and precision.
 
     No score is measured. Frames are generated, so nothing is rendered. Writes speed.csv and
-    speed.md: times of the parts of inference, multiply-adds per pixel, their share of the machine's
-    peak, bytes of state per pixel, and memory. A time that a busy machine spoiled has a note.
+    speed.md: times of the parts of inference, parameters, multiply-adds per pixel, their share of
+    the machine's peak, bytes of state per pixel, and memory. A time that a busy machine spoiled has
+    a note.
 
     Examples:
 

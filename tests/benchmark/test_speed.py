@@ -15,6 +15,7 @@ from rlbench.benchmark.speed import COLUMNS, Configuration, count_multiply_adds,
 from rlbench.benchmark.speed_page import speed_page, write_speed
 from rlbench.cli.app import app
 from rlbench.ops.unet import BASE_WIDTHS
+from rlbench.weights import read_card
 
 CPU = torch.device("cpu")
 SIZES = [(48, 64), (32, 32)]
@@ -47,6 +48,13 @@ def test_multiply_adds_are_those_of_the_layers():
     """Within a thousandth: the exposure is a small product too."""
     method = registry.load_method("oidn", CPU, "random")
     assert count_multiply_adds(method, CPU) == pytest.approx(unet_multiply_adds(9, 3), rel=1e-3)
+
+
+def test_parameters_are_those_on_the_model_card(table):
+    lean = table[table.method == "ours/lean"].iloc[0]
+    card = read_card(Path("methods/ours/cards/lean.safetensors"))
+    assert lean.parameters * 1e3 == pytest.approx(card.parameters)
+    assert set(table[table.method == "mean"].parameters) == {0}
 
 
 def test_the_table_has_each_configuration_at_each_size(table):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.optimize import isotonic_regression
 
-from reports.layout.curve_labels import spread_labels
+from reports.layout.curve_labels import label_curves, label_width, spread_labels
+from reports.layout.style import line_styles
 
 
 @pytest.mark.parametrize(
@@ -27,3 +29,13 @@ def test_labels_stay_within_the_panel():
 
 def test_labels_that_do_not_fit_are_evenly_spread():
     assert spread_labels([1.0, 1.0, 9.0], 8, 0, 10) == [0, 5, 10]
+
+
+@pytest.mark.parametrize("dpi", [100, 150, 300])
+@pytest.mark.parametrize("name", ["mean", "accumulate/contrast", "WWW/iii@openvino-bf16"])
+def test_the_width_of_a_label_is_enough_for_its_drawn_text_and_little_more(name, dpi):
+    axes = Figure(figsize=(9, 3), dpi=dpi).subplots()
+    label_curves(axes, [(name, 0.5, 0.5)], line_styles([name]), 3, ".1f")
+    (text,) = (text for text in axes.texts if text.get_text())
+    drawn = text.get_window_extent().width / dpi
+    assert drawn <= label_width([(name, 0.5), ("", 0.1)], ".1f") < 1.15 * drawn

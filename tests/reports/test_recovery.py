@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import product
+from itertools import combinations, product
 
+import matplotlib as mpl
 import pandas as pd
 import pytest
 from matplotlib.image import imread
@@ -12,6 +13,7 @@ from matplotlib.image import imread
 from reports import recovery
 from reports.analysis.aggregate import Scores, metrics_with_values
 from reports.analysis.recovery import find_events, find_spans, measure_recoveries, measure_span
+from reports.layout import style
 from reports.layout.event_panels import MAX_PANELS, draw_event_panels
 from rlbench.benchmark.results import EVENT_PREFIX, MissingRowsError, Row, to_dataframe
 
@@ -123,6 +125,21 @@ def test_only_as_many_clips_as_there_are_panels_are_drawn():
     scores = Scores(table(clips=clips, spp=(1.0,)))
     figure = draw_event_panels(scores.per_frame, find_spans(scores), "caption")
     assert len(figure.axes) == MAX_PANELS
+
+
+@pytest.mark.parametrize("name", ["mean", "accumulate/denoised-variance@openvino-bf16"])
+def test_no_label_at_the_end_of_a_curve_is_cut_or_meets_the_next_panel(name):
+    clips = ("hall-cut", "city-cut", "ripples-cut", "temple-cut")
+    rows = table(clips=clips, spp=(1.0,)).replace({"method": {"memory": name}})
+    scores = Scores(rows)
+    with mpl.rc_context(style.RC):
+        figure = draw_event_panels(scores.per_frame, find_spans(scores), "caption")
+        figure.draw_without_rendering()
+        boxes = [axes.get_tightbbox() for axes in figure.axes]
+    names = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert sum(text.startswith(name) for text in names) == 4
+    assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 for box in boxes)
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
 
 
 def test_results_without_an_event_have_no_report(tmp_path):
