@@ -122,8 +122,9 @@ def flicker(step: ErrorChange, previous_step: ErrorChange) -> Float[Tensor, " n"
     error. Errors that are independent from frame to frame score their own standard deviation. The
     filter is the second difference in time; definition and scale are ours.
 
-    `step` and `previous_step` are the changes of the last two frames. Pixels whose motion leaves the image in either are left out; NaN if that is all. A pixel that is
-    not finite in one of the three frames has the largest value, 4 / sqrt(6).
+    `step` and `previous_step` are the changes of the last two frames. Pixels whose motion leaves
+    the image in either are left out; NaN if that is all. A pixel that is not finite in one of the
+    three frames has the largest value, 4 / sqrt(6).
 
     >>> error = [torch.full((1, 3, 8, 8), value) for value in (0.1, 0.2, 0.3, 0.0)]
     >>> steps = [change_of_error(b, a, None) for a, b in zip(error, error[1:])]

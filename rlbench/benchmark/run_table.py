@@ -79,11 +79,13 @@ def _score_rows(rows: pd.DataFrame) -> list[ScoreRow]:
     for _, group in rows.groupby(["method", "target_spp"]):
         method, spp = group["method"].iloc[0], group["target_spp"].iloc[0]
         means = group.groupby("metric")["value"].mean()
-        psnr, debiased, *times = (_number(means.get(name)) for name in (*HEADLINE, *TIMES))
+        psnr, debiased, inference_ms, frame_ms = (
+            _number(means.get(name)) for name in (*HEADLINE, *TIMES)
+        )
         doubted = set(group.loc[_is_unreliable(group), "metric"])
         scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
         unreliable = tuple(name for name in TIMES if name in doubted)
-        numbers = scored, psnr, debiased, *times
+        numbers = scored, psnr, debiased, inference_ms, frame_ms
         table.append(ScoreRow(method, float(spp), *numbers, unreliable))
     return table
 
