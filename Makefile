@@ -59,7 +59,7 @@ docs: .venv/dev.stamp
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/made/winners.csv docs/results && rm -r docs/made
 	$(call page,clips -m '$(RIVALS)',$(RESULTS),mini)
-	$(call page,reference-noise -m '$(TABLE1)',$(RESULTS),reference-noise)
+	$(call page,reference-noise -m '$(RIVALS)',$(RESULTS),reference-noise)
 	$(call page,effort,$(RESULTS),effort)
 
 # the baseline that ships: every row on mini, with four orders of the samples
