@@ -71,7 +71,8 @@ def relmse_trimmed(
     error = (image / scale - truth).square() / (truth.square() + RELMSE_EPS)
     by_pixel = error.mean(1).flatten(1)
     trimmed = int(TRIMMED_SHARE * by_pixel.shape[1])
-    worst = by_pixel.masked_fill(nonfinite.flatten(1), -1.0).topk(trimmed, 1).indices
+    finite = by_pixel.masked_fill(nonfinite.flatten(1), -1.0) if nonfinite.any() else by_pixel
+    worst = finite.topk(trimmed, 1).indices
     kept = by_pixel.scatter(1, worst, 0.0).sum(1, dtype=torch.float64)
     return (kept / (by_pixel.shape[1] - trimmed)).float()
 
@@ -91,8 +92,7 @@ def smape(
     tensor([0.1992])
     """
     error = (image - reference).abs() / (image.abs() + reference.abs() + SMAPE_EPS)
-    by_pixel = error.mean(1, keepdim=True).masked_fill(nonfinite, 1.0)
-    return _mean(by_pixel)
+    return _mean(error.masked_fill(nonfinite, 1.0) if nonfinite.any() else error)
 
 
 def mse_debiased(
