@@ -23,14 +23,16 @@ RIVALS := ours,ours/lean,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel,accumulate
 # learned rows near the front, in all backends
 SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours/lean,ours,ntas,svgf
 
+CONVENTIONS := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours/lean,ours
+
 APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
 
 BASELINE := rlbench/benchmark/regression/baselines/mini.json
 
-# $(call page,REPORT,RESULTS,NAME): write a report as the page docs/results/NAME.md
+# $(call page,REPORT [OPTIONS],RESULTS,NAME): write a report as the page docs/results/NAME.md
 define page
 $(BIN)/rlbench report $(1) --results $(2) --out docs/made
-mv docs/made/$(1).md docs/results/$(3).md && rm -r docs/made
+mv docs/made/$(firstword $(1)).md docs/results/$(3).md && rm -r docs/made
 endef
 
 # rows of the videos of each scene
@@ -42,7 +44,11 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
+<<<<<<< HEAD
 .PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
+=======
+.PHONY: demo docs baseline table1 variance conventions unseen controls speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser site test test-all format clean
+>>>>>>> audit
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -62,6 +68,8 @@ docs: .venv/dev.stamp
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/made/winners.csv docs/results && rm -r docs/made
 	$(call page,clips -m '$(RIVALS)',$(RESULTS),mini)
+	$(call page,reference-noise -m '$(RIVALS)',$(RESULTS),reference-noise)
+	$(call page,effort,$(RESULTS),effort)
 
 # the baseline that ships: every row on mini, with four orders of the samples
 baseline: .venv/dev.stamp
@@ -85,6 +93,17 @@ speed: .venv/dev.stamp
 	$(BIN)/rlbench speed -m '$(SPEED)' --sizes 192,720 --backend eager,openvino --bf16 --repeats 5 --out $(RESULTS)/speed
 	cp $(RESULTS)/speed/speed.md $(RESULTS)/speed/speed.csv docs/results
 	$(BIN)/python -m reports.memory docs/results
+
+# SSIM and MS-SSIM against other libraries at 1080p: a minute of a quiet machine
+metric-speed: .venv/dev.stamp
+	$(BIN)/python -m tests.performance.metric_speed docs/results/metric-speed.md
+
+# shares of scoring, and of the suite itself, in a run of the demo's rows: 3 minutes of a quiet machine; clips are rendered and decoded before
+overhead: .venv/dev.stamp
+	rm -rf $(RESULTS)/overhead
+	$(BIN)/rlbench run --preset mini --scores-only --out $(RESULTS)/overhead
+	rm -rf $(RESULTS)/overhead
+	$(BIN)/python -m tests.performance.profile_run docs/results/overhead.md --preset mini --out $(RESULTS)/overhead
 
 # what learned memory and learned sampling give over rules, on the same scenes: 20 minutes of scoring
 controls: .venv/dev.stamp
@@ -124,6 +143,12 @@ appendix: .venv/dev.stamp
 	$(BIN)/rlbench report equal-latency --results $(RESULTS)/appendix --out docs/made
 	cp docs/made/equal-latency.png docs/results
 	$(call page,network-study,$(RESULTS)/appendix,network-study)
+
+# does the ranking survive other conventions? 2 minutes
+conventions: .venv/dev.stamp
+	$(BIN)/rlbench run -m '$(CONVENTIONS)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
+	$(BIN)/rlbench evaluate $(RESULTS)/kept --metrics psnr --convention srgb,paper2023,noisebase-v1,hable,linear
+	$(call page,conventions,$(RESULTS)/kept/evaluated,conventions)
 
 # parts of variance by scene and order of samples: 5 minutes
 variance: .venv/dev.stamp

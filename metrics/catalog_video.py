@@ -21,7 +21,7 @@ def _flicker(frame: Comparison) -> Tensor:
     from metrics.temporal import flicker
 
     previous: Any = frame.previous
-    return flicker(frame.change_of_error, previous.change_of_error, frame.motion)
+    return flicker(frame.change_of_error, previous.change_of_error)
 
 
 def _psnr_late(frame: Comparison) -> Tensor:

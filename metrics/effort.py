@@ -55,6 +55,8 @@ def effort_noise(
     >>> effort_noise(rising, display_a, display_b) > 0.95
     tensor([True])
     """
+    if _is_constant(counts):
+        return torch.zeros(len(counts), device=counts.device)
     noise = (display_a - display_b).square().mean(1, keepdim=True)
     for dim in (2, 3):  # the mean over the pixels of a square that are inside the image
         noise = _sum_window(noise, dim) / _sum_window(torch.ones_like(noise), dim)
@@ -114,6 +116,10 @@ def _centred_ranks(values: Tensor) -> Tensor:
     return torch.empty_like(ranks).scatter_(0, order, ranks)
 
 
+def _is_constant(values: Tensor) -> bool:
+    return bool(values.min() == values.max())
+
+
 def _group_ranks(sizes: Tensor) -> Tensor:
     """The mean rank of each group of equal values in ascending order, less that of all."""
     middle: Tensor = sizes.cumsum(0).double() - (sizes - 1) / 2
@@ -133,7 +139,7 @@ def _ordered_integers(values: Tensor) -> Tensor:
 
 def _correlate_ranks(x: Tensor, y: Tensor) -> Tensor:
     """Correlation of the ranks of two vectors; 0, without ranking, if one has a single value."""
-    if bool(x.min() == x.max()) or bool(y.min() == y.max()):
+    if _is_constant(x) or _is_constant(y):
         return torch.zeros((), device=x.device)
     a, b = _centred_ranks(x), _centred_ranks(y)
     correlation: Tensor = (a * b).sum() / (a.square().sum() * b.square().sum()).sqrt()

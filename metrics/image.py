@@ -1,15 +1,15 @@
 """Errors of linear radiance against the reference, one score per image of a batch.
 
 All functions take linear radiance, where 1.0 is display white, as `bound_radiance` returns it: in
-float64, so that its square is finite, and in the range of half floats. A pixel with a NaN or
-infinite channel counts as an error, never as missing: `bound_radiance` gives it the worst value,
-and `nonfinite` marks it.
+the range of half floats, so that its square is finite. Sums are in double precision. A pixel with a
+NaN or infinite channel counts as an error, never as missing: `bound_radiance` gives it the worst
+value, and `nonfinite` marks it.
 """
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 __all__ = [
@@ -43,7 +43,7 @@ def relmse(
     tensor([0.2475])
     """
     error = (image - reference).square() / (reference.square() + RELMSE_EPS)
-    return error.flatten(1).mean(1).float()
+    return _mean(error)
 
 
 def relmse_trimmed(
@@ -59,20 +59,21 @@ def relmse_trimmed(
     left out, since a single firefly can outweigh the rest of an image. A pixel that is not finite
     is never left out. The mean of the reference is at least 1e-4.
 
-    >>> reference = torch.full((1, 3, 40, 50), 0.5, dtype=torch.float64)
+    >>> reference = torch.full((1, 3, 40, 50), 0.5)
     >>> image = 1.5 * reference
     >>> image[..., 3, 4] = 1e4  # a firefly, two of 2000 pixels are left out
     >>> valid = torch.zeros(1, 1, 40, 50, dtype=torch.bool)
     >>> relmse_trimmed(image, reference, valid), relmse(image, reference)  # 0.25 / 1.01
     (tensor([0.2475]), tensor([192288.7031]))
     """
-    scale = reference.mean((1, 2, 3), keepdim=True).clamp_min(MIN_REFERENCE_MEAN)
+    scale = _mean(reference).clamp_min(MIN_REFERENCE_MEAN).view(-1, 1, 1, 1)
     truth = reference / scale
     error = (image / scale - truth).square() / (truth.square() + RELMSE_EPS)
     by_pixel = error.mean(1).flatten(1)
     trimmed = int(TRIMMED_SHARE * by_pixel.shape[1])
-    finite = by_pixel.masked_fill(nonfinite.flatten(1), 0.0)
-    kept = by_pixel.sum(1) - finite.topk(trimmed, 1).values.sum(1)
+    finite = by_pixel.masked_fill(nonfinite.flatten(1), -1.0) if nonfinite.any() else by_pixel
+    worst = finite.topk(trimmed, 1).indices
+    kept = by_pixel.scatter(1, worst, 0.0).sum(1, dtype=torch.float64)
     return (kept / (by_pixel.shape[1] - trimmed)).float()
 
 
@@ -91,8 +92,7 @@ def smape(
     tensor([0.1992])
     """
     error = (image - reference).abs() / (image.abs() + reference.abs() + SMAPE_EPS)
-    by_pixel = error.mean(1, keepdim=True).masked_fill(nonfinite, 1.0)
-    return by_pixel.flatten(1).mean(1).float()
+    return _mean(error.masked_fill(nonfinite, 1.0) if nonfinite.any() else error)
 
 
 def mse_debiased(
@@ -112,8 +112,7 @@ def mse_debiased(
     >>> abs(score.item() - 0.01) < 0.1  # the plain error would be 0.51 larger
     True
     """
-    error = (image - half_a) * (image - half_b)
-    return error.flatten(1).mean(1).float()
+    return _mean((image - half_a) * (image - half_b))
 
 
 def bias(
@@ -130,9 +129,8 @@ def bias(
     >>> bias(0.75 * reference, reference)
     tensor([-25.])
     """
-    reference_mean = reference.flatten(1).mean(1)
-    excess = image.flatten(1).mean(1) - reference_mean
-    return (100 * excess / reference_mean.clamp_min(MIN_REFERENCE_MEAN)).float()
+    reference_mean = _mean(reference)
+    return 100 * _mean(image - reference) / reference_mean.clamp_min(MIN_REFERENCE_MEAN)
 
 
 def nonfinite(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, " n"]:
@@ -155,13 +153,18 @@ def nonfinite_mask(image: Float[Tensor, "n 3 h w"]) -> Bool[Tensor, "n 1 h w"]:
 
 def bound_radiance(
     radiance: Float[Tensor, "n 3 h w"], nonfinite: Bool[Tensor, "n 1 h w"] | None = None
-) -> Float64[Tensor, "n 3 h w"]:
-    """Radiance in float64, clamped to the range of half floats.
+) -> Float[Tensor, "n 3 h w"]:
+    """Radiance clamped to the range of half floats.
 
     Pixels that `nonfinite` marks are -65504, as far from any reference as a value can be.
 
     >>> bound_radiance(torch.tensor([0.5, 1e9]).expand(1, 3, 1, 2))[0, 0, 0].tolist()
     [0.5, 65504.0]
     """
-    clamped = radiance.to(torch.float64).clamp(-HALF_MAX, HALF_MAX)
+    clamped = radiance.clamp(-HALF_MAX, HALF_MAX)
     return clamped if nonfinite is None else clamped.masked_fill(nonfinite, -HALF_MAX)
+
+
+def _mean(values: Float[Tensor, "n c h w"]) -> Float[Tensor, " n"]:
+    """The mean over pixels and channels, summed in double precision."""
+    return values.flatten(1).mean(1, dtype=torch.float64).float()

@@ -87,4 +87,6 @@ def decibels(error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
 
 def _mean(error: Tensor, nonfinite: Tensor) -> Tensor:
     """The mean over channels and pixels, [n] in float64."""
-    return error.masked_fill(nonfinite, 1.0).flatten(1).mean(1, dtype=torch.float64)
+    if nonfinite.any():  # a copy that most images do not need
+        error = error.masked_fill(nonfinite, 1.0)
+    return error.flatten(1).mean(1, dtype=torch.float64)

@@ -155,7 +155,13 @@ def _band(outputs: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def _halve(image: Tensor) -> Tensor:
-    return F.avg_pool2d(image, 2, padding=[side % 2 for side in image.shape[-2:]])
+    """Means of 2 x 2 pixels; odd sides are padded with zeros. avg_pool2d takes 4 times as long."""
+    odd_rows, odd_columns = (side % 2 for side in image.shape[-2:])
+    if odd_rows or odd_columns:
+        image = F.pad(image, (odd_columns, odd_columns, odd_rows, odd_rows))
+        image = image[..., : image.shape[-2] // 2 * 2, : image.shape[-1] // 2 * 2]
+    rows = image[..., ::2, :] + image[..., 1::2, :]
+    return (rows[..., ::2] + rows[..., 1::2]) / 4
 
 
 def _check_scales(image: Tensor, scales: int) -> None:

@@ -19,6 +19,7 @@ from metrics.psnr import decibels
 
 __all__ = [
     "ErrorChange",
+    "Source",
     "change_of_error",
     "flicker",
     "tpsnr",
@@ -32,11 +33,18 @@ FLICKER_GAIN = math.sqrt(6)  # of the taps 1, -2, 1 on white noise
 MIN_WEIGHT = 1e-3  # of a bilinear tap that counts as read; smaller ones are rounding
 
 
+class Source(NamedTuple):
+    """Where the pixels of a frame were in the previous one."""
+
+    grid: Float[Tensor, "n h w 2"] | None  # as F.grid_sample takes it; None: nothing moves
+    is_inside: Bool[Tensor, "n 1 h w"]  # the pixel's motion leads into the previous image
+
+
 class ErrorChange(NamedTuple):
     """Change of the display error of a surface since the previous frame."""
 
     change: Float[Tensor, "n 3 h w"]  # in [-2, 2]; NaN where either frame is not finite
-    is_inside: Bool[Tensor, "n 1 h w"]  # the pixel's motion leads into the previous image
+    source: Source
 
 
 def tpsnr(
@@ -78,8 +86,9 @@ def change_of_error(
     >>> change_of_error(error.roll(-1, 3), error, moved_left).change.abs().max()
     tensor(0.)
     """
-    moved, is_inside = _warp_keeping_nan(previous_error, _locate(previous_error, motion))
-    return ErrorChange(torch.where(is_inside, error - moved, 0.0 * error), is_inside)
+    source = _locate(previous_error, motion)
+    moved = _read_keeping_nan(previous_error, source)
+    return ErrorChange(torch.where(source.is_inside, error - moved, 0.0 * error), source)
 
 
 def warped_error(step: ErrorChange) -> Float[Tensor, " n"]:
@@ -100,12 +109,10 @@ def warped_error(step: ErrorChange) -> Float[Tensor, " n"]:
     >>> warped_error(change_of_error(error + 0.1, error, motion=None))
     tensor([10.])
     """
-    return 100 * _root_mean_square(step, WORST_CHANGE)
+    return 100 * _root_mean_square(step.change, step.source.is_inside, WORST_CHANGE)
 
 
-def flicker(
-    step: ErrorChange, previous_step: ErrorChange, motion: Float[Tensor, "n 2 h w"] | None
-) -> Float[Tensor, " n"]:
+def flicker(step: ErrorChange, previous_step: ErrorChange) -> Float[Tensor, " n"]:
     """Flicker in percent of the display's range, in [0, 163]; lower is better.
 
     The part of the display error that changes back and forth: with e0, e1, e2 the errors of one
@@ -115,23 +122,21 @@ def flicker(
     error. Errors that are independent from frame to frame score their own standard deviation. The
     filter is the second difference in time; definition and scale are ours.
 
-    `step` and `previous_step` are the changes of the last two frames, `motion` is that of the last.
-    Pixels whose motion leaves the image in either are left out; NaN if that is all. A pixel that is
-    not finite in one of the three frames has the largest value, 4 / sqrt(6).
+    `step` and `previous_step` are the changes of the last two frames. Pixels whose motion leaves
+    the image in either are left out; NaN if that is all. A pixel that is not finite in one of the
+    three frames has the largest value, 4 / sqrt(6).
 
     >>> error = [torch.full((1, 3, 8, 8), value) for value in (0.1, 0.2, 0.3, 0.0)]
     >>> steps = [change_of_error(b, a, None) for a, b in zip(error, error[1:])]
-    >>> drift, reversal = flicker(steps[1], steps[0], None), flicker(steps[2], steps[1], None)
+    >>> drift, reversal = flicker(steps[1], steps[0]), flicker(steps[2], steps[1])
     >>> drift.round(decimals=4), reversal.round(decimals=4)  # |0.2 - 2 * 0.3 + 0.0| / sqrt(6)
     (tensor([0.]), tensor([16.3299]))
     """
-    source = _locate(step.change, motion)
-    moved, is_inside = _warp_keeping_nan(previous_step.change, source)
-    was_outside = _read((~previous_step.is_inside).to(moved.dtype), source)
-    is_inside = is_inside & step.is_inside & (was_outside <= MIN_WEIGHT)
+    moved = _read_keeping_nan(previous_step.change, step.source)
+    was_outside = _read((~previous_step.source.is_inside).to(moved.dtype), step.source)
+    is_inside = step.source.is_inside & (was_outside <= MIN_WEIGHT)
     second = torch.where(is_inside, step.change - moved, 0.0 * step.change)
-    second_step = ErrorChange(second, is_inside)
-    return 100 / FLICKER_GAIN * _root_mean_square(second_step, WORST_SECOND_CHANGE)
+    return 100 / FLICKER_GAIN * _root_mean_square(second, is_inside, WORST_SECOND_CHANGE)
 
 
 def warp(
@@ -153,26 +158,19 @@ def warp(
     return _read(values, source), source.is_inside
 
 
-class _Source(NamedTuple):
-    """Where the pixels of a frame were in the previous one."""
-
-    grid: Float[Tensor, "n h w 2"] | None  # as F.grid_sample takes it; None: nothing moves
-    is_inside: Bool[Tensor, "n 1 h w"]
-
-
-def _locate(like: Tensor, motion: Tensor | None) -> _Source:
+def _locate(like: Tensor, motion: Tensor | None) -> Source:
     """Where pixels of an image [n c h w] were before."""
     h, w = like.shape[-2:]
     if motion is None:
-        return _Source(None, like.new_ones(like[:, :1].shape, dtype=torch.bool))
+        return Source(None, like.new_ones(like[:, :1].shape, dtype=torch.bool))
     x = torch.arange(w, device=motion.device, dtype=motion.dtype) + motion[:, 0]
     y = torch.arange(h, device=motion.device, dtype=motion.dtype)[:, None] + motion[:, 1]
     is_inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
     grid = torch.stack(((2 * x + 1) / w - 1, (2 * y + 1) / h - 1), -1).nan_to_num(nan=-1.0)
-    return _Source(grid, is_inside[:, None])
+    return Source(grid, is_inside[:, None])
 
 
-def _read(values: Tensor, source: _Source) -> Tensor:
+def _read(values: Tensor, source: Source) -> Tensor:
     """Values of the previous frame, bilinear; beyond the image those of its border."""
     if source.grid is None:
         return values
@@ -181,14 +179,14 @@ def _read(values: Tensor, source: _Source) -> Tensor:
     )
 
 
-def _warp_keeping_nan(values: Tensor, source: _Source) -> tuple[Tensor, Tensor]:
-    """As `warp`; a value that reads a NaN is NaN, one beside a NaN is not."""
+def _read_keeping_nan(values: Tensor, source: Source) -> Tensor:
+    """As `_read`; a value that reads a NaN is NaN, one beside a NaN is not."""
     if not _has_nan(values):
-        return _read(values, source), source.is_inside
+        return _read(values, source)
     is_nan = values.isnan().any(1, keepdim=True)
     both = torch.cat((values.nan_to_num(nan=0.0), is_nan.to(values.dtype)), 1)
     moved = _read(both, source)
-    return moved[:, :-1].masked_fill(moved[:, -1:] > MIN_WEIGHT, math.nan), source.is_inside
+    return moved[:, :-1].masked_fill(moved[:, -1:] > MIN_WEIGHT, math.nan)
 
 
 def _has_nan(values: Tensor) -> bool:
@@ -196,13 +194,13 @@ def _has_nan(values: Tensor) -> bool:
     return bool(values.sum().isnan())
 
 
-def _root_mean_square(step: ErrorChange, worst: float) -> Tensor:
+def _root_mean_square(change: Tensor, is_inside: Tensor, worst: float) -> Tensor:
     """Over pixels inside and, with the `worst` value, those that are not finite; NaN if none."""
-    squares, counted = step.change.square(), step.is_inside
-    if _has_nan(step.change):
-        is_nan = step.change.isnan().any(1, keepdim=True)
+    squares, counted = change.square(), is_inside
+    if _has_nan(change):
+        is_nan = change.isnan().any(1, keepdim=True)
         squares, counted = squares.masked_fill(is_nan, worst**2), counted | is_nan
     squares = squares.mean(1, keepdim=True).double()
     mean = (squares * counted).flatten(1).sum(1) / counted.flatten(1).sum(1).clamp_min(1)
-    has_history = step.is_inside.flatten(1).any(1)
+    has_history = is_inside.flatten(1).any(1)
     return mean.sqrt().where(has_history, math.nan).float()

@@ -11,10 +11,16 @@ from reports.analysis import notes
 from reports.analysis.comparability import cost_source
 from reports.analysis.intervals import FRAME
 from reports.analysis.time_notes import device_mixes, unreliable_rows, unreliable_times
-from rlbench.benchmark.results import CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX
+from rlbench.benchmark.results import (
+    CLOCK_PREFIX,
+    COUNT_PREFIX,
+    EVENT_PREFIX,
+    NOISE_CEILING,
+)
 
 __all__ = ["FRAME_PARTS", "Scores", "mean_over_scenes", "metrics_with_values"]
 
+HEADLINE = ["psnr", "psnr_debiased"]  # metrics that come first
 GROUP = ["method", "scene", "target_spp"]
 FRAME_PARTS = ["gbuffer_ms", "plan_ms", "allocate_ms", "sampling_ms", "denoise_ms"]  # of frame_ms
 INFERENCE = ["plan_ms", "allocate_ms", "denoise_ms"]
@@ -23,10 +29,12 @@ ADDED = ["gbuffer_ms", "allocate_ms"]  # that older results do not have, and did
 
 
 def metrics_with_values(rows: pd.DataFrame) -> list[str]:
-    """Names of the metrics with a value that are no times, events or histograms, PSNR first."""
-    is_other = rows["metric"].str.startswith((CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX))
+    """Names of the metrics of images that have a value, PSNR and debiased PSNR first."""
+    of_no_image = (CLOCK_PREFIX, COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING)
+    is_other = rows["metric"].str.startswith(of_no_image)
     scored = rows[rows["value"].notna() & ~is_other & (rows["unit"] != "ms")]
-    return sorted(set(scored["metric"]), key=lambda name: (name != "psnr", name))
+    found = set(scored["metric"])
+    return [*(name for name in HEADLINE if name in found), *sorted(found - set(HEADLINE))]
 
 
 def mean_over_scenes(per_scene: pd.DataFrame) -> pd.DataFrame:

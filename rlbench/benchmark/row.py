@@ -16,6 +16,7 @@ __all__ = [
     "COUNT_PREFIX",
     "DEFAULTS",
     "EVENT_PREFIX",
+    "NOISE_CEILING",
     "REQUIRED",
     "TWO_DEVICES",
     "UNRELIABLE",
@@ -28,6 +29,7 @@ UNRELIABLE = "unreliable:"  # begins the note of a time that failed its test; th
 TWO_DEVICES = "two devices:"  # in the note of a frame's time that adds times of two devices
 EVENT_PREFIX = "event_"  # of rows that say what happens in a clip at their frame
 COUNT_PREFIX = "pixels_with_"  # of rows of a histogram: share of a clip's pixels with N samples
+NOISE_CEILING = "noise_ceiling"  # metric of rows of the clip: PSNR of its noise-free image, in dB
 CLOCK_PREFIX = "clock_"  # of metrics that say how a cell's times were measured
 
 

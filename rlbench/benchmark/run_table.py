@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RunOutcome", "ScoreRow", "read_outcome"]
 
+HEADLINE = ("psnr", "psnr_debiased")
 TIMES = ("inference_ms", "frame_ms")
 
 
@@ -29,6 +30,7 @@ class ScoreRow:
     spp: float  # requested samples per pixel
     clips: int  # number of clips with a score
     psnr: float | None  # dB
+    psnr_debiased: float | None  # dB, without the noise of the reference
     inference_ms: float | None
     frame_ms: float | None  # inference, G-buffer and samples
     unreliable: tuple[str, ...] = ()  # the times that a busy machine spoiled
@@ -77,11 +79,13 @@ def _score_rows(rows: pd.DataFrame) -> list[ScoreRow]:
     for _, group in rows.groupby(["method", "target_spp"]):
         method, spp = group["method"].iloc[0], group["target_spp"].iloc[0]
         means = group.groupby("metric")["value"].mean()
-        psnr, inference_ms, frame_ms = (_number(means.get(n)) for n in ("psnr", *TIMES))
+        psnr, debiased, inference_ms, frame_ms = (
+            _number(means.get(name)) for name in (*HEADLINE, *TIMES)
+        )
         doubted = set(group.loc[_is_unreliable(group), "metric"])
         scored = group.loc[(group["metric"] == "psnr") & group["value"].notna(), "clip"].nunique()
         unreliable = tuple(name for name in TIMES if name in doubted)
-        numbers = scored, psnr, inference_ms, frame_ms
+        numbers = scored, psnr, debiased, inference_ms, frame_ms
         table.append(ScoreRow(method, float(spp), *numbers, unreliable))
     return table
 

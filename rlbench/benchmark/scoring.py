@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rlbench import registry
 from rlbench.benchmark.resolve import ResolvedCell
-from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, WHOLE_CLIP, Row
+from rlbench.benchmark.results import COUNT_PREFIX, EVENT_PREFIX, NOISE_CEILING, WHOLE_CLIP, Row
 from rlbench.clips.header import LIMITATIONS, Header
 from rlbench.ops.sanitize import sanitize_motion
 from rlbench.run import FrameResult
@@ -32,6 +32,7 @@ __all__ = [
 EVENTS = {"cut": "another shot begins", "light": "lights change"}
 
 COUNTED = "share of the pixels of all frames, pilot samples included"
+CEILING = "the clip's header: PSNR of the noise-free image against the reference"
 SKIPPED = "share of pixels kept from the last image, in tiles that did not change"
 
 
@@ -105,7 +106,7 @@ def score_frame(
     result: FrameResult,
     header: Header,
 ) -> Iterator[Row]:
-    """One row of each metric that has the previous frames that it reads, and of each event.
+    """One row of each metric that has the frames before that it reads, of each event and ceiling.
 
     Raises PluginError for an image of another shape or dtype than the reference.
     """
@@ -123,6 +124,7 @@ def score_frame(
         row = replace(frame, unit=metric.unit, direction=metric.direction)
         yield _with_value(row, metric.name, score, metric.convention, note)
     yield from _event_rows(frame, header)
+    yield from _ceiling_rows(frame, header)
     yield from _repair_rows(frame, result.repairs)
     if isinstance(result.state, TileMemory):
         yield _with_value(frame, "tiles_skipped", result.state.skipped, SKIPPED)
@@ -168,6 +170,13 @@ def _event_rows(frame: Row, header: Header) -> Iterator[Row]:
         if frame.frame in frames:
             convention = f"the clip's header: {EVENTS[event]}"
             yield _with_value(frame, f"{EVENT_PREFIX}{event}", 1.0, convention)
+
+
+def _ceiling_rows(frame: Row, header: Header) -> Iterator[Row]:
+    """A row with the noise ceiling of the frame's reference, where the clip's header has it."""
+    if ceilings := header.noise_ceiling_db:
+        row = replace(frame, unit="dB")
+        yield _with_value(row, NOISE_CEILING, ceilings[frame.frame], CEILING)
 
 
 def _repair_rows(frame: Row, repairs: Repairs) -> Iterator[Row]:

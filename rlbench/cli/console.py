@@ -110,16 +110,17 @@ def _print_summary(summary: RunSummary, out: Path, console: Console) -> None:
 
 
 def _print_scores(outcome: RunOutcome, console: Console) -> None:
-    """Print mean PSNR and times of a run's rows."""
+    """Print mean PSNR, with and without the reference's noise, and times of a run's rows."""
     clips = outcome.clips
     table = Table(title="one clip" if clips == 1 else f"mean over {clips} clips")
-    for column in ("method", "spp", "PSNR dB", "inference ms", "frame ms"):
+    for column in ("method", "spp", "PSNR dB", "debiased dB", "inference ms", "frame ms"):
         table.add_column(column, justify="left" if column == "method" else "right")
     for row in outcome.scores:
         part = f" ({row.clips} of them)" if 0 < row.clips < clips else ""
         times = {"inference_ms": row.inference_ms, "frame_ms": row.frame_ms}
         cells = [f"{_format_number(ms)}{'?' * (n in row.unreliable)}" for n, ms in times.items()]
-        table.add_row(f"{row.method}{part}", f"{row.spp:g}", _format_number(row.psnr), *cells)
+        scores = map(_format_number, (row.psnr, row.psnr_debiased))
+        table.add_row(f"{row.method}{part}", f"{row.spp:g}", *scores, *cells)
     console.print(table)
 
 

@@ -43,7 +43,8 @@ class RunOutput:
     cells: dict[
         str, int
     ]  # number of cells by what happened to them: measured, cached, skipped, ...
-    scores: list[dict[str, Any]]  # method, spp, clips, psnr, inference_ms, frame_ms, unreliable
+    scores: list[dict[str, Any]]
+    # method, spp, clips, psnr, psnr_debiased, inference_ms, frame_ms, unreliable
     failed: list[str]  # cells that an error stopped
     nonfinite: list[dict[str, Any]]  # cell, frame, pixels, of_pixels
     missing: list[str]  # why clips have no score or no sample time

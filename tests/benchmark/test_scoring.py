@@ -10,7 +10,7 @@ import torch
 
 from metrics.metric import Metric
 from rlbench import registry
-from rlbench.benchmark.results import Row
+from rlbench.benchmark.results import NOISE_CEILING, Row
 from rlbench.benchmark.scoring import compare_frame, refusal_row, score_frame
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.clips.stored import read_header
@@ -68,6 +68,16 @@ def test_a_metric_without_the_motion_that_it_needs_has_a_reason_and_no_score(fra
     (row,) = score(MOVED, result, read_header(clip_folder))
     assert math.isnan(row.value)
     assert row.note == "the clip has no motion, which the metric reads"
+
+
+def test_each_frame_has_the_noise_ceiling_of_the_clips_header(frames, clip_folder):
+    header = replace(read_header(clip_folder), noise_ceiling_db=(30.5, 31.5, 32.5))
+    rows = [row for result in frames for row in score(BRIGHT, result, header)]
+    ceilings = [row for row in rows if row.metric == NOISE_CEILING]
+    assert [(row.frame, row.value, row.unit) for row in ceilings] == [
+        (0, 30.5, "dB"),
+        (1, 31.5, "dB"),
+    ]
 
 
 def test_an_infinite_score_is_nan_with_a_note(frames, clip_folder):

@@ -1,20 +1,25 @@
 """Where the time of `rlbench run` goes: tracing, methods, metrics, and the suite itself.
 
-    python -m tests.performance.profile_run -m mean,svgf --scenes city --spp 1 --out /tmp/profile
+    python -m tests.performance.profile_run overhead.md --out results/overhead
 
-runs the command in this process and prints seconds by stage. Stages exclude one another: a stage
-inside another is taken off the outer one. Processor time is less disturbed by other programs than
-wall time, and counts all threads of this process.
+runs `rlbench run --out results/overhead` in this process and writes the page overhead.md: seconds
+by stage, and the shares of metrics and of the suite itself. Without --methods the rows are those of
+`make demo`. Use an empty results folder, or nothing is measured. Stages exclude one another: a
+stage inside another is taken off the outer one. Processor time is less disturbed by other programs
+than wall time, and counts all threads of this process.
 """
 
 from __future__ import annotations
 
+import os
+import shlex
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
+from pathlib import Path
 from typing import Any, NamedTuple
 
 Clock = Callable[[], float]
@@ -135,26 +140,50 @@ def _count_function(module: str, name: str, stage: str, clocks: list[StageClock]
     setattr(holder, last, counted)
 
 
+AIMS = {  # owner: line of the table, and the largest share of the wall time that is asked for
+    "metrics": ("**scoring**", "5 %"),
+    "suite": ("**suite**, that is neither tracing, nor methods, nor metrics", "5 %"),
+}
+
+
 def table(clocks: list[StageClock]) -> str:
-    """The stages as Markdown, and the share of the suite."""
-    wall, processor = clocks
+    """The stages as Markdown, and the shares of metrics and of the suite."""
     lines = [
-        "| stage | of | wall s | share | processor s | share |",
-        "| --- | --- |" + " ---: |" * 4,
+        "| stage | of | wall s | share | processor s | share | aim |",
+        "| --- | --- |" + " ---: |" * 5,
     ]
-    totals = [sum(clock.seconds.values()) for clock in clocks]
-    rows = [
-        (stage, [clock.seconds[stage.name] for clock in clocks])
-        for stage in (PYTORCH, *STAGES, REST)
-    ]
-    suite = [sum(s[i] for stage, s in rows if stage.owner == "suite") for i in (0, 1)]
-    rows.append((Stage("**suite**", "tracing, methods and metrics excluded"), suite))
-    for stage, seconds in rows:
-        shares = [100 * s / total for s, total in zip(seconds, totals, strict=True)]
-        cells = (f"{s:.2f} | {share:.1f} %" for s, share in zip(seconds, shares, strict=True))
-        lines.append(f"| {stage.name} | {stage.owner} | {' | '.join(cells)} |")
+    stages = (PYTORCH, *STAGES, REST)
+    lines += [_line(stage.name, stage.owner, "", clocks, [stage.name]) for stage in stages]
+    for owner, (name, aim) in AIMS.items():
+        parts = [stage.name for stage in stages if stage.owner == owner]
+        lines.append(_line(name, "", aim, clocks, parts))
     return "\n".join(lines)
 
 
+def _line(name: str, owner: str, aim: str, clocks: list[StageClock], stages: list[str]) -> str:
+    """Seconds of some stages together by both clocks, and their shares of all."""
+    cells = []
+    for clock in clocks:
+        seconds = sum(clock.seconds[stage] for stage in stages)
+        cells += [f"{seconds:.2f}", f"{100 * seconds / sum(clock.seconds.values()):.1f} %"]
+    return f"| {name} | {owner} | {' | '.join(cells)} | {aim} |"
+
+
+def page(words: list[str]) -> str:
+    """Run `rlbench run` with these words; what took how long, on which machine."""
+    load = os.getloadavg()[0]
+    clocks = profile(words)
+    from torch import get_num_threads
+
+    from rlbench.system import provenance
+
+    command = shlex.join(["rlbench", "run", *words])
+    return (
+        f"# Where the time of a run goes\n\n`{command}`, {provenance.machine().name}, "
+        f"{get_num_threads()} threads, load average {load:.1f} at the start. Stages exclude one "
+        f"another; processor seconds are of all threads.\n\n{table(clocks)}\n"
+    )
+
+
 if __name__ == "__main__":
-    sys.stdout.write(table(profile(sys.argv[1:])) + "\n")
+    Path(sys.argv[1]).write_text(page(sys.argv[2:]), encoding="utf-8")
