@@ -44,11 +44,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-<<<<<<< HEAD
-.PHONY: demo docs baseline table1 variance unseen controls speed equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
-=======
-.PHONY: demo docs baseline table1 variance conventions unseen controls speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser site test test-all format clean
->>>>>>> audit
+.PHONY: demo docs baseline table1 variance conventions unseen controls speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
