@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import typer
@@ -11,6 +12,7 @@ from rlbench.cli import interruption
 from rlbench.cli.completion import complete_methods
 from rlbench.cli.old_spellings import translate
 from rlbench.errors import RlbenchError
+from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system.disk import FolderNotWritableError, write_remedy
 from rlbench.system.paths import WriteError
@@ -61,6 +63,14 @@ class Command(TyperCommand):
 
             parser.parse_args = parse
         return parser
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words; a value that is none of the choices is answered with the nearest one."""
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            error.message = _name_nearest_choice(error.message)
+            raise
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
         """What the shell completes: options, and methods where they may stand alone."""
@@ -122,3 +132,15 @@ class CommandGroup(TyperGroup):
                 remedy = f": {write_remedy(error)}"
             typer.secho(f"error: {error}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error
+
+
+def _name_nearest_choice(message: str) -> str:
+    """A message of the parser without its inner words, and with the nearest choice if it has any.
+
+    >>> _name_nearest_choice("Value error, 'live ' is not one of 'stored', 'live'.")
+    "'live ' is not one of 'stored', 'live'. Did you mean 'live'?"
+    """
+    text = message.removeprefix("Value error, ")
+    found = re.fullmatch(r"'(.*)' is not one of ('.*')\.", text)
+    nearest = suggest(found[1], re.findall(r"'([^']*)'", found[2])) if found else ""
+    return text.removesuffix(".") + nearest if nearest else text

@@ -185,3 +185,51 @@ def test_an_output_folder_below_a_file_is_found_at_once(words, clip_folder, tmp_
     assert f"nothing can be written to {tmp_path}/file/r" in output
     assert "name another folder by --out" in output
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (("list", "metheds"), "'presets', 'profiles'. Did you mean 'methods'?"),
+        (("run", "mean", "--pool", "lives"), "'lives' is not one of 'stored', 'live'. Did you"),
+        (("card", "weigts", "ours"), "'weigts' is not one of 'dataset', 'weights'. Did you mean"),
+    ],
+)
+def test_a_value_that_is_no_choice_is_answered_with_the_nearest(words, answer):
+    output = rlbench(*words, code=2)
+    assert answer in output
+    assert "Value error" not in output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("pack", "--preset", "tiny"),
+        ("download", "--preset", "tiny", "--mirror", "nowhere"),
+        ("card", "weights", "ours"),
+        ("new", "fresh"),
+        ("video", "RESULTS"),
+        ("submit", "RESULTS"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_that_takes_no_file_is_found_by_the_commands_that_publish(
+    words, run_mean, tmp_path
+):
+    if "RESULTS" in words:
+        rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
+    (tmp_path / "file").touch()
+    words = [tmp_path / "r" if word == "RESULTS" else word for word in words]
+    output = rlbench(*words, "--out", tmp_path / "file" / "folder" / "it", code=2)
+    assert output.startswith(f"error: nothing can be written to {tmp_path}/file")
+
+
+@pytest.mark.parametrize("words", [("pack", "minni"), ("download", "minni"), ("render", "minni")])
+def test_commands_that_take_a_preset_name_it_alike_and_know_the_nearest(words):
+    command, name = words
+    assert "Did you mean 'mini'?" in rlbench(command, "--preset", name, code=2)
+
+
+def test_an_interrupted_command_that_begins_again_says_so():
+    assert "stay in m. The same command begins again" in what_is_kept("pack", {"out": "m"})
+    assert "complete clips are kept. The same command continues" in what_is_kept("download", {})
