@@ -131,3 +131,26 @@ def test_a_clip_with_other_pixels_is_not_overwritten(mirror, tmp_path):
 def test_clips_that_were_not_rendered_cannot_be_packed(tmp_path):
     output = rlbench("pack", "--preset", "tiny", "--out", tmp_path / "mirror", code=2)
     assert "the cache has no clip of tiny. Render them: rlbench render --preset tiny" in output
+
+
+def test_a_disk_that_fills_up_during_a_download_names_the_option(mirror, small_disk):
+    words = ("--preset", "tiny", "--mirror", mirror, "--out", small_disk / "clips")
+    output = rlbench("download", *words, code=2)
+    assert "cannot be written" in output
+    assert output.endswith("--out names another folder")
+
+
+def test_a_download_that_is_not_possible_makes_no_folder(tmp_path):
+    out = tmp_path / "new"
+    rlbench("download", "--preset", "tiny", "--mirror", tmp_path / "no", "--out", out, code=2)
+    assert not out.exists()
+
+
+def test_a_clip_with_a_typo_is_answered_with_the_nearest(mirror, tmp_path):
+    words = ("--preset", "tiny", "--mirror", mirror, "--out", tmp_path / "clips")
+    output = rlbench("download", *words, "--scenes", "cty", code=2)
+    assert output.endswith("available: city, temple. Did you mean 'city'?")
+    for name in ("temple", "city"):
+        write_noise(paths.clips_folder() / "tiny" / name, name, preset="tiny")
+    output = rlbench("pack", "--preset", "tiny", "--scenes", "cty", "--out", tmp_path, code=2)
+    assert "Did you mean 'city'? To render clips: rlbench render --preset tiny" in output
