@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import re
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -15,11 +17,12 @@ from rlbench.errors import RlbenchError
 from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system.disk import FolderNotWritableError, write_remedy
-from rlbench.system.paths import WriteError
+from rlbench.system.paths import WriteError, write_error
 
 __all__ = ["Command", "CommandGroup"]
 
 OTHER = "Options"  # title of the options that belong to no group
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that any file can meet
 PROGRAM_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}  # accepted behind the command too
 
 
@@ -82,7 +85,10 @@ class Command(TyperCommand):
         return completed
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. After Ctrl-C, say what is kept; after a closed pipe, nothing."""
+        """Run the command. After Ctrl-C, say what is kept; after a closed pipe, nothing.
+
+        A full disk is a WriteError, also where a plugin or a library met it.
+        """
         try:
             with exits_as_errors():
                 return super().invoke(ctx)
@@ -90,6 +96,9 @@ class Command(TyperCommand):
             typer.echo(f"\n{interruption.what_is_kept(str(self.name), ctx.params)}", err=True)
             raise typer.Exit(interruption.INTERRUPTED) from None
         except Exception as error:
+            if isinstance(error, OSError) and error.errno in FULL_DISK:
+                folder = ctx.params.get("out") or ctx.params.get("results") or Path.cwd()
+                raise write_error(Path(error.filename or folder), error.strerror) from error
             if not interruption.is_broken_pipe(error):
                 raise
             raise typer.Exit(interruption.PIPE_CLOSED) from None

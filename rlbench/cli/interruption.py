@@ -25,7 +25,7 @@ KEPT = {  # command: what an interrupted one leaves; None in place of a folder: 
     "render-scene": "finished frames are kept",
     "import": "finished frames are kept in {out}",
     "stress": "finished sections are kept in {out}",
-    "train": "training continues from the last checkpoint in {out}",
+    "train": "clips are kept in the cache and checkpoints in {out}",
     "crossval": "finished cells and the checkpoints of trainings are kept in {out}",
     "run": "finished cells are kept in {out}",
     "evaluate": "finished scores are kept in {out}",

@@ -155,6 +155,23 @@ def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, smal
     assert 0 < len(table.cells(small_disk / "r")) < 8
 
 
+@pytest.mark.parametrize("command", ["video", "report", "images"])
+def test_a_disk_that_fills_up_is_one_line_in_commands_that_draw(
+    run_mean, small_disk, clip_folder, tmp_path, command
+):
+    rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
+    words = {
+        "video": ("video", tmp_path / "r", "--zoom", 32),
+        "report": ("report", "zooms", "--results", tmp_path / "r", "--clips", clip_folder),
+        "images": ("images", "mean", "--clips", clip_folder),
+    }
+    free = os.statvfs(small_disk).f_bavail - 3  # blocks, enough for the probe before the work
+    (small_disk / "rest").write_bytes(bytes(free * 4096))
+    output = rlbench(*words[command], "--out", small_disk / "o", code=2)
+    assert re.search(r"error: \S+ cannot be written \(.*No space left .*bytes free", output)
+    assert output.endswith("--out names another folder")
+
+
 def test_a_full_disk_is_found_before_the_run(run_mean, small_disk, monkeypatch):
     (small_disk / "rest").write_bytes(bytes(os.statvfs(small_disk).f_bavail * 4096))
     output = rlbench(*run_mean[:-1], small_disk / "r", code=2)
