@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shlex
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from rlbench.benchmark import results
 from tests.checks.lint.broken_fixtures import correct_clip
 from tests.cli.runner import rlbench
-from tests.clips.importers.dumps import write_falcor, write_own
+from tests.clips.importers.dumps import write_falcor
 
 PAGES = Path(__file__).parents[1] / "docs" / "how-to"
 METHODS = ("ours", "oidn", "mean")
@@ -38,10 +39,11 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("write_dump", [write_own, write_falcor], ids=["own layout", "falcor"])
-def test_the_commands_of_the_page_lead_from_a_dump_to_a_decision(folder, write_dump):
-    write_dump(correct_clip(height=48, width=64, frames=3, half=32), folder / "dump")
-    (folder / "dump" / "engine.toml").unlink(missing_ok=True)  # so that it has to be guessed
+@pytest.mark.parametrize("sign", [1, -1], ids=["ready layout", "own layout"])
+def test_the_commands_of_the_page_lead_from_a_dump_to_a_decision(folder, sign):
+    clip = correct_clip(height=48, width=64, frames=3, half=32)
+    gbuffer = {**clip.gbuffer, "motion": sign * clip.gbuffer["motion"]}
+    write_falcor(dataclasses.replace(clip, gbuffer=gbuffer), folder / "dump")
     outputs = {words[0]: rlbench(*words) for words in commands()}
     assert list(outputs) == [
         "lint",

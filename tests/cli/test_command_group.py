@@ -71,7 +71,7 @@ def test_a_run_without_methods_measures_the_rows_of_the_demo_and_says_so(clip_fo
 
 def test_make_demo_runs_the_same_rows():
     assert set(registry.demo_methods()) == {"mean", "ntas", "oidn", "oidn/tuned", "ours"}
-    (line,) = re.findall(r"rlbench run .*--keep-images.*", (CHECKOUT / "Makefile").read_text())
+    (line,) = re.findall(r"rlbench run --preset .*--keep.*", (CHECKOUT / "Makefile").read_text())
     assert "--methods" not in line
     assert "-m" not in line.split()
 
@@ -155,14 +155,13 @@ def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, smal
     assert 0 < len(table.cells(small_disk / "r")) < 8
 
 
-@pytest.mark.parametrize("command", ["video", "report", "images"])
+@pytest.mark.parametrize("command", ["video", "images"])
 def test_a_disk_that_fills_up_is_one_line_in_commands_that_draw(
     run_mean, small_disk, clip_folder, tmp_path, command
 ):
     rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
     words = {
-        "video": ("video", tmp_path / "r", "--zoom", 32),
-        "report": ("report", "zooms", "--results", tmp_path / "r", "--clips", clip_folder),
+        "video": ("video", tmp_path / "r", "--clips", clip_folder, "--zoom", 32),
         "images": ("images", "mean", "--clips", clip_folder),
     }
     free = os.statvfs(small_disk).f_bavail - 3  # blocks, enough for the probe before the work
