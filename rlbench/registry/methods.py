@@ -8,13 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import PluginError
-from rlbench.registry.discovery import (
-    file_entries,
-    list_entries,
-    module_file,
-    plugin_file_error,
-    resolve,
-)
+from rlbench.registry.discovery import list_entries, module_file, plugin_file_error, resolve
 from rlbench.registry.lookup import (
     current_name,
     get_variant,
@@ -23,7 +17,7 @@ from rlbench.registry.lookup import (
     load_family,
 )
 from rlbench.registry.plugin_code import exits_as_errors
-from rlbench.registry.plugin_files import plugin_files
+from rlbench.registry.plugin_files import file_entries, plugin_files
 from rlbench.registry.stand_ins import import_failure, stand_ins
 from rlbench.system import provenance
 
