@@ -85,40 +85,43 @@ def run(
     finished cell.
 
     A cell that an error stopped is one row with value nan, whose `note` is the error. It does not
-    stop the other cells: a RunWarning names it, and cells with images that are not finite.
+    stop the other cells: a RunWarning names it, and cells with images that are not finite. So is
+    each cell of a method whose plugin cannot be imported.
 
     Raises RlbenchError for names, budgets, files or devices that cannot be used.
     """
-    names, target_spp = tuple(registry.expand(methods)), tuple(float(budget) for budget in spp)
-    target, file = select_device(device), None if weights is None else str(weights)
-    selected_backend = select_backend(backend, target)
-    check_precision(names, bf16, device, executor)
-    check_run(names, target_spp, Path(out), None if clips else preset, cost, file)
-    pool_kinds = {registry.get_variant(name).traits.pool for name in names}
-    plan = RunPlan(
-        methods=names,
-        clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
-        target_spp=target_spp,
-        seeds=tuple(seeds),
-        device=target,
-        cost=cost,
-        weights=file,
-        weights_label=weights_label,
-        bf16=bf16,
-        backend=selected_backend,
-        skip_tiles=skip_tiles,
-        limit_frames=limit_frames,
-    )
-    summary = measure(
-        plan,
-        Path(out),
-        on_cell,
-        executor,
-        retime=retime,
-        scores_only=scores_only,
-        keep_images=keep_images,
-    )
-    rows = read_cells(plan, Path(out))
+    patterns = list(methods)
+    with registry.with_broken(patterns):
+        names, target_spp = tuple(registry.expand(patterns)), tuple(float(budget) for budget in spp)
+        target, file = select_device(device), None if weights is None else str(weights)
+        selected_backend = select_backend(backend, target)
+        check_precision(names, bf16, device, executor)
+        check_run(names, target_spp, Path(out), None if clips else preset, cost, file)
+        pool_kinds = {registry.get_variant(name).traits.pool for name in names}
+        plan = RunPlan(
+            methods=names,
+            clips=select_clips(clips, scenes, preset, takes, pool, pool_kinds, executor),
+            target_spp=target_spp,
+            seeds=tuple(seeds),
+            device=target,
+            cost=cost,
+            weights=file,
+            weights_label=weights_label,
+            bf16=bf16,
+            backend=selected_backend,
+            skip_tiles=skip_tiles,
+            limit_frames=limit_frames,
+        )
+        summary = measure(
+            plan,
+            Path(out),
+            on_cell,
+            executor,
+            retime=retime,
+            scores_only=scores_only,
+            keep_images=keep_images,
+        )
+        rows = read_cells(plan, Path(out))
     if not (verdict := judge_run(summary, rows)).has_passed:
         warnings.warn(f"{verdict}. The column `note` has the reasons", RunWarning, stacklevel=2)
     return rows

@@ -75,7 +75,8 @@ def image_pools(folder: Path) -> set[str]:
     """
     pools = {images.pool for images in cell_images.list_images(folder)}
     if not pools:
-        raise EvaluationError(f"{folder} has no images; `rlbench run --keep-images` makes them")
+        problem = "has no images" if folder.is_dir() else "does not exist"
+        raise EvaluationError(f"{folder} {problem}; `rlbench run --keep-images` makes them")
     return pools
 
 

@@ -197,6 +197,11 @@ def _with_value(row: Row, metric: str, value: float, convention: str, note: str 
 def _check_image(method: str, result: FrameResult) -> None:
     """Raise PluginError for an image that metrics would silently broadcast or round."""
     image, reference = result.image, result.frame.reference.half_a
+    if not isinstance(image, torch.Tensor):
+        kind = f"{type(image).__module__}.{type(image).__name__}"
+        raise registry.PluginError(
+            f"'{method}' returned an image of type {kind}, expected a torch.Tensor"
+        )
     if image.shape != reference.shape or image.dtype != reference.dtype:
         raise registry.PluginError(
             f"'{method}' returned an image of {image.dtype} {list(image.shape)}, "

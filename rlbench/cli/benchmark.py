@@ -17,8 +17,11 @@ from rlbench.system.openmp import wait_asleep
 
 __all__ = ["run", "warn_without_networks"]
 
+ROWS = "Its rows get this reason; all others are measured"  # of a method that cannot be imported
+
 
 def run(
+    context: typer.Context,
     methods: options.Methods = None,
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
@@ -124,8 +127,8 @@ def run(
     seeds = _orders(seed, draws)
     if scores_only:
         wait_asleep()  # before a plugin imports torch
-    load_plugins(plugin)
-    names = _select_methods(methods)  # before torch
+    load_plugins(plugin, allow_broken=True)
+    names = _select_methods(context, methods)  # before torch
     chosen = weights or WeightsChoice()
     from rlbench import registry
     from rlbench.backends import select_backend
@@ -182,14 +185,19 @@ def run(
         raise typer.Exit(1)
 
 
-def _select_methods(patterns: list[str] | None) -> tuple[str, ...]:
-    """The methods to run; without any, those of a first run, and a note that says so."""
+def _select_methods(context: typer.Context, patterns: list[str] | None) -> tuple[str, ...]:
+    """The methods to run; without any, those of a first run, and a note that says so.
+
+    Those that cannot be imported are among them until the command ends.
+    """
     from rlbench import registry
 
-    if patterns:
-        return arguments.expand_methods(patterns)
-    names = arguments.expand_methods(registry.demo_methods())
-    note(f"rows of a first run: {', '.join(names)}; -m all runs one row of every method")
+    selected = arguments.split_names(patterns) or registry.demo_methods()
+    with_broken = registry.with_broken(selected, lambda reason: note(f"{reason}. {ROWS}"))
+    context.with_resource(with_broken)
+    names = arguments.expand_methods(selected)
+    if not patterns:
+        note(f"rows of a first run: {', '.join(names)}; -m all runs one row of every method")
     return names
 
 

@@ -46,8 +46,11 @@ def card(
     from rlbench.benchmark.hub_cards import dataset_card, weights_card
     from rlbench.cli.download import rendered_clips
     from rlbench.system import paths
+    from rlbench.system.disk import check_writable
     from rlbench.weights import card_path
 
+    if out:
+        check_writable(out)
     text = dataset_card(name, rendered_clips(name)) if kind == "dataset" else weights_card(name)
     if out is None:
         typer.echo(text)
@@ -57,6 +60,7 @@ def card(
     if kind == "weights":
         weights = registry.shipped_weights(name)
         for source in (weights, card_path(weights)):
-            shutil.copy(source, out / source.name)
+            with paths.atomic_write(out / source.name) as file:
+                shutil.copyfile(source, file)
     for path in sorted(out.iterdir()):
         typer.echo(path)

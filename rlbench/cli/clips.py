@@ -161,16 +161,24 @@ def _write_guess(sources: list[Path], layout: Path) -> None:
     """Write the layout of one dump, and print it."""
     from rlbench.checks.lint.guess import format_guess, guess_layout
     from rlbench.checks.lint.recognize import recognize_layout
+    from rlbench.clips.importers.layout import ready_layouts
     from rlbench.errors import OptionError
+    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import atomic_write
 
     if len(sources) != 1 or not sources[0].is_dir():
         raise OptionError("--guess takes one folder of EXR files")
-    if name := recognize_layout(sources[0]):
-        typer.echo(f"sure: the ready layout '{name}' reads it, and no check of motion, depth and")
-        typer.echo(f"normals fails: rlbench import {sources[0]} --layout {name} --out FOLDER")
-        return
     if layout.exists():
         raise OptionError(f"{layout} exists; name another file with --layout, or remove it")
-    text = format_guess(guess_layout(sources[0]))
-    layout.write_text(text)
-    typer.echo(f"{text}\nwritten to {layout}")
+    check_writable(layout.parent, "--layout")
+    if name := recognize_layout(sources[0]):
+        text = ready_layouts()[name].read_text()
+        typer.echo(f"sure: the ready layout '{name}' reads it, and no check of motion, depth and")
+        typer.echo("normals fails\n")
+    else:
+        text = format_guess(guess_layout(sources[0]))
+        typer.echo(text)
+    with atomic_write(layout) as file:
+        file.write_text(text)
+    typer.echo(f"written to {layout}. Next:")
+    typer.echo(f"  rlbench import {sources[0]} --layout {layout} --out clips/")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import re
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -11,13 +14,15 @@ from rlbench.cli import interruption
 from rlbench.cli.completion import complete_methods
 from rlbench.cli.old_spellings import translate
 from rlbench.errors import RlbenchError
+from rlbench.registry.near_names import suggest
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.system.disk import FolderNotWritableError, write_remedy
-from rlbench.system.paths import WriteError
+from rlbench.system.paths import WriteError, write_error
 
 __all__ = ["Command", "CommandGroup"]
 
 OTHER = "Options"  # title of the options that belong to no group
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that any file can meet
 PROGRAM_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}  # accepted behind the command too
 
 
@@ -62,6 +67,14 @@ class Command(TyperCommand):
             parser.parse_args = parse
         return parser
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words; a value that is none of the choices is answered with the nearest one."""
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            error.message = _name_nearest_choice(error.message)
+            raise
+
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
         """What the shell completes: options, and methods where they may stand alone."""
         from typer._click.shell_completion import CompletionItem
@@ -72,7 +85,10 @@ class Command(TyperCommand):
         return completed
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. After Ctrl-C, say what is kept; after a closed pipe, nothing."""
+        """Run the command. After Ctrl-C, say what is kept; after a closed pipe, nothing.
+
+        A full disk is a WriteError, also where a plugin or a library met it.
+        """
         try:
             with exits_as_errors():
                 return super().invoke(ctx)
@@ -80,6 +96,9 @@ class Command(TyperCommand):
             typer.echo(f"\n{interruption.what_is_kept(str(self.name), ctx.params)}", err=True)
             raise typer.Exit(interruption.INTERRUPTED) from None
         except Exception as error:
+            if isinstance(error, OSError) and error.errno in FULL_DISK:
+                folder = ctx.params.get("out") or ctx.params.get("results") or Path.cwd()
+                raise write_error(Path(error.filename or folder), error.strerror) from error
             if not interruption.is_broken_pipe(error):
                 raise
             raise typer.Exit(interruption.PIPE_CLOSED) from None
@@ -122,3 +141,15 @@ class CommandGroup(TyperGroup):
                 remedy = f": {write_remedy(error)}"
             typer.secho(f"error: {error}{remedy}", fg="red", err=True)
             raise SystemExit(2) from error
+
+
+def _name_nearest_choice(message: str) -> str:
+    """A message of the parser without its inner words, and with the nearest choice if it has any.
+
+    >>> _name_nearest_choice("Value error, 'live ' is not one of 'stored', 'live'.")
+    "'live ' is not one of 'stored', 'live'. Did you mean 'live'?"
+    """
+    text = message.removeprefix("Value error, ")
+    found = re.fullmatch(r"'(.*)' is not one of ('.*')\.", text)
+    nearest = suggest(found[1], re.findall(r"'([^']*)'", found[2])) if found else ""
+    return text.removesuffix(".") + nearest if nearest else text

@@ -12,19 +12,16 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.errors import OptionError
+from rlbench.registry.near_names import unknown_name
 
 if TYPE_CHECKING:
     from rlbench.clips.mirrors import ClipArchive
 
 __all__ = ["download", "pack", "rendered_clips"]
 
-PresetName = Annotated[
-    str, typer.Argument(metavar="PRESET", help="preset: see rlbench list presets")
-]
-
 
 def pack(
-    preset: PresetName = "mini",
+    preset: options.Preset = "mini",
     scenes: options.Scenes = None,
     out: Annotated[
         Path,
@@ -43,13 +40,15 @@ def pack(
     Examples:
 
     \b
-      rlbench pack mini --out mirror/
-      rlbench pack standard --scenes city,hall
+      rlbench pack --preset mini --out mirror/
+      rlbench pack --preset standard --scenes city,hall
     """
     from rlbench.cli import console
     from rlbench.clips.archive import clip_digests, pack_clip
     from rlbench.clips.mirrors import INDEX, ClipArchive, file_hash, write_registry
+    from rlbench.system.disk import check_writable
 
+    check_writable(out)
     folders = rendered_clips(preset, arguments.split_names(scenes))
     archives = []
     with console.counting("packing", len(folders)) as advance:
@@ -66,7 +65,7 @@ def pack(
 
 
 def download(
-    preset: PresetName = "mini",
+    preset: options.Preset = "mini",
     scenes: options.Scenes = None,
     mirror: Annotated[
         str,
@@ -103,23 +102,26 @@ def download(
     Examples:
 
     \b
-      rlbench download mini
-      rlbench download mini --mirror https://example.org/rlbench
-      rlbench download mini --mirror mirror/ --out clips/
+      rlbench download --preset mini
+      rlbench download --preset mini --mirror https://example.org/rlbench
+      rlbench download --preset mini --mirror mirror/ --out clips/
     """
     from rlbench.clips.archive import unpack_clip
     from rlbench.clips.mirrors import fetch
     from rlbench.render.presets import get_preset
     from rlbench.system import paths
+    from rlbench.system.disk import check_writable
 
     get_preset(preset)
     target = out or paths.clips_folder() / preset
+    check_writable(target, "--out" if out else "RLBENCH_CACHE")
+    with tempfile.TemporaryDirectory() as temporary:
+        archives = _archives(preset, mirror, registry, Path(temporary))
+    due = _missing(archives, arguments.split_names(scenes), target)
+    if out is None:
+        _check_shipped(preset, due)
     target.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=target, prefix=".download-") as temporary:
-        archives = _archives(preset, mirror, registry, Path(temporary))
-        due = _missing(archives, arguments.split_names(scenes), target)
-        if out is None:
-            _check_shipped(preset, due)
         for archive in due:
             with _progress(archive) as bar:
                 file = fetch(archive, Path(temporary), bar)
@@ -141,14 +143,15 @@ def rendered_clips(preset: str, names: Collection[str] = ()) -> list[Path]:
     found = find_clips(folder) if folder.is_dir() else []
     by_name = {path: {path.name, read_header(path).scene} for path in found}
     known = set().union(*by_name.values())
-    if missing := [name for name in names if name not in known]:
-        raise OptionError(
-            f"the cache has no clip {', '.join(missing)} of {preset}; it has: "
-            f"{', '.join(sorted(known)) or 'none'}. Render it: rlbench render --preset {preset}"
-        )
     if not found:
         raise OptionError(
             f"the cache has no clip of {preset}. Render them: rlbench render --preset {preset}"
+        )
+    if missing := [name for name in names if name not in known]:
+        problem = f"the cache has no clip {', '.join(missing)} of {preset}"
+        raise OptionError(
+            f"{unknown_name(problem, missing[0], sorted(known))} "
+            f"To render clips: rlbench render --preset {preset}"
         )
     return [path for path in found if not names or by_name[path] & set(names)]
 
@@ -179,10 +182,8 @@ def _missing(archives: list[ClipArchive], names: list[str], target: Path) -> lis
 
     clips = {each.clip for each in archives}
     if unknown := sorted(set(names) - clips):
-        raise OptionError(
-            f"there is no clip {', '.join(unknown)} to download; available: "
-            f"{', '.join(sorted(clips))}"
-        )
+        problem = f"there is no clip {', '.join(unknown)} to download"
+        raise OptionError(unknown_name(problem, unknown[0], sorted(clips)))
     due = []
     for archive in archives:
         folder = target / archive.clip

@@ -25,11 +25,15 @@ KEPT = {  # command: what an interrupted one leaves; None in place of a folder: 
     "render-scene": "finished frames are kept",
     "import": "finished frames are kept in {out}",
     "stress": "finished sections are kept in {out}",
-    "train": "training continues from the last checkpoint in {out}",
+    "train": "clips are kept in the cache and checkpoints in {out}",
     "crossval": "finished cells and the checkpoints of trainings are kept in {out}",
     "run": "finished cells are kept in {out}",
     "evaluate": "finished scores are kept in {out}",
+    "download": "complete clips are kept",
+    "pack": "complete archives stay in {out}",
+    "video": "complete videos are kept",
 }
+BEGINS_AGAIN = {"pack", "video"}  # commands of KEPT that use nothing of what is there
 
 
 def what_is_kept(command: str, parameters: Mapping[str, Any]) -> str:
@@ -42,7 +46,8 @@ def what_is_kept(command: str, parameters: Mapping[str, Any]) -> str:
         return "interrupted: nothing was kept"
     out = parameters.get("out") or Path(str(parameters.get("results"))) / "evaluated"
     again = shlex.join(["rlbench", *sys.argv[1:]])
-    return f"interrupted: {KEPT[command].format(out=out)}. The same command continues: {again}"
+    goes_on = "begins again" if command in BEGINS_AGAIN else "continues"
+    return f"interrupted: {KEPT[command].format(out=out)}. The same command {goes_on}: {again}"
 
 
 def is_broken_pipe(error: BaseException) -> bool:

@@ -45,16 +45,20 @@ def new(
       rlbench new my_method --learned --metric --scene
       rlbench new my_method --out ~/research/my_method
     """
+    from rlbench.system.disk import check_writable
+    from rlbench.system.paths import atomic_write
+
     folder = out or Path(name)
     _check_name(name)
+    check_writable(folder)
     if folder.exists():
         raise OptionError(f"{folder} exists already. Choose another NAME, or a folder with --out")
     extras = {"metric": metric, "scene": scene}
     templates = ["common", "learned" if training else "plain", *filter(extras.get, extras)]
     files = _fill_templates(templates, name)
     for path, text in files.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_text(text)
+        with atomic_write(folder / path) as file:
+            file.write_text(text)
     third = f"rlbench train -m {name} --quick" if training else f"rlbench run -m {name},mean"
     typer.echo(f"wrote {len(files)} files to {folder}; begin with {name}/method.py. Next:\n")
     for command in (f"cd {folder} && pip install -e .", f"rlbench check {name}", third):

@@ -72,8 +72,11 @@ def submit(
     from rlbench.benchmark.submission.collect import collect_submission, stored_clips
     from rlbench.benchmark.submission.document import SUFFIX, write_submission
     from rlbench.cli.reports import select_rows
+    from rlbench.system.disk import check_writable
 
+    target = out or results / f"submission{SUFFIX}"
     rows = read(results)
+    check_writable(target.parent)
     if names := arguments.split_names(methods):
         rows = select_rows(rows, names, results)
     sources = stored_clips(rows, clips)
@@ -81,7 +84,6 @@ def submit(
         rows, results, sources, licence=licence, contact=contact, note=note
     )
     _check_current(rows, results, sources)
-    target = out or results / f"submission{SUFFIX}"
     written = write_submission(submission, target)
     typer.echo(
         f"{target}: {len(written.cells)} cells, content hash {written.content_hash[:12]}. "

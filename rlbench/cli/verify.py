@@ -65,10 +65,9 @@ def verify(
     from rlbench.checks.console import print_results
 
     submission = read_submission(file)
+    compared = [check_against_scores(submission, against)] if against else []
     sources = _clips_of(submission, clips)
-    results = [*check_content(submission), *check_against_machine(submission, sources)]
-    if against:
-        results.append(check_against_scores(submission, against))
+    results = [*check_content(submission), *check_against_machine(submission, sources), *compared]
     results += _measure_again(submission, rerun, sources)
     title = f"{file.name}: {len(submission.cells)} cells of {submission.preset or 'own clips'}"
     title += f", rlbench {submission.version}, licence {submission.licence}"

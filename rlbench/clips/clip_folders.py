@@ -31,12 +31,24 @@ def _find(folder: Path) -> list[Path]:
     try:
         return find_clips(folder)
     except ClipError as error:
+        if deeper := _parents_of_clips(folder):
+            raise ClipError(
+                f"{folder} holds clips further down. Name the folders that hold them: "
+                f"{', '.join(deeper)}"
+            ) from error
         if name := next(_frames(folder), ""):
             raise ClipError(
                 f"{folder} holds {name} files and no clip. To make clips of them: "
-                f"rlbench import {folder} --layout NAME --out FOLDER"
+                f"rlbench import {folder} --layout NAME --out FOLDER; to find the layout: "
+                f"rlbench lint --guess {folder}"
             ) from error
         raise
+
+
+def _parents_of_clips(folder: Path) -> list[str]:
+    """The folders below that hold clips, sorted."""
+    files = islice(folder.rglob("*"), MAX_FILES)
+    return sorted({str(file.parents[1]) for file in files if file.name == FILE})
 
 
 def _frames(folder: Path) -> Iterator[str]:

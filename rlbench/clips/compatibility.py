@@ -11,15 +11,17 @@ __all__ = ["compatibility_summary", "incompatibility"]
 
 def compatibility_summary(header: Header) -> str:
     """The budgets and the methods that can be measured on a clip, and why other methods cannot."""
-    runnable, reasons = [], []
+    runnable: list[str] = []
+    by_reason: dict[str, list[str]] = {}
     for name in registry.list_plugins("methods"):
         reason = registry.import_error("methods", name)
         reason = reason or incompatibility(header, registry.get_variant(name).traits, 1.0)
-        reasons.append(f"{name} ({reason})") if reason else runnable.append(name)
+        (by_reason.setdefault(reason, []) if reason else runnable).append(name)
     budget = header.pool_spp
     text = f"budgets up to {budget} spp can be measured with: {', '.join(runnable) or 'no method'}"
-    if reasons:
-        text += f"; not with {'; '.join(reasons)}"
+    others = [f"{', '.join(names)} ({reason})" for reason, names in by_reason.items()]
+    if others:
+        text += f"; not with {'; '.join(others)}"
     if budget == 1:
         text += ". With one sample per pixel, an adaptive method can only leave pixels out"
     return text
@@ -35,8 +37,8 @@ def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
     if reason := traits.unsupported_reason(spp):
         return reason
     if traits.pool not in header.pools:
-        pools = ", ".join(header.pools)
-        return f"needs a '{traits.pool}' pool, the clip has: {pools}{_pool_hint(traits.pool)}"
+        pools, hint = ", ".join(header.pools), _pool_hint(traits.pool, header)
+        return f"needs a '{traits.pool}' pool, the clip has: {pools}{hint}"
     missing = traits.inputs - set(header.buffers) - ({"motion"} if header.static else set())
     if missing:
         buffers = ", ".join(header.buffers)
@@ -45,10 +47,11 @@ def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
     return None
 
 
-def _pool_hint(pool: str) -> str:
-    """How to add a pool that a plugin traces, for the end of a message."""
+def _pool_hint(pool: str, header: Header) -> str:
+    """How to add a pool that a plugin traces to a clip of a preset, for the end of a message."""
     if (
-        pool not in registry.list_plugins("pools")
+        not header.preset
+        or pool not in registry.list_plugins("pools")
         or not registry.load_plugin("pools", pool).factory
     ):
         return ""

@@ -6,6 +6,7 @@ A registry is a TOML file with a table `archives` for each archive. That which s
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import shutil
 from collections.abc import Collection
@@ -15,7 +16,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from rlbench.clips.header import ClipError
-from rlbench.system import documents
+from rlbench.system import documents, paths
 
 __all__ = [
     "INDEX",
@@ -123,6 +124,8 @@ def _retrieve(url: str, known_hash: str | None, file: Path, progress: Any = Fals
     try:
         pooch.retrieve(url, known_hash, file.name, file.parent, downloader=downloader)
     except (OSError, ValueError) as error:  # requests raises OSError, pooch ValueError for a hash
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise paths.write_error(file, error) from error
         raise MirrorError(f"{url} cannot be downloaded: {_first_line(error)}") from error
     return file
 

@@ -29,6 +29,7 @@ from rlbench.registry.methods import (
     shipped_weights,
     training_task,
     untrainable_reason,
+    with_broken,
 )
 from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
 from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
@@ -63,4 +64,5 @@ __all__ = [
     "untrainable_reason",
     "use_plugin",
     "get_variant",
+    "with_broken",
 ]

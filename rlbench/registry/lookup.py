@@ -10,6 +10,7 @@ from rlbench.family import Family, Traits, Variant
 from rlbench.registry.discovery import list_entries
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.near_names import unknown_name
+from rlbench.registry.stand_ins import find_stand_in
 
 __all__ = [
     "current_name",
@@ -74,6 +75,8 @@ def load_family(name: str) -> Family:
     Raises PluginError for an unknown name, and for a plugin that is not a family of this name.
     """
     key = name.partition("/")[0]
+    if family := find_stand_in(key):
+        return family
     known = list_entries("methods")
     if key not in known:
         raise PluginError(_unknown(key, "a method", known))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rlbench.errors import PluginError
-from rlbench.registry.discovery import module_file, resolve
+from rlbench.registry.discovery import list_entries, module_file, plugin_file_error, resolve
 from rlbench.registry.lookup import (
     current_name,
     get_variant,
@@ -16,6 +17,8 @@ from rlbench.registry.lookup import (
     load_family,
 )
 from rlbench.registry.plugin_code import exits_as_errors
+from rlbench.registry.plugin_files import file_entries, plugin_files
+from rlbench.registry.stand_ins import import_failure, stand_ins
 from rlbench.system import provenance
 
 if TYPE_CHECKING:
@@ -30,6 +33,7 @@ __all__ = [
     "shipped_weights",
     "training_task",
     "untrainable_reason",
+    "with_broken",
 ]
 
 MEMBERS = ("traits", "start", "plan", "denoise")  # of a Method
@@ -53,6 +57,8 @@ def load_method(
     from rlbench.method import Method
 
     name = current_name(name)
+    if failure := import_failure(name.partition("/")[0]):
+        raise failure
     declared = get_variant(name)
     if missing := " ".join(provenance.missing_packages(declared.requires)):
         raise PluginError(
@@ -154,6 +160,45 @@ def expand(
                 if is_named or get_variant(name).pretrained or not pretrained_only:
                     selected[name] = None
     return list(selected)
+
+
+@contextmanager
+def with_broken(
+    patterns: Iterable[str], on_broken: Callable[[str], None] = lambda text: None
+) -> Iterator[None]:
+    """Within it, methods that cannot be imported can be run: each cell of them fails with a reason.
+
+    That holds for those in `patterns`, and with `all` for those of plugin files. `on_broken` is
+    called with the reason of each.
+
+    Raises PluginError where no pattern names a method that can be imported, and for a plugin file
+    that cannot be imported and is not in the patterns.
+    """
+    names = list(patterns)
+    keys = dict.fromkeys(name.partition("/")[0] for name in names)
+    reasons = _broken_files()
+    if "all" not in keys and (unnamed := [key for key in reasons if key not in keys]):
+        raise PluginError(reasons[unnamed[0]])
+    for key in keys:
+        known = list_entries("methods").get(key)
+        if known and key not in reasons and (error := import_error("methods", key)):
+            reasons[key] = f"{key} from {known.origin} cannot be imported: {error}"
+    if reasons and keys.keys() <= reasons.keys():
+        raise PluginError("; ".join(reasons.values()))
+    for reason in reasons.values():
+        on_broken(reason)
+    with stand_ins(reasons, names):
+        yield
+
+
+def _broken_files() -> dict[str, str]:
+    """Why the plugin files that cannot be imported fail, by the name of their entry."""
+    errors = {file: error for file in plugin_files() if (error := plugin_file_error(file))}
+    return {
+        entry.name: f"{entry.name} from {entry.origin} cannot be imported: {error}"
+        for file, error in errors.items()
+        for entry in file_entries(file)
+    }
 
 
 def _families(on_skip: Callable[[str], None] | None) -> list[str]:

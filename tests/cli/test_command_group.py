@@ -71,7 +71,7 @@ def test_a_run_without_methods_measures_the_rows_of_the_demo_and_says_so(clip_fo
 
 def test_make_demo_runs_the_same_rows():
     assert set(registry.demo_methods()) == {"mean", "ntas", "oidn", "oidn/tuned", "ours"}
-    (line,) = re.findall(r"rlbench run .*--keep-images.*", (CHECKOUT / "Makefile").read_text())
+    (line,) = re.findall(r"rlbench run --preset .*--keep.*", (CHECKOUT / "Makefile").read_text())
     assert "--methods" not in line
     assert "-m" not in line.split()
 
@@ -155,6 +155,22 @@ def test_a_disk_that_fills_up_stops_a_run_and_keeps_what_it_wrote(run_mean, smal
     assert 0 < len(table.cells(small_disk / "r")) < 8
 
 
+@pytest.mark.parametrize("command", ["video", "images"])
+def test_a_disk_that_fills_up_is_one_line_in_commands_that_draw(
+    run_mean, small_disk, clip_folder, tmp_path, command
+):
+    rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
+    words = {
+        "video": ("video", tmp_path / "r", "--clips", clip_folder, "--zoom", 32),
+        "images": ("images", "mean", "--clips", clip_folder),
+    }
+    free = os.statvfs(small_disk).f_bavail - 3  # blocks, enough for the probe before the work
+    (small_disk / "rest").write_bytes(bytes(free * 4096))
+    output = rlbench(*words[command], "--out", small_disk / "o", code=2)
+    assert re.search(r"error: \S+ cannot be written \(.*No space left .*bytes free", output)
+    assert output.endswith("--out names another folder")
+
+
 def test_a_full_disk_is_found_before_the_run(run_mean, small_disk, monkeypatch):
     (small_disk / "rest").write_bytes(bytes(os.statvfs(small_disk).f_bavail * 4096))
     output = rlbench(*run_mean[:-1], small_disk / "r", code=2)
@@ -185,3 +201,51 @@ def test_an_output_folder_below_a_file_is_found_at_once(words, clip_folder, tmp_
     assert f"nothing can be written to {tmp_path}/file/r" in output
     assert "name another folder by --out" in output
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (("list", "metheds"), "'presets', 'profiles'. Did you mean 'methods'?"),
+        (("run", "mean", "--pool", "lives"), "'lives' is not one of 'stored', 'live'. Did you"),
+        (("card", "weigts", "ours"), "'weigts' is not one of 'dataset', 'weights'. Did you mean"),
+    ],
+)
+def test_a_value_that_is_no_choice_is_answered_with_the_nearest(words, answer):
+    output = rlbench(*words, code=2)
+    assert answer in output
+    assert "Value error" not in output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("pack", "--preset", "tiny"),
+        ("download", "--preset", "tiny", "--mirror", "nowhere"),
+        ("card", "weights", "ours"),
+        ("new", "fresh"),
+        ("video", "RESULTS"),
+        ("submit", "RESULTS"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_that_takes_no_file_is_found_by_the_commands_that_publish(
+    words, run_mean, tmp_path
+):
+    if "RESULTS" in words:
+        rlbench(*run_mean, "--spp", 1, "--scores-only", "--keep-images")
+    (tmp_path / "file").touch()
+    words = [tmp_path / "r" if word == "RESULTS" else word for word in words]
+    output = rlbench(*words, "--out", tmp_path / "file" / "folder" / "it", code=2)
+    assert output.startswith(f"error: nothing can be written to {tmp_path}/file")
+
+
+@pytest.mark.parametrize("words", [("pack", "minni"), ("download", "minni"), ("render", "minni")])
+def test_commands_that_take_a_preset_name_it_alike_and_know_the_nearest(words):
+    command, name = words
+    assert "Did you mean 'mini'?" in rlbench(command, "--preset", name, code=2)
+
+
+def test_an_interrupted_command_that_begins_again_says_so():
+    assert "stay in m. The same command begins again" in what_is_kept("pack", {"out": "m"})
+    assert "complete clips are kept. The same command continues" in what_is_kept("download", {})

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from rlbench import registry
 from rlbench.benchmark import results
+from rlbench.benchmark.api import run as rlbench_run
+from rlbench.benchmark.run_verdict import RunWarning
+from rlbench.registry import METHODS_VARIABLE
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin
 
@@ -18,7 +22,7 @@ FAULTS = {  # what replaces a line of a method -> the reason in its row
     ("return Scaled()", "import module_that_exits"): EXIT,
     (UNIFORM, "return samples.counts.numpy() / 1.0"): "'numpy.ndarray' object has no attribute",
     ("return samples.mean * GAIN, None", "return samples.mean.numpy(), None"): (
-        "PluginError: 'bad' returned an image of float32 [1, 3, 20, 24], expected torch.float32"
+        "PluginError: 'bad' returned an image of type numpy.ndarray, expected a torch.Tensor"
     ),
     ("return samples.mean * GAIN, None", "return samples.mean"): "ValueError: not enough values",
     ("return samples.mean * GAIN, None", "pass"): "TypeError: cannot unpack non-iterable NoneType",
@@ -105,9 +109,72 @@ def test_a_file_that_is_restored_is_measured_by_the_next_run(clips):
     assert notes(clips) == {}
 
 
-def test_a_family_that_cannot_be_imported_is_an_error_before_anything_is_measured(clips, tmp_path):
+BROKEN = {  # the whole plugin file -> the reason in its rows
+    "raise SystemExit(3)": "PluginExitError: plugin code called sys.exit(3)",
+    "import no_such_package": "ModuleNotFoundError: No module named 'no_such_package' (line 1)",
+    "def build(:": "SyntaxError: invalid syntax",
+    "FAMILY = None": "gone.py has neither FAMILY nor METHODS",
+}
+
+
+@pytest.mark.parametrize(("source", "reason"), BROKEN.items())
+@pytest.mark.parametrize("names", ["mean,gone", "gone/B1,mean"])
+def test_a_plugin_file_that_cannot_be_imported_costs_its_own_cells(
+    clips, tmp_path, source, reason, names
+):
+    (tmp_path / "gone.py").write_text(source)
+    output = run(clips, names, "--plugin", tmp_path / "gone.py", "--scores-only")
+    broken = names.replace(",", "").replace("mean", "")
+    said = "gone from --plugin gone.py cannot be imported: "
+    assert output.startswith(said + reason.partition(" (")[0])
+    assert scored(clips) == {("mean", "whole")}
+    assert notes(clips)[broken, "whole"].startswith(f"PluginError: {said}")
+    assert reason in notes(clips)[broken, "whole"]
+    assert f"FAILED: 1 cell stopped by an error ({broken} on whole at 1 spp" in output
+
+
+def test_an_installed_method_that_cannot_be_imported_costs_its_own_cells(clips, monkeypatch):
+    monkeypatch.setenv(METHODS_VARIABLE, "gone=no_such_package:FAMILY")
+    run(clips, "mean,gone")
+    assert scored(clips) == {("mean", "whole")}
+    assert f"gone from {METHODS_VARIABLE} cannot be imported" in notes(clips)["gone", "whole"]
+
+
+def test_a_method_that_cannot_be_imported_is_measured_once_it_can(clips, tmp_path):
+    file = tmp_path / "gone.py"
+    file.write_text("1 / 0")
+    words = ("--plugin", file, "--scores-only")
+    run(clips, "mean,gone", *words)
+    write_plugin(file, "gone")
+    run(clips, "mean,gone", *words, code=0)
+    assert scored(clips) == {("mean", "whole"), ("gone", "whole")}
+    assert notes(clips) == {}
+
+
+def test_all_gives_rows_to_a_plugin_file_that_cannot_be_imported(clips, tmp_path):
+    (tmp_path / "gone.py").write_text("1 / 0")
+    registry.use_plugin(tmp_path / "gone.py")
+    with registry.with_broken(["all"]):
+        assert {"gone", "mean"} <= set(registry.expand(["all"]))
+    with pytest.raises(ZeroDivisionError):
+        registry.load_family("gone")
+
+
+def test_python_runs_the_others_where_a_method_cannot_be_imported(clips, tmp_path):
+    (tmp_path / "gone.py").write_text("1 / 0")
+    registry.use_plugin(tmp_path / "gone.py")
+    with pytest.warns(RunWarning, match="gone on whole"):
+        rlbench_run(["mean", "gone"], clips=[clips], spp=[1], out=tmp_path / "results")
+    assert scored(clips) == {("mean", "whole")}
+    assert "ZeroDivisionError: division by zero" in notes(clips)["gone", "whole"]
+
+
+@pytest.mark.parametrize("names", ["gone", "mean"])
+def test_a_broken_plugin_file_is_an_error_at_once_where_it_is_alone_or_not_named(
+    clips, tmp_path, names
+):
     (tmp_path / "gone.py").write_text("raise SystemExit(3)")
-    output = run(clips, "mean,gone", "--plugin", tmp_path / "gone.py", code=2)
+    output = run(clips, names, "--plugin", tmp_path / "gone.py", code=2)
     assert output.endswith(
         "sys.exit(3). Raise an exception that says what is wrong instead (line 1)"
     )

@@ -15,6 +15,13 @@ def test_clips_of_several_folders_are_found_in_order(tmp_path):
     assert find_all_clips([tmp_path / "a", tmp_path / "cellar"]) == clips
 
 
+def test_a_folder_with_clips_further_down_names_the_folders_that_hold_them(tmp_path):
+    for renderer in ("falcor", "unreal"):
+        write_noise(tmp_path / "clips" / renderer / "attic")
+    with pytest.raises(ClipError, match=r"further down.*: \S+/clips/falcor, \S+/clips/unreal$"):
+        find_all_clips([tmp_path / "clips"])
+
+
 def test_a_folder_without_anything_says_what_a_clip_is(tmp_path):
     with pytest.raises(
         ClipError, match="no clip in .*; a clip is a folder that contains clip.toml"

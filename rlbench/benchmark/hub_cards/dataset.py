@@ -36,7 +36,7 @@ digest covers every sample, buffer and reference.
 
 ```bash
 {install}
-rlbench download {preset} --mirror ADDRESS    # the archives and clips.toml of this repository
+rlbench download --preset {preset} --mirror ADDRESS  # the archives and clips.toml of this page
 rlbench run -m mean --preset {preset}
 ```
 

@@ -19,7 +19,7 @@ from rlbench.benchmark.submission.document import (
     SubmissionError,
     SubmittedCell,
 )
-from rlbench.clips.stored import find_clips
+from rlbench.clips.clip_folders import find_all_clips
 from rlbench.system import paths, provenance
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def stored_clips(
         folders = [paths.clips_folder() / name for name in sorted(set(table["preset"])) if name]
         folders = [folder for folder in folders if folder.is_dir()]
     names = set(table["clip"])
-    sources = [StoredSource(path) for folder in folders for path in find_clips(folder)]
+    sources = [StoredSource(path) for path in find_all_clips(folders)]
     return {each.header.name: each for each in sources if each.header.name in names}
 
 

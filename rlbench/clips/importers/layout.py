@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
 from rlbench.clips.importers.sequence import SourceError
+from rlbench.registry.near_names import suggest, unknown_name
 from rlbench.system.documents import decode, read_toml
 
 __all__ = ["Image", "Layout", "decode_layout", "read_layout", "ready_layouts"]
@@ -167,10 +167,8 @@ def read_layout(name_or_file: str, names: Sequence[str] = ()) -> Layout:
     path = ready.get(name_or_file, Path(name_or_file))
     if not path.is_file():
         names = names or list(ready)
-        raise SourceError(
-            f"no layout '{name_or_file}'{_suggest(name_or_file, names)}; there are: "
-            f"{', '.join(sorted(names))}; or name a TOML file, as rlbench lint --guess writes"
-        )
+        problem = f"no layout '{name_or_file}', and no TOML file as rlbench lint --guess writes"
+        raise SourceError(unknown_name(problem, name_or_file, sorted(names), "; there are"))
     try:
         document = read_toml(path)
     except (OSError, ValueError) as error:
@@ -190,7 +188,7 @@ def decode_layout(document: Mapping[str, Any], file: str) -> Layout:
     Traceback (most recent call last):
     ...
     rlbench.clips.importers.sequence.SourceError: engine.toml: [motion] unit is 'pixel', expected \
-'pixels', 'ndc' or 'shares'; did you mean 'pixels'?
+'pixels', 'ndc' or 'shares'. Did you mean 'pixels'?
     """
     _check_table(file, "", document, Layout)
     for name, kind in _tables(Layout).items():
@@ -210,8 +208,9 @@ def _check_table(file: str, label: str, table: Mapping[str, Any], kind: type) ->
     for key in table:
         if key not in fields:
             raise SourceError(
-                f"{file}: {label}has the unknown key '{key}'{_suggest(key, fields)}; "
-                f"known keys: {', '.join(fields)}"
+                unknown_name(
+                    f"{file}: {label}has the unknown key '{key}'", key, fields, "; known keys"
+                )
             )
     for key, field in fields.items():
         if field.default is dataclasses.MISSING and key not in table:
@@ -222,7 +221,7 @@ def _check_table(file: str, label: str, table: Mapping[str, Any], kind: type) ->
         if words and key in table and not _is_allowed(value, hint, words):
             listed = " or ".join([", ".join(map(repr, words[:-1])), repr(words[-1])][-len(words) :])
             raise SourceError(
-                f"{file}: {label}{key} is {value!r}, expected {listed}{_suggest(value, words)}"
+                f"{file}: {label}{key} is {value!r}, expected {listed}{suggest(str(value), words)}"
             )
 
 
@@ -246,11 +245,6 @@ def _allowed_words(hint: Any) -> list[str]:
 def _is_allowed(value: Any, hint: Any, words: list[str]) -> bool:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return value in words or (float in typing.get_args(hint) and is_number)
-
-
-def _suggest(word: Any, words: Iterable[str]) -> str:
-    close = difflib.get_close_matches(str(word), list(words), n=1)
-    return f"; did you mean '{close[0]}'?" if close else ""
 
 
 def _as_tuple(words: Words) -> tuple[str, ...]:

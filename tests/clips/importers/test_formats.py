@@ -12,7 +12,7 @@ from tests.clips.importers.sources import write_oidn, write_rl_path_tracing
 def test_an_unknown_layout_is_reported_with_the_known_ones(source):
     with pytest.raises(
         SourceError,
-        match="no layout 'blend'; did you mean 'blender'.; there are: blender, .*noisebase.*TOML",
+        match=r"no layout 'blend', .*; there are: blender, .*\. Did you mean 'blender'\?$",
     ):
         formats.find_sequences(source, "blend")
 
