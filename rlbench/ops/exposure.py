@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rlbench.ops.color import luminance
@@ -13,16 +13,20 @@ __all__ = ["autoexposure"]
 MIDDLE_GREY = 0.18  # log-average luminance after exposure (the "key" of Reinhard et al. 2002)
 MAX_TILE_SIDE = 16  # pixels
 MIN_LUMINANCE = 1e-8  # darker tiles are ignored, as in OIDN
+MIN_SHARE = 1e-6  # of known pixels in a tile, below that of a single one
 
 
-def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]:
+def autoexposure(
+    radiance: Float[Tensor, "n 3 h w"], known: Bool[Tensor, "n 1 h w"] | None = None
+) -> Float[Tensor, "n 1 1 1"]:
     """Factor that brings the log-average luminance of each image to 0.18; 1 for a black image.
 
     0.18 / 2^mean(log2 L_t), where L_t is the mean luminance of tile t, over tiles brighter than
     1e-8. Follows Open Image Denoise (Afra 2019): tiles have at most 16 x 16 pixels and differ in
     size by at most one pixel; averaging over tiles makes the factor robust to noise. `radiance` is
-    linear, finite and >= 0. Computed outside autocast: in half precision the exposure of a scene
-    that gets brighter would change in steps.
+    linear, finite and >= 0. Tiles are means of the `known` pixels, where that is given; others must
+    be 0. Computed outside autocast: in half precision the exposure of a scene that gets brighter
+    would change in steps.
 
     >>> autoexposure(torch.full((1, 3, 8, 8), 0.36)).item()
     0.5
@@ -30,7 +34,11 @@ def autoexposure(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 1 1"]
     h, w = radiance.shape[-2:]
     light = luminance(radiance)[:, 0]
     with torch.autocast(radiance.device.type, enabled=False):
-        tiles = (_tile_averaging(h, light) @ light @ _tile_averaging(w, light).T).flatten(1)
+        rows, columns = _tile_averaging(h, light), _tile_averaging(w, light).T
+        tiles = (rows @ light @ columns).flatten(1)
+        if known is not None:
+            shares = (rows @ known[:, 0].to(light.dtype) @ columns).flatten(1)
+            tiles = tiles / shares.clamp_min(MIN_SHARE)
     bright = tiles > MIN_LUMINANCE
     logs = tiles.clamp_min(MIN_LUMINANCE).log2().where(bright, 0.0)
     mean = logs.sum(1) / bright.sum(1).clamp_min(1)

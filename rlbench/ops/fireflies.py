@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import reduce
+import math
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
+from rlbench.ops.box_filter import box_mean
 from rlbench.ops.color import luminance
 from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
 from rlbench.ops.sanitize import repair_history, sanitize_radiance
@@ -22,9 +22,10 @@ __all__ = [
     "repair_radiance_history",
 ]
 
-RADIUS = 2  # pixels around a pixel that vouch for its brightness
+RADIUS, MAX_RADIUS = 2, 20  # pixels around a pixel that vouch for its brightness
 CONTRAST = 64.0  # times the brightest of them, above which a sample is taken for an outlier
 FALLOFF = 4  # an outlier twice as bright keeps 1/16 of the limit: no jump between kept and replaced
+NO_PIXEL = -1.0  # luminance where there is no sample, or no pixel: less than any
 HISTORY_CONTRAST = 4096.0  # times the image's log-average, above which history is broken
 
 
@@ -38,6 +39,8 @@ def limit_fireflies(
     exceeds this limit, the closer it comes to the mean of its window. Renderers clamp
     samples to a constant (Cycles: "clamp indirect"); this limit follows the exposure of the scene
     and leaves usual fireflies alone. A lamp that covers a single pixel is dimmed like an outlier.
+    Pixels without a sample count in no mean, and where there are many of them, the window grows, to
+    at most 41 x 41, until it holds as many samples as 5 x 5 full pixels.
     Samples that are not finite or negative are replaced first (rlbench.ops.sanitize).
 
     `counts` is the number of samples per pixel; slots without a sample hold zero.
@@ -57,16 +60,20 @@ def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     if sanitize_radiance(mean) is not mean:
         radiance = sanitize_radiance(radiance)
         mean = _mean(radiance, counts)
-    light = luminance(mean)
-    neighbours = _max_of_neighbours(light)
-    brightest = torch.maximum(neighbours, _log_average(torch.minimum(light, neighbours)))
+    light, known = luminance(mean), counts > 0
+    radius = _window_radius(known)
+    neighbours = _max_of_neighbours(light.where(known, NO_PIXEL), radius)
+    plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
+    brightest = torch.maximum(neighbours, _log_average(plausible, known))
     suspects = light * counts > CONTRAST * brightest  # no sample is brighter than the sum
     if not suspects.any():
         return radiance, mean
     image, _, y, x = suspects.nonzero(as_tuple=True)
     pixels = (image, slice(None), y, x)
     limit = CONTRAST * brightest[pixels].view(-1, 1, 1, 1, 1)
-    window = _window_mean(torch.minimum(light, brightest))
+    side = 2 * radius + 1
+    sums = [box_mean(x, side, "constant") for x in (torch.minimum(light, brightest), known.float())]
+    window = sums[0] / sums[1]  # at least one sample where there is a suspect
     replacement = window[pixels].view(-1, 1, 1, 1, 1)
     samples = radiance.movedim((3, 4), (1, 2))[image, y, x][..., None, None]  # k s 3 1 1
     value = luminance(samples)
@@ -117,30 +124,41 @@ def _repair_radiance(history: Tensor) -> tuple[Tensor, Tensor]:
     return repair_history(history, 0.0, HISTORY_CONTRAST * average), average
 
 
-def _log_average(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 1 1"]:
-    """The log-average luminance of each image, 0.18 for a black one."""
-    return MIDDLE_GREY / autoexposure(light.expand(-1, 3, -1, -1))
+def _log_average(light: Tensor, known: Tensor | None = None) -> Float[Tensor, "n 1 1 1"]:
+    """The log-average luminance of each image's known pixels, 0.18 for a black one."""
+    return MIDDLE_GREY / autoexposure(light.expand(-1, 3, -1, -1), known)
 
 
 def _mean(radiance: Tensor, counts: Tensor) -> Tensor:
     return radiance.sum(1) / counts.clamp_min(1)
 
 
-def _max_of_neighbours(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """The largest value of the window without its centre; beyond the border there is none."""
+def _window_radius(known: Bool[Tensor, "n 1 h w"]) -> int:
+    """The radius of a window with as many samples as one of RADIUS in a full image has."""
+    share = max(float(known.float().mean()), (RADIUS / MAX_RADIUS) ** 2)
+    return round(RADIUS / math.sqrt(share))
+
+
+def _max_of_neighbours(
+    light: Float[Tensor, "n 1 h w"], radius: int = RADIUS
+) -> Float[Tensor, "n 1 h w"]:
+    """The largest value of the window without its centre, NO_PIXEL where there is none."""
     h, w = light.shape[-2:]
-    padded = F.pad(light, (RADIUS,) * 4)
-    offsets = range(2 * RADIUS + 1)
-    columns = [padded[..., x : x + w] for x in offsets if x != RADIUS]
-    row = _largest([*columns, padded[..., RADIUS : RADIUS + w]])
-    others = [row[..., y : y + h, :] for y in offsets if y != RADIUS]
-    return _largest([*others, _largest(columns)[..., RADIUS : RADIUS + h, :]])
+    padded = F.pad(light, (radius,) * 4, value=NO_PIXEL)
+    sides = _largest_beside(padded, radius, w, dim=-1)
+    rows = torch.maximum(sides, padded[..., radius : radius + w])
+    above_and_below = _largest_beside(rows, radius, h, dim=-2)
+    return torch.maximum(above_and_below, sides[..., radius : radius + h, :])
 
 
-def _window_mean(light: Float[Tensor, "n 1 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """The mean over 5 x 5 pixels, of those inside the image."""
-    return F.avg_pool2d(light, 2 * RADIUS + 1, 1, RADIUS, count_include_pad=False)
-
-
-def _largest(images: Sequence[Tensor]) -> Tensor:
-    return reduce(torch.maximum, images)
+def _largest_beside(padded: Tensor, radius: int, size: int, dim: int) -> Tensor:
+    """The largest of the `radius` values before and after each of `size` positions."""
+    largest, width = padded, 1  # of `width` values from each position on
+    while width < radius:
+        step = min(width, radius - width)
+        largest = torch.maximum(
+            largest.narrow(dim, 0, largest.shape[dim] - step),
+            largest.narrow(dim, step, largest.shape[dim] - step),
+        )
+        width += step
+    return torch.maximum(largest.narrow(dim, 0, size), largest.narrow(dim, radius + 1, size))

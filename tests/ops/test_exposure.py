@@ -72,3 +72,19 @@ def test_autocast_does_not_change_the_exposure():
     float32 = autoexposure(image)
     with torch.autocast("cpu", torch.bfloat16):
         assert torch.equal(autoexposure(image), float32)
+
+
+def test_unknown_pixels_count_in_no_tile():
+    """Tiles are means of the known pixels; a tile without any is ignored."""
+    image = random_images(40, 40)
+    known = torch.rand(2, 1, 40, 40, generator=torch.Generator().manual_seed(0)) < 0.2
+    known[..., :14, :14] = False  # the first tile
+    expected = []
+    for one, mask in zip(image, known, strict=True):
+        bounds = [(i * 40 // 3, (i + 1) * 40 // 3) for i in range(3)]
+        tiles = [(slice(*rows), slice(*columns)) for rows in bounds for columns in bounds]
+        means = [one[:, *tile][:, mask[0][tile]].mean(1) for tile in tiles if mask[0][tile].any()]
+        light = [float(mean @ torch.tensor([0.212671, 0.71516, 0.072169])) for mean in means]
+        expected.append(0.18 / math.exp(sum(map(math.log, light)) / len(light)))
+    measured = autoexposure(image * known, known).flatten()
+    torch.testing.assert_close(measured, torch.tensor(expected), rtol=1e-5, atol=0)

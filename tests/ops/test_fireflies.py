@@ -7,12 +7,16 @@ import math
 import pytest
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from rlbench.ops.color import luminance
 from rlbench.ops.exposure import MIDDLE_GREY, autoexposure
 from rlbench.ops.fireflies import (
     CONTRAST,
     FALLOFF,
+    NO_PIXEL,
+    _max_of_neighbours,
+    _window_radius,
     limit_fireflies,
     mean_without_fireflies,
     repair_moments,
@@ -108,6 +112,44 @@ def test_the_limit_follows_the_exposure(exposure):
     radiance[..., 8, 8] = 300.0
     limited = limit_fireflies(radiance * exposure, COUNTS) / exposure
     assert torch.allclose(limited, limit_fireflies(radiance, COUNTS), rtol=1e-4)
+
+
+def sparse(share: float, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """One sample for a share of 96 x 96 pixels: log-normal noise, and a lamp of 8 x 8 pixels."""
+    generator = torch.Generator().manual_seed(seed)
+    light = torch.randn(1, 1, 1, 96, 96, generator=generator).exp()
+    light[..., 40:48, 40:48] = 300.0
+    counts = (torch.rand(1, 1, 96, 96, generator=generator) < share).long()
+    return (light * counts.unsqueeze(1)).expand(-1, -1, 3, -1, -1).contiguous(), counts
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.1, 0.2, 0.5])
+def test_sparse_samples_keep_their_light(share):
+    """Pixels without a sample are no dark neighbours."""
+    radiance, counts = sparse(share)
+    kept = limit_fireflies(radiance, counts).sum() / radiance.sum()
+    assert kept > 0.99
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
+def test_an_outlier_among_sparse_samples_is_dimmed_to_their_brightness(share):
+    radiance, counts = sparse(share)
+    counts[..., 10, 10] = 1
+    radiance[..., 10, 10] = 65504.0
+    assert limit_fireflies(radiance, counts)[0, 0, 0, 10, 10] < 20  # their mean is 1.6
+
+
+@pytest.mark.parametrize("share", [0.04, 0.16, 0.7])
+def test_neighbours_are_the_largest_of_a_window_that_grows_with_the_holes(share):
+    light = torch.rand(1, 1, 24, 30, generator=torch.Generator().manual_seed(1))
+    known = torch.zeros(1, 1, 24, 30, dtype=torch.bool)
+    known.view(-1)[: round(share * known.numel())] = True
+    radius = _window_radius(known)
+    assert radius == {0.04: 10, 0.16: 5, 0.7: 2}[share]
+    windows = F.unfold(F.pad(light, (radius,) * 4, value=NO_PIXEL), 2 * radius + 1)
+    windows[:, windows.shape[1] // 2] = NO_PIXEL
+    expected = windows.amax(1).view_as(light)
+    assert torch.equal(_max_of_neighbours(light, radius), expected)
 
 
 def test_pixels_without_a_sample_stay_black():
