@@ -9,8 +9,8 @@ import typer
 
 from rlbench import registry
 from rlbench.cli import arguments
-from rlbench.cli.verbosity import set_verbosity
 from rlbench.cli.arguments import WeightsChoice
+from rlbench.cli.verbosity import set_verbosity
 
 
 @pytest.mark.parametrize(
