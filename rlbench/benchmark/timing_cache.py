@@ -160,6 +160,8 @@ class TimingCache:
             on_timing(round(done), len(cells))
 
         alone, groups = executor.local_exclusive(), _groups(cells)
+        if cells:
+            on_timing(0, len(cells))  # the first row may be done minutes later
         for outcome in alone.map(self, groups, resources, on_progress):
             if outcome.error is None:
                 yield from outcome.result()

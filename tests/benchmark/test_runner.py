@@ -238,7 +238,7 @@ def test_all_missing_cells_are_timed_together_before_the_first_is_scored(clip_fo
         on_cell=lambda cell: seen.append(cell.method.name),
         on_timing=lambda done, total: seen.append((done, total)),
     )
-    assert seen == [(1, 2), (2, 2), "mean", "eaw"]
+    assert seen == [(0, 2), (1, 2), (2, 2), "mean", "eaw"]
 
 
 def test_a_method_that_ends_the_program_does_not_spoil_the_times_of_others(clip_folder, tmp_path):
