@@ -87,7 +87,7 @@ class Scores:
 
     def column_text(self, column: str) -> str:
         """The text in `column` of the metric's rows; different texts are joined by semicolons."""
-        return "; ".join(sorted(set(self.all_rows[column]) - {""}))
+        return "; ".join(sorted(set(self.all_rows[column].unique()) - {""}))
 
     @property
     def convention(self) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, mean_with_interval, pair
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, FRAME, UNKNOWN, interval_of
 from reports.analysis.multiplicity import difference_columns
 
 __all__ = ["ALL_SCENES", "rank_methods"]
@@ -38,26 +39,21 @@ def rank_methods(scores: Scores, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES) 
 
 
 def _rank(rows: pd.DataFrame, scores: Scores, seed: int, draws: int) -> list[dict[str, object]]:
-    frames = {str(method): part for method, part in rows.groupby("method")}
-    means = {method: _mean(part) for method, part in frames.items()}
+    frames = rows.pivot(index=list(FRAME), columns="method", values="value")
+    clip_means = frames.groupby(level=["scene", "clip"]).mean()
+    scene_means = clip_means.groupby(level="scene").mean()
+    means, units = scene_means.mean(), scene_means if len(scene_means) > 1 else clip_means
     sign = {"higher": 1, "lower": -1}.get(scores.direction, 0)
-    best = max(means, key=lambda method: sign * means[method]) if sign else ""
-    unit = scores.column_text("unit")
-    ranked = []
-    for method, part in frames.items():
+    best = str((sign * means).idxmax()) if sign else ""
+    clips, unit, ranked = rows.groupby("method")["clip"].nunique(), scores.column_text("unit"), []
+    for method in map(str, frames.columns):
         gap = UNKNOWN
-        if best and method != best:
-            gap = mean_with_interval(pair(part, frames[best]), seed, draws)
+        if best and method != best:  # all have the same frames, so the mean of gaps is the gap
+            gap = interval_of((units[method] - units[best]).to_numpy(np.float64), seed, draws)
         ranked.append(
             {"method": method, "mean": means[method]}
             | difference_columns(gap, unit, scores.direction)
             | {"best": bool(best) and means[method] == means[best]}
-            | {"clips": part["clip"].nunique(), "frames": len(part)}
+            | {"clips": int(clips[method]), "frames": int(frames[method].count())}
         )
     return ranked
-
-
-def _mean(frames: pd.DataFrame) -> float:
-    """Mean over the frames of a clip, then over the clips of a scene, then over scenes."""
-    clips = frames.groupby(["scene", "clip"])["value"].mean()
-    return float(clips.groupby("scene").mean().mean())
