@@ -301,7 +301,7 @@ def test_a_pixel_without_a_sample_takes_its_history() -> None:
     _, state = with_bias(LAMBDA, -80.0).denoise(static, partial, constant_state(0.25))
     assert (state.irradiance[..., :16] - 0.25).abs().max() < 1e-5
     torch.testing.assert_close(
-        state.irradiance[..., 16:], demodulate(frame, samples)[..., 16:], rtol=1e-4, atol=1e-6
+        state.irradiance[..., 16:], demodulate(frame, partial)[..., 16:], rtol=1e-4, atol=1e-6
     )
 
 

@@ -71,7 +71,7 @@ def test_unreliable_times_are_marked_and_explained(run_mean, tmp_path):
     ]
     table.write_cell(tmp_path / "r", cell, rows)
     output = rlbench(*run_mean, "--spp", 1, "--repeats", 1)
-    assert re.search(r"│ mean │ 1 │ [\d.]+ │ [\d.]+\? │", output)
+    assert re.search(r"│ mean │ 1 │ [\d.]+ │ [\d.]+ │ [\d.]+\? │", output)
     assert "1 rows have unreliable times, marked ?: busy" in output
     assert "repeat the command with --retime" in output
 

@@ -78,7 +78,7 @@ def test_a_family_that_cannot_be_imported_is_a_failure_of_all(tmp_path, monkeypa
 
 def test_an_unknown_section_ends_with_exit_code_2(tmp_path):
     _, errors = stress("mean", "--only", "budget", "--out", tmp_path, code=2)
-    assert errors[0].startswith("error: --only budget: no such section; there are: ")
+    assert errors[0] == "error: --only budget: no such section. Did you mean 'budgets'?"
 
 
 def test_planted_bad_pixels_are_counted_in_the_last_line():

@@ -69,6 +69,6 @@ def test_selected_sections_keep_the_order_of_the_suite():
     assert select_sections() == list(list_sections())
 
 
-def test_an_unknown_section_is_an_error_with_the_known_ones():
-    with pytest.raises(OptionError, match="--only budget: no such section; there are: .*budgets"):
+def test_an_unknown_section_is_an_error_with_the_nearest_one():
+    with pytest.raises(OptionError, match="--only budget: no such section. Did you mean 'budgets'"):
         select_sections(["budget"])
