@@ -11,9 +11,10 @@ REPORT := $(RESULTS)/report
 RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule,ours/initial
 CONTROLS := ours,ours/lean,ours/stateless,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
 
-# the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
 # the paper's recipe and its ablations
 PAPER := ours/paper,ours/paper-appo,ours/paper-A1,ours/paper-A2,ours/paper-B1,ours/paper-B2,ours/paper-C
+
+# the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
 TABLE1 := ours,ours/lean,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/stateless,$(PAPER),imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
