@@ -21,6 +21,7 @@ __all__ = [
     "Interval",
     "interval_ends",
     "interval_of",
+    "intervals_of",
     "mean_with_interval",
     "pair",
     "unit_means",
@@ -124,10 +125,24 @@ def interval_of(
     >>> f"{interval.mean:.2f} [{interval.low:.2f}, {interval.high:.2f}]"
     '0.25 [0.04, 0.46]'
     """
-    low, high = interval_ends(units[:, None], seed, draws, level)
-    mean = float(units.mean()) if len(units) else math.nan
-    deviation = float(units.std(ddof=1)) if len(units) > 1 else math.nan
-    return Interval(mean, float(low[0]), float(high[0]), len(units), deviation)
+    return intervals_of(units[:, None], seed, draws, level)[0]
+
+
+def intervals_of(
+    units: NDArray[np.float64],  # [units columns], the independent numbers of each column
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
+    level: float = LEVEL,
+) -> list[Interval]:
+    """The mean of each column with its confidence interval, as `interval_ends`; one bootstrap."""
+    count, columns = units.shape
+    means = units.mean(axis=0) if count else np.full(columns, math.nan)
+    deviations = units.std(axis=0, ddof=1) if count > 1 else np.full(columns, math.nan)
+    ends = np.stack([means, *interval_ends(units, seed, draws, level)]).T.tolist()
+    return [
+        Interval(mean, low, high, count, deviation)
+        for (mean, low, high), deviation in zip(ends, deviations.tolist(), strict=True)
+    ]
 
 
 def interval_ends(

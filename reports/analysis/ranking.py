@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pandas as pd
 
 from reports.analysis.aggregate import Scores, mean_over_scenes
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, FRAME, UNKNOWN, interval_of
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES, FRAME, UNKNOWN, intervals_of
 from reports.analysis.multiplicity import difference_columns
 
 __all__ = ["ALL_SCENES", "rank_methods"]
@@ -45,15 +47,14 @@ def _rank(rows: pd.DataFrame, scores: Scores, seed: int, draws: int) -> list[dic
     means, units = scene_means.mean(), scene_means if len(scene_means) > 1 else clip_means
     sign = {"higher": 1, "lower": -1}.get(scores.direction, 0)
     best = str((sign * means).idxmax()) if sign else ""
-    clips, unit, ranked = rows.groupby("method")["clip"].nunique(), scores.column_text("unit"), []
-    for method in map(str, frames.columns):
-        gap = UNKNOWN
-        if best and method != best:  # all have the same frames, so the mean of gaps is the gap
-            gap = interval_of((units[method] - units[best]).to_numpy(np.float64), seed, draws)
-        ranked.append(
-            {"method": method, "mean": means[method]}
-            | difference_columns(gap, unit, scores.direction)
-            | {"best": bool(best) and means[method] == means[best]}
-            | {"clips": int(clips[method]), "frames": int(frames[method].count())}
-        )
-    return ranked
+    # all have the same frames, so the mean of gaps is the gap
+    gaps = units.sub(units[best], axis=0) if best else units * math.nan
+    intervals = intervals_of(gaps.to_numpy(np.float64), seed, draws)
+    clips, unit = rows.groupby("method")["clip"].nunique(), scores.column_text("unit")
+    return [
+        {"method": method, "mean": means[method]}
+        | difference_columns(UNKNOWN if method == best else gap, unit, scores.direction)
+        | {"best": bool(best) and means[method] == means[best]}
+        | {"clips": int(clips[method]), "frames": int(frames[method].count())}
+        for method, gap in zip(map(str, frames.columns), intervals, strict=True)
+    ]

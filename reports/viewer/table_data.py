@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from typing import Any
 
 import pandas as pd
 
-from reports.analysis.aggregate import Scores, mean_over_scenes, metrics_with_values
-from reports.analysis.intervals import BOOTSTRAP_SAMPLES, UNKNOWN, Interval, interval_ends
+from reports.analysis.aggregate import Scores, metrics_with_values
+from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.multiplicity import correct_by_holm
 from reports.analysis.notes import remarks, skip_reasons
-from reports.analysis.ranking import ALL_SCENES
-from reports.analysis.verdicts import name_verdict
+from reports.analysis.ranking import ALL_SCENES, rank_methods
 
-__all__ = ["frame_scores", "provenance", "rank_at_once", "table_data"]
+__all__ = ["frame_scores", "provenance", "table_data"]
 
 TIMES = ["inference_ms", "frame_ms", "mean_spp", "unreliable"]
 SHOWN = ["mean", "difference", "low", "high", "best", "verdict", "mark"]
@@ -33,7 +31,7 @@ def table_data(rows: pd.DataFrame, device: str, draws: int = BOOTSTRAP_SAMPLES) 
         scores = Scores(rows, metric, device)
         times = pd.concat([scores.points, scores.overall.assign(scene=ALL_SCENES)])
         keys = ["method", "scene", "target_spp"]
-        groups = rank_at_once(scores, draws).groupby(["scene", "target_spp"])
+        groups = rank_methods(scores, draws=draws).groupby(["scene", "target_spp"])
         ranked = pd.concat(correct_by_holm(group) for _, group in groups)
         table = ranked.merge(times[[*keys, *TIMES]], on=keys, how="left")
         metrics.append(
@@ -46,56 +44,6 @@ def table_data(rows: pd.DataFrame, device: str, draws: int = BOOTSTRAP_SAMPLES) 
             }
         )
     return {"metrics": metrics, "notes": [*skip_reasons(rows), *remarks(rows)]}
-
-
-def rank_at_once(scores: Scores, draws: int = BOOTSTRAP_SAMPLES) -> pd.DataFrame:
-    """The ranking of `rank_methods` for all methods of a scene and budget together.
-
-    Every method of `Scores.clip_means` has the same frames, so the mean of paired differences is
-    the difference of means, and all methods share one call of the bootstrap.
-    """
-    clips, scenes = scores.clip_means, scores.scene_means
-    parts = [(str(scene), part, "clip") for scene, part in clips.groupby("scene")]
-    if scenes["scene"].nunique() > 1:
-        complete = mean_over_scenes(scenes)[["method", "target_spp"]]
-        parts.append((ALL_SCENES, scenes.merge(complete, on=["method", "target_spp"]), "scene"))
-    records = [
-        {"scene": scope, "target_spp": spp, **record}
-        for scope, part, unit in parts
-        for spp, rows in part.groupby("target_spp")
-        for record in _rank(rows.pivot(index=unit, columns="method", values="value"), scores, draws)
-    ]
-    return pd.DataFrame(records)
-
-
-def _rank(units: pd.DataFrame, scores: Scores, draws: int) -> list[dict[str, Any]]:
-    """A record of each method; `units` has a column for each method, a row for each unit."""
-    means, direction = units.mean(), scores.direction
-    sign = {"higher": 1, "lower": -1}.get(direction, 0)
-    best = str((sign * means).idxmax())
-    gaps = units.sub(units[best], axis=0) if sign else units * math.nan
-    low, high = interval_ends(gaps.to_numpy(float), draws=draws)
-    deviations = gaps.std(ddof=1)
-    unit, records = scores.column_text("unit"), []
-    for index, method in enumerate(map(str, units.columns)):
-        is_best = bool(sign) and means[method] == means[best]
-        gap = UNKNOWN
-        if not is_best:
-            ends = (float(low[index]), float(high[index]))
-            gap = Interval(gaps[method].mean(), *ends, len(units), float(deviations[method]))
-        records.append(
-            {
-                "method": method,
-                "mean": means[method],
-                "best": is_best,
-                "difference": gap.mean,
-                "low": gap.low,
-                "high": gap.high,
-                "verdict": name_verdict(gap, unit, direction),
-                "p_value": gap.p_value,
-            }
-        )
-    return records
 
 
 def frame_scores(rows: pd.DataFrame, clips: Collection[str]) -> list[dict[str, Any]]:

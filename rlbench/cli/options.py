@@ -139,6 +139,16 @@ RowBudgets = Annotated[
         rich_help_panel=MEASUREMENT,
     ),
 ]
+ShownBudgets = Annotated[
+    Budgets | None,
+    typer.Option(
+        "--spp",
+        parser=arguments.parse_budgets,
+        metavar="SPP",
+        help="budgets whose images are shown; default: the one nearest to 1 spp",
+        rich_help_panel=MEASUREMENT,
+    ),
+]
 Metric = Annotated[
     str,
     typer.Option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rlbench.cli import arguments, options
-from rlbench.cli.arguments import Budgets, Crop
+from rlbench.cli.arguments import Crop
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,15 +27,7 @@ def video(
     methods: options.RowMethods = None,
     scenes: options.RowScenes = None,
     clips: options.Clips = None,
-    spp: Annotated[
-        Budgets | None,
-        typer.Option(
-            parser=arguments.parse_budgets,
-            metavar="SPP",
-            help="budgets, each a video of its own; default: the one nearest to 1 spp",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = None,
+    spp: options.ShownBudgets = None,
     layout: Annotated[
         str,
         typer.Option(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rlbench.cli import arguments, options
-from rlbench.cli.arguments import Budgets
 from rlbench.cli.plugins import load_plugins
 from rlbench.errors import OptionError
 
@@ -63,15 +62,7 @@ def view(
     plugin: options.Plugins = None,
     scenes: options.Scenes = None,
     clips: options.Clips = None,
-    spp: Annotated[
-        Budgets | None,
-        typer.Option(
-            parser=arguments.parse_budgets,
-            metavar="SPP",
-            help="budgets whose images are shown; default: the one nearest to 1 spp",
-            rich_help_panel=options.MEASUREMENT,
-        ),
-    ] = None,
+    spp: options.ShownBudgets = None,
 ) -> None:
     """Write one page to look at the results; it needs no network.
 

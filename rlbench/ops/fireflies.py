@@ -56,12 +56,15 @@ def limit_fireflies(
 
 def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     """`limit_fireflies`, and the mean of each pixel's limited samples."""
+    radii = [_window_radius(image > 0) for image in counts]
+    if len(set(radii)) > 1:
+        images = [_limit(radiance[i : i + 1], counts[i : i + 1]) for i in range(len(radii))]
+        return torch.cat([each for each, _ in images]), torch.cat([each for _, each in images])
     mean = _mean(radiance, counts)
     if sanitize_radiance(mean) is not mean:
         radiance = sanitize_radiance(radiance)
         mean = _mean(radiance, counts)
-    light, known = luminance(mean), counts > 0
-    radius = _window_radius(known)
+    light, known, radius = luminance(mean), counts > 0, radii[0]
     neighbours = _max_of_neighbours(light.where(known, NO_PIXEL), radius)
     plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
     brightest = torch.maximum(neighbours, _log_average(plausible, known))
@@ -133,7 +136,7 @@ def _mean(radiance: Tensor, counts: Tensor) -> Tensor:
     return radiance.sum(1) / counts.clamp_min(1)
 
 
-def _window_radius(known: Bool[Tensor, "n 1 h w"]) -> int:
+def _window_radius(known: Bool[Tensor, "1 h w"]) -> int:
     """The radius of a window with as many samples as one of RADIUS in a full image has."""
     share = max(float(known.float().mean()), (RADIUS / MAX_RADIUS) ** 2)
     return round(RADIUS / math.sqrt(share))

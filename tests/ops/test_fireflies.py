@@ -187,3 +187,15 @@ def test_the_second_moment_of_a_lamp_a_thousand_times_brighter_stays():
     samples[:, 0, :, 8, 8] = 1000.0
     mean, second_moment = samples.mean(1), luminance(samples).square().mean(1)
     assert repair_moments(mean, second_moment)[1] is second_moment
+
+
+def test_an_image_in_a_batch_is_limited_as_alone():
+    """Also where the images have other shares of pixels with a sample, and so other windows."""
+    counts = torch.full((2, 1, SIDE, SIDE), SPP)
+    counts[1, :, ::2] = 0
+    counts[1, :, :, ::3] = 0
+    radiance = torch.cat([noisy(), noisy(1)]) * (counts > 0)[:, None]
+    radiance[:, 0, :, 1, 1] = 65504.0
+    together = limit_fireflies(radiance, counts)
+    alone = [limit_fireflies(radiance[i : i + 1], counts[i : i + 1]) for i in range(2)]
+    assert torch.equal(together, torch.cat(alone))

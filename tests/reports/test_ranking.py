@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from reports.analysis.aggregate import Scores
+from reports.analysis.intervals import mean_with_interval, pair
 from reports.analysis.ranking import rank_methods
 from rlbench.benchmark.results import to_dataframe
 from tests.reports.conftest import rows
@@ -15,6 +16,22 @@ def test_the_interval_of_one_scene_is_over_its_clips(results):
     row = ranks.loc[("city", 1.0, "ntas")]  # its two clips differ from ours by -1.36 and -1.24
     half = 12.7062 * 0.06  # Student's t of two
     assert (row["low"], row["high"]) == pytest.approx((-1.3 - half, -1.3 + half), rel=1e-4)
+
+
+def test_ranks_of_all_methods_are_those_of_pairs(results):
+    scores = Scores(results)
+    frames = scores.per_frame
+    ranks = rank_methods(scores, draws=500)
+    for row in ranks[~ranks["best"]].to_dict("records"):
+        at = frames[frames["target_spp"] == row["target_spp"]]
+        at = at if row["scene"] == "all" else at[at["scene"] == row["scene"]]
+        best = ranks[ranks["best"] & (ranks["scene"] == row["scene"])]
+        best = best[best["target_spp"] == row["target_spp"]]["method"].item()
+        gap = pair(at[at["method"] == row["method"]], at[at["method"] == best])
+        slow = mean_with_interval(gap, draws=500)
+        # the means are added in another order
+        fast = [row[name] for name in ("difference", "low", "high", "p_value")]
+        assert fast == pytest.approx([slow.mean, slow.low, slow.high, slow.p_value], rel=1e-7)
 
 
 def test_a_single_clip_has_no_interval_and_no_verdict():

@@ -3,28 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from reports.analysis.aggregate import Scores
-from reports.analysis.ranking import rank_methods
 from reports.viewer.decision_data import ALL_SCENES, decision_data, student_factors
-from reports.viewer.table_data import frame_scores, provenance, rank_at_once
-
-ORDER = ["scene", "target_spp", "method"]
-
-
-@pytest.mark.parametrize("metric", ["psnr", "relmse"])
-def test_methods_that_are_ranked_at_once_are_ranked_as_one_by_one(results, metric):
-    scores = Scores(results, metric)
-    slow, fast = (
-        table.sort_values(ORDER).reset_index(drop=True)
-        for table in (rank_methods(scores), rank_at_once(scores))
-    )
-    for column in (*ORDER, "verdict", "best"):
-        assert (slow[column] == fast[column]).all(), column
-    for column in ("mean", "difference", "low", "high", "p_value"):
-        # the means are added in another order
-        np.testing.assert_allclose(fast[column], slow[column], rtol=1e-7, atol=1e-9)
+from reports.viewer.table_data import frame_scores, provenance
 
 
 def test_each_scene_has_curves_over_its_clips(results):
