@@ -7,6 +7,7 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from methods.ours.sample_encoding import SAMPLE_ENCODINGS
 from methods.ours.variants import Config
@@ -32,11 +33,16 @@ class Sampler(nn.Module):
     Differs from the paper where it is `paced`: the last input channel is the logarithm of the
     budget, and the value before tanh is multiplied by a power of the budget, whose factor and
     exponent are learned. A map that pays with 4 samples per pixel is too bold with half a sample.
+    With a `stride` above 1, it reads means of stride x stride pixels, and its actions are
+    interpolated: narrow layers at full resolution take long on a processor.
     """
 
-    def __init__(self, inputs: int, widths: tuple[int, ...], paced: bool = False) -> None:
+    def __init__(
+        self, inputs: int, widths: tuple[int, ...], paced: bool = False, stride: int = 1
+    ) -> None:
         """Build with `inputs` channels, and `widths` channels at the levels, finest first."""
         super().__init__()
+        self.stride = stride
         pairs = list(pairwise(widths))
         self.tail = nn.Conv2d(inputs, widths[0], 3, padding=1)
         self.down = nn.ModuleList(_block(a, b) for a, b in pairs)
@@ -54,8 +60,9 @@ class Sampler(nn.Module):
         nn.init.zeros_(self.last.bias)
 
     def forward(self, inputs: Float[Tensor, "n c h w"]) -> Float[Tensor, "n 1 h w"]:
-        """The mean action. With L levels, h and w must be multiples of 2 ** (L - 2)."""
-        x = self.tail(to_channels_last(inputs))
+        """The mean action. With L levels, h and w must be multiples of stride * 2 ** (L - 2)."""
+        x = to_channels_last(inputs)
+        x = self.tail(F.avg_pool2d(x, self.stride) if self.stride > 1 else x)
         skips = []
         for depth, block in enumerate(self.down):
             x = block(self.pool(x) if depth else x)
@@ -65,6 +72,8 @@ class Sampler(nn.Module):
         raw = self.last(self.head(x))
         if self.pace is not None:
             raw = raw * (self.pace[0] + self.pace[1] * inputs[:, -1:, :1, :1]).exp()
+        if self.stride > 1:
+            raw = F.interpolate(raw, scale_factor=self.stride, mode="bilinear")
         return torch.tanh(raw)
 
 
@@ -101,7 +110,9 @@ class Networks(nn.Module):
         self.sampler_channels = history + config.accumulates  # and the logarithm of the last spp
         self.sampler = None
         if config.sampler:
-            self.sampler = Sampler(self.sampler_channels, config.sampler, paced=config.accumulates)
+            self.sampler = Sampler(
+                self.sampler_channels, config.sampler, config.accumulates, config.sampler_stride
+            )
         self.encoder, latent, written = None, GBUFFER_CHANNELS + samples, 0
         if config.denoiser_writes_latent:
             latent, written = RADIANCE_FEATURES + config.latent, config.latent

@@ -33,6 +33,7 @@ class Config:
     history_mode: HistoryMode = "state"  # recurrent input: latent, last samples (sampler only)
     accumulation: Accumulation = "temporal"  # radiance that the denoiser reads beside the state
     sampler: tuple[int, ...] = (4, 8, 16, 32)  # channels of the sampler's levels; empty: uniform
+    sampler_stride: int = 1  # side in pixels of the blocks that the sampler reads the mean of
     density: DensityName = "exponential"  # density as a function of the action in [-1, 1]
     encoder: tuple[int, ...] = (64,)  # channels of the hidden layers; empty: no encoder
     encoder_kernel: int = 3  # pixels, side of the encoder's kernels

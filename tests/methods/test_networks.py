@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from torch import nn
+from torch.nn import functional as F
 
 from methods.ours.networks import Encoder, Networks, Sampler
 from methods.ours.variants import VARIANTS
@@ -42,3 +43,16 @@ def test_a_paced_sampler_multiplies_its_action_by_a_power_of_the_budget():
         plain = sampler(inputs).atanh()
         sampler.pace.copy_(torch.tensor([math.log(0.5), -1.0]))
         torch.testing.assert_close(sampler(inputs).atanh(), plain / 6, rtol=1e-3, atol=1e-4)
+
+
+def test_a_sampler_with_a_stride_acts_on_means_of_blocks():
+    """On an input that is constant in each block, it acts as a sampler of the small image."""
+    coarse, fine = (Sampler(4, (4, 8, 16), stride=stride) for stride in (1, 2))
+    kaiming_init(coarse, 0)
+    coarse.last.weight.data.mul_(0.01)  # where tanh is nearly linear
+    fine.load_state_dict(coarse.state_dict())
+    small = torch.randn(1, 4, 16, 16, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        action = fine(F.interpolate(small, scale_factor=2, mode="nearest"))
+        expected = F.interpolate(coarse(small).atanh(), scale_factor=2, mode="bilinear").tanh()
+    torch.testing.assert_close(action, expected, rtol=1e-4, atol=1e-5)

@@ -59,7 +59,7 @@ class SamplerTask:
         """A sampler with the initial weights of every training: seeded, of uniform density."""
         config = self.config
         channels = Networks(config).sampler_channels
-        sampler = Sampler(channels, config.sampler, paced=config.accumulates)
+        sampler = Sampler(channels, config.sampler, config.accumulates, config.sampler_stride)
         kaiming_init(sampler, self.seed)
         if config.wired_contrast:
             wire_contrast(sampler, config)
