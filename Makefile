@@ -61,6 +61,8 @@ docs: .venv/dev.stamp
 	$(BIN)/rlbench report pareto --results $(RESULTS) --out docs/made --methods all,oidn/tuned
 	$(BIN)/rlbench report winners --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench report equal_time --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report equal-latency --results $(RESULTS) --out docs/made
+	$(BIN)/rlbench report network-study --results $(RESULTS) --out docs/made
 	$(BIN)/rlbench images -m ours,oidn-intel,imcd,ntas,svgf,mean --scenes city --out docs/made
 	mv docs/made/city-1spp-07.png docs/made/images.png && rm -r docs/made/city-1spp-07
 	cp docs/made/*.md docs/made/*.png docs/made/winners.csv docs/results && rm -r docs/made
@@ -135,9 +137,6 @@ appendix: .venv/dev.stamp
 	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset takes --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
 	$(call page,ablation,$(RESULTS)/appendix,appendix)
-	$(BIN)/rlbench report equal-latency --results $(RESULTS)/appendix --out docs/made
-	cp docs/made/equal-latency.png docs/results
-	$(call page,network-study,$(RESULTS)/appendix,network-study)
 
 # does the ranking survive other conventions? 2 minutes
 conventions: .venv/dev.stamp

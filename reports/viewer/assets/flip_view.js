@@ -2,7 +2,7 @@
 
 import { h } from "viewer/dom.js";
 import { set, state } from "viewer/state.js";
-import { methods, picture } from "viewer/workspace.js";
+import { imageLook, methods, picture } from "viewer/workspace.js";
 
 export const gesture = "split";
 
@@ -60,14 +60,7 @@ export function extras() {
 }
 
 export function panes() {
-  const look = {
-    layer: "image",
-    curve: state.curve,
-    ev: state.ev,
-    range: [0, 1],
-    map: "magma",
-    split: -1,
-  };
+  const look = imageLook();
   const pane = (name) => ({ label: name, image: picture(name), look });
   if (state.show === "all") return ["reference", ...methods()].map(pane);
   methods().forEach((name) => picture(name)); // so that keys answer at once

@@ -6,21 +6,14 @@ import { data } from "viewer/data.js";
 import { looks } from "viewer/colours.js";
 import { chart, path, span } from "viewer/chart.js";
 import { drawSlices, sliceLine } from "viewer/slices.js";
-import { clip, methods, picture } from "viewer/workspace.js";
+import { clip, imageLook, methods, picture } from "viewer/workspace.js";
 import { listWorst, TILE } from "viewer/worst_tiles.js";
 
 export const gesture = "line";
 export { sliceLine };
 
 export function panes() {
-  const look = {
-    layer: "image",
-    curve: state.curve,
-    ev: state.ev,
-    range: [0, 1],
-    map: "magma",
-    split: -1,
-  };
+  const look = imageLook();
   return [state.a, "reference"].map((name) => ({ label: name, image: picture(name), look }));
 }
 

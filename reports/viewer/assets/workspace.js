@@ -35,6 +35,12 @@ export function picture(source, kind = "image", frame = state.frame) {
   return clip().picture(source, state.spp, frame, kind);
 }
 
+/** How the stage shows the image itself: tone curve and exposure of the state, no split. */
+export function imageLook() {
+  const { curve, ev } = state;
+  return { layer: "image", curve, ev, range: [0, 1], map: "magma", split: -1 };
+}
+
 export class Workspace {
   constructor() {
     this.stage = new Stage();
