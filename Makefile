@@ -36,6 +36,9 @@ $(BIN)/rlbench report $(1) --results $(2) --out docs/made
 mv docs/made/$(firstword $(1)).md docs/results/$(3).md && rm -r docs/made
 endef
 
+# what the picture of the viewer shows
+SHOWN := view=flip&clip=1&a=ours&b=mean&split=0.5
+
 # rows of the videos of each scene
 FILMED := mean,oidn,svgf,ntas,ours
 
@@ -45,7 +48,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs baseline table1 variance conventions unseen controls speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
+.PHONY: demo docs baseline table1 variance conventions viewer unseen controls speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -143,6 +146,11 @@ conventions: .venv/dev.stamp
 	$(BIN)/rlbench run -m '$(CONVENTIONS)' --preset mini --spp 1 --scores-only --keep-images --out $(RESULTS)/kept
 	$(BIN)/rlbench evaluate $(RESULTS)/kept --metrics psnr --convention srgb,paper2023,noisebase-v1,hable,linear
 	$(call page,conventions,$(RESULTS)/kept/evaluated,conventions)
+
+# the picture of the viewer in the README, from the images of make conventions; needs Chromium
+viewer: .venv/dev.stamp
+	$(BIN)/rlbench view $(RESULTS)/kept --out $(RESULTS)/kept/report.html
+	$(BIN)/python -m tests.reports.viewer.take_picture $(RESULTS)/kept/report.html docs/results/viewer.png '$(SHOWN)'
 
 # parts of variance by scene and order of samples: 5 minutes
 variance: .venv/dev.stamp

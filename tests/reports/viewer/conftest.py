@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +14,13 @@ from rlbench.benchmark.results import UNRELIABLE, read
 from rlbench.benchmark.shown_clips import ShownClip
 from rlbench.cli.view import describe_traits, read_images
 from tests.reports.kept_run import FRAMES, SIDE, run_with_images
-from tests.reports.viewer.screen import Screen
+from tests.reports.viewer.screen import Screen, find_chromium, launch_chromium
 
 __all__ = ["CUT", "FRAMES", "METHODS", "SIDE"]
 
 CUT = 2
 METHODS = ("svgf", "eaw", "mean")
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), ""
-)
+CHROMIUM = find_chromium()
 
 
 @dataclass(frozen=True)
@@ -66,18 +63,8 @@ def browser() -> Iterator[Any]:
     if not CHROMIUM:
         reason = "no chromium is installed: apt-get install chromium"
         (pytest.fail if os.environ.get("RLBENCH_REQUIRE_BROWSER") else pytest.skip)(reason)
-    from playwright.sync_api import sync_playwright
-
-    options = [
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--force-color-profile=srgb",
-    ]
-    options += ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+    with launch_chromium(CHROMIUM) as chromium:
         yield chromium
-        chromium.close()
 
 
 @pytest.fixture

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +26,29 @@ PLACES = """() => [...document.querySelectorAll(".pane")].map((pane) => {
   const { x, y, width, height } = pane.getBoundingClientRect();
   return { x, y, width, height, label: pane.dataset.pane };
 })"""
+
+
+def find_chromium() -> str:
+    """The path of an installed Chromium; empty without one."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next(filter(None, map(shutil.which, names)), "")
+
+
+@contextmanager
+def launch_chromium(path: str) -> Iterator[Any]:
+    """Headless Chromium with a WebGL2 that needs no graphics card."""
+    from playwright.sync_api import sync_playwright
+
+    options = [
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--force-color-profile=srgb",
+    ]
+    options += ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=options)
+        yield chromium
+        chromium.close()
 
 
 @dataclass
