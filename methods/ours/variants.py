@@ -111,6 +111,7 @@ VARIANTS = {
         latent=0,
         encoder=(),
         accumulation="rule",
+        sampler_stride=2,
         contrast_density=True,
     ),
     "flat": replace(BASE, ignore_density=True),  # what does the density give, all else equal?

@@ -32,7 +32,7 @@ LATENTS = (0, 4, 8, 16)  # channels
 
 CONFIGS = {
     "lean": LEAN,
-    "half-sampler": replace(LEAN, sampler_stride=2),
+    "full-sampler": replace(LEAN, sampler_stride=1),  # its actions at full resolution
     **{f"bptt-{k}": replace(BY_RULE, latent=8, bptt=k) for k in UNROLLS},
     **{f"latent-{c}": replace(BY_RULE, latent=c, bptt=3) for c in LATENTS},
     "kernel-3": replace(BY_RULE, latent=4, bptt=3, kernel_taps=9),
