@@ -30,7 +30,7 @@ class CellLoader:
 
     def incompatibility(self, cell: ResolvedCell) -> str | None:
         """Why a cell cannot run, as far as its clip and traits say, or None."""
-        return incompatibility(cell.header, cell.traits, cell.target_spp)
+        return incompatibility(cell.header, cell.traits, cell.target_spp, cell.pool_spp)
 
     def method(self, cell: ResolvedCell) -> Method:
         """The cell's method. Raises what building it raised, the first time and every time."""

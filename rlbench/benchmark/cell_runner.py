@@ -113,7 +113,7 @@ class CellRunner:
         clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
         remarks, rows, frames, counts = self._remarks(cell), [], [], []
-        max_samples = samples_at_cap(cell.traits, cell.header.pool_spp)
+        max_samples = samples_at_cap(cell.traits, cell.pool_spp)
         results = run_clip(method, clip, cell.target_spp)
         for result, scored in score_frames(
             template, self.metrics, results, cell.header, max_samples

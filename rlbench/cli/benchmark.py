@@ -145,7 +145,7 @@ def run(
     warn_without_networks(names, bf16, chosen)
     target = select_device(device)
     selected_backend = select_backend(backend, target)
-    check_run(names, spp, out, None if clips else preset, cost, chosen.file)
+    check_run(names, spp, out, None if clips else preset, cost, chosen.file, pool)
     pools = {registry.get_variant(name).traits.pool for name in names}
     scene_names = arguments.split_names(scenes)
     with open_executor(engine, ray_address) as executor:
