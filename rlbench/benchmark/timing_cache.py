@@ -93,7 +93,7 @@ class TimingCache:
         """
         header = cell.header
         size, is_moving = (header.height, header.width), header.frames > 1 and not header.static
-        fetched = cell.pool_spp, cell.clip.cost_key
+        fetched = header.pool_spp, cell.clip.cost_key
         content = header.name if cell.method.skip_tiles else ""
         return cell.method.name, size, cell.target_spp, is_moving, *fetched, content
 

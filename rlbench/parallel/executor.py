@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar, cast
 
 from rlbench.errors import RlbenchError
+from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = [
     "LOCAL",
@@ -96,7 +97,8 @@ class Executor(Protocol):
     ) -> Iterator[JobResult[J, R]]:
         """Apply `work` to every job; yields one result for each, in the order of completion.
 
-        A job that raises does not stop the others. Raises ExecutorError if no job can be run.
+        A job that raises, or exits, does not stop the others. Raises ExecutorError if no job can be
+        run.
         """
 
 
@@ -127,7 +129,8 @@ class LocalExecutor:
         """
         for job in jobs:
             try:
-                value = work(job, on_progress)
+                with exits_as_errors():
+                    value = work(job, on_progress)
             except Exception as error:  # of any type: it is the result of the job
                 yield JobResult(job, error=error)
             else:
