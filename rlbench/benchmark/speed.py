@@ -106,6 +106,8 @@ def measure_speed(
         load = partial(_load, generated_clip(size, device), work, device)
         loaded = list(LOCAL.map(load, configurations))
         rows = [each.result().row for each in loaded if not each.error]
+        for _ in range(len(loaded) - len(rows)):
+            on_done()
         timings = iter(_time_rows(rows, device, repeats, on_done))
         for each in loaded:
             line = dict(zip(("method", "height", "width"), (each.job.row_name, *size), strict=True))
