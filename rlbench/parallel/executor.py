@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar, cast
 
 from rlbench.errors import RlbenchError
+from rlbench.registry.failure import keep_frames
 from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = [
@@ -52,6 +53,12 @@ class JobResult(Generic[J, R]):
     job: J
     value: R | None = None
     error: Exception | None = None
+
+    def __getstate__(self) -> dict[str, object]:
+        """The fields, to be pickled; the error keeps its lines, as tracebacks are not pickled."""
+        if self.error:
+            keep_frames(self.error)
+        return self.__dict__
 
     def result(self) -> R:
         """The value. Raises the error of a job that failed."""

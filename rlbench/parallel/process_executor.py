@@ -31,6 +31,7 @@ from rlbench.parallel.executor import (
     ignore_progress,
 )
 from rlbench.registry import exits_as_errors, plugin_files, use_plugin
+from rlbench.registry.failure import keep_frames
 
 __all__ = ["ProcessExecutor"]
 
@@ -131,8 +132,12 @@ def _end_with_parent() -> None:
 
 
 def _run(job: Any) -> Any:
-    with exits_as_errors():
-        return _work[0](job, ignore_progress)
+    try:
+        with exits_as_errors():
+            return _work[0](job, ignore_progress)
+    except Exception as error:  # of any type: the submitter gets it
+        keep_frames(error)
+        raise
 
 
 def _job_result(job: J, future: Future[R]) -> JobResult[J, R]:

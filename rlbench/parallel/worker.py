@@ -24,6 +24,7 @@ from rlbench.registry import (
     plugin_files,
     use_plugin,
 )
+from rlbench.registry.failure import keep_frames
 from rlbench.system import code_hash, provenance
 
 __all__ = ["JobReply", "TaskBundle", "WorkerEnvironment", "code_version", "run_job"]
@@ -125,6 +126,7 @@ def run_job(fetch: Callable[[], TaskBundle], name: str, job: bytes, loads: Unpic
         with exits_as_errors():
             value = _loaded.work(loads(job), progress.append)
     except Exception as error:  # of any type: the submitter gets it
+        keep_frames(error)
         error.add_note(f"in a worker on {platform.node()}:\n{traceback.format_exc()}")
         return JobReply(error=error)
     return JobReply(value, progress=sum(progress))

@@ -8,14 +8,15 @@ from __future__ import annotations
 import traceback
 from pathlib import Path
 
-__all__ = ["describe_failure"]
+__all__ = ["describe_failure", "keep_frames"]
 
 OURS = Path(__file__).parents[1]
 PACKAGES = "site-packages"  # of an environment that lies beside a plugin
+FRAMES = "rlbench_frames"  # attribute of an error that comes from another process
 
 
 def describe_failure(error: BaseException, *folders: Path) -> str:
-    """The error, the last line of code in `folders` that it passed through, and its notes.
+    """The error, the last line of code in `folders` that it passed through, and its short notes.
 
     A line in the first folder is preferred to one in the second, and so on. Of a file that does not
     parse, it is the line that is wrong.
@@ -26,14 +27,25 @@ def describe_failure(error: BaseException, *folders: Path) -> str:
     text = error.msg if isinstance(error, SyntaxError) else str(error)  # its str names a place too
     lines = [line for folder in folders for line in _lines(error, folder)]
     place = f" ({lines[0]})" if lines else ""
-    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
+    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()) if "\n" not in note)
     return f"{type(error).__name__}: {text}{place}{notes}"
+
+
+def keep_frames(error: BaseException) -> None:
+    """Let the error name its line in another process too, to which its traceback cannot go."""
+    setattr(error, FRAMES, _frames(error))
+
+
+def _frames(error: BaseException) -> list[tuple[str, int | None]]:
+    """File and line of each call that an error passed through, last first."""
+    own = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    kept: list[tuple[str, int | None]] = getattr(error, FRAMES, [])
+    return kept + own[::-1]
 
 
 def _lines(error: BaseException, folder: Path) -> list[str]:
     """The lines `file.py:NUMBER` of code in a folder that an error passed through, last first."""
-    frames = traceback.extract_tb(error.__traceback__)[::-1]
-    places = [(frame.filename, frame.lineno) for frame in frames]
+    places = _frames(error)
     if isinstance(error, SyntaxError) and error.filename:
         places.insert(0, (error.filename, error.lineno))
     return [f"{Path(file).name}:{line}" for file, line in places if _is_code_of(folder, Path(file))]
