@@ -39,6 +39,7 @@ class Sheet(NamedTuple):
     drawn: tuple[str, ...]  # names of the rows with an image
     missing: dict[str, str]  # method -> reason
     failed: frozenset[str]  # those of `missing` that an error stopped
+    nonfinite: dict[str, int]  # pixels that are not finite, of the rows that have some
 
 
 def write_images(
@@ -113,7 +114,8 @@ def _write_sheet(
             "remove it, or choose another --out"
         )
     drawn = tuple(image.row_name for image in images)
-    sheet = Sheet(out / f"{folder.name}.png", drawn, missing, frozenset(failed))
+    nonfinite = {each.row_name: n for each in images if (n := each.image.nonfinite_pixels)}
+    sheet = Sheet(out / f"{folder.name}.png", drawn, missing, frozenset(failed), nonfinite)
     if not images:
         return sheet
     _save(folder / "reference", reference)

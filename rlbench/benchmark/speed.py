@@ -29,6 +29,7 @@ from rlbench.benchmark.work import (
     peak_memory,
     state_bytes,
 )
+from rlbench.checks.checked_returns import CheckedReturns
 from rlbench.clips.in_memory import InMemoryClip
 from rlbench.method import Method
 from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
@@ -81,7 +82,8 @@ class Configuration:
     def load(self, device: torch.device) -> Method:
         """The method with its shipped weights, or random ones: they change no time."""
         is_trained = registry.get_variant(self.method).pretrained
-        method = registry.load_method(self.method, device, None if is_trained else "random")
+        weights = None if is_trained else "random"
+        method = CheckedReturns(registry.load_method(self.method, device, weights))
         use_backend(method, self.backend, device, self.bf16)
         return HalfPrecision(method, device) if self.bf16 else method
 

@@ -106,5 +106,8 @@ def images(
             typer.echo(sheet.file)
         for method, reason in sheet.missing.items():
             typer.echo(f"{sheet.file.name} lacks {method}: {reason}", err=True)
+        for row, pixels in sheet.nonfinite.items():
+            where = f"{pixels} pixels of {row}, drawn in magenta, are NaN or infinite"
+            typer.echo(f"{sheet.file.name}: {where}; rlbench check finds out why", err=True)
     if has_failed:
         raise typer.Exit(1)

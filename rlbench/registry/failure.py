@@ -5,10 +5,12 @@ TypeError: unsupported operand type(s) for +: 'NoneType' and 'int' (bright.py:21
 
 from __future__ import annotations
 
+import inspect
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["describe_failure", "keep_frames"]
+__all__ = ["describe_failure", "keep_frames", "point_at"]
 
 OURS = Path(__file__).parents[1]
 PACKAGES = "site-packages"  # of an environment that lies beside a plugin
@@ -34,6 +36,12 @@ def describe_failure(error: BaseException, *folders: Path) -> str:
 def keep_frames(error: BaseException) -> None:
     """Let the error name its line in another process too, to which its traceback cannot go."""
     setattr(error, FRAMES, _frames(error))
+
+
+def point_at(error: BaseException, function: Callable[..., object]) -> None:
+    """Let the error name the first line of a function of a plugin that did not raise it."""
+    if code := getattr(inspect.unwrap(function), "__code__", None):
+        setattr(error, FRAMES, [(code.co_filename, code.co_firstlineno)])
 
 
 def _frames(error: BaseException) -> list[tuple[str, int | None]]:

@@ -9,7 +9,6 @@ import torch
 from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS, Check
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.returns import Fault, WrongReturnError
 from rlbench.checks.result import (
     CheckResult,
     Verdict,
@@ -17,6 +16,7 @@ from rlbench.checks.result import (
     not_applicable,
     passed,
 )
+from rlbench.checks.returns import Fault, WrongReturnError
 
 __all__ = ["CheckResult", "Verdict", "run_check", "run_checks"]
 

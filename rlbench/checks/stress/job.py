@@ -96,4 +96,6 @@ def report_exception(method: str, section: str, test: str, error: BaseException)
     remedy = "return a finite image for this input, without an exception"
     if registry.import_failure(method):
         remedy = "correct the line named in the error"
+    elif isinstance(error, RlbenchError):
+        remedy = ""
     return StressResult(method, section, test, Verdict.FAILED, found=found, remedy=remedy)

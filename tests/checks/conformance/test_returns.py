@@ -7,7 +7,7 @@ import torch
 
 from rlbench import registry
 from rlbench.checks.conformance import CHECKS, MethodUnderTest, Verdict, run_check, run_checks
-from rlbench.checks.conformance.returns import find_density_fault
+from rlbench.checks.returns import find_density_fault
 from tests.checks.conformance.broken_fixtures import SIZE, SMALL_SIZE
 from tests.conftest import write_plugin
 
