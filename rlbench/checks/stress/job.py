@@ -94,8 +94,8 @@ def report_exception(method: str, section: str, test: str, error: BaseException)
     suite = [] if isinstance(error, RlbenchError) else [Path(rlbench.__file__).parent]
     found = f"raised {registry.failure_reason(method, error, *suite)}"
     remedy = "return a finite image for this input, without an exception"
-    if registry.import_failure(method):
-        remedy = "correct the line named in the error"
-    elif isinstance(error, RlbenchError):
+    if isinstance(error, RlbenchError):
         remedy = ""
+    elif test == RUN:
+        remedy = "correct the line that raised"
     return StressResult(method, section, test, Verdict.FAILED, found=found, remedy=remedy)
