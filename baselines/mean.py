@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FAMILY", "Mean", "build"]
 
-TRAITS = Traits(receptive_field=0)
+TRAITS = Traits(receptive_field=0, spp_range=(0.0, 1024.0))  # as many as a clip can store
 
 FAMILY = Family(
     name="mean",

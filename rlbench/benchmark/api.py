@@ -96,7 +96,7 @@ def run(
         target, file = select_device(device), None if weights is None else str(weights)
         selected_backend = select_backend(backend, target)
         check_precision(names, bf16, device, executor)
-        check_run(names, target_spp, Path(out), None if clips else preset, cost, file)
+        check_run(names, target_spp, Path(out), None if clips else preset, cost, file, pool)
         pool_kinds = {registry.get_variant(name).traits.pool for name in names}
         plan = RunPlan(
             methods=names,

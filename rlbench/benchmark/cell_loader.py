@@ -10,6 +10,7 @@ from rlbench.backends import use_backend
 from rlbench.benchmark.clip_sources import FirstFrames
 from rlbench.benchmark.resolve import ResolvedCell, ResolvedMethod
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.checks.checked_returns import CheckedReturns
 from rlbench.clips.compatibility import incompatibility
 from rlbench.frames import Clip
 from rlbench.method import Method
@@ -30,7 +31,7 @@ class CellLoader:
 
     def incompatibility(self, cell: ResolvedCell) -> str | None:
         """Why a cell cannot run, as far as its clip and traits say, or None."""
-        return incompatibility(cell.header, cell.traits, cell.target_spp)
+        return incompatibility(cell.header, cell.traits, cell.target_spp, cell.pool_spp)
 
     def method(self, cell: ResolvedCell) -> Method:
         """The cell's method. Raises what building it raised, the first time and every time."""
@@ -58,7 +59,9 @@ class CellLoader:
         return FirstFrames(clip, self.plan.limit_frames) if self.plan.limit_frames else clip
 
     def _build(self, resolved: ResolvedMethod) -> Method:
-        method = registry.load_method(resolved.name, self.plan.device, self.plan.weights)
+        method: Method = CheckedReturns(
+            registry.load_method(resolved.name, self.plan.device, self.plan.weights)
+        )
         use_backend(method, resolved.backend, self.plan.device, resolved.bf16)
         if resolved.bf16:
             require_native_bf16(self.plan.device)  # also on the workers of an executor

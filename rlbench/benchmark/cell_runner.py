@@ -101,19 +101,19 @@ class CellRunner:
         """Scores of each frame, then times; or one row with the reason why there are none."""
         if reason := self.loader.incompatibility(cell):
             return CellOutput([refusal_row(self.templates[cell.key], reason)])
-        with registry.exits_as_errors():
-            return self._measure(cell, self.loader.method(cell))
+        return self._measure(cell, self.loader.method(cell))
 
     def failure(self, cell: ResolvedCell, error: Exception) -> Row:
         """The only row of a cell that an error stopped."""
-        return refusal_row(self.templates[cell.key], f"{type(error).__name__}: {error}")
+        reason = registry.failure_reason(cell.method.name, error)
+        return refusal_row(self.templates[cell.key], reason)
 
     def _measure(self, cell: ResolvedCell, method: Method) -> CellOutput:
         needs = frozenset().union(*(metric.needs for metric in self.metrics))
         clip = self.loader.clip(cell, scored_buffers=needs & {"motion"})
         template = replace(self.templates[cell.key], config=config_json(method))
         remarks, rows, frames, counts = self._remarks(cell), [], [], []
-        max_samples = samples_at_cap(cell.traits, cell.header.pool_spp)
+        max_samples = samples_at_cap(cell.traits, cell.pool_spp)
         results = run_clip(method, clip, cell.target_spp)
         for result, scored in score_frames(
             template, self.metrics, results, cell.header, max_samples
@@ -135,7 +135,8 @@ class CellRunner:
         scores = drop_times(rows)
         template = replace(self.templates[cell.key], config=scores[0].config)
         if error:
-            return scores + failed_time_rows(template, f"{type(error).__name__}: {error}")
+            reason = registry.failure_reason(cell.method.name, error)
+            return scores + failed_time_rows(template, reason)
         return scores + self._time_rows(cell, template, scores)
 
     def _time_rows(self, cell: ResolvedCell, template: Row, scores: Sequence[Row]) -> list[Row]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -16,9 +17,11 @@ from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.image_sheet import LinearImage, MethodImage, draw_sheet
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.run_plan import RunPlan
+from rlbench.benchmark.scoring import row_template, score_frames
 from rlbench.clips.exr import write_exr
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
+from rlbench.parallel.executor import LOCAL, ProgressCallback
 from rlbench.run import FrameResult, run_clip
 from rlbench.system import paths
 
@@ -32,8 +35,11 @@ class ImagesError(RlbenchError, ValueError):
 class Sheet(NamedTuple):
     """The image of all methods on one frame, and the methods it lacks."""
 
-    file: Path
+    file: Path  # written if there is an image
+    drawn: tuple[str, ...]  # names of the rows with an image
     missing: dict[str, str]  # method -> reason
+    failed: frozenset[str]  # those of `missing` that an error stopped
+    nonfinite: dict[str, int]  # pixels that are not finite, of the rows that have some
 
 
 def write_images(
@@ -45,7 +51,7 @@ def write_images(
     """Write images of one frame, -1 for a clip's last, into OUT/CLIP-SPPspp-FRAME; yields sheets.
 
     The first seed of `plan` is used. Earlier frames are run too, so that methods have a history.
-    Raises ImagesError if a clip has no such frame, and, with the reasons, if no method can run.
+    Raises ImagesError if a clip has no such frame.
     """
     loader = CellLoader(plan)
     for clip, spp in product(plan.clips, plan.target_spp):
@@ -88,18 +94,18 @@ def _write_sheet(
     """Run all methods on one clip at one budget, and write their images and the sheet."""
     images: list[MethodImage] = []
     missing: dict[str, str] = {}
-    for cell in cells:
-        try:
-            result = _run_to(loader, cell, index)
-        except Exception as error:  # whatever a method may raise is reported beside the sheet
-            prefix = "" if isinstance(error, RlbenchError) else f"{type(error).__name__}: "
-            missing[cell.method.name] = f"{prefix}{error}"
+    failed: set[str] = set()
+    for outcome in LOCAL.map(partial(_run_to, loader, index), cells):
+        name, error = outcome.job.method.name, outcome.error
+        if isinstance(error, ImagesError):
+            missing[name] = str(error)
+        elif error:  # whatever a method may raise is reported beside the sheet
+            missing[name] = registry.failure_reason(name, error)
+            failed.add(name)
         else:
-            images.append(method_image(cell.method.row_name, result))
-            reference = _linear_image(result.frame.reference.mean)
-        on_cell(cell)
-    if not images:
-        raise ImagesError("; ".join(f"{method}: {reason}" for method, reason in missing.items()))
+            image, reference = outcome.result()
+            images.append(image)
+        on_cell(outcome.job)
     clip, spp = cells[0].header.name, cells[0].target_spp
     folder = out / f"{clip.replace('/', '-')}-{spp:g}spp-{index:02}"
     if folder.is_symlink():
@@ -107,18 +113,34 @@ def _write_sheet(
             f"{folder} is a link, to {folder.resolve()}, and no image is written through one; "
             "remove it, or choose another --out"
         )
+    drawn = tuple(image.row_name for image in images)
+    nonfinite = {each.row_name: n for each in images if (n := each.image.nonfinite_pixels)}
+    sheet = Sheet(out / f"{folder.name}.png", drawn, missing, frozenset(failed), nonfinite)
+    if not images:
+        return sheet
     _save(folder / "reference", reference)
     for image in images:
         _save(folder / image.row_name.replace("/", "-"), image.image)
     title = f"{clip}, frame {index}, {spp:g} spp"
-    return Sheet(draw_sheet(images, reference, title, out / f"{folder.name}.png"), missing)
+    draw_sheet(images, reference, title, sheet.file)
+    return sheet
 
 
-def _run_to(loader: CellLoader, cell: ResolvedCell, index: int) -> FrameResult:
+def _run_to(
+    loader: CellLoader, index: int, cell: ResolvedCell, on_progress: ProgressCallback
+) -> tuple[MethodImage, LinearImage]:
+    """A method's image of frame `index`, and the reference.
+
+    Raises ImagesError where the method cannot run on the clip, and whatever it raises itself.
+    """
     if reason := loader.incompatibility(cell):
         raise ImagesError(reason)
     results = run_clip(loader.method(cell), loader.clip(cell), cell.target_spp)
-    return frame_at(results, index)
+    metrics = [registry.load_or_explain("metrics", "psnr")]
+    scored = score_frames(row_template(cell, "", "", ""), metrics, results, cell.header)
+    result = frame_at((each for each, _ in scored), index)  # a wrong image is an error, as in a run
+    reference = _linear_image(result.frame.reference.mean)
+    return method_image(cell.method.row_name, result), reference
 
 
 def _linear_image(image: Tensor) -> LinearImage:

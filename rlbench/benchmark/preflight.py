@@ -23,10 +23,12 @@ def check_run(
     preset: str | None,
     cost: str = cost_profile.MEASURED,
     weights: str | None = None,
+    pool: str = "stored",
 ) -> None:
     """Check the options of a run that need no clip; nothing is written and no clip is opened.
 
-    `preset` is that of the clips, None for clips in folders. Raises CostError for a cost profile,
+    `preset` is that of the clips, None for clips in folders; their samples are those of `pool`
+    (rlbench.benchmark.clip_sources.POOLS). Raises CostError for a cost profile,
     WeightsError for a weights file or its card, PluginError for a metric that cannot be used,
     WriteError where the results or the cache cannot be written, UnknownPresetError, and
     OptionError where no method can be measured at any budget.
@@ -36,22 +38,26 @@ def check_run(
     if weights not in (None, "random"):
         read_card(Path(weights))
     if preset is not None:
-        check_budgets(methods, target_spp, preset)
+        check_budgets(methods, target_spp, preset, pool)
     registry.load_run_metrics()
     check_writable(out)
     check_writable(paths.cache_folder(), "RLBENCH_CACHE")
 
 
-def check_budgets(methods: Collection[str], target_spp: Collection[float], preset: str) -> None:
+def check_budgets(
+    methods: Collection[str], target_spp: Collection[float], preset: str, pool: str = "stored"
+) -> None:
     """Raise OptionError where no method can be measured on the preset's clips at any budget.
 
-    A method that cannot at some budgets is skipped there, with the reason in its row.
+    A method that cannot at some budgets is skipped there, with the reason in its row. Live samples
+    are traced when they are drawn, so there are as many as a budget needs.
     """
     stored = get_preset(preset).pool_spp
-    if min(target_spp, default=0.0) > stored:
+    if pool == "stored" and min(target_spp, default=0.0) > stored:
         raise OptionError(
             f"--spp {_join(target_spp)}: the clips of preset '{preset}' store {stored} samples per "
-            f"pixel, and no method is measured with more; request at most {stored}"
+            f"pixel, and no method is measured with more; request at most {stored}, or trace "
+            "more with --pool live"
         )
     traits = {name: registry.get_variant(name).traits for name in methods}
     reasons = {

@@ -61,6 +61,11 @@ class ResolvedCell:
         return self.key.target_spp
 
     @property
+    def pool_spp(self) -> int:
+        """Samples that one pixel can have."""
+        return self.clip.pool_spp(self.target_spp)
+
+    @property
     def seed(self) -> int:
         """Seed of the sample order and of rounding."""
         return self.key.seed

@@ -6,44 +6,42 @@ machine was busy. Work and memory are counted by PyTorch while it runs one frame
 
 from __future__ import annotations
 
-import os
+import math
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import NamedTuple
 
 import pandas as pd
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
-from torch.profiler import ProfilerActivity, profile
-from torch.utils.flop_counter import FlopCounterMode
 
 from rlbench import registry
 from rlbench.backends import EAGER, use_backend
 from rlbench.benchmark.clock.stopwatch import SystemClock
 from rlbench.benchmark.latency import REPEATS, TimedRow, Timing, time_methods
 from rlbench.benchmark.results import UNRELIABLE
-from rlbench.checks.tensors import iterate_parts, iterate_tensors
+from rlbench.benchmark.work import (
+    SPP,
+    count_multiply_adds,
+    count_parameters,
+    generated_clip,
+    peak_memory,
+    state_bytes,
+)
+from rlbench.checks.checked_returns import CheckedReturns
 from rlbench.clips.in_memory import InMemoryClip
-from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import GBuffer, Samples, Size
-from rlbench.method import Method, State
-from rlbench.run import run_clip
-from rlbench.wrappers import HalfPrecision, MethodWrapper
+from rlbench.method import Method
+from rlbench.parallel.executor import LOCAL, JobResult, ProgressCallback
+from rlbench.wrappers import HalfPrecision
 
 __all__ = [
     "COLUMNS",
-    "SPP",
     "Configuration",
-    "count_multiply_adds",
-    "count_parameters",
-    "generated_clip",
+    "failed_rows",
     "measure_speed",
 ]
 
-FRAMES, SPP = 4, 1.0  # of the generated clip
-COUNTED_SIDE = 96  # pixels, of the frame whose multiply-adds are counted; a multiple of 32
 PEAK_SIDE, PEAK_RUNS = 2048, 5  # of the matrix product that stands for the machine's peak
 COLUMNS = {
     "method": "row name, with backend and precision",
@@ -84,7 +82,8 @@ class Configuration:
     def load(self, device: torch.device) -> Method:
         """The method with its shipped weights, or random ones: they change no time."""
         is_trained = registry.get_variant(self.method).pretrained
-        method = registry.load_method(self.method, device, None if is_trained else "random")
+        weights = None if is_trained else "random"
+        method = CheckedReturns(registry.load_method(self.method, device, weights))
         use_backend(method, self.backend, device, self.bf16)
         return HalfPrecision(method, device) if self.bf16 else method
 
@@ -99,53 +98,89 @@ def measure_speed(
     """One line per configuration and size, with the columns of `COLUMNS`.
 
     Configurations are timed together, size by size. `on_done` is called after each line. A method
-    that fails has no times, and the error as its note.
+    that fails has no times, and the error as its note (`failed_rows`).
     """
     peaks = {bf16: peak_throughput(device, bf16) for bf16 in {c.bf16 for c in configurations}}
-    eager = {c.method: Configuration(c.method).load(device) for c in configurations}
-    work = {name: count_multiply_adds(method, device) for name, method in eager.items()}
+    names = list(dict.fromkeys(c.method for c in configurations))
+    work = {each.job: each for each in LOCAL.map(partial(_count_work, device), names)}
     lines: list[dict[str, object]] = []
     for size in sizes:
-        clip = generated_clip(size, device)
-        rows = [TimedRow(c.load(device), clip, SPP) for c in configurations]
-        timings = time_methods(rows, device, repeats, on_done=on_done)
-        for configuration, row, timing in zip(configurations, rows, timings, strict=True):
-            line: dict[str, object] = {
-                "method": configuration.row_name,
-                "height": size[0],
-                "width": size[1],
-            }
+        load = partial(_load, generated_clip(size, device), work, device)
+        loaded = list(LOCAL.map(load, configurations))
+        rows = [each.result().row for each in loaded if not each.error]
+        for _ in range(len(loaded) - len(rows)):
+            on_done()
+        timings = iter(_time_rows(rows, device, repeats, on_done))
+        for each in loaded:
+            line = dict(zip(("method", "height", "width"), (each.job.row_name, *size), strict=True))
+            timing = each.error or next(timings)
             if isinstance(timing, Exception):
-                lines.append({**line, "note": f"{type(timing).__name__}: {timing}"})
+                note = registry.failure_reason(each.job.method, timing)
+                lines.append(line | {"note": note})
                 continue
-            multiply_adds = work[configuration.method]
-            per_second = multiply_adds * size[0] * size[1] / (timing.inference.mean / 1e3)
-            line |= _times(timing) | {
-                "parameters": count_parameters(eager[configuration.method]) / 1e3,
-                "multiply_adds": multiply_adds / 1e3,
-                "peak_share": per_second / peaks[configuration.bf16],
-                "state_bytes": _state_bytes(row) / (size[0] * size[1]),
-            }
-            if configuration.backend == EAGER and device.type == "cpu":
-                line["memory_mb"] = _peak_memory(row) / 2**20
-            lines.append(line)
+            counted = each.result().counted
+            per_second = 1e6 * counted["multiply_adds"] * math.prod(size) / timing.inference.mean
+            share = {"peak_share": per_second / peaks[each.job.bf16]}
+            lines.append(line | _times(timing) | counted | share)
     return pd.DataFrame(lines, columns=list(COLUMNS))
 
 
-def count_multiply_adds(method: Method, device: torch.device) -> float:
-    """Multiply-adds per pixel of all convolutions and matrix products in a frame with history."""
-    clip = generated_clip((COUNTED_SIDE, COUNTED_SIDE), device)
-    results = run_clip(method, clip, SPP)
-    next(results)
-    with FlopCounterMode(display=False) as counter:
-        next(results)
-    flops: int = counter.get_total_flops()
-    return flops / 2 / COUNTED_SIDE**2
+def failed_rows(table: pd.DataFrame) -> dict[str, str]:
+    """The rows of a table without times, and the error that is the reason."""
+    failed = table[table["inference_ms"].isna()]
+    return dict(zip(failed["method"], failed["note"], strict=True))
 
 
-def count_parameters(method: Method) -> int:
-    """Parameters of all networks of a method; 0 where a library holds them."""
-    return sum(part.numel() for part in iterate_parts(method) if isinstance(part, nn.Parameter))
+class _Work(NamedTuple):
+    """What the networks of a method hold and compute."""
+
+    parameters: int
+    multiply_adds: float  # per pixel
+
+
+class _Loaded(NamedTuple):
+    """A row that can be timed, and its columns that need no clock."""
+
+    row: TimedRow
+    counted: dict[str, float]
+
+
+def _count_work(device: torch.device, name: str, on_progress: ProgressCallback) -> _Work:
+    method = Configuration(name).load(device)
+    return _Work(count_parameters(method), count_multiply_adds(method, device))
+
+
+def _load(
+    clip: InMemoryClip,
+    work: Mapping[str, JobResult[str, _Work]],
+    device: torch.device,
+    configuration: Configuration,
+    on_progress: ProgressCallback,
+) -> _Loaded:
+    done = work[configuration.method].result()
+    row = TimedRow(configuration.load(device), clip, SPP)
+    counted = {
+        "parameters": done.parameters / 1e3,
+        "multiply_adds": done.multiply_adds / 1e3,
+        "state_bytes": state_bytes(row.method, clip) / (clip.size.h * clip.size.w),
+    }
+    if configuration.backend == EAGER and device.type == "cpu":
+        counted["memory_mb"] = peak_memory(row.method, clip) / 2**20
+    return _Loaded(row, counted)
+
+
+def _time_rows(
+    rows: list[TimedRow], device: torch.device, repeats: int, on_done: Callable[[], None]
+) -> list[Timing | Exception]:
+    """The times of each row, or what it raised; each by itself if one ends them all."""
+
+    def time(group: list[TimedRow], on_progress: ProgressCallback) -> list[Timing | Exception]:
+        return time_methods(group, device, repeats, on_done=on_done)
+
+    (together,) = LOCAL.map(time, [rows])
+    if not together.error:
+        return together.result()
+    return [each.error or each.result()[0] for each in LOCAL.map(time, [[row] for row in rows])]
 
 
 def peak_throughput(device: torch.device, bf16: bool) -> float:
@@ -169,51 +204,3 @@ def _times(timing: Timing) -> dict[str, object]:
         "inference_p95_ms": timing.inference.p95,
         "note": f"{UNRELIABLE} {timing.unreliable}" if timing.unreliable else "",
     }
-
-
-def generated_clip(size: PixelSize, device: torch.device) -> InMemoryClip:
-    """The frames that methods are timed on, of `size` (height, width) pixels."""
-    clip = procedural_clip(3, Size(1, *size), FRAMES, pool_spp=4, device=device)
-    return InMemoryClip(f"{size[1]}x{size[0]}", clip.scene, clip.digest, list(clip))
-
-
-@dataclass(frozen=True)
-class _KeepingState(MethodWrapper[Method]):
-    """Keeps the last state, to count its bytes."""
-
-    states: list[object]
-
-    def denoise(
-        self, gbuffer: GBuffer, samples: Samples, state: State
-    ) -> tuple[Float[Tensor, "n 3 h w"], State]:
-        """The wrapped method's image, and the next state."""
-        image, state = super().denoise(gbuffer, samples, state)
-        self.states[:] = [state]
-        return image, state
-
-
-def _state_bytes(row: TimedRow) -> int:
-    """Bytes of all tensors in the state after two frames."""
-    keeping = _KeepingState(row.method, [])
-    results = run_clip(keeping, row.clip, row.target_spp)
-    next(results), next(results)
-    return sum(tensor.numel() * tensor.element_size() for tensor in iterate_tensors(keeping.states))
-
-
-def _peak_memory(row: TimedRow) -> int:
-    """Most bytes that PyTorch had allocated at once during the second frame, less those before."""
-    os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler's log goes to the error stream
-    results = run_clip(row.method, row.clip, row.target_spp)
-    next(results)
-    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
-        next(results)
-    return max(_running_totals(profiler), default=0)
-
-
-def _running_totals(profiler: profile) -> Iterator[int]:
-    recorded: Any = profiler.profiler  # untyped: each allocation and release, in bytes
-    events = [e for e in recorded.kineto_results.events() if e.name() == "[memory]"]
-    total = 0
-    for event in sorted(events, key=lambda event: event.start_ns()):
-        total += event.nbytes()
-        yield total

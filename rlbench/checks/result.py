@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import traceback
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 
 __all__ = [
     "CheckResult",
     "Verdict",
-    "describe_exception",
     "failed",
     "not_applicable",
     "passed",
     "warning",
 ]
-
-
-PACKAGE = Path(__file__).parents[1]
 
 
 class Verdict(Enum):
@@ -75,17 +69,3 @@ def failed(check: str, found: str, remedy: str, error: Exception | None = None) 
 def not_applicable(check: str, reason: str) -> CheckResult:
     """The check was skipped because it does not apply or cannot run here."""
     return CheckResult(check, Verdict.SKIPPED, reason)
-
-
-def describe_exception(error: BaseException, *folders: Path) -> str:
-    """The exception, the last line of code in `folders` that it passed through, and its notes.
-
-    A line in the first folder is preferred to one in the second, and so on; without any, it is the
-    last line outside this package.
-    """
-    frames = traceback.extract_tb(error.__traceback__)[::-1]
-    own = [f for folder in folders for f in frames if Path(f.filename).is_relative_to(folder)]
-    own += [f for f in frames if not Path(f.filename).is_relative_to(PACKAGE)]
-    place = f" ({Path(own[0].filename).name}, line {own[0].lineno})" if own else ""
-    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
-    return f"raised {type(error).__name__}: {error}{place}{notes}"

@@ -10,14 +10,12 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Seeds, WeightsChoice
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli.plugins import load_plugins, load_rows
 from rlbench.cli.verbosity import note
 from rlbench.errors import OptionError
 from rlbench.system.openmp import wait_asleep
 
 __all__ = ["run", "warn_without_networks"]
-
-ROWS = "Its rows get this reason; all others are measured"  # of a method that cannot be imported
 
 
 def run(
@@ -127,8 +125,7 @@ def run(
     seeds = _orders(seed, draws)
     if scores_only:
         wait_asleep()  # before a plugin imports torch
-    load_plugins(plugin, allow_broken=True)
-    names = _select_methods(context, methods)  # before torch
+    names = _select_methods(context, plugin, methods)  # before torch
     chosen = weights or WeightsChoice()
     from rlbench import registry
     from rlbench.backends import select_backend
@@ -145,7 +142,7 @@ def run(
     warn_without_networks(names, bf16, chosen)
     target = select_device(device)
     selected_backend = select_backend(backend, target)
-    check_run(names, spp, out, None if clips else preset, cost, chosen.file)
+    check_run(names, spp, out, None if clips else preset, cost, chosen.file, pool)
     pools = {registry.get_variant(name).traits.pool for name in names}
     scene_names = arguments.split_names(scenes)
     with open_executor(engine, ray_address) as executor:
@@ -185,16 +182,15 @@ def run(
         raise typer.Exit(1)
 
 
-def _select_methods(context: typer.Context, patterns: list[str] | None) -> tuple[str, ...]:
-    """The methods to run; without any, those of a first run, and a note that says so.
-
-    Those that cannot be imported are among them until the command ends.
-    """
+def _select_methods(
+    context: typer.Context, plugins: list[Path] | None, patterns: list[str] | None
+) -> tuple[str, ...]:
+    """The methods to run; without any, those of a first run, and a note that says so."""
     from rlbench import registry
 
+    load_plugins(plugins, allow_broken=True)  # those of a first run include their methods
     selected = arguments.split_names(patterns) or registry.demo_methods()
-    with_broken = registry.with_broken(selected, lambda reason: note(f"{reason}. {ROWS}"))
-    context.with_resource(with_broken)
+    load_rows(context, None, selected)
     names = arguments.expand_methods(selected)
     if not patterns:
         note(f"rows of a first run: {', '.join(names)}; -m all runs one row of every method")

@@ -10,12 +10,13 @@ import typer
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import Budgets, WeightsChoice
 from rlbench.cli.benchmark import warn_without_networks
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli.plugins import load_rows
 
 __all__ = ["images"]
 
 
 def images(
+    context: typer.Context,
     methods: options.Methods = None,
     weights: options.Weights = None,
     bf16: options.Bf16 = False,
@@ -60,7 +61,8 @@ def images(
     """Write images of one frame: PNG, EXR, and a sheet.
 
     PNG files are clipped sRGB, EXR files are linear. The sheet shows images, errors and samples per
-    pixel of all methods. Pixels that are not finite are magenta.
+    pixel of all methods. Pixels that are not finite are magenta. A method that an error stopped is
+    named with its reason, and the exit code is then 1.
 
     Examples:
 
@@ -68,11 +70,11 @@ def images(
       rlbench images -m ours,ntas,mean --scenes city
       rlbench images -m ours,ours/A2 --preset standard --takes main --spp 0.1,1 --frame 5
     """
-    load_plugins(plugin)
+    load_rows(context, plugin, arguments.require_methods(methods))
     names, chosen = arguments.expand_methods(methods), weights or WeightsChoice()  # before torch
     from rlbench import registry
     from rlbench.benchmark.api import check_precision, select_clips, select_device
-    from rlbench.benchmark.frame_images import write_images
+    from rlbench.benchmark.frame_images import ImagesError, write_images
     from rlbench.benchmark.preflight import check_run
     from rlbench.benchmark.run_plan import RunPlan
     from rlbench.cli import console
@@ -95,7 +97,17 @@ def images(
     )
     with console.measuring(plan) as bar:
         sheets = list(write_images(plan, frame, out, bar.on_cell))
+    missing = [each for sheet in sheets for each in sheet.missing.items()]
+    has_failed = any(sheet.failed for sheet in sheets)
+    if not has_failed and not any(sheet.drawn for sheet in sheets):
+        raise ImagesError("; ".join(dict.fromkeys(f"{name}: {why}" for name, why in missing)))
     for sheet in sheets:
-        typer.echo(sheet.file)
+        if sheet.drawn:
+            typer.echo(sheet.file)
         for method, reason in sheet.missing.items():
             typer.echo(f"{sheet.file.name} lacks {method}: {reason}", err=True)
+        for row, pixels in sheet.nonfinite.items():
+            where = f"{pixels} pixels of {row}, drawn in magenta, are NaN or infinite"
+            typer.echo(f"{sheet.file.name}: {where}; rlbench check finds out why", err=True)
+    if has_failed:
+        raise typer.Exit(1)

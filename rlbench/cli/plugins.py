@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,8 +10,11 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.cli.json_output import ChecksOutput, print_json
+from rlbench.cli.verbosity import note
 
-__all__ = ["check", "list_", "load_plugins"]
+__all__ = ["check", "list_", "load_plugins", "load_rows"]
+
+ROWS = "Its rows get this reason; all others are done"  # of a method that cannot be imported
 
 Kind = Literal[
     "all", "methods", "metrics", "scenes", "reports", "pools", "presets", "profiles"
@@ -26,6 +30,18 @@ def load_plugins(files: list[Path] | None, allow_broken: bool = False) -> None:
         registry.use_plugin(file)
         if not allow_broken and (reason := plugin_file_error(file)):
             raise registry.PluginError(f"--plugin {file}: {reason}")
+
+
+def load_rows(context: typer.Context, files: list[Path] | None, patterns: Iterable[str]) -> None:
+    """Register plugin files for a command that does the rows of `patterns` one after another.
+
+    Until the command ends, a method that cannot be imported has rows that fail, with its reason.
+    Raises PluginError for a file that does not parse, and as `registry.with_broken`.
+    """
+    from rlbench import registry
+
+    load_plugins(files, allow_broken=True)
+    context.with_resource(registry.with_broken(patterns, lambda reason: note(f"{reason}. {ROWS}")))
 
 
 def list_(
@@ -59,6 +75,7 @@ def list_(
 
 
 def check(
+    context: typer.Context,
     methods: options.Methods = None,
     plugin: options.Plugins = None,
     device: options.Device = "cpu",
@@ -82,7 +99,7 @@ def check(
       rlbench check -m all
     """
     patterns = arguments.require_methods(methods)
-    load_plugins(plugin, allow_broken="all" in patterns)
+    load_rows(context, plugin, patterns)
     from rlbench.benchmark.api import select_device
     from rlbench.checks.conformance.run import check_methods
 

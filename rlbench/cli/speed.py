@@ -10,7 +10,7 @@ import typer
 
 from rlbench.cli import arguments, options
 from rlbench.cli.arguments import PixelSize, PixelSizes
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli.plugins import load_rows
 
 __all__ = ["speed"]
 
@@ -18,6 +18,7 @@ SIZES = PixelSizes((PixelSize((192, 192)), PixelSize((720, 720)), PixelSize((108
 
 
 def speed(
+    context: typer.Context,
     methods: options.Methods = None,
     plugin: options.Plugins = None,
     sizes: Annotated[
@@ -71,7 +72,7 @@ def speed(
     No score is measured. Frames are generated, so nothing is rendered. Writes speed.csv and
     speed.md: times of the parts of inference, parameters, multiply-adds per pixel, their share of
     the machine's peak, bytes of state per pixel, and memory. A time that a busy machine spoiled has
-    a note.
+    a note. A method that an error stopped is named with its reason, and the exit code is then 1.
 
     Examples:
 
@@ -80,12 +81,12 @@ def speed(
       rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --bf16
       rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
     """
-    load_plugins(plugin)
+    load_rows(context, plugin, arguments.split_names(methods) or ["all"])
     names = arguments.expand_methods(methods, pretrained_only=False, default="all")
     from rlbench import registry
     from rlbench.backends import EAGER, select_backend
     from rlbench.benchmark.api import check_precision, select_device
-    from rlbench.benchmark.speed import Configuration, measure_speed
+    from rlbench.benchmark.speed import Configuration, failed_rows, measure_speed
     from rlbench.benchmark.speed_page import write_speed
     from rlbench.cli import console
     from rlbench.system.disk import check_writable
@@ -104,3 +105,7 @@ def speed(
         table = measure_speed(configurations, sizes, target, repeats, advance)
     for file in write_speed(table, target, out):
         typer.echo(file)
+    if failures := failed_rows(table):
+        for name, reason in failures.items():
+            typer.echo(f"{name} has no times: {reason}", err=True)
+        raise typer.Exit(1)

@@ -8,12 +8,13 @@ from typing import Annotated
 import typer
 
 from rlbench.cli import arguments, options
-from rlbench.cli.plugins import load_plugins
+from rlbench.cli.plugins import load_rows
 
 __all__ = ["stress"]
 
 
 def stress(
+    context: typer.Context,
     methods: options.Methods = None,
     only: Annotated[
         list[str] | None,
@@ -64,7 +65,8 @@ def stress(
       rlbench stress -m ours,svgf --only bad-pixel
       rlbench stress -m mine --plugin mine.py --quick
     """
-    load_plugins(plugin)
+    names = arguments.split_names(methods)
+    load_rows(context, plugin, names or ["all"])
     from rlbench.benchmark.api import select_device
     from rlbench.checks.stress.run import stress_methods
     from rlbench.system.disk import check_writable
@@ -72,7 +74,7 @@ def stress(
     target = select_device(device)
     check_writable(out)
     has_passed = stress_methods(
-        arguments.split_names(methods),
+        names,
         arguments.split_names(only),
         quick,
         target,

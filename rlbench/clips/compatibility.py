@@ -27,9 +27,14 @@ def compatibility_summary(header: Header) -> str:
     return text
 
 
-def incompatibility(header: Header, traits: Traits, spp: float) -> str | None:
-    """Why a method with these traits cannot run on a clip at `spp`, or None if it can."""
-    if spp > header.pool_spp:
+def incompatibility(
+    header: Header, traits: Traits, spp: float, pool_spp: int | None = None
+) -> str | None:
+    """Why a method with these traits cannot run on a clip at `spp`, or None if it can.
+
+    `pool_spp` is the number of samples per pixel in the pool, None: as many as the clip stores.
+    """
+    if spp > (pool_spp or header.pool_spp):
         return (
             f"{spp:g} spp requested, the clip stores {header.pool_spp} samples per pixel; "
             f"request at most {header.pool_spp} spp"

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar, cast
 
 from rlbench.errors import RlbenchError
+from rlbench.registry.failure import keep_frames
+from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = [
     "LOCAL",
@@ -52,6 +54,12 @@ class JobResult(Generic[J, R]):
     value: R | None = None
     error: Exception | None = None
 
+    def __getstate__(self) -> dict[str, object]:
+        """The fields, to be pickled; the error keeps its lines, as tracebacks are not pickled."""
+        if self.error:
+            keep_frames(self.error)
+        return self.__dict__
+
     def result(self) -> R:
         """The value. Raises the error of a job that failed."""
         if self.error:
@@ -96,7 +104,8 @@ class Executor(Protocol):
     ) -> Iterator[JobResult[J, R]]:
         """Apply `work` to every job; yields one result for each, in the order of completion.
 
-        A job that raises does not stop the others. Raises ExecutorError if no job can be run.
+        A job that raises, or exits, does not stop the others. Raises ExecutorError if no job can be
+        run.
         """
 
 
@@ -127,7 +136,8 @@ class LocalExecutor:
         """
         for job in jobs:
             try:
-                value = work(job, on_progress)
+                with exits_as_errors():
+                    value = work(job, on_progress)
             except Exception as error:  # of any type: it is the result of the job
                 yield JobResult(job, error=error)
             else:

@@ -30,11 +30,13 @@ from rlbench.parallel.executor import (
     Work,
     ignore_progress,
 )
-from rlbench.registry import plugin_files, use_plugin
+from rlbench.registry import exits_as_errors, plugin_files, use_plugin
+from rlbench.registry.failure import keep_frames
 
 __all__ = ["ProcessExecutor"]
 
 _work: list[Any] = []  # of this worker process
+_end_process = os._exit  # while a job runs, `os._exit` raises an error
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class ProcessExecutor:
     ) -> Iterator[JobResult[J, R]]:
         """Apply `work` to every job; yields one result for each, in the order of completion.
 
-        A job that ends its process (exit, a crash, out of memory) has an ExecutorError. `resources`
+        A job that ends its process (a crash, out of memory) has an ExecutorError. `resources`
         sets the number of torch's threads per process; progress is not reported.
         """
         queue, others = deque(jobs), set(multiprocessing.active_children())
@@ -126,11 +128,16 @@ def _end_with_parent() -> None:
     """End this process when its parent is killed; it would wait for jobs for ever."""
     if (parent := multiprocessing.parent_process()) is not None:
         parent.join()
-        os._exit(1)
+        _end_process(1)
 
 
 def _run(job: Any) -> Any:
-    return _work[0](job, ignore_progress)
+    try:
+        with exits_as_errors():
+            return _work[0](job, ignore_progress)
+    except Exception as error:  # of any type: the submitter gets it
+        keep_frames(error)
+        raise
 
 
 def _job_result(job: J, future: Future[R]) -> JobResult[J, R]:
@@ -138,7 +145,7 @@ def _job_result(job: J, future: Future[R]) -> JobResult[J, R]:
     if error is None:
         return JobResult(job, future.result())
     if isinstance(error, BrokenProcessPool):
-        lost = ExecutorError("its process ended: it called os._exit, crashed, or ran out of memory")
+        lost = ExecutorError("its process ended: it crashed, or ran out of memory")
         return JobResult(job, error=lost)
     if isinstance(error, Exception):
         return JobResult(job, error=error)

@@ -16,7 +16,15 @@ from typing import Any
 import torch
 
 from rlbench.parallel.executor import ExecutorError
-from rlbench.registry import GROUPS, clear_plugins, discovery, plugin_files, use_plugin
+from rlbench.registry import (
+    GROUPS,
+    clear_plugins,
+    discovery,
+    exits_as_errors,
+    plugin_files,
+    use_plugin,
+)
+from rlbench.registry.failure import keep_frames
 from rlbench.system import code_hash, provenance
 
 __all__ = ["JobReply", "TaskBundle", "WorkerEnvironment", "code_version", "run_job"]
@@ -115,8 +123,10 @@ def run_job(fetch: Callable[[], TaskBundle], name: str, job: bytes, loads: Unpic
             bundle = fetch()
             bundle.environment.apply()
             _loaded.name, _loaded.work = name, loads(bundle.work)
-        value = _loaded.work(loads(job), progress.append)
+        with exits_as_errors():
+            value = _loaded.work(loads(job), progress.append)
     except Exception as error:  # of any type: the submitter gets it
+        keep_frames(error)
         error.add_note(f"in a worker on {platform.node()}:\n{traceback.format_exc()}")
         return JobReply(error=error)
     return JobReply(value, progress=sum(progress))

@@ -12,6 +12,7 @@ from rlbench.registry.discovery import (
 from rlbench.registry.entry import PluginEntry
 from rlbench.registry.lookup import (
     current_name,
+    failure_reason,
     get_variant,
     import_error,
     list_plugins,
@@ -33,6 +34,7 @@ from rlbench.registry.methods import (
 )
 from rlbench.registry.plugin_code import PluginExitError, exits_as_errors
 from rlbench.registry.plugin_files import clear_plugins, plugin_file, use_plugin
+from rlbench.registry.stand_ins import import_failure
 
 __all__ = [
     "GROUPS",
@@ -46,8 +48,10 @@ __all__ = [
     "list_entries",
     "exits_as_errors",
     "expand",
+    "failure_reason",
     "load_family",
     "import_error",
+    "import_failure",
     "is_trainable",
     "load_plugin",
     "load_or_explain",

@@ -18,7 +18,6 @@ import importlib.util
 import logging
 import os
 import sys
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache, partial
@@ -27,6 +26,7 @@ from typing import Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.entry import PluginEntry
+from rlbench.registry.failure import describe_failure
 from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.plugin_files import (
     file_entries,
@@ -65,10 +65,7 @@ def plugin_file_error(path: str | Path) -> str | None:
         except PluginError as error:
             return str(error)
         except Exception as error:  # third-party code may raise anything
-            frames = traceback.extract_tb(error.__traceback__)
-            lines = [frame.lineno for frame in frames if frame.filename == str(file)]
-            location = f" (line {lines[-1]})" if lines else ""
-            return f"{type(error).__name__}: {error}{location}"
+            return describe_failure(error, file.parent)
     return None
 
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from rlbench.errors import PluginError
 from rlbench.family import Family, Traits, Variant
-from rlbench.registry.discovery import list_entries
+from rlbench.registry.discovery import list_entries, module_file
 from rlbench.registry.entry import PluginEntry
+from rlbench.registry.failure import describe_failure
 from rlbench.registry.near_names import unknown_name
+from rlbench.registry.plugin_code import exits_as_errors
 from rlbench.registry.stand_ins import find_stand_in
 
 __all__ = [
     "current_name",
+    "failure_reason",
     "load_family",
     "import_error",
     "load_plugin",
@@ -62,8 +66,24 @@ def import_error(group: str, name: str) -> str | None:
     try:
         load_family(name) if group == "methods" else load_plugin(group, name)
     except Exception as error:  # third-party code may raise anything
-        return f"{type(error).__name__}: {error}"
+        return describe_failure(error, *_code_folders(list_entries(group)[name].target))
     return None
+
+
+def failure_reason(method: str, error: BaseException, *folders: Path) -> str:
+    """The error of a method, and the last line of the method's code that it passed through.
+
+    If it passed through none, the last line of code in `folders`. It never raises, also for a
+    method that cannot be imported.
+
+    >>> failure_reason("mean", ValueError("no luck"))
+    'ValueError: no luck'
+    """
+    try:
+        target = load_family(method).build
+    except Exception:  # its plugin cannot be imported; a file has the name of its module
+        target = method.partition("/")[0]
+    return describe_failure(error, *_code_folders(target), *folders)
 
 
 def load_family(name: str) -> Family:
@@ -140,6 +160,18 @@ def _check_variants(family: Family) -> None:
                 f"{type(variant.traits).__name__}; Traits(...) is expected, such as "
                 'Traits(inputs=frozenset({"albedo"}), adaptive=True)'
             )
+
+
+def _code_folders(target: str) -> list[Path]:
+    """The folder of the module in `module:attribute` or `file.py:attribute`, if it is found."""
+    file = Path(target.rpartition(":")[0] or target)
+    if file.is_file():
+        return [file.parent]
+    try:
+        with exits_as_errors():  # a parent package is imported
+            return [module_file(target).parent]
+    except Exception:  # third-party code may raise anything
+        return []
 
 
 def _kind(group: str) -> str:

@@ -57,7 +57,7 @@ def load_method(
     from rlbench.method import Method
 
     name = current_name(name)
-    if failure := import_failure(name.partition("/")[0]):
+    if failure := import_failure(name):
         raise failure
     declared = get_variant(name)
     if missing := " ".join(provenance.missing_packages(declared.requires)):

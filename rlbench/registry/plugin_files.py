@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import sys
 from functools import partial
@@ -11,6 +12,7 @@ from typing import Any
 
 from rlbench.errors import PluginError
 from rlbench.registry.entry import PluginEntry
+from rlbench.registry.failure import describe_failure
 from rlbench.registry.plugin_code import exits_as_errors
 
 __all__ = [
@@ -30,8 +32,8 @@ _files: dict[str, Path] = {}  # plugin files by the name of their module, in the
 def use_plugin(path: str | Path) -> None:
     """Add the families of a plugin file; it is imported when methods are next looked up.
 
-    The folder of a package stands for its `__init__.py`. Raises PluginError for a missing file and
-    for two files of one name.
+    The folder of a package stands for its `__init__.py`. Raises PluginError for a missing file, one
+    that does not parse, and for two files of one name.
     """
     file = python_file(path)
     if not file.is_file():
@@ -41,11 +43,21 @@ def use_plugin(path: str | Path) -> None:
             f"no plugin file at {file}. --plugin takes the path of a Python file, or the folder of "
             f"a package{hint}"
         )
+    _check_syntax(file)
     name = _module_name(file)
     if _files.setdefault(name, file) != file:
         raise PluginError(
             f"two plugin files are called {_label(file)}: {_files[name]} and {file}. Rename one"
         )
+
+
+def _check_syntax(file: Path) -> None:
+    try:
+        ast.parse(file.read_bytes(), file)
+    except (OSError, ValueError, SyntaxError) as error:  # ValueError: null bytes
+        raise PluginError(
+            f"--plugin {file} is no Python code: {describe_failure(error, file.parent)}"
+        ) from error
 
 
 def python_file(path: str | Path) -> Path:

@@ -38,6 +38,7 @@ def find_stand_in(family: str) -> Family | None:
     return _families.get(family)
 
 
-def import_failure(family: str) -> PluginError | None:
-    """Why a family has a stand-in, or None if it has none."""
+def import_failure(method: str) -> PluginError | None:
+    """Why the family of a method has a stand-in, or None if it has none."""
+    family = method.partition("/")[0]
     return PluginError(_reasons[family]) if family in _reasons else None

@@ -70,14 +70,15 @@ def test_pixels_that_are_not_finite_are_magenta_and_counted(clip_folder, tmp_pat
     assert np.argwhere(magenta).tolist() == [[3, 4], [5, 6]]
 
 
-def test_a_method_that_cannot_run_is_left_out_and_alone_it_is_an_error(clip_folder, tmp_path):
+def test_a_method_that_cannot_run_is_left_out_and_alone_it_has_no_sheet(clip_folder, tmp_path):
     both = plan(clip_folder, "eaw", "mean", spp=(0.5,))
     (sheet,) = write_images(both, 0, tmp_path)
     assert list(sheet.missing) == ["eaw"]
     assert re.search("1 to 8 spp.*0.5", sheet.missing["eaw"])
     assert {file.name for file in tmp_path.glob("*/*.png")} == {"mean.png", "reference.png"}
-    with pytest.raises(ImagesError, match="eaw: .*1 to 8 spp.*0.5"):
-        list(write_images(plan(clip_folder, "eaw", spp=(0.5,)), 0, tmp_path))
+    (alone,) = write_images(plan(clip_folder, "eaw", spp=(0.5,)), 0, tmp_path / "alone")
+    assert (alone.drawn, alone.failed) == ((), frozenset())
+    assert not alone.file.exists()
 
 
 def test_a_method_that_raises_is_reported_and_the_others_are_drawn(clip_folder, tmp_path):
@@ -85,7 +86,26 @@ def test_a_method_that_raises_is_reported_and_the_others_are_drawn(clip_folder, 
         write_plugin(tmp_path / "odd.py", "odd", body="raise ValueError('no luck')")
     )
     (sheet,) = write_images(plan(clip_folder, "odd", "mean"), 0, tmp_path)
-    assert sheet.missing == {"odd": "ValueError: no luck"}
+    assert (sheet.drawn, sheet.failed) == (("mean",), {"odd"})
+    assert re.fullmatch(r"ValueError: no luck \(odd\.py:\d+\)", sheet.missing["odd"])
+
+
+def test_an_image_of_another_shape_is_a_failure_and_the_others_are_drawn(clip_folder, tmp_path):
+    body = "return samples.mean[..., 1:], None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    (sheet,) = write_images(plan(clip_folder, "odd", "mean"), 0, tmp_path)
+    assert re.search(
+        r"denoise must return an image \[1 3 20 24\], found a Tensor \[1 3 20 23\] of "
+        r"torch.float32; support any size: .* \(odd\.py:\d+\)$",
+        sheet.missing["odd"],
+    )
+
+
+def test_a_sheet_counts_the_pixels_of_each_method_that_are_not_finite(clip_folder, tmp_path):
+    body = "return samples.mean * float('nan'), None"
+    registry.use_plugin(write_plugin(tmp_path / "odd.py", "odd", body=body))
+    (sheet,) = write_images(plan(clip_folder, "odd", "mean"), 0, tmp_path)
+    assert sheet.nonfinite == {"odd": 20 * 24}
 
 
 @pytest.mark.parametrize("frame", [3, -4])

@@ -378,8 +378,8 @@ def test_changed_code_that_a_method_imports_counts(clip_folder, tmp_path, monkey
             {"body": "return samples.mean[:, :1], None"},
             {},
             1.0,
-            r"PluginError: 'odd' returned an image of torch.float32 \[1, 1, 20, 24\], "
-            r"expected torch.float32 \[1, 3, 20, 24\]",
+            r"WrongReturnError: denoise must return an image \[1 3 h w\] as a torch.Tensor, "
+            r"found a Tensor \[1 1 20 24\] of torch.float32; .* \(odd.py:\d+\)",
         ),
         (
             {"body": "return samples.mean.half(), None"},

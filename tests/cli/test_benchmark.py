@@ -164,8 +164,8 @@ def test_a_plugin_file_is_run(clip_folder, tmp_path):
     [
         ("x = 1", "plugin.py has neither FAMILY nor METHODS"),
         ("import nothing_of_this_name", "ModuleNotFoundError: No module named"),
-        ("\n1 / 0", "ZeroDivisionError: division by zero (line 2)"),
-        ("def", "SyntaxError: invalid syntax"),
+        ("\n1 / 0", "ZeroDivisionError: division by zero (plugin.py:2)"),
+        ("def", "plugin.py is no Python code: SyntaxError: invalid syntax (plugin.py:1)"),
     ],
 )
 def test_a_broken_plugin_is_reported_in_one_line(text, message, tmp_path):

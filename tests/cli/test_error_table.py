@@ -57,7 +57,12 @@ TABLE = {
         run("-m", "uors"), r"error: 'uors' is not a method\. Did you mean 'ours'\?$"
     ),
     "more spp than a preset stores": Mistake(
-        run("-m", "mean", "--spp", 16), "clips of preset 'mini' store 8 samples per pixel"
+        run("-m", "mean", "--spp", 16),
+        "clips of preset 'mini' store 8 samples per pixel.* or trace more with --pool live",
+    ),
+    "more spp than a method supports, live": Mistake(
+        run("-m", "svgf", "--spp", 16, "--pool", "live"),
+        "error: --spp 16: svgf supports 1 to 8 spp, requested 16",
     ),
     "more spp than a clip stores": Mistake(
         lambda folder: (*own_clip(folder), "--spp", 16),

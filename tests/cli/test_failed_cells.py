@@ -20,12 +20,20 @@ FAULTS = {  # what replaces a line of a method -> the reason in its row
     ("return samples.mean * GAIN, None", "raise SystemExit(3)"): EXIT,
     ("return Scaled()", "raise SystemExit(3)"): EXIT,
     ("return Scaled()", "import module_that_exits"): EXIT,
-    (UNIFORM, "return samples.counts.numpy() / 1.0"): "'numpy.ndarray' object has no attribute",
-    ("return samples.mean * GAIN, None", "return samples.mean.numpy(), None"): (
-        "PluginError: 'bad' returned an image of type numpy.ndarray, expected a torch.Tensor"
+    (UNIFORM, "return samples.counts.numpy() / 1.0"): (
+        "WrongReturnError: plan must return a density [1 1 20 24] as a torch.Tensor, found a "
+        "ndarray [1 1 20 24] of float64; return a torch.Tensor, such as torch.from_numpy(density)"
     ),
-    ("return samples.mean * GAIN, None", "return samples.mean"): "ValueError: not enough values",
-    ("return samples.mean * GAIN, None", "pass"): "TypeError: cannot unpack non-iterable NoneType",
+    ("return samples.mean * GAIN, None", "return samples.mean.numpy(), None"): (
+        "denoise must return an image [1 3 h w] as a torch.Tensor, found a ndarray [1 3 20 24] of "
+        "float32; return a torch.Tensor, such as torch.from_numpy(image)"
+    ),
+    ("return samples.mean * GAIN, None", "return samples.mean"): (
+        "denoise must return (image, state), found a Tensor [1 3 20 24] of torch.float32; end"
+    ),
+    ("return samples.mean * GAIN, None", "pass"): (
+        "denoise must return (image, state), found None; end `denoise` with `return image, state`"
+    ),
 }
 
 
@@ -66,7 +74,7 @@ def test_each_fault_of_a_method_costs_its_own_cell(clips, tmp_path, monkeypatch,
         assert line in file.read_text()
         file.write_text(file.read_text().replace(line, replacement))
         words = (*words, "--plugin", file)
-        expected[file.stem] = reason.replace("'bad'", f"'{file.stem}'")
+        expected[file.stem] = reason
     output = run(clips, ",".join([*expected, "mean"]), *words)
     assert scored(clips) == {("mean", "whole")}
     found = {method: note for (method, _), note in notes(clips).items()}
@@ -111,8 +119,7 @@ def test_a_file_that_is_restored_is_measured_by_the_next_run(clips):
 
 BROKEN = {  # the whole plugin file -> the reason in its rows
     "raise SystemExit(3)": "PluginExitError: plugin code called sys.exit(3)",
-    "import no_such_package": "ModuleNotFoundError: No module named 'no_such_package' (line 1)",
-    "def build(:": "SyntaxError: invalid syntax",
+    "import no_such_package": "ModuleNotFoundError: No module named 'no_such_package' (gone.py:1)",
     "FAMILY = None": "gone.py has neither FAMILY nor METHODS",
 }
 
@@ -176,6 +183,6 @@ def test_a_broken_plugin_file_is_an_error_at_once_where_it_is_alone_or_not_named
     (tmp_path / "gone.py").write_text("raise SystemExit(3)")
     output = run(clips, names, "--plugin", tmp_path / "gone.py", code=2)
     assert output.endswith(
-        "sys.exit(3). Raise an exception that says what is wrong instead (line 1)"
+        "sys.exit(3). Raise an exception that says what is wrong instead (gone.py:1)"
     )
     assert not (tmp_path / "results").exists()

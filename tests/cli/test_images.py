@@ -8,6 +8,7 @@ import pytest
 
 from rlbench.system import paths
 from tests.cli.runner import rlbench
+from tests.conftest import write_plugin
 
 
 def test_images_prints_its_sheets_and_the_methods_they_lack(clip_folder, tmp_path):
@@ -21,6 +22,20 @@ def test_images_writes_the_requested_frame(clip_folder, tmp_path):
     words = ("images", "-m", "mean", "--clips", clip_folder, "--frame", 1, "--out", tmp_path)
     assert f"{tmp_path}/noise-1spp-01.png" in rlbench(*words)
     assert (tmp_path / "noise-1spp-01.png").stat().st_size > 0
+
+
+def test_images_names_what_is_not_finite(clip_folder, tmp_path):
+    body = "return samples.mean * float('nan'), None"
+    plugin = write_plugin(tmp_path / "odd.py", "odd", body=body)
+    words = ("images", "-m", "odd", "--plugin", plugin, "--clips", clip_folder)
+    output = rlbench(*words, "--out", tmp_path / "o")
+    assert "480 pixels of odd, drawn in magenta, are NaN or infinite" in output
+
+
+def test_images_of_methods_that_support_no_budget_are_an_error(clip_folder, tmp_path):
+    words = ("images", "-m", "eaw", "--clips", clip_folder, "--spp", "0.5,0.6", "--out", tmp_path)
+    output = rlbench(*words, code=2)
+    assert "error: eaw: supports 1 to 8 spp, requested 0.5; eaw: supports 1 to 8" in output
 
 
 def test_images_needs_methods(clip_folder):

@@ -92,7 +92,7 @@ def test_a_plugin_that_exits_while_it_is_imported_is_an_error(tmp_path, statemen
     assert "svgf" in output
     output = rlbench("check", "exit", "--plugin", plugin, code=2)
     assert message in output
-    assert "(line 2)" in output
+    assert "(exit.py:2)" in output
 
 
 @exits

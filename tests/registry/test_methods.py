@@ -69,7 +69,8 @@ def test_all_skips_a_family_that_cannot_be_imported_and_says_so(tmp_path):
     names = registry.expand(["all"], pretrained_only=False, on_skip=messages.append)
     assert names == [name for name in registry.list_plugins("methods") if name != "torn"]
     assert messages == [
-        "'all' skips torn, which cannot be imported: ZeroDivisionError: division by zero"
+        "'all' skips torn, which cannot be imported: ZeroDivisionError: division by zero "
+        "(torn.py:1)"
     ]
 
 

@@ -98,7 +98,7 @@ def measure_gates(
     Raises OptionError for a row that fails.
     """
     from rlbench.benchmark.latency import TimedRow, time_methods
-    from rlbench.benchmark.speed import SPP, generated_clip
+    from rlbench.benchmark.work import SPP, generated_clip
 
     names = list(dict.fromkeys(name for gate in gates for name in (gate.row, gate.reference)))
     clip = generated_clip(SIZE, device)

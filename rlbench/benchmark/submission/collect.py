@@ -25,9 +25,9 @@ from rlbench.system import paths, provenance
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["clip_facts", "collect_submission", "pool_of", "stored_clips"]
+__all__ = ["CELL", "clip_facts", "collect_submission", "pool_of", "stored_clips"]
 
-CELL = ["method", "clip", "target_spp", "seed", "device"]
+CELL = ["method", "clip", "target_spp", "seed", "device"]  # columns that name a cell
 REPAIRED = "repaired"  # a count whose convention lists what was repaired
 SCORE = ["metric", "unit", "direction", "convention"]
 

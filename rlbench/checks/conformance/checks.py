@@ -12,7 +12,7 @@ from rlbench.checks.conformance import (
     state_checks,
 )
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.returns import Fault
+from rlbench.checks.returns import Fault
 from rlbench.family import Traits
 
 __all__ = ["CHECKS", "Check"]
@@ -34,6 +34,7 @@ class Check:
     skip_reason: Callable[[Traits], str | None] = _always_applies
 
 
+_FINITE = ("built", "odd_size", "image")  # required where other images have to be finite
 _COMPARED = ("built", "odd_size", "determinism")  # required where two runs are compared
 _STATE = "keep all memory in the returned state, none in the method or in modules"
 _PAD = "pad and crop as in rlbench.ops (pad, crop)"
@@ -43,7 +44,7 @@ _ALL = (
     Check(
         "built",
         "build a Method with the declared traits",
-        "return a Method from `build`, with the traits of its variant in FAMILY",
+        "correct the line that raised; --debug prints the whole traceback",
         interface_checks.check_built,
         requires=(),
     ),
@@ -129,20 +130,23 @@ _ALL = (
         "run at the lowest and highest supported budget, and between",
         _SPP_RANGE,
         budget_checks.check_spp_range,
+        _FINITE,
     ),
     Check(
         "zero_samples",
         "run without samples unless a minimum budget is declared",
         "use samples.mean or divide by counts.clamp_min(1), or set Traits(spp_range=...)",
         budget_checks.check_zero_samples,
-        skip_reason=budget_checks.skip_lower_limit,
+        _FINITE,
+        budget_checks.skip_lower_limit,
     ),
     Check(
         "small_pool",
         "run on a pool of two samples per pixel",
         "read the number of sample slots from samples.radiance.shape[1]",
         budget_checks.check_small_pool,
-        skip_reason=budget_checks.skip_above_small_pool,
+        _FINITE,
+        budget_checks.skip_above_small_pool,
     ),
     Check(
         "determinism",
@@ -176,6 +180,7 @@ _ALL = (
         "run without motion on static clips",
         "pass gbuffer.motion, which is None there, to rlbench.ops.reproject unchanged",
         state_checks.check_static,
+        _FINITE,
     ),
     Check(
         "cut",

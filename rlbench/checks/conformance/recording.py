@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rlbench.checks.conformance.returns import (
+from rlbench.checks.returns import (
     WrongReturnError,
     find_density_fault,
     find_return_fault,
@@ -57,7 +57,7 @@ class RecordingMethod(MethodWrapper[Method]):
         self.counts.append(samples.counts)
         returned = self._call(self.method.denoise, gbuffer, samples, state)
         if fault := find_return_fault(returned, samples.counts.shape[0]):
-            raise WrongReturnError(fault)
+            raise WrongReturnError(*fault)
         image, state = returned
         parts = (("image", image), ("state", state))
         self.with_graph.update(name for name, value in parts if has_graph(value))

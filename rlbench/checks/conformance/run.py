@@ -10,6 +10,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 
+from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
 from rlbench.checks.conformance.suite import find_broken_families, run_check, select_methods
@@ -17,6 +18,7 @@ from rlbench.checks.console import OnResults, print_results
 from rlbench.checks.result import CheckResult, failed, not_applicable
 from rlbench.system.progress import LoggedProgress
 
+IMPORTABLE = "correct the line named in the error; `rlbench list methods` shows it again"
 COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
 
 
@@ -29,16 +31,20 @@ def check_methods(
     """Run all checks on the selected methods and print the results. Returns False if one failed.
 
     With `debug`, the traceback of an exception follows its line. `on_results` receives the results
-    and the name of each method in place of the printing. With `all`, a family that cannot be
-    imported has failed. Raises PluginError for an unknown name.
+    and the name of each method in place of the printing. A family that cannot be imported has
+    failed: with `all` each, otherwise those of `registry.with_broken`. Raises PluginError for an
+    unknown name.
     """
     console = Console(quiet=on_results is not None)
     show = on_results or partial(print_results, console=console)
-    broken = find_broken_families() if "all" in patterns else {}
-    for name, error in broken.items():
-        fix = "correct the module named in the error; `rlbench list methods` shows it again"
-        show([failed("be importable", error, fix)], title=name)
     methods = select_methods(patterns, device)
+    broken = find_broken_families() if "all" in patterns else {}
+    for each in methods:
+        if failure := registry.import_failure(each.name):
+            broken[each.name] = str(failure)
+    methods = [each for each in methods if each.name not in broken]
+    for name, error in broken.items():
+        show([failed("be importable", error, IMPORTABLE)], title=name)
     noun = "method" if len(methods) == 1 else "methods"
     nonconforming = list(broken)
     with LoggedProgress(*COLUMNS, TimeRemainingColumn(), transient=True) as bar:

@@ -9,15 +9,14 @@ import torch
 from rlbench import registry
 from rlbench.checks.conformance.checks import CHECKS, Check
 from rlbench.checks.conformance.method_under_test import MethodUnderTest
-from rlbench.checks.conformance.returns import Fault, WrongReturnError
 from rlbench.checks.result import (
     CheckResult,
     Verdict,
-    describe_exception,
     failed,
     not_applicable,
     passed,
 )
+from rlbench.checks.returns import Fault, WrongReturnError
 
 __all__ = ["CheckResult", "Verdict", "run_check", "run_checks"]
 
@@ -73,7 +72,8 @@ def _run(method_under_test: MethodUnderTest, check: Check) -> CheckResult:
     except WrongReturnError as error:
         fault = error.fault
     except Exception as error:  # whatever a method raises is reported
-        return failed(label, _describe(method_under_test, error), check.remedy, error)
+        reason = registry.failure_reason(method_under_test.name, error)
+        return failed(label, f"raised {reason}", check.remedy, error)
     if isinstance(fault, Fault):
         return failed(label, *fault)
     return failed(label, fault, check.remedy) if fault else passed(label)
@@ -86,9 +86,3 @@ def _skip_reason(method_under_test: MethodUnderTest, check: Check) -> str | None
         if run_check(method_under_test, name).verdict is not Verdict.PASSED:
             return f"requires a passed check: {CHECKS[name].requirement}"
     return check.skip_reason(method_under_test.traits)
-
-
-def _describe(method_under_test: MethodUnderTest, error: Exception) -> str:
-    """The error, and the last line of the method's folder that it passed through."""
-    build = registry.load_family(method_under_test.name).build
-    return describe_exception(error, registry.module_file(build).parent)

@@ -29,12 +29,14 @@ WORDS = {  # of files, folders, layers and parts; the first image with such a wo
     "normal": ("worldnormal", "shnormal", "normals", "normal", "normw", "nrm", "nn"),
     "depth": ("worlddepth", "linearz", "viewz", "depth", "dist", "distance", "zdepth", "dd"),
     "albedo": ("denoisingalbedo", "basecolor", "diffuseopacity", "albedo", "diffcol", "alb"),
+    "emission": ("emission", "emissive", "emit"),
     "radiance": ("radiance", "combined", "beauty", "noisy", "color", "colour", "hdr", "sample"),
 }
 CHANNELS = {  # endings of the channels of each image, the preferred ones first
     "reference": ("RGB",),
     "radiance": ("RGB",),
     "albedo": ("RGB",),
+    "emission": ("RGB",),
     "normal": ("XYZ", "RGB"),
     "depth": ("Z", "V", "Y", "R", "T"),
     "motion": ("XY", "RG", "UV"),

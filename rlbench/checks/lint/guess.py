@@ -66,6 +66,7 @@ def guess_layout(source: Path) -> Guess:
     Raises SourceError where no radiance, no reference or no frame is found.
     """
     tables: Tables = {name: image.to_table() for name, image in find_named_images(source).items()}
+    emission = tables.pop("emission", None)
     reasons = {name: "by its names" for name in tables}
     if "{spp}" in tables["radiance"]["files"] and "{sample}" not in tables["radiance"]["files"]:
         tables["radiance"]["samples"] = "accumulated"
@@ -84,6 +85,9 @@ def guess_layout(source: Path) -> Guess:
         arrays = import_arrays(source, decode_layout(tables, "guess"))
         for name, reason in step(arrays, tables).items():
             reasons[name] += f"; {reason}"
+    if emission and tables["radiance"].get("demodulated"):  # other radiance holds it already
+        tables["emission"] = emission
+        reasons["emission"] = "by its names; added, because a product with albedo lacks it"
     return Guess(tables, reasons)
 
 

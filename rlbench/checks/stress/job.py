@@ -10,11 +10,12 @@ import torch
 
 import rlbench
 from rlbench import registry
-from rlbench.checks.result import Verdict, describe_exception
+from rlbench.checks.result import Verdict
 from rlbench.checks.stress.methods import load_stressed_method, unavailable_reason
 from rlbench.checks.stress.result import StressResult, skip
 from rlbench.checks.stress.section import StressedMethod, SuiteSection
 from rlbench.checks.stress.sections import load_section
+from rlbench.errors import RlbenchError
 from rlbench.parallel.executor import ProgressCallback
 
 __all__ = ["RUN", "JobOutcome", "SectionWork", "StressJob", "report_exception"]
@@ -55,8 +56,9 @@ class SectionWork:
         """All results of a job; an exception of the method or of the section is a failure."""
         results: list[StressResult] = []
         try:
-            results.extend(map(_with_float, self._run(job)))
-        except (Exception, SystemExit) as error:  # whatever a method raises is reported
+            with registry.exits_as_errors():  # here, so that the results before it are kept
+                results.extend(map(_with_float, self._run(job)))
+        except Exception as error:  # whatever a method raises is reported
             results.append(report_exception(job.method, job.section, RUN, error))
             return JobOutcome(tuple(results), is_complete=False)
         return JobOutcome(tuple(results))
@@ -86,11 +88,14 @@ def _with_float(result: StressResult) -> StressResult:
 def report_exception(method: str, section: str, test: str, error: BaseException) -> StressResult:
     """The failure of a test that raised an exception; names the line that raised it.
 
-    This is the method's own line, if the exception passed through one.
+    This is the method's own line, if the exception passed through one; else, unless the message
+    says what to do, the suite's.
     """
-    folders = [Path(rlbench.__file__).parent]
-    if method:
-        folders.insert(0, registry.module_file(registry.load_family(method).build).parent)
-    found = describe_exception(error, *folders)
+    suite = [] if isinstance(error, RlbenchError) else [Path(rlbench.__file__).parent]
+    found = f"raised {registry.failure_reason(method, error, *suite)}"
     remedy = "return a finite image for this input, without an exception"
+    if isinstance(error, RlbenchError):
+        remedy = ""
+    elif test == RUN:
+        remedy = "correct the line that raised"
     return StressResult(method, section, test, Verdict.FAILED, found=found, remedy=remedy)

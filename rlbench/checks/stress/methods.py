@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from rlbench import registry
+from rlbench.checks.checked_returns import CheckedReturns
 from rlbench.checks.stress.section import StressedMethod
 from rlbench.system import provenance
 
@@ -27,4 +28,4 @@ def unavailable_reason(name: str) -> str | None:
 
 def load_stressed_method(name: str, device: torch.device) -> StressedMethod:
     """The method with its shipped weights. Raises any exception of its `build` function."""
-    return StressedMethod(name, registry.load_method(name, device), device)
+    return StressedMethod(name, CheckedReturns(registry.load_method(name, device)), device)

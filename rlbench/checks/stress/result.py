@@ -47,7 +47,7 @@ class StressResult:
     good: float = math.nan  # threshold of PASSED
     fair: float = math.nan  # threshold of WARNING
     found: str = ""  # what was found, with the figures that decide, for a reader
-    remedy: str = ""  # what to change in the method, empty if it passed
+    remedy: str = ""  # what to change in the method, empty if it passed or `found` says it
 
 
 def judge(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import torch
 
+from rlbench import registry
 from rlbench.checks.stress.job import RUN, JobOutcome, SectionWork, StressJob, report_exception
 from rlbench.checks.stress.job_hash import content_hash
 from rlbench.checks.stress.result import StressResult
@@ -59,6 +60,9 @@ def run_jobs(
     hashes = {job: content_hash(job) for job in jobs}
     missing = []
     for job in jobs:
+        if failure := registry.import_failure(job.method):
+            yield FinishedJob(job, (report_exception(job.method, job.section, RUN, failure),))
+            continue
         results = None if is_restart else store.read(job, hashes[job])
         if results is None:
             missing.append(job)

@@ -107,6 +107,7 @@ class LiveClip:
 
     stored: StoredClip
     tracer: Tracer
+    max_samples: int | None = None  # per pixel that can be drawn; None: as of `stored`
 
     @property
     def name(self) -> str:
@@ -140,12 +141,14 @@ class LiveClip:
         """Frame `index`, float32 on the clip's device."""
         clip, header = self.stored, self.stored.header
         order, seed = sample_order(clip.seed, clip.name, index, header.pool_spp)
+        most = self.max_samples or clip.max_samples
+        numbers = (*order, *range(header.pool_spp, most))[:most]  # the stored ones come first
         file = exr_path(clip.arrays.folder, f"pool.{clip.pool}", index)
         self.tracer.set_time(float(index))  # as a renderer does before it traces
         pool = LivePool(
             self.tracer,
             float(index),
-            tuple(order[: clip.max_samples]),
+            numbers,
             seed,
             header.exposure,
             channel_dtype(file, "s0.R"),
@@ -174,8 +177,8 @@ def scene_of_folder(folder: Path) -> Scene:
     return scene
 
 
-def open_live_clip(stored: StoredClip) -> LiveClip:
-    """The clip with live pools that hold as many samples as the stored ones.
+def open_live_clip(stored: StoredClip, max_samples: int | None = None) -> LiveClip:
+    """The clip with live pools of `max_samples` per pixel; None: as many as the stored ones.
 
     Raises ClipError as `scene_of` does, and for a pool other than `path`.
     """
@@ -185,7 +188,7 @@ def open_live_clip(stored: StoredClip) -> LiveClip:
             f"earlier frames and neighbouring pixels. Use --pool stored. Live pools: "
             f"{', '.join(FRAME_POOLS)}"
         )
-    return LiveClip(stored, _cached_tracer(stored.arrays.folder, stored.digest))
+    return LiveClip(stored, _cached_tracer(stored.arrays.folder, stored.digest), max_samples)
 
 
 def open_wavefronts(folder: Path) -> Tracer:

@@ -7,7 +7,7 @@ import torch
 
 from rlbench import registry
 from rlbench.checks.conformance import CHECKS, MethodUnderTest, Verdict, run_check, run_checks
-from rlbench.checks.conformance.returns import find_density_fault
+from rlbench.checks.returns import find_density_fault
 from tests.checks.conformance.broken_fixtures import SIZE, SMALL_SIZE
 from tests.conftest import write_plugin
 
@@ -231,3 +231,21 @@ def test_a_valid_density_has_no_fault():
 def test_every_check_but_the_first_two_needs_correct_returns():
     needs = {name for name, check in CHECKS.items() if {"odd_size", "returns"} & {*check.requires}}
     assert set(CHECKS) - needs == {"built", "frozen", "returns"}
+
+
+def test_an_image_that_is_not_finite_fails_one_check_alone(failures):
+    found = failures(body="return samples.mean * float('nan'), None")
+    assert list(found) == ["image"]
+
+
+def test_a_build_that_raises_is_told_to_correct_its_line(failures):
+    found = failures(build="return Scaled(1 / 0)")
+    assert list(found) == ["built"]
+    assert "ZeroDivisionError: division by zero (novice.py:" in found["built"].found
+    assert found["built"].remedy.startswith("correct the line that raised")
+
+
+def test_a_build_that_returns_no_method_is_told_to_return_one(failures):
+    found = failures(build="return None")
+    assert "returned an object of type NoneType, not a Method" in found["built"].found
+    assert found["built"].remedy.startswith("return a Method from `build`")

@@ -41,7 +41,7 @@ def test_an_exception_of_a_method_is_printed_with_its_line(tmp_path):
     lines = rlbench("check", "mine", "--plugin", plugin, code=1)
     (line,) = [line for line in lines if "✗" in line]
     number = plugin.read_text().splitlines().index("        return 1 / 0, None") + 1
-    assert f"ZeroDivisionError: division by zero (mine.py, line {number})" in line
+    assert f"ZeroDivisionError: division by zero (mine.py:{number})" in line
     assert sum("requires a passed check: run on frames of 77 x 123" in line for line in lines) == 21
 
 
@@ -104,9 +104,10 @@ def test_a_method_with_a_pilot_pass_conforms(tmp_path):
 
 def test_a_family_that_cannot_be_imported_fails(tmp_path, monkeypatch):
     path = "rlbench.checks.conformance.run.select_methods"
-    monkeypatch.setattr(path, lambda patterns, device: [])
+    monkeypatch.setattr(path, lambda patterns, device: [MethodUnderTest("torn")])
     (tmp_path / "torn.py").write_text("1 / 0")
     lines = rlbench("check", "all", "--plugin", tmp_path / "torn.py", code=1)
     (line,) = [line for line in lines if "✗" in line]
-    assert line.startswith("  ✗ be importable: ZeroDivisionError: division by zero")
+    assert line.startswith("  ✗ be importable: torn from --plugin torn.py cannot be imported: ")
+    assert "ZeroDivisionError: division by zero (torn.py:1) -> correct the line" in line
     assert lines[-1] == "0 methods checked; failed: torn"

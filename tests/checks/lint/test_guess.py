@@ -12,6 +12,7 @@ from rlbench.checks.lint.checks import lint_clip
 from rlbench.checks.lint.dump_arrays import import_arrays
 from rlbench.checks.lint.guess import format_guess, guess_layout
 from rlbench.checks.lint.recognize import recognize_layout
+from rlbench.checks.lint.samples import check_brightness
 from rlbench.checks.result import Verdict
 from rlbench.cli.app import app
 from rlbench.clips.importers.layout import read_layout
@@ -46,6 +47,13 @@ def test_accumulated_flipped_and_demodulated_light_is_recognised(own):
     radiance = own[0].tables["radiance"]
     assert (radiance["samples"], radiance["flip"]) == ("accumulated", "vertical")
     assert radiance["demodulated"]
+
+
+def test_emission_is_added_to_demodulated_light(own):
+    guess, folder = own
+    assert guess.tables["emission"]["part"] == "emission"
+    found = import_arrays(folder / "dump", read_layout(str(folder / "engine.toml")))
+    assert check_brightness(found).verdict is Verdict.PASSED
 
 
 def test_encoded_normals_in_view_space_are_recognised(own):

@@ -99,7 +99,7 @@ def test_a_method_that_cannot_be_built_fails_and_the_others_run(tmp_path, build)
     (result,) = finished["toy: budgets"].results
     assert result.verdict is Verdict.FAILED
     assert FAULTS[build] in result.found
-    assert "toy.py, line" in result.found
+    assert "(toy.py:" in result.found
     assert len(finished["mean: budgets"].results) > 5
 
 

@@ -204,6 +204,10 @@ samples = "accumulated"
 demodulated = true
 flip = "vertical"
 
+[emission]  # of the sky, which has no albedo to multiply light by
+files = "{frame}/all.exr"
+part = "emission"
+
 [reference]
 files = "{frame}/all.exr"
 part = "converged"
@@ -243,7 +247,8 @@ def write_own(arrays: ClipArrays, folder: Path) -> Path:
     for t in range(len(arrays)):
         buffers = {name: image[t] for name, image in arrays.gbuffer.items()}
         light = arrays.pools["path"][t] / buffers["albedo"].clamp_min(1e-6)
-        light = light.where(buffers["albedo"].sum(0) > 0, 0.0)
+        is_black = buffers["albedo"].sum(0) == 0  # the sky emits, and reflects nothing
+        light = light.where(~is_black, 0.0)
         for k in range(1, SAMPLES + 1):
             mean = light[:k].mean(0).flip(-2)
             path = folder / str(t) / f"mean_{k}spp.exr"
@@ -255,6 +260,7 @@ def write_own(arrays: ClipArrays, folder: Path) -> Path:
         window = window.where(buffers["depth"].isfinite(), 0.0)  # the cleared value
         scale = torch.tensor([2 / w, -2 / h]).view(2, 1, 1)
         parts = {
+            "emission": planes(arrays.half_a[t].where(is_black, 0.0), "RGB", kind=np.float32),
             "converged": planes(arrays.reference[t], "RGB", kind=np.float32),
             "albedo": planes(buffers["albedo"], "RGB"),
             "normal": planes((view + 1) / 2, "XYZ", kind=np.float32),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+import rlbench
 from rlbench import registry
 from rlbench.benchmark.clip_sources import StoredSource, open_source
 from rlbench.clips.exr import channel_dtype
@@ -20,6 +21,7 @@ from rlbench.render.mitsuba.rng import STREAMS
 from rlbench.render.presets import Preset
 from rlbench.run import run_clip
 from rlbench.sampling import draw_samples
+from tests.cli.runner import rlbench as run_command
 from tests.conftest import write_noise
 from tests.render.small_scenes import grey, room
 
@@ -208,6 +210,39 @@ def test_the_benchmark_opens_live_and_stored_clips_under_different_content_keys(
     assert isinstance(clips[0], LiveClip)
     assert agree(images(clips[0], 1.0), images(clips[1], 1.0))
     assert live.content("path") != stored.content("path") == StoredSource(temple).content("path")
+
+
+def test_a_live_pool_holds_more_samples_than_are_stored_and_the_stored_ones_come_first(temple):
+    stored = open_clip(temple, seed=3)  # 4 samples per pixel
+    pools = [clip.frame(1).pool for clip in (stored, open_live_clip(stored, 16))]
+    few, many = (
+        pool.read(pool.empty(), torch.full((1, 1, H, W), count))
+        for pool, count in zip(pools, (4, 16), strict=True)
+    )
+    assert agree(many[0, :4], few[0])
+    assert len({image.numpy().tobytes() for image in many[0]}) == 16
+
+
+def test_more_samples_than_are_stored_are_measured_live(temple, tmp_path):
+    folders = {"clips": [temple], "pool": "live", "out": tmp_path / "r", "scores_only": True}
+    rows = rlbench.run(["mean"], spp=[4, 16], **folders)
+    mean = rows[rows["metric"] == "psnr"].groupby("target_spp")[["value", "mean_spp"]].mean()
+    assert mean["mean_spp"].to_dict() == {4.0: 4.0, 16.0: 16.0}
+    assert mean["value"][16.0] > mean["value"][4.0]
+
+
+def test_a_live_pool_leaves_room_for_a_density_that_varies(temple):
+    clip = open_source(temple, "live").open(Follows().traits, 6.0, 0, torch.device("cpu"))
+    counts = next(run_clip(Follows(), clip, 6.0)).samples.counts
+    assert int(counts.sum()) == 6 * H * W
+    assert int(counts.max()) > 6
+
+
+@pytest.mark.slow
+def test_the_command_measures_more_samples_live_than_a_preset_stores(llvm, tmp_path):
+    words = ("--preset", "tiny", "--scenes", "temple", "--spp", 16, "--out", tmp_path / "r")
+    output = run_command("run", "-m", "mean", "--pool", "live", "--scores-only", *words)
+    assert "1 cells measured" in output
 
 
 def test_a_scene_that_has_changed_is_an_error(temple):

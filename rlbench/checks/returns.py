@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from rlbench.errors import PluginError
+
 __all__ = [
     "Fault",
     "WrongReturnError",
@@ -39,13 +41,17 @@ class Fault(NamedTuple):
     remedy: str
 
 
-class WrongReturnError(Exception):
+class WrongReturnError(PluginError):
     """A method that returned what no benchmark can use."""
 
-    def __init__(self, fault: Fault) -> None:
-        """The fault says what was returned."""
-        super().__init__(fault.found)
-        self.fault = fault
+    def __init__(self, found: str, remedy: str) -> None:
+        """What was returned, and what to return instead, as in a Fault."""
+        super().__init__(found, remedy)
+        self.fault = Fault(found, remedy)
+
+    def __str__(self) -> str:
+        """Both in one line."""
+        return "; ".join(self.fault)
 
 
 def find_signature_fault(function: Callable[..., Any], name: str) -> Fault | None:

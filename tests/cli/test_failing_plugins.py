@@ -1,0 +1,116 @@
+"""A plugin that fails costs its own rows, in every command that does one row after another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rlbench import registry
+from tests.cli.runner import rlbench
+from tests.conftest import write_noise, write_plugin
+
+UNIFORM = "return torch.ones_like(samples.counts, dtype=torch.float32)"
+IMAGE = "return samples.mean * GAIN, None"
+SECTION = "transformations"
+FAULTS = {  # what replaces a line of the plugin, and the reason in its rows
+    "exit at import": ("GAIN = 1.0", "raise SystemExit(3)", "plugin code called sys.exit(3)"),
+    "error at import": ("GAIN = 1.0", "import no_such_package", "No module named 'no_such_pack"),
+    "error in FAMILY": ('FAMILY = Family(\n    "bad"', "FAMILY = Family(\n    1 / 0", "division"),
+    "exit in build": ("return Scaled()", "raise SystemExit(3)", "plugin code called sys.exit(3)"),
+    "error in plan": (UNIFORM, "raise KeyError('no luck')", "KeyError: 'no luck'"),
+    "exit in denoise": (IMAGE, "import os; os._exit(3)", "plugin code called os._exit(3)"),
+}
+COMMANDS = {  # words, and what the output has once the rows of `mean` are done
+    "run": (
+        ("run", "--clips", "clips", "--spp", 1, "--scores-only", "--out", "r"),
+        "│ mean │ 1 │ 1",
+    ),
+    "check": (("check",), "✓ depend on no pixel beyond the receptive field"),
+    "stress": (("stress", "--only", SECTION, "--quick", "--out", "s"), "mean: transformations ✓"),
+    "speed": (("speed", "--sizes", 16, "--repeats", 1, "--out", "v"), "v/speed.csv"),
+    "images": (("images", "--clips", "clips", "--spp", 1, "--out", "i"), "i/noise-1spp-02.png"),
+    "submit": (("submit", "r", "--clips", "clips"), "submission.rlbench.json: 1 cells"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The working folder, with a clip."""
+    write_noise(tmp_path / "clips" / "noise")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def results(folder):
+    """Results of both methods in the folder `r`, from when the plugin was whole."""
+    words, _ = COMMANDS["run"]
+    rlbench(*words, "-m", "bad,mean", "--plugin", write_plugin(folder / "bad.py", "bad"))
+    registry.clear_plugins()
+
+
+def break_plugin(file: Path, fault: str) -> tuple[int, str]:
+    """Put a fault into a plugin file; returns its line and the reason."""
+    line, replacement, reason = FAULTS[fault]
+    before, found, after = write_plugin(file, "bad").read_text().partition(line)
+    assert found
+    file.write_text(before + replacement + after)
+    return before.count("\n") + replacement.count("\n") + 1, reason
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "submit"])
+def test_a_fault_costs_the_rows_of_its_plugin_and_all_others_are_done(folder, command, fault):
+    number, reason = break_plugin(folder / "bad.py", fault)
+    words, done = COMMANDS[command]
+    output = rlbench(*words, "-m", "bad,mean", "--plugin", "bad.py", code=1)
+    assert done in output
+    assert reason in output
+    assert f"(bad.py:{number})" in output
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_submission_leaves_out_the_cells_of_a_fault(folder, fault):
+    number, reason = break_plugin(folder / "bad.py", fault)
+    methods = ("-m", "bad,mean", "--plugin", "bad.py")
+    rlbench(*COMMANDS["run"][0], *methods, code=1)
+    words, done = COMMANDS["submit"]
+    for selected in (methods, methods[2:]):  # by name, and all that the results hold
+        registry.clear_plugins()
+        output = rlbench(*words, *selected, code=1)
+        assert done in output
+        assert "left out: bad on noise at 1 spp, seed 0:" in output
+        assert reason in output
+        assert f"(bad.py:{number})" in output
+    document = json.loads((folder / "r" / "submission.rlbench.json").read_text())
+    assert [cell["method"] for cell in document["cells"]] == ["mean"]
+    rlbench("verify", "r/submission.rlbench.json", "--clips", "clips")
+
+
+def test_a_submission_of_failed_cells_alone_is_not_written(folder):
+    break_plugin(folder / "bad.py", "error in plan")
+    rlbench(*COMMANDS["run"][0], "-m", "bad", "--plugin", "bad.py", code=1)
+    output = rlbench("submit", "r", "--clips", "clips", "--plugin", "bad.py", code=2)
+    assert "r has no cell without an error, so there is nothing to submit" in output
+    assert not (folder / "r" / "submission.rlbench.json").exists()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("x = 1\ndef build(:", "bad.py is no Python code: SyntaxError: invalid syntax (bad.py:2)"),
+        (None, "no plugin file at"),
+    ],
+    ids=["unparsable", "missing"],
+)
+def test_a_file_that_is_no_python_is_an_error_at_once(folder, results, command, source, message):
+    (folder / "bad.py").unlink()
+    if source:
+        (folder / "bad.py").write_text(source)
+    words, done = COMMANDS[command]
+    output = rlbench(*words, "-m", "bad,mean", "--plugin", "bad.py", code=2)
+    assert message in output
+    assert done not in output
