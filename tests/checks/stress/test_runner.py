@@ -156,7 +156,7 @@ def test_results_before_an_exception_of_a_section_are_kept(tmp_path, monkeypatch
 
 @pytest.mark.slow
 def test_two_processes_give_the_results_of_one_and_survive_a_crash(tmp_path):
-    use_toy(tmp_path, body="import os; os._exit(3)")
+    use_toy(tmp_path, body="import os; os.kill(os.getpid(), 9)")
     jobs = jobs_of("toy", "mean", "eaw")
     parallel = run(jobs, tmp_path / "two", executor=ProcessExecutor(2))
     (result,) = parallel["toy: budgets"].results
