@@ -48,7 +48,7 @@ SPP := 1000
 SEEDS := 0 1 2 3 4
 TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
 
-.PHONY: demo docs baseline table1 variance conventions viewer unseen controls speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
+.PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead equal takes crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
 
 demo: .venv/run.stamp
 	$(BIN)/rlbench run --preset mini --keep-images --out $(RESULTS)
@@ -84,11 +84,12 @@ table1: .venv/dev.stamp
 	set -e; for report in table1 paper-pareto ablation; do $(BIN)/rlbench report $$report --results $(RESULTS)/table1 --out docs/made; done
 	cp docs/made/*.md docs/made/*.png docs/results && rm -r docs/made
 
-# comparison on 48 generated scenes that no training used: 11 minutes of rendering, 12 of scoring
+# 48 generated scenes that no training used: who leads, and what learned memory and sampling give over rules: 11 minutes of rendering, 15 of scoring
 unseen: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(RIVALS)' --preset unseen --spp 1,2,4 --out $(RESULTS)/unseen
+	$(BIN)/rlbench run -m '$(CONTROLS),ours/A1,ours/C,oidn-intel' --preset unseen --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/unseen
 	$(BIN)/rlbench render --preset unseen --digests > docs/results/unseen-clips.txt
 	$(call page,clips,$(RESULTS)/unseen,unseen)
+	$(call page,clips -m '$(CONTROLS)',$(RESULTS)/unseen,controls)
 
 # times by size, backend and precision, and what a frame costs in work and memory: 9 minutes of a quiet machine
 speed: .venv/dev.stamp
@@ -106,11 +107,6 @@ overhead: .venv/dev.stamp
 	$(BIN)/rlbench run --preset mini --scores-only --out $(RESULTS)/overhead
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/python -m tests.performance.profile_run docs/results/overhead.md --preset mini --out $(RESULTS)/overhead
-
-# what learned memory and learned sampling give over rules, on the same scenes: 20 minutes of scoring
-controls: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(CONTROLS)' --preset unseen --spp 0.5,1,2,4 --out $(RESULTS)/controls
-	$(call page,clips,$(RESULTS)/controls,controls)
 
 # ours and its nearest rivals, all trained from 1 spp on, because ours/A1 cannot be trained below: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
