@@ -40,7 +40,7 @@ mv docs/made/$(firstword $(1)).md docs/results/$(3).md && rm -r docs/made
 endef
 
 # what the picture of the viewer shows
-SHOWN := view=flip&clip=1&a=ours&b=mean&split=0.5
+SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 
 # rows of the videos of each scene
 FILMED := mean,oidn,svgf,ntas,ours
