@@ -56,7 +56,8 @@ def limit_fireflies(
 
 def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     """`limit_fireflies`, and the mean of each pixel's limited samples."""
-    radii = [_window_radius(image > 0) for image in counts]
+    known = counts > 0
+    radii = [_window_radius(image) for image in known]
     if len(set(radii)) > 1:
         images = [_limit(radiance[i : i + 1], counts[i : i + 1]) for i in range(len(radii))]
         return torch.cat([each for each, _ in images]), torch.cat([each for _, each in images])
@@ -64,7 +65,7 @@ def _limit(radiance: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
     if sanitize_radiance(mean) is not mean:
         radiance = sanitize_radiance(radiance)
         mean = _mean(radiance, counts)
-    light, known, radius = luminance(mean), counts > 0, radii[0]
+    light, radius = luminance(mean), radii[0]
     neighbours = _max_of_neighbours(light.where(known, NO_PIXEL), radius)
     plausible = torch.minimum(light, neighbours).where(neighbours >= 0, light)
     brightest = torch.maximum(neighbours, _log_average(plausible, known))

@@ -58,8 +58,8 @@ class SamplerTask:
     def make_sampler(self) -> Sampler:
         """A sampler with the initial weights of every training: seeded, of uniform density."""
         config = self.config
-        channels = Networks(config).sampler_channels
-        sampler = Sampler(channels, config.sampler, config.accumulates, config.sampler_stride)
+        sampler = Networks(config).sampler
+        assert sampler is not None
         kaiming_init(sampler, self.seed)
         if config.wired_contrast:
             wire_contrast(sampler, config)
