@@ -17,7 +17,6 @@ from rlbench.benchmark.cell_loader import CellLoader
 from rlbench.benchmark.image_sheet import LinearImage, MethodImage, draw_sheet
 from rlbench.benchmark.resolve import ResolvedCell, resolve_cells
 from rlbench.benchmark.run_plan import RunPlan
-from rlbench.benchmark.scoring import row_template, score_frames
 from rlbench.clips.exr import write_exr
 from rlbench.clips.header import Header
 from rlbench.errors import RlbenchError
@@ -136,9 +135,7 @@ def _run_to(
     if reason := loader.incompatibility(cell):
         raise ImagesError(reason)
     results = run_clip(loader.method(cell), loader.clip(cell), cell.target_spp)
-    metrics = [registry.load_or_explain("metrics", "psnr")]
-    scored = score_frames(row_template(cell, "", "", ""), metrics, results, cell.header)
-    result = frame_at((each for each, _ in scored), index)  # a wrong image is an error, as in a run
+    result = frame_at(results, index)
     reference = _linear_image(result.frame.reference.mean)
     return method_image(cell.method.row_name, result), reference
 
