@@ -23,7 +23,7 @@ from methods.ours.networks import Networks
 from methods.ours.one_policy import one_policy_task
 from methods.ours.policy import APPO, BlockPolicyGradient, make_learner
 from methods.ours.state import RecurrentState, detach
-from methods.ours.variants import BASE, VARIANTS, Config
+from methods.ours.variants import LATENT, VARIANTS, Config
 from rlbench.family import Traits
 from rlbench.frames import Clip, Frame, GBuffer, Samples
 from rlbench.ops.losses import display_mse, log_loss, log_transfer_loss
@@ -159,4 +159,4 @@ def width_multiplier(widths: tuple[int, ...]) -> float:
     (Yang et al. 2021, table 3). At the full rate the map of a sampler 16 times as wide collapses to
     stripes.
     """
-    return min(1.0, BASE.sampler[0] / widths[0]) if widths else 1.0
+    return min(1.0, LATENT.sampler[0] / widths[0]) if widths else 1.0

@@ -8,7 +8,7 @@ from typing import Literal
 from rlbench.ops.unet import BASE_WIDTHS as NORMAL
 from rlbench.ops.unet import FAST_WIDTHS, UNetWidths
 
-__all__ = ["BASE", "SLOTS", "VARIANTS", "Config"]
+__all__ = ["LATENT", "OURS", "SLOTS", "VARIANTS", "Config"]
 
 DOUBLE = UNetWidths(64, 96, 128, 160, 192, (224, 224), (192, 192), (128, 128), (128, 64))
 SLOTS = 8  # samples per pixel that the encoder can read one by one
@@ -23,7 +23,7 @@ DensityName = Literal["exponential", "linear"]
 
 @dataclass(frozen=True)
 class Config:
-    """The settings of a variant, stored as JSON in model cards and results.
+    """The settings of a variant, by default those of `ours/latent`, stored as JSON in model cards and results.
 
     `methods.ours.method.assemble` turns them into parts, `methods.ours.networks` into channels.
     """
@@ -66,9 +66,18 @@ class Config:
         return replace(self, antilag=False)
 
 
-BASE = Config()
+LATENT = Config()  # the networks of the paper, from Intel's weights, beside accumulated radiance
+OURS = replace(  # rules where they are as good: for accumulation, and as a start of the density
+    LATENT,
+    sample_encoding="none",
+    latent=0,
+    encoder=(),
+    accumulation="rule",
+    sampler_stride=2,
+    contrast_density=True,
+)
 PAPER = replace(  # the paper's recipe: the denoiser reads the state alone, rewards are discounted
-    BASE,
+    LATENT,
     accumulation="none",
     density="linear",
     log_loss=False,
@@ -77,7 +86,44 @@ PAPER = replace(  # the paper's recipe: the denoiser reads the state alone, rewa
     wired_contrast=False,
 )
 VARIANTS = {
-    "": BASE,
+    "": OURS,
+    "A1": replace(OURS, learner="surrogate"),  # is the surrogate gradient alone as good?
+    "A2": replace(OURS, sampler=(), contrast_density=False),  # is adaptive sampling worth its time?
+    # what does the learned correction give over a rule of three lines?
+    "by-rule": replace(OURS, ignore_density=True),
+    # what does the density give, all else equal?
+    "flat": replace(OURS, ignore_density=True, contrast_density=False),
+    "lag": replace(OURS, antilag=False),  # what does antilag give?
+    # what do the paper's encoder and recurrent state give over the rules?
+    "latent": LATENT,
+    "latent-A1": replace(LATENT, learner="surrogate"),
+    "latent-A2": replace(LATENT, sampler=()),
+    "latent-reinforce": replace(LATENT, learner="reinforce"),  # is REINFORCE alone enough?
+    # does a difference over the next sample train as well as trials of whole maps?
+    "latent-stochastic": replace(LATENT, learner="stochastic"),
+    # does the recurrent state pay? the sampler still reads the last frame's samples
+    "latent-B1": replace(LATENT, encoder=(), history_mode="samples", accumulation="frame"),
+    # does any history pay?
+    "latent-B2": replace(LATENT, encoder=(), history_mode="nothing", accumulation="frame"),
+    "latent-C": replace(LATENT, sample_encoding="mean"),  # do individual samples pay?
+    "latent-C+count": replace(LATENT, sample_encoding="mean and count"),  # or is it their number?
+    # three at once
+    "latent-small": replace(LATENT, sampler=(1, 2), encoder_kernel=1, denoiser=FAST_WIDTHS),
+    # what does training give? the networks before their first step, which sample uniformly
+    "latent-initial": replace(LATENT, sampler=()),
+    # what does the learned density give over a rule of three lines?
+    "latent-by-rule": replace(LATENT, ignore_density=True, contrast_density=True),
+    # what does the latent give beside accumulated radiance and the last image?
+    "latent-stateless": replace(LATENT, latent=0),
+    "latent-flat": replace(LATENT, ignore_density=True),
+    "latent-lag": replace(LATENT, antilag=False),
+    "latent-sampler-small": replace(LATENT, sampler=(1, 2)),  # is one level enough?
+    # does a full U-Net pay?
+    "latent-sampler-large": replace(LATENT, sampler=(64, 128, 256, 512, 1024)),
+    "latent-encoder-small": replace(LATENT, encoder_kernel=1),  # does it need neighbours?
+    "latent-encoder-large": replace(LATENT, encoder=(64, 64, 64)),  # do two more layers pay?
+    "latent-denoiser-small": replace(LATENT, denoiser=FAST_WIDTHS),  # is OIDN's fast one enough?
+    "latent-denoiser-large": replace(LATENT, denoiser=DOUBLE),  # does twice the width pay?
     "paper": PAPER,  # does the paper's own recipe work, with credit for each block of pixels?
     "paper-appo": replace(PAPER, learner="appo"),  # and with one policy over the image?
     # the paper's ablations of its recipe; without a reward, or a memory, later frames do not count
@@ -86,40 +132,4 @@ VARIANTS = {
     "paper-B1": replace(PAPER, encoder=(), history_mode="samples"),
     "paper-B2": replace(PAPER, encoder=(), history_mode="nothing", gamma=0.0),
     "paper-C": replace(PAPER, sample_encoding="mean"),
-    "A1": replace(BASE, learner="surrogate"),  # is the surrogate gradient alone as good?
-    "A2": replace(BASE, sampler=()),  # is adaptive sampling worth its time?
-    "reinforce": replace(BASE, learner="reinforce"),  # is REINFORCE alone enough?
-    # does a difference over the next sample train as well as trials of whole maps?
-    "stochastic": replace(BASE, learner="stochastic"),
-    # does the recurrent state pay? the sampler still reads the last frame's samples
-    "B1": replace(BASE, encoder=(), history_mode="samples", accumulation="frame"),
-    # does any history pay?
-    "B2": replace(BASE, encoder=(), history_mode="nothing", accumulation="frame"),
-    "C": replace(BASE, sample_encoding="mean"),  # do individual samples pay?
-    "C+count": replace(BASE, sample_encoding="mean and count"),  # or is it their number?
-    "small": replace(BASE, sampler=(1, 2), encoder_kernel=1, denoiser=FAST_WIDTHS),  # three at once
-    # what does training give? the networks before their first step, which sample uniformly
-    "initial": replace(BASE, sampler=()),
-    # what does the learned density give over a rule of three lines?
-    "by-rule": replace(BASE, ignore_density=True, contrast_density=True),
-    # what does the latent give beside accumulated radiance and the last image?
-    "stateless": replace(BASE, latent=0),
-    # do rules suffice where they are as good: for accumulation, and as a start of the density?
-    "lean": replace(
-        BASE,
-        sample_encoding="none",
-        latent=0,
-        encoder=(),
-        accumulation="rule",
-        sampler_stride=2,
-        contrast_density=True,
-    ),
-    "flat": replace(BASE, ignore_density=True),  # what does the density give, all else equal?
-    "lag": replace(BASE, antilag=False),  # what does antilag give?
-    "sampler-small": replace(BASE, sampler=(1, 2)),  # is one level enough?
-    "sampler-large": replace(BASE, sampler=(64, 128, 256, 512, 1024)),  # does a full U-Net pay?
-    "encoder-small": replace(BASE, encoder_kernel=1),  # does the encoder need neighbours?
-    "encoder-large": replace(BASE, encoder=(64, 64, 64)),  # do two more layers pay?
-    "denoiser-small": replace(BASE, denoiser=FAST_WIDTHS),  # is OIDN's fast network enough?
-    "denoiser-large": replace(BASE, denoiser=DOUBLE),  # does twice the width pay?
 }

@@ -114,7 +114,7 @@ def current_name(name: str) -> str:
     """The name with a former variant name (`Family.aliases`) replaced by the current one."""
     key, _, former = name.partition("/")
     current = load_family(name).aliases.get(former)
-    return name if current is None else f"{key}/{current}"
+    return name if current is None else f"{key}/{current}".removesuffix("/")
 
 
 def get_variant(name: str) -> Variant:

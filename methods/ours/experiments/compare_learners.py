@@ -33,7 +33,7 @@ from methods.ours.policy import (
     make_learner,
 )
 from methods.ours.policy.appo_config import AppoSettings
-from methods.ours.variants import BASE
+from methods.ours.variants import LATENT
 from rlbench.ops.init import kaiming_init
 
 __all__ = ["compare", "initial_sampler", "train_by_learner"]
@@ -91,7 +91,7 @@ RLLIB: Mapping[str, Callable[[Mode], AppoSettings]] = {
 
 def initial_sampler(seed: int) -> Sampler:
     """The sampler of `ours`, with seeded weights and a uniform density."""
-    sampler = Sampler(CHANNELS, BASE.sampler)
+    sampler = Sampler(CHANNELS, LATENT.sampler)
     kaiming_init(sampler, seed)
     sampler.start_uniform()
     return sampler

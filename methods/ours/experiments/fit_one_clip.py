@@ -1,4 +1,4 @@
-"""Train `ours/lean` on the very clip that is scored: a bound on what any training could give.
+"""Train `ours` on the very clip that is scored: a bound on what any training could give.
 
 Command: python -m methods.ours.experiments.fit_one_clip FOLDER --frames 900 --max-lr 1e-4
 """

@@ -1,4 +1,4 @@
-"""A plugin with sizes, states and unrolls of `ours/lean`, for the search of its configuration.
+"""A plugin with sizes, states and unrolls of `ours`, for the search of its configuration.
 
 Commands:
 
@@ -18,14 +18,14 @@ import torch
 from methods.ours import TRAITS
 from methods.ours.method import Ours, build_config
 from methods.ours.train import config_task
-from methods.ours.variants import VARIANTS
+from methods.ours.variants import OURS
 from rlbench.family import Family, Variant
 from rlbench.ops.unet import FAST_WIDTHS
 from rlbench.training.task import TrainingTask
 
 __all__ = ["FAMILY", "build", "training_task"]
 
-LEAN = VARIANTS["lean"]
+LEAN = OURS
 BY_RULE = replace(LEAN, sampler=())  # the density of the contrast rule alone
 UNROLLS = (1, 2, 3, 6)  # frames that gradients flow back through
 LATENTS = (0, 4, 8, 16)  # channels
@@ -59,7 +59,7 @@ def training_task(variant: str, device: torch.device, seed: int) -> TrainingTask
 
 FAMILY = Family(
     name="lean-search",
-    title="Configurations of ours/lean",
+    title="Configurations of ours",
     paper="",
     licence="Apache-2.0",
     variants={name: Variant(f"How good is {name}?", TRAITS, pretrained=False) for name in CONFIGS},
