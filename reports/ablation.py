@@ -1,4 +1,4 @@
-"""The ablation tables: each variant of a family minus the main variant, pair by pair."""
+"""The ablation tables: each variant of a family minus the row that it changes, pair by pair."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import check_comparable, split_by_device
 from reports.analysis.intervals import BOOTSTRAP_SAMPLES
 from reports.analysis.method_names import family_of, only_label, without_label
-from reports.analysis.multiplicity import difference_notes
+from reports.analysis.multiplicity import correct_by_holm, difference_notes
 from reports.analysis.variant_differences import (
     choose_family,
     config_changes,
     differences,
     families_with_scores,
+    group_by_base,
 )
 from reports.analysis.verdicts import VERDICT_NOTE
 from reports.layout.page import Section, write_page
@@ -44,6 +45,8 @@ def write(
 ) -> list[Path]:
     """Write `name`.md, .csv and .tex of `family`, by default ours or that with most variants.
 
+    A variant `family/part-change` is compared with `family/part` where that has scores.
+
     Rows METHOD@LABEL are left out, unless their families have no rows without a label and there is
     only one label: then these rows are compared, and the title names the label. Raises
     MissingRowsError if the family has scores of its main variant alone, and ReportError if a mean
@@ -61,38 +64,44 @@ def write(
         if not families_with_scores(scores).get(family):
             continue
         check_comparable(rows)
-        records = differences(scores, family, seed, draws)
+        groups = group_by_base([family, *families_with_scores(scores)[family]])
+        parts_of_page = [differences(scores, *group, seed, draws) for group in groups.items()]
+        records = correct_by_holm(pd.concat(parts_of_page, ignore_index=True))
         tables = [
-            _score_table(scores, records, family),
-            _time_table(scores, records, family),
-            _config_table(scores, records, family),
+            table
+            for make_table in (_score_table, _time_table, _config_table)
+            for base, part in records.groupby("base", sort=False)
+            if (table := make_table(scores, part, str(base)))
         ]
         sections.append(Section(part.device, tables, records, _lists(scores, records, family)))
     title = f"Ablations of {family}" + (f", rows @{label}" if label else "")
     return write_page(folder, name, title, results, sections)
 
 
-def _score_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
+def _score_table(scores: Scores, records: pd.DataFrame, base: str) -> Table:
     paper = published()
-    base = paper.find(family)
+    of_base = paper.find(base)
     header, rows = pivot_by_budget(records, format_difference, rank_rows(records, "difference"))
     caption = (
-        f"PSNR in dB ({scores.convention}) of each variant minus that of {family}, paired by "
+        f"PSNR in dB ({scores.convention}) of each variant minus that of {base}, paired by "
         "scene, clip, frame, budget and seed; mean over scenes. Another training would differ too. "
         f"{VERDICT_NOTE}"
     )
     printed = {row[0]: paper.find(row[0]) for row in rows}
-    if base and any(printed.values()):
+    if of_base and any(printed.values()):
         header = (*header, f"paper, {paper.spp:g} spp")
         rows = [
-            (*row, f"{p.psnr_db - base.psnr_db:+.1f}" if (p := printed[row[0]]) else "-")
+            (*row, f"{p.psnr_db - of_base.psnr_db:+.1f}" if (p := printed[row[0]]) else "-")
             for row in rows
         ]
         caption += f" Paper: difference in {paper.source}, {paper.title}."
-    return Table(f"PSNR minus that of {family}", caption, header, tuple(rows))
+    return Table(f"PSNR minus that of {base}", caption, header, tuple(rows))
 
 
-def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
+def _time_table(scores: Scores, records: pd.DataFrame, base: str) -> Table | None:
+    """None if no time was measured."""
+    if records["frame_ms"].isna().all():
+        return None
     header, rows = pivot_by_budget(
         records,
         lambda row: format_ms(row["frame_ms"], row["unreliable"], sign="+"),
@@ -100,23 +109,23 @@ def _time_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
     )
     caption = (
         "Frame time in ms (G-buffer + plan + allocate + sampling + denoise) minus that of "
-        f"{family}, mean over scenes, on {scores.device_name}. Networks are timed on one clip of "
+        f"{base}, mean over scenes, on {scores.device_name}. Networks are timed on one clip of "
         "each size, in interleaved rounds. Cost of a sample: "
         f"{scores.cost_source or 'not measured'}. "
         f"{UNRELIABLE_MARK}: {UNRELIABLE_MEANING}."
     )
-    return Table(f"Frame time minus that of {family}", caption, header, tuple(rows))
+    return Table(f"Frame time minus that of {base}", caption, header, tuple(rows))
 
 
-def _config_table(scores: Scores, records: pd.DataFrame, family: str) -> Table:
+def _config_table(scores: Scores, records: pd.DataFrame, base: str) -> Table:
     order = rank_rows(records, "difference")
     header, rows = pivot_by_budget(records, lambda row: str(row["pairs"]), order)
-    lines = tuple((*row, config_changes(scores, row[0], family)) for row in rows)
+    lines = tuple((*row, config_changes(scores, row[0], base)) for row in rows)
     caption = (
-        f"Settings that differ between the configs in the results, {family} -> variant; rlbench "
+        f"Settings that differ between the configs in the results, {base} -> variant; rlbench "
         "list methods shows the question that each variant answers. Numbers: pairs of scores."
     )
-    return Table("Changed settings, and pairs", caption, (*header, "settings"), lines)
+    return Table(f"Changed settings of {base}, and pairs", caption, (*header, "settings"), lines)
 
 
 def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list[str]]:
@@ -130,8 +139,9 @@ def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list
     ]
     compared = {(row["method"], row["target_spp"]) for row in rows}
     missing = [
-        f"{method} at {spp:g} spp: no score of it or of {family}"
-        for method in families_with_scores(scores)[family]
+        f"{method} at {spp:g} spp: no score of it or of {base}"
+        for base, methods in group_by_base([family, *families_with_scores(scores)[family]]).items()
+        for method in methods
         for spp in sorted(set(scores.measured["target_spp"]))
         if (method, spp) not in compared
     ]

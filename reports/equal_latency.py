@@ -1,4 +1,4 @@
-"""Equal latency: what networks of other sizes give in the frame time of `ours`, as bars."""
+"""Equal latency: what networks of other sizes give in the frame time of `ours/latent`, as bars."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def write(
         files.append(folder / f"{stem}.csv")
     if not files:
         raise MissingRowsError(
-            "no device has scores, times and the cost of a sample of ours and of another size; "
-            "rlbench run without --scores-only measures times"
+            "no device has scores, times and the cost of a sample of ours/latent and of "
+            "another size; rlbench run without --scores-only measures times"
         )
     return files
 
@@ -92,10 +92,10 @@ def _caption(scores: Scores, label: str) -> str:
     return (
         f"PSNR, {scores.convention}; {describe_clips(scores.measured)}; inference on "
         f"{scores.device_name}; cost of a sample: {scores.cost_source or 'not named'}.{rows}\n"
-        "Bars: PSNR at the best budget that fits the frame time of ours, minus that of ours, "
+        "Bars: PSNR at the best budget that fits the frame time of ours/latent, minus its own, "
         "paired; whiskers: 95 % interval over scenes; pale: not resolved. Number of samples per "
         "pixel beside them; >=: no larger budget was measured; ?: an unreliable time.\n"
-        f"Right: samples in the time of ours, as a share of those of ours. Published: {paper.title}"
-        f", {study.source.partition(':')[0]}, frames of {study.frame_ms:g} ms on {study.scene}; "
-        "its PSNR is a figure without numbers."
+        "Right: samples in the time of ours/latent, as a share of its own. Published: "
+        f"{paper.title}, {study.source.partition(':')[0]}, frames of {study.frame_ms:g} ms on "
+        f"{study.scene}; its PSNR is a figure without numbers."
     )

@@ -1,4 +1,4 @@
-"""The network study: sizes of sampler, encoder and denoiser against `ours`, beside the paper's."""
+"""The network study: sizes of networks against those of `ours/latent`, beside the paper's."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write(
     """Write `name`.md, .csv and .tex over the rows of `SIZES` that the results have.
 
     Rows METHOD@LABEL are compared where there are no others; the title then names the label. Raises
-    MissingRowsError without scores of ours and of another size on one device.
+    MissingRowsError without scores of ours/latent and of another size on one device.
     """
     chosen, label = select_sizes(results)
     sections = []
@@ -60,7 +60,8 @@ def write(
 
 
 def _section(scores: Scores, seed: int, draws: int) -> Section:
-    gaps = differences(scores, BASE, seed, draws).assign(table="equal samples")
+    others = sorted(set(scores.measured["method"]) - {BASE})
+    gaps = differences(scores, BASE, others, seed, draws).assign(table="equal samples")
     latencies = _nearest_latencies(measure_sizes(scores, seed, draws))
     records = correct_by_holm(pd.concat([gaps, latencies]))
     gaps, latencies = (records[records["table"] == name] for name in ("equal samples", LATENCY))

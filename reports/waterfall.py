@@ -1,4 +1,4 @@
-"""What each step adds: from a denoiser without memory to `ours`, one rule or network at a time."""
+"""What each step adds, one rule or network at a time: from no memory to `ours/latent`."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ STEPS = {  # row: what it has that the row before it lacks
     "oidn/tuned": "its weights tuned on our clips",
     "accumulate": "memory by rule, reprojected samples",
     "accumulate/contrast": "density by rule, by the last contrast",
-    "ours/lean": "learned density, small networks",
-    "ours": "learned memory, full networks",
+    "ours": "learned density, weights trained behind these rules",
+    "ours/latent": "learned memory, larger networks",
 }
 MIN_ROWS = 3
 

@@ -23,7 +23,7 @@ DensityName = Literal["exponential", "linear"]
 
 @dataclass(frozen=True)
 class Config:
-    """The settings of a variant, by default those of `ours/latent`, stored as JSON in model cards and results.
+    """The settings of a variant, by default of `ours/latent`, as in model cards and results.
 
     `methods.ours.method.assemble` turns them into parts, `methods.ours.networks` into channels.
     """

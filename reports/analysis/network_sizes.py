@@ -1,4 +1,4 @@
-"""Networks of other sizes than those of `ours`: which rows have them, and what equal time buys."""
+"""Networks of other sizes than those of `ours/latent`, and what equal time buys with them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from rlbench.benchmark.results import MissingRowsError
 
 __all__ = ["BASE", "SIZES", "at_equal_latency", "nearest_budget", "select_sizes"]
 
-BASE = "ours"
-SIZES = {  # row: how its networks differ from those of `ours`; in the paper's order
-    "ours": "base",
-    "ours/lean": "no encoder, memory by rule",
-    "ours/small": "all three small",
-    "ours/sampler-small": "1 to 2 channels, base: 4 to 32",
-    "ours/sampler-large": "64 to 1024 channels",
-    "ours/encoder-small": "kernels of 1x1, base: 3x3",
-    "ours/encoder-large": "two more layers",
-    "ours/denoiser-small": "OIDN's fast network",
-    "ours/denoiser-large": "twice the channels",
+BASE = "ours/latent"  # its networks have the sizes of the paper
+SIZES = {  # row: how its networks differ from those of BASE; in the paper's order
+    BASE: "base",
+    "ours": "no encoder, memory by rule",
+    "ours/latent-small": "all three small",
+    "ours/latent-sampler-small": "1 to 2 channels, base: 4 to 32",
+    "ours/latent-sampler-large": "64 to 1024 channels",
+    "ours/latent-encoder-small": "kernels of 1x1, base: 3x3",
+    "ours/latent-encoder-large": "two more layers",
+    "ours/latent-denoiser-small": "OIDN's fast network",
+    "ours/latent-denoiser-large": "twice the channels",
 }
 AT_MOST = 0.98  # a frame that takes a smaller share of the time could draw more samples
 
@@ -34,7 +34,7 @@ AT_MOST = 0.98  # a frame that takes a smaller share of the time could draw more
 def select_sizes(results: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """The rows of SIZES, and their label: rows METHOD@LABEL count where there are no others.
 
-    Raises MissingRowsError without scores of `ours` and of another size.
+    Raises MissingRowsError without scores of BASE and of another size.
     """
     label = only_label({name for name in results["method"] if without_label(name) in SIZES})
     if label:
@@ -45,7 +45,7 @@ def select_sizes(results: pd.DataFrame) -> tuple[pd.DataFrame, str]:
         raise MissingRowsError(
             f"{BASE} and another of {', '.join(list(SIZES)[1:])} are compared, and the results "
             f"have scores of {', '.join(sorted(scored)) or 'none of them'}; rlbench run -m "
-            f"{BASE},ours/lean,ours/small. `make appendix` trains the others"
+            f"{BASE},ours,ours/latent-small. `make appendix` trains the others"
         )
     return chosen, label
 

@@ -1,4 +1,4 @@
-"""Variants of a family compared with its main variant: scores, times and config."""
+"""Variants of a family compared with the row that they change: scores, times and config."""
 
 from __future__ import annotations
 
@@ -14,12 +14,18 @@ from reports.analysis.method_names import family_of, label_of
 from reports.analysis.multiplicity import correct_by_holm, difference_columns
 from rlbench.benchmark.results import MissingRowsError
 
-__all__ = ["choose_family", "config_changes", "differences", "families_with_scores"]
+__all__ = [
+    "choose_family",
+    "config_changes",
+    "differences",
+    "families_with_scores",
+    "group_by_base",
+]
 
 PREFERRED = "ours"  # the family of the report if the user names none
 PAIR = ("scene", "clip", "frame", "seed")  # what the two scores of a pair have in common
 COLUMNS = (
-    "method", "target_spp", *difference_columns(UNKNOWN), "frame_ms", "unreliable", "pairs",
+    "method", "base", "target_spp", *difference_columns(UNKNOWN), "frame_ms", "unreliable", "pairs",
     "unpaired", "units",
 )  # fmt: skip
 
@@ -57,10 +63,33 @@ def choose_family(devices: Sequence[Scores], family: str = "") -> str:
     return family or (PREFERRED if PREFERRED in complete else largest)
 
 
+def group_by_base(methods: Sequence[str]) -> dict[str, list[str]]:
+    """Rows of a family, in groups by the row that they are compared with.
+
+    The base of `family/part-change` is `family/part` if that is among `methods`, else `family`.
+
+    >>> group_by_base(["ours", "ours/A1", "ours/paper", "ours/paper-A1", "ours/latent-A1"])
+    {'ours': ['ours/A1', 'ours/latent-A1', 'ours/paper'], 'ours/paper': ['ours/paper-A1']}
+    """
+    groups: dict[str, list[str]] = {}
+    for method in sorted(methods):
+        family = family_of(method)
+        part = method.rpartition("-")[0]
+        while part and part not in methods:
+            part = part.rpartition("-")[0]
+        if method != family:
+            groups.setdefault(part or family, []).append(method)
+    return groups
+
+
 def differences(
-    scores: Scores, family: str, seed: int = 0, draws: int = BOOTSTRAP_SAMPLES
+    scores: Scores,
+    base: str,
+    methods: Sequence[str],
+    seed: int = 0,
+    draws: int = BOOTSTRAP_SAMPLES,
 ) -> pd.DataFrame:
-    """Score and frame time of each variant minus those of the main variant, per budget.
+    """Score and frame time of each of `methods` minus those of `base`, per budget.
 
     The two scores of a pair have scene, clip, frame, budget and seed in common; `low` and `high`
     are the interval (nan with one clip); `p_holm` is corrected over all differences. `frame_ms` is
@@ -69,22 +98,23 @@ def differences(
     """
     parts = {key: part for key, part in scores.measured.groupby(["method", "target_spp"])}
     records = []
-    for method in families_with_scores(scores)[family]:
+    for method in methods:
         for spp in sorted(set(scores.measured["target_spp"])):
-            if (method, spp) not in parts or (family, spp) not in parts:
+            if (method, spp) not in parts or (base, spp) not in parts:
                 continue
-            variant, main = parts[method, spp], parts[family, spp]
+            variant, main = parts[method, spp], parts[base, spp]
             pairs = pair(variant, main, PAIR)
             gap = mean_with_interval(pairs, seed, draws)
             times = scores.points[scores.points["target_spp"] == spp]
             records.append(
                 {
                     "method": method,
+                    "base": base,
                     "target_spp": spp,
                     **difference_columns(gap),
-                    "frame_ms": _frame_time_difference(times, method, family),
+                    "frame_ms": _frame_time_difference(times, method, base),
                     "unreliable": bool(
-                        times.loc[times["method"].isin([method, family]), "unreliable"].any()
+                        times.loc[times["method"].isin([method, base]), "unreliable"].any()
                     ),
                     "pairs": len(pairs),
                     "unpaired": len(variant) + len(main) - 2 * len(pairs),

@@ -64,7 +64,7 @@ class CostProfile:
     def inference(self, method: str, height: int, width: int) -> ProfileTime | None:
         """The method's published inference time, or None; scaled from the nearest size it has.
 
-        >>> profile("paper-2080ti").inference("ours", 360, 720).ms
+        >>> profile("paper-2080ti").inference("ours/latent", 360, 720).ms
         11.25
         """
         times = {

@@ -100,7 +100,7 @@ def regress(
       rlbench regress --results results/ --junit regress.xml --summary regress.md
       rlbench regress --methods mean,ours
       rlbench regress --results mine/ --update --baseline mine.json
-      rlbench regress --speed 'ours/lean / ours <= 0.9'
+      rlbench regress --speed 'ours / oidn <= 1.3'
     """
     load_plugins(plugin)
     from rlbench.benchmark.regression.baseline import find_baseline, load_baseline

@@ -77,7 +77,7 @@ def speed(
     Examples:
 
     \b
-      rlbench speed -m ours/lean,oidn/tuned,oidn-intel
+      rlbench speed -m ours,oidn/tuned,oidn-intel
       rlbench speed -m ours,ntas --sizes 1080p --backend eager,openvino --bf16
       rlbench speed -m mine,oidn-intel --plugin mine.py --sizes 640x480
     """

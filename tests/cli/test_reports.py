@@ -12,7 +12,7 @@ from rlbench.errors import OptionError
 from tests.cli.runner import rlbench
 from tests.conftest import write_noise, write_plugin
 
-NOT_PRETRAINED = ("ours", "ours/encoder-small", "ours/encoder-large@seed1")
+NOT_PRETRAINED = ("ours", "ours/latent-encoder-small", "ours/latent-encoder-large@seed1")
 
 
 def test_reports_are_written_to_the_requested_folder(run_mean, tmp_path):

@@ -36,11 +36,11 @@ def test_patterns_are_expanded_without_repeats(tmp_path, patterns, expected):
     [
         (["ours/*"], True, False),
         (["ours/*"], False, True),
-        (["ours/denoiser-large"], True, True),
+        (["ours/latent-denoiser-large"], True, True),
     ],
 )
 def test_a_pattern_leaves_out_variants_without_pretrained_weights(patterns, trained, expected):
-    assert ("ours/denoiser-large" in registry.expand(patterns, trained)) == expected
+    assert ("ours/latent-denoiser-large" in registry.expand(patterns, trained)) == expected
 
 
 def test_all_selects_every_family_with_weights_once():
@@ -51,8 +51,8 @@ def test_all_selects_every_family_with_weights_once():
 
 
 def test_a_name_selects_a_row_without_weights_too():
-    assert registry.expand(["ours/denoiser-large", "nppd/large"]) == [
-        "ours/denoiser-large",
+    assert registry.expand(["ours/latent-denoiser-large", "nppd/large"]) == [
+        "ours/latent-denoiser-large",
         "nppd/large",
     ]
 
@@ -89,7 +89,7 @@ def test_a_method_whose_package_is_missing_says_what_to_install(tmp_path):
     [
         ("oidn/tuned", None),
         ("mean", "has nothing to train"),
-        ("ours/flat", "has nothing to train"),
+        ("ours/latent-flat", "has nothing to train"),
         ("oidn", "has weights that Intel trained and published"),
     ],
 )

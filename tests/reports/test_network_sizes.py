@@ -20,10 +20,10 @@ from rlbench.benchmark.results import MissingRowsError
 from tests.reports.formula_results import Formula, table
 
 FORMULAS = {  # 2 ms a sample
-    "ours": Formula(26.0, 1.0, 10.0),
-    "ours/small": Formula(25.5, 1.0, 8.0, by_scene=0.1),
-    "ours/encoder-large": Formula(26.5, 1.0, 13.0),
-    "ours/sampler-large": Formula(26.5, 1.0, 90.0),
+    "ours/latent": Formula(26.0, 1.0, 10.0),
+    "ours/latent-small": Formula(25.5, 1.0, 8.0, by_scene=0.1),
+    "ours/latent-encoder-large": Formula(26.5, 1.0, 13.0),
+    "ours/latent-sampler-large": Formula(26.5, 1.0, 90.0),
     "ntas": Formula(24.0, 1.0, 9.0),
 }
 STUDY = published().network_study
@@ -53,7 +53,7 @@ def cells(page, title, start):
 
 
 def test_the_time_that_a_small_network_saves_buys_samples(latencies):
-    row = latencies.loc[("ours/small", 1.0)]
+    row = latencies.loc[("ours/latent-small", 1.0)]
     assert (row["deadline_ms"], row["spp"]) == (12.0, 2.0)  # 10 + 2 x 1 = 8 + 2 x 2
     assert row["share"] == 2.0
     assert row["difference"] == pytest.approx(25.5 + 1.0 - 26.0)
@@ -61,25 +61,31 @@ def test_the_time_that_a_small_network_saves_buys_samples(latencies):
 
 
 def test_a_large_network_has_fewer_samples_in_the_same_time(latencies):
-    row = latencies.loc[("ours/encoder-large", 4.0)]
+    row = latencies.loc[("ours/latent-encoder-large", 4.0)]
     assert row["spp"] == pytest.approx(2.5)  # 10 + 2 x 4 = 13 + 2 x 2.5
     assert row["value"] == pytest.approx(26.5 + math.log2(2.5))  # linear in the logarithm of spp
 
 
 def test_a_network_that_is_slower_than_the_whole_frame_has_no_budget(latencies):
-    assert latencies.loc["ours/sampler-large", ["spp", "value", "difference"]].isna().all(axis=None)
+    assert (
+        latencies.loc["ours/latent-sampler-large", ["spp", "value", "difference"]]
+        .isna()
+        .all(axis=None)
+    )
 
 
 def test_budgets_that_were_not_measured_are_a_bound(latencies):
-    assert latencies.loc[("ours/small", 4.0), "spp"] == 4.0  # 5 would fit
-    assert latencies.loc["ours/small", "is_bound"].tolist() == [False, False, True]
-    assert not latencies.loc["ours", "is_bound"].any()
+    assert latencies.loc[("ours/latent-small", 4.0), "spp"] == 4.0  # 5 would fit
+    assert latencies.loc["ours/latent-small", "is_bound"].tolist() == [False, False, True]
+    assert not latencies.loc["ours/latent", "is_bound"].any()
 
 
 def test_published_samples_are_shares_of_the_published_base(latencies):
-    assert latencies.loc[("ours/encoder-large", 1.0), "paper_spp"] == 1.04
-    assert latencies.loc[("ours/encoder-large", 1.0), "paper_share"] == pytest.approx(1.04 / 1.12)
-    assert math.isnan(latencies.loc[("ours/small", 1.0), "paper_share"])
+    assert latencies.loc[("ours/latent-encoder-large", 1.0), "paper_spp"] == 1.04
+    assert latencies.loc[("ours/latent-encoder-large", 1.0), "paper_share"] == pytest.approx(
+        1.04 / 1.12
+    )
+    assert math.isnan(latencies.loc[("ours/latent-small", 1.0), "paper_share"])
 
 
 def test_the_figure_has_a_panel_for_each_budget_and_one_for_samples(latencies):
@@ -108,15 +114,15 @@ def test_the_files_of_the_figure_are_written(rows, tmp_path):
 
 def test_the_study_sets_times_beside_the_published_ones(study):
     page = study[0].read_text()
-    assert cells(page, "Inference", "ours/encoder-large") == [
+    assert cells(page, "Inference", "ours/latent-encoder-large") == [
         "3.2", "9.8", "13.0", "1.30", "2.5", "25.7", "28.2", "1.25",
     ]  # fmt: skip
-    assert cells(page, "Inference", "ours/small")[4:] == ["-", "-", "14.4", "0.64"]
-    assert cells(page, "Equal time", "ours/small")[:2] == ["2.00", "2.00"]
-    assert cells(page, "Equal samples", "ours/small")[0].startswith("-0.50 [")
-    assert cells(page, "Equal samples", "ours/small")[-1] == "-1.4"  # 27.3 - 28.7
+    assert cells(page, "Inference", "ours/latent-small")[4:] == ["-", "-", "14.4", "0.64"]
+    assert cells(page, "Equal time", "ours/latent-small")[:2] == ["2.00", "2.00"]
+    assert cells(page, "Equal samples", "ours/latent-small")[0].startswith("-0.50 [")
+    assert cells(page, "Equal samples", "ours/latent-small")[-1] == "-1.4"  # 27.3 - 28.7
     assert "ntas" not in page
-    assert "- ours/denoiser-small: OIDN's fast network" in page
+    assert "- ours/latent-denoiser-small: OIDN's fast network" in page
 
 
 def test_rows_of_one_label_are_compared_where_there_are_no_others(rows, tmp_path, study):
@@ -130,16 +136,18 @@ def test_scores_without_times_have_a_study_and_no_figure(rows, tmp_path):
     untimed = rows[rows["unit"] != "ms"]
     page = network_study.write(untimed, tmp_path, draws=100)[0].read_text()
     assert "### Equal time" not in page
-    assert cells(page, "Inference", "ours/small")[:4] == ["-"] * 4
+    assert cells(page, "Inference", "ours/latent-small")[:4] == ["-"] * 4
     with pytest.raises(MissingRowsError, match="scores, times and the cost of a sample"):
         equal_latency.write(untimed, tmp_path)
 
 
-@pytest.mark.parametrize("methods", [["ours", "ntas"], ["ours/small"]])
+@pytest.mark.parametrize("methods", [["ours/latent", "ntas"], ["ours/latent-small"]])
 def test_one_size_is_no_study(rows, methods, tmp_path):
     few = rows[rows["method"].isin(methods)]
     for report in (equal_latency, network_study):
-        with pytest.raises(MissingRowsError, match="ours and another of ours/lean, ours/small"):
+        with pytest.raises(
+            MissingRowsError, match="ours/latent and another of ours, ours/latent-small"
+        ):
             report.write(few, tmp_path)
 
 

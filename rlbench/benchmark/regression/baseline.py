@@ -92,7 +92,7 @@ class Baseline:
     tolerance_db: float = TOLERANCE_DB  # what machines differ by
     entries: tuple[BaselineEntry, ...] = ()
     seed: int = 0  # of the sample order that the scores are of
-    speed: tuple[str, ...] = ()  # gates such as "ours/lean / ours <= 0.9"
+    speed: tuple[str, ...] = ()  # gates such as "ours / oidn <= 1.3"
 
     def __post_init__(self) -> None:
         """Raise BaselineError for a tolerance that no score can exceed."""

@@ -31,7 +31,7 @@ SIZE = (192, 192)  # pixels, height and width of the generated frames; that of p
 class SpeedGate:
     """The largest ratio of two inference times that passes."""
 
-    row: str  # name of a row, such as ours/lean or ours@bf16
+    row: str  # name of a row, such as ours or ours@bf16
     reference: str  # name of the row that its time is divided by
     max_ratio: float
 
@@ -62,8 +62,8 @@ class SpeedResult:
 def parse_gate(text: str) -> SpeedGate:
     """The gate in `A/B<=1.3`, where A and B name rows of installed methods.
 
-    >>> parse_gate("ours/lean/oidn<=1.3")
-    SpeedGate(row='ours/lean', reference='oidn', max_ratio=1.3)
+    >>> parse_gate("ours/oidn<=1.3")
+    SpeedGate(row='ours', reference='oidn', max_ratio=1.3)
     >>> parse_gate("oidn/tuned / oidn <= 1")
     SpeedGate(row='oidn/tuned', reference='oidn', max_ratio=1.0)
 
@@ -75,7 +75,7 @@ def parse_gate(text: str) -> SpeedGate:
     except ValueError:
         max_ratio = math.nan
     if not 0 < max_ratio < math.inf:
-        raise OptionError(f"'{text}' is no gate. Write A/B<=1.3, for example ours/lean/oidn<=1.3")
+        raise OptionError(f"'{text}' is no gate. Write A/B<=1.3, for example ours/oidn<=1.3")
     separator = " / " if " / " in names else "/"
     cuts = [match.start() for match in re.finditer(re.escape(separator), names)]
     pairs = [(names[:cut].strip(), names[cut + len(separator) :].strip()) for cut in cuts]

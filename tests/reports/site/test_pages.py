@@ -52,7 +52,7 @@ def test_a_card_is_on_the_page_of_its_weights(site, methods):
 
 
 def test_a_row_without_weights_says_how_to_train_them(site):
-    assert "`rlbench train -m ours/reinforce` makes them" in site[0]["methods/ours/reinforce.md"]
+    assert "`rlbench train -m ours/latent-reinforce` makes them" in site[0]["methods/ours/latent-reinforce.md"]
 
 
 def test_a_picture_is_on_the_pages_of_the_methods_that_it_shows(site):
@@ -96,7 +96,7 @@ def test_the_data_of_a_leaderboard_is_json_with_the_ranking(site, baseline):
     (metric,) = data["devices"][0]["table"]["metrics"]
     keys = {(r["method"], r["target_spp"]) for r in metric["records"] if r["scene"] == "all"}
     assert keys == {(entry.method, entry.target_spp) for entry in baseline.entries}
-    assert data["traits"]["ours/A2"]["page"] == "../../methods/ours/A2/"
+    assert data["traits"]["ours/latent-A2"]["page"] == "../../methods/ours/latent-A2/"
     assert data["traits"]["ours"]["page"] == "../../methods/ours/"
 
 
