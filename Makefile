@@ -7,29 +7,32 @@ INSTALL := $(BIN)/python -m pip --disable-pip-version-check install -qq -c const
 RESULTS := results
 REPORT := $(RESULTS)/report
 
-# what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule, or untrained
-RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule,ours/initial
-CONTROLS := ours,ours/lean,ours/stateless,ours/A2,oidn,oidn/tuned,oidn/half,$(RULES)
+# what rules give: memory and density by hand behind a learned denoiser, and `ours` with a density by rule
+RULES := accumulate,accumulate/contrast,accumulate/variance,accumulate/denoised-variance,accumulate/tuned,accumulate/intel,ours/by-rule
+CONTROLS := ours,ours/A2,ours/latent,ours/latent-stateless,ours/latent-by-rule,ours/latent-initial,oidn,oidn/tuned,oidn/half,$(RULES)
+
+# the networks of the paper, developed, and their ablations
+LATENT := ours/latent,ours/latent-A1,ours/latent-A2,ours/latent-B1,ours/latent-B2,ours/latent-C,ours/latent-small,ours/latent-stateless,ours/latent-by-rule,ours/latent-flat,ours/latent-initial
 
 # the paper's recipe and its ablations
 PAPER := ours/paper,ours/paper-appo,ours/paper-A1,ours/paper-A2,ours/paper-B1,ours/paper-B2,ours/paper-C
 
 # the paper's Table 1, its ablations, and the methods they are compared with; at the paper's budgets
-TABLE1 := ours,ours/lean,ours/A1,ours/A2,ours/B1,ours/B2,ours/C,ours/small,ours/flat,ours/stateless,$(PAPER),imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
+TABLE1 := ours,ours/A1,ours/A2,ours/flat,$(LATENT),$(PAPER),imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,dasr,restir+oidn,svgf,oidn,oidn/retrained,restir,mean,oidn/tuned,oidn-intel,$(RULES)
 BUDGETS := 0.01,0.1,0.3,0.5,1,2,4
 
 # the nearest rivals, on many clips
-RIVALS := ours,ours/lean,ours/A1,ours/A2,ours/C,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
+RIVALS := ours,ours/A1,ours/A2,ours/latent,ours/latent-A2,oidn/tuned,oidn-intel,accumulate/contrast,accumulate/tuned,ours/by-rule
 
 # rows with a memory, with and without a test of their history, and two without
-RECOVERING := ours,ours/lean,ours/lag,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf
+RECOVERING := ours,ours/lag,ours/latent,accumulate/contrast,accumulate/tuned,oidn/tuned,oidn-intel,imcd,imcd/history,ntas,ntas/history,nppd,nppd/history,svgf
 
 # learned rows near the front, in all backends
-SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours/lean,ours,ntas,svgf
+SPEED := oidn-intel,oidn/tuned,accumulate/contrast,ours,ours/latent,ntas,svgf
 
-CONVENTIONS := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours/lean,ours
+CONVENTIONS := mean,svgf,imcd,ntas,oidn,oidn/tuned,accumulate/contrast,ours,ours/latent
 
-APPENDIX := reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large
+APPENDIX := $(addprefix latent-,reinforce C+count denoiser-small encoder-small sampler-small encoder-large sampler-large denoiser-large)
 
 BASELINE := rlbench/benchmark/regression/baselines/mini.json
 
@@ -46,10 +49,10 @@ SHOWN := view=flip&clip=0&frame=7&a=ours&b=mean&split=0.5&px=120&py=90
 FILMED := mean,oidn,svgf,ntas,ours
 
 FROM1 := 1,2,4,6
-TRAINED_FROM1 := ours:ours-1+2+4+6spp/ours ours/reinforce:ours-reinforce-1+2+4+6spp/reinforce ours/A2:ours-A2-1+2+4+6spp/A2
+TRAINED_FROM1 := $(foreach name,latent latent-reinforce latent-A2,ours/$(name):ours-$(name)-1+2+4+6spp/$(name))
 SPP := 1000
 SEEDS := 0 1 2 3 4
-TRAINED := ours:ours/ours ours/A1:ours-A1/A1 ours/A2:ours-A2/A2
+TRAINED := $(foreach name,latent latent-A1 latent-A2,ours/$(name):ours-$(name)/$(name))
 
 .PHONY: demo docs baseline table1 variance conventions viewer unseen speed metric-speed overhead equal takes recovery crossval appendix seeds gradients stress training contact teaser switched videos site test test-all format clean
 
@@ -89,7 +92,7 @@ table1: .venv/dev.stamp
 
 # 48 generated scenes that no training used: who leads, and what learned memory and sampling give over rules: 11 minutes of rendering, 15 of scoring
 unseen: .venv/dev.stamp
-	$(BIN)/rlbench run -m '$(CONTROLS),ours/A1,ours/C,oidn-intel' --preset unseen --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/unseen
+	$(BIN)/rlbench run -m '$(CONTROLS),ours/A1,ours/latent-A1,ours/latent-A2,ours/latent-C,oidn-intel' --preset unseen --spp 0.5,1,2,4 --scores-only --out $(RESULTS)/unseen
 	$(BIN)/rlbench render --preset unseen --digests > docs/results/unseen-clips.txt
 	$(call page,clips,$(RESULTS)/unseen,unseen)
 	$(call page,clips -m '$(CONTROLS)',$(RESULTS)/unseen,controls)
@@ -111,10 +114,10 @@ overhead: .venv/dev.stamp
 	rm -rf $(RESULTS)/overhead
 	$(BIN)/python -m tests.performance.profile_run docs/results/overhead.md --preset mini --out $(RESULTS)/overhead
 
-# ours and its nearest rivals, all trained from 1 spp on, because ours/A1 cannot be trained below: an hour of one core, 9 minutes of scoring
+# three learners and uniform sampling, all trained from 1 spp on, because ours/latent-A1 cannot be trained below: an hour of one core, 9 minutes of scoring
 equal: .venv/dev.stamp
-	$(BIN)/rlbench train -m ours,ours/reinforce,ours/A2 --frames 6000 --bf16 --train-spp $(FROM1)
-	$(BIN)/rlbench run -m ours/A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
+	$(BIN)/rlbench train -m ours/latent,ours/latent-reinforce,ours/latent-A2 --frames 6000 --bf16 --train-spp $(FROM1)
+	$(BIN)/rlbench run -m ours/latent-A1 --preset unseen --spp 1,2,4 --out $(RESULTS)/equal
 	set -e; for row in $(TRAINED_FROM1); do \
 	  $(BIN)/rlbench run -m $${row%:*} --weights from1=runs/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/equal; \
 	done
@@ -136,9 +139,9 @@ crossval: .venv/dev.stamp
 	$(BIN)/rlbench crossval -m ours,ntas,oidn-intel --frames 1000 --bf16 --out $(RESULTS)/crossval
 	$(call page,clips,$(RESULTS)/crossval/results,crossval)
 
-# the variants without shipped weights, and ours trained for as many crops: two and a half hours of one core, 20 minutes of scoring
+# the variants without shipped weights, and ours/latent trained for as many crops: two and a half hours of one core, 20 minutes of scoring
 appendix: .venv/dev.stamp
-	set -e; for row in ours:ours/ours $(foreach name,$(APPENDIX),ours/$(name):ours-$(name)/$(name)); do \
+	set -e; for row in $(foreach name,latent $(APPENDIX),ours/$(name):ours-$(name)/$(name)); do \
 	  $(BIN)/rlbench train -m $${row%:*} --frames 2000 --bf16 --out runs/appendix; \
 	  $(BIN)/rlbench run -m $${row%:*} --weights brief=runs/appendix/$${row#*:}.safetensors --preset takes --takes main --spp $(BUDGETS) --out $(RESULTS)/appendix; \
 	done
@@ -163,7 +166,7 @@ variance: .venv/dev.stamp
 # the effect of the training seed, on unseen scenes: five short trainings of three rows; resumes if it was killed
 seeds: .venv/dev.stamp
 	set -e; for seed in $(SEEDS); do \
-	  $(BIN)/rlbench train -m ours,ours/A1,ours/A2 --frames 1000 --bf16 --seed $$seed --out runs/seed$$seed; \
+	  $(BIN)/rlbench train -m ours/latent,ours/latent-A1,ours/latent-A2 --frames 1000 --bf16 --seed $$seed --out runs/seed$$seed; \
 	  for row in $(TRAINED); do \
 	    $(BIN)/rlbench run -m $${row%:*} --weights seed$$seed=runs/seed$$seed/$${row#*:}.safetensors --preset unseen --spp 1,2,4 --out $(RESULTS)/seeds; \
 	  done; \
