@@ -33,7 +33,9 @@ def second_frame(variant: str = "", spp: float = 2.0) -> FrameProblem:
     return FrameProblem(method, second, second.gbuffer, state, spp)
 
 
-@pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5), ("A1", 4.0)])
+@pytest.mark.parametrize(
+    ("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5), ("A1", 4.0), ("latent", 0.5)]
+)
 def test_every_rollout_costs_exactly_the_budget_and_repeats(variant, spp):
     problem = second_frame(variant, spp)
     actions = torch.rand(3, 1, 1, 32, 48, generator=torch.Generator().manual_seed(1)) * 2 - 1
@@ -43,7 +45,7 @@ def test_every_rollout_costs_exactly_the_budget_and_repeats(variant, spp):
     assert torch.equal(problem.rollout(actions).errors, rollout.errors)
 
 
-@pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5)])
+@pytest.mark.parametrize(("variant", "spp"), [("", 0.5), ("", 2.0), ("A1", 1.5), ("latent", 0.5)])
 def test_counts_are_relaxed_counts_rounded_and_both_cost_the_budget(variant, spp):
     problem = second_frame(variant, spp)
     action = problem.act().detach()
@@ -63,9 +65,10 @@ def test_a_gradient_reaches_the_sampler(sample_gradient):
     assert sampler.last.weight.grad.abs().max() > 0
 
 
+@pytest.mark.parametrize("variant", ["A1", "latent-A1"])
 @pytest.mark.parametrize("name", LEARNERS)
-def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name):
-    problem = second_frame("A1", 2.0)
+def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name, variant):
+    problem = second_frame(variant, 2.0)
     sampler = problem.method.networks.sampler
     sampler.zero_grad()
     learner = make_learner(name, problem.method.networks.sampler_channels)
@@ -77,7 +80,7 @@ def test_every_learner_moves_the_sampler_of_ours_and_only_by_finite_steps(name):
 
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_learner_leaves_encoder_and_denoiser_to_the_image(name):
-    problem = second_frame("A1", 2.0)
+    problem = second_frame("latent-A1", 2.0)
     networks = problem.method.networks
     learner = make_learner(name, networks.sampler_channels)
     others = [*networks.encoder.parameters(), *networks.denoiser.parameters()]

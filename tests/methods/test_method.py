@@ -10,10 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from methods.ours.accumulators import TemporalRadiance
-from methods.ours.method import build
+from methods.ours.method import Ours, build
 from methods.ours.rejection import KeepHistory
-from methods.ours.state import gbuffer_features
+from methods.ours.state import RecurrentState, gbuffer_features
 from rlbench.clips.procedural.clip import procedural_clip
 from rlbench.frames import Frame, GBuffer, Samples, Size
 
@@ -23,7 +22,7 @@ CPU = torch.device("cpu")
 GBUFFER = next(iter(procedural_clip(seed=3, size=Size(1, 32, 32), frames=1))).gbuffer
 
 
-@pytest.mark.parametrize(("variant", "channels"), [("C", 3), ("C+count", 4)])
+@pytest.mark.parametrize(("variant", "channels"), [("latent-C", 3), ("latent-C+count", 4)])
 def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(variant, channels):
     clip = procedural_clip(seed=3, size=Size(1, 16, 24), frames=1)
     (frame,) = clip
@@ -39,7 +38,7 @@ def test_the_mean_that_enters_the_encoder_is_that_of_the_drawn_samples(variant, 
         assert channels == 3 or values[0, 3, y, x] == n / 8
 
 
-@pytest.mark.parametrize("variant", ["B1", "B2"])
+@pytest.mark.parametrize("variant", ["latent-B1", "latent-B2"])
 def test_without_a_state_the_image_depends_on_this_frame_alone(variant):
     method = build(variant, CPU, "random")
     clip = procedural_clip(seed=3, size=Size(1, 32, 32), frames=2)
@@ -57,7 +56,7 @@ def test_b1_plans_by_the_last_frames_samples_and_b2_does_not():
     first, second = clip
     counts = torch.full((1, 1, 32, 32), 2)
     samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
-    for variant, differs in (("B1", True), ("B2", False)):
+    for variant, differs in (("latent-B1", True), ("latent-B2", False)):
         method = build(variant, CPU, "random")
         gbuffer = second.gbuffer.select(method.traits.inputs)
         start = method.start(clip.size)
@@ -70,24 +69,48 @@ def draw(frame: Frame, counts: Tensor) -> Samples:
     return Samples(frame.pool.read(frame.pool.empty(), counts), counts)
 
 
-@pytest.fixture
-def after_one():
+def after_frame(variant: str) -> tuple[Ours, Frame, RecurrentState]:
     """A method, a frame, and the state after it with two samples in each pixel."""
-    method = build("", CPU, "random")
+    method = build(variant, CPU, "random")
     (frame,) = procedural_clip(seed=3, size=Size(1, 32, 32), frames=1)
     samples = draw(frame, torch.full((1, 1, 32, 32), 2))
     _, state = method.denoise(frame.gbuffer, samples, method.start(Size(1, 32, 32)))
     return method, frame, state
 
 
-def test_a_static_pixel_without_samples_keeps_its_state_and_its_radiance(after_one):
-    method, frame, before = after_one
+@pytest.fixture(params=["", "latent"], ids=["ours", "latent"])
+def after_one(request):
+    """Both methods that accumulate radiance: without a latent, and with one."""
+    return after_frame(request.param)
+
+
+@pytest.fixture
+def latent_after_one():
+    """The method whose encoder writes a latent."""
+    return after_frame("latent")
+
+
+def sample_lower_half(method: Ours, frame: Frame, before: RecurrentState) -> RecurrentState:
+    """The state after a second frame; its right half moves, its upper half gets no sample."""
     motion = torch.zeros(1, 2, 32, 32)
-    motion[..., 16:] = 0.25  # the right half moves
+    motion[..., 16:] = 0.25
     counts = torch.full((1, 1, 32, 32), 2)
-    counts[..., :16, :] = 0  # the upper half gets nothing
+    counts[..., :16, :] = 0
     gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": motion}).select(method.traits.inputs)
-    _, after = method.denoise(gbuffer, draw(frame, counts), before)
+    return method.denoise(gbuffer, draw(frame, counts), before)[1]
+
+
+def test_a_static_pixel_keeps_its_radiance_and_adds_its_samples(after_one):
+    after = sample_lower_half(*after_one).radiance.accumulated_spp[0, 0]
+    assert (after[:16, :16] == 2).all()
+    assert (after[16:, :16] == 4).all()
+    assert (after[:16, 16:] < 2).all()
+    assert (after[16:, 16:] < 4).all()
+
+
+def test_a_static_pixel_without_samples_keeps_its_state_and_its_radiance(latent_after_one):
+    _, _, before = latent_after_one
+    after = sample_lower_half(*latent_after_one)
     held = (after.features == before.features).all(1)
     held &= (after.radiance.accumulated_spp == 2)[:, 0]
     assert held[:, :16, :16].all()
@@ -95,15 +118,26 @@ def test_a_static_pixel_without_samples_keeps_its_state_and_its_radiance(after_o
     assert not held[:, :, 16:].any()
 
 
-def test_a_disoccluded_static_pixel_keeps_nothing(after_one):
-    method, frame, before = after_one
+def disocclude_left_half(method: Ours, frame: Frame, before: RecurrentState) -> RecurrentState:
+    """The state after a second frame without motion or samples."""
     nearer = frame.gbuffer.depth.clone()
     nearer[..., :16] = 1.0  # something hid the left half in the previous frame
     previous = GBuffer({**frame.gbuffer.buffers, "depth": nearer})
     before = replace(before, gbuffer_features=gbuffer_features(previous))
     gbuffer = GBuffer({**frame.gbuffer.buffers, "motion": torch.zeros(1, 2, 32, 32)})
     gbuffer = gbuffer.select(method.traits.inputs)
-    _, after = method.denoise(gbuffer, frame.pool.empty(), before)
+    return method.denoise(gbuffer, frame.pool.empty(), before)[1]
+
+
+def test_a_disoccluded_static_pixel_keeps_hardly_any_radiance(after_one):
+    after = disocclude_left_half(*after_one).radiance.accumulated_spp
+    assert (after[..., 16:] == 2).all()
+    assert (after[..., :16] < 0.1).all()
+
+
+def test_a_disoccluded_static_pixel_keeps_no_latent(latent_after_one):
+    _, _, before = latent_after_one
+    after = disocclude_left_half(*latent_after_one)
     held = (after.features == before.features).all(1)
     assert held[..., 16:].all()
     assert not held[..., :16].any()
@@ -146,7 +180,7 @@ def test_the_memo_of_the_reprojection_keeps_no_input_alive(after_one):
     assert [reference() for reference in references] == [None, None]
 
 
-@pytest.mark.parametrize("variant", ["paper", "B1"])
+@pytest.mark.parametrize("variant", ["paper", "latent-B1"])
 def test_without_accumulated_radiance_sampler_and_encoder_read_the_same(variant):
     method = build(variant, CPU, "random")
     history = method.reproject(GBUFFER, method.start(Size(1, 32, 32)))
@@ -154,7 +188,12 @@ def test_without_accumulated_radiance_sampler_and_encoder_read_the_same(variant)
 
 
 @pytest.mark.parametrize(
-    ("variant", "low", "high"), [("", math.exp(-1.5), math.exp(1.5)), ("paper", 0, 2)]
+    ("variant", "low", "high"),
+    [
+        ("", math.exp(-1.5), math.exp(1.5)),
+        ("latent", math.exp(-1.5), math.exp(1.5)),
+        ("paper", 0, 2),
+    ],
 )
 def test_densities_are_exponential_and_in_the_papers_recipe_linear(variant, low, high):
     method = build(variant, CPU, "random")
@@ -191,16 +230,18 @@ def test_a_weight_that_underflow_would_decide_is_zero(after_one):
 
 
 def test_a_static_pixel_trusts_all_its_samples(after_one):
-    """Whatever the encoder says: only then does the error of a still camera fall for good."""
+    """Whatever encoder or rule says: only then does the error of a still camera fall for good."""
     method, frame, before = after_one
     gbuffer = replace(frame.gbuffer, static=True)
     samples = draw(frame, torch.full((1, 1, 32, 32), 3))
-    keep = replace(method, accumulator=TemporalRadiance(KeepHistory()))  # antilag aside
+    accumulator = replace(method.accumulator, rejection=KeepHistory())  # antilag aside
+    keep = replace(method, accumulator=accumulator)
     _, after = keep.denoise(gbuffer.select(method.traits.inputs), samples, before)
     assert (after.radiance.accumulated_spp == 5).all()
 
 
-def test_the_first_frame_has_no_state():
-    state = build("", CPU, "random").start(Size(1, 8, 9))
-    assert (state.features == -1).all()
+@pytest.mark.parametrize(("variant", "channels"), [("", 0), ("latent", 32)])
+def test_the_first_frame_has_no_state(variant, channels):
+    state = build(variant, CPU, "random").start(Size(1, 8, 9))
+    assert torch.equal(state.features, torch.full((1, channels, 8, 9), -1.0))
     assert not state.radiance.accumulated_spp.any()

@@ -25,7 +25,7 @@ def parameters(network: nn.Module) -> int:
         (Networks(VARIANTS["paper"]).encoder, 54_816),
         (Networks(VARIANTS["paper"]).denoiser, 939_683),
         (Encoder(63, (64,), 32, 1), 6_176),  # 1x1 kernels, as in the release
-        (Sampler(39, VARIANTS["small"].sampler), 486 - 19),  # the release has two outputs
+        (Sampler(39, VARIANTS["latent-small"].sampler), 486 - 19),  # the release has two outputs
     ],
     ids=["sampler", "encoder", "denoiser", "small encoder", "small sampler"],
 )

@@ -54,7 +54,7 @@ def test_every_learner_retrains_the_sampler_and_leaves_the_rest(name, task, tmp_
             assert torch.equal(value, before[key])
     assert after["sampler.last.weight"].abs().max() > 0 == initial["last.weight"].abs().max()
     card, known = read_card(file), read_card(CARDS / "ours.safetensors").data
-    assert card.origin == "encoder and denoiser of ours.safetensors"
+    assert card.origin == "all but the sampler of ours.safetensors"
     assert card.data == (*known, *task.make_batches().clip_digests())
 
 

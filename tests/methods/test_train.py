@@ -7,7 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
+from baselines.accumulate.density import contrast as contrast_of
+from baselines.accumulate.density import mix_with_uniform
 from baselines.oidn.method import Oidn
 from methods.ours.episode_problem import EpisodeProblem
 from methods.ours.method import assemble
@@ -15,7 +18,7 @@ from methods.ours.policy import BlockReinforce
 from methods.ours.train import training_task
 from methods.ours.variants import VARIANTS
 from rlbench.clips.procedural.clip import procedural_clip
-from rlbench.frames import Size
+from rlbench.frames import Samples, Size
 from rlbench.ops.init import kaiming_init
 from rlbench.ops.losses import l1_ms_ssim_loss
 from rlbench.ops.transfer import log_forward
@@ -45,7 +48,7 @@ def test_a_step_has_the_same_length_at_a_large_loss_as_at_a_small_one():
     [
         v
         for v, config in VARIANTS.items()
-        if config.accumulation != "none" and v != "denoiser-large"
+        if config.accumulation != "none" and v != "latent-denoiser-large"
     ],
 )
 def test_training_starts_with_the_image_of_open_image_denoise(variant):
@@ -63,12 +66,29 @@ def test_training_starts_with_the_image_of_open_image_denoise(variant):
     torch.testing.assert_close(result.image, expected, rtol=1e-4, atol=1e-5)
 
 
-def test_an_untrained_sampler_is_uniform():
-    method = training_task("", CPU, seed=0).method
+@pytest.mark.parametrize("variant", ["", "latent"])
+def test_an_untrained_sampler_is_uniform_in_the_first_frame(variant):
+    method = training_task(variant, CPU, seed=0).method
     clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=1)
     frame = next(iter(clip))
     density = method.plan(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
     assert density.unique().numel() == 1
+
+
+@pytest.mark.parametrize(("variant", "rule"), [("", True), ("latent", False)])
+def test_an_untrained_sampler_leaves_later_frames_to_the_rule_if_there_is_one(variant, rule):
+    method = training_task(variant, CPU, seed=0).method
+    clip = procedural_clip(seed=1, size=Size(1, 32, 48), frames=2)
+    first, second = clip
+    counts = torch.full((1, 1, 32, 48), 2)
+    samples = Samples(first.pool.read(first.pool.empty(), counts), counts)
+    with torch.no_grad():
+        _, state = method.denoise(first.gbuffer, samples, method.start(clip.size))
+        density = method.plan(second.gbuffer, samples, state)
+        history = method.reproject(second.gbuffer, state)
+    by_rule = mix_with_uniform(contrast_of(history), history.similarity)
+    torch.testing.assert_close(density, by_rule if rule else torch.ones_like(density))
+    assert by_rule.unique().numel() > 1000
 
 
 def contrast(variant: str, steps: int = 6) -> float:
@@ -87,7 +107,7 @@ def contrast(variant: str, steps: int = 6) -> float:
 
 def test_steps_change_the_map_of_a_wider_sampler_no_further():
     """At the full rate six steps end at 0.91, with nearly all of the map at its bounds."""
-    assert 0 < contrast("sampler-large") <= contrast("")
+    assert 0 < contrast("latent-sampler-large") <= contrast("latent")
 
 
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if name.startswith("paper")])
@@ -102,7 +122,7 @@ def test_in_the_papers_recipe_sampler_and_denoiser_start_from_random_weights(var
         assert name.startswith("encoder.") or torch.equal(weight, expected[name])
 
 
-@pytest.mark.parametrize("variant", ["", "B1"])
+@pytest.mark.parametrize("variant", ["", "latent", "latent-B1"])
 def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_frame(variant):
     """Contrast in its image, or its samples."""
     method = training_task(variant, CPU, seed=0).method
@@ -119,12 +139,13 @@ def test_the_last_layer_of_an_untrained_sampler_reads_contrast_in_the_previous_f
         state.image[..., 32:] += noise
     with torch.no_grad():
         method.act(replace(frame.gbuffer, static=True), state)
-    contrast = outputs[0][0, 0]
+    contrast = F.interpolate(outputs[0], size=(64, 64))[0, 0]  # of `ours` at half resolution
     assert contrast[8:-8, 40:-8].mean() > contrast[8:-8, 8:24].mean() + 0.2
 
 
-def test_every_network_gets_a_gradient_from_one_sequence():
-    task = training_task("", CPU, seed=0)
+@pytest.mark.parametrize("variant", ["", "latent"])
+def test_every_network_gets_a_gradient_from_one_sequence(variant):
+    task = training_task(variant, CPU, seed=0)
     kaiming_init(task.networks, 0)
     clip = procedural_clip(seed=1, size=Size(2, 32, 32), frames=2)
     for loss in task.losses(clip, 2.0):
@@ -152,18 +173,20 @@ def test_the_papers_recipe_credits_a_map_with_the_rest_of_its_episode(monkeypatc
     assert {problem.gamma for problem in problems} == {0.99}
 
 
+@pytest.mark.parametrize(("variant", "carrier"), [("", "image"), ("latent", "features")])
 @pytest.mark.parametrize("bptt", [1, 2])
-def test_the_state_carries_a_gradient_over_bptt_frames(bptt):
-    method = training_task("", CPU, seed=0).method
+def test_the_state_carries_a_gradient_over_bptt_frames(bptt, variant, carrier):
+    method = training_task(variant, CPU, seed=0).method
     method = assemble(replace(method.config, bptt=bptt), method.traits, method.networks)
     clip = procedural_clip(seed=1, size=Size(1, 32, 32), frames=1)
     frame = next(iter(clip))
     _, state = method.denoise(frame.gbuffer, frame.pool.empty(), method.start(clip.size))
-    assert state.features.requires_grad
-    state.features.retain_grad()
+    carried = getattr(state, carrier)
+    assert carried.requires_grad
+    carried.retain_grad()
     image, _ = method.denoise(frame.gbuffer, frame.pool.empty(), state)
     image.sum().backward()
-    assert (state.features.grad is None) == (bptt == 1)
+    assert (carried.grad is None) == (bptt == 1)
 
 
 @pytest.mark.parametrize(("bptt", "steps"), [(1, 3), (2, 2)])

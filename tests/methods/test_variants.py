@@ -3,47 +3,98 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
 from methods.ours import FAMILY
 from methods.ours.method import CARDS
 from methods.ours.networks import Networks
-from methods.ours.variants import BASE, SLOTS, VARIANTS
+from methods.ours.variants import SLOTS, VARIANTS, Config
 from rlbench import registry
 from rlbench.weights import read_card
+
+
+def changed_fields(variant: str, base: str) -> set[str]:
+    """The settings that differ between two variants."""
+    one, other = asdict(VARIANTS[variant]), asdict(VARIANTS[base])
+    return {name for name in one if one[name] != other[name]}
+
+
+@pytest.mark.parametrize(
+    ("variant", "changes"),
+    [
+        ("A1", {"learner": "surrogate"}),
+        ("A2", {"sampler": (), "contrast_density": False}),
+        ("by-rule", {"ignore_density": True}),
+        ("flat", {"ignore_density": True, "contrast_density": False}),
+        ("lag", {"antilag": False}),
+    ],
+)
+def test_a_variant_of_ours_changes_only_what_its_row_claims(variant, changes):
+    assert changed_fields(variant, "") == set(changes)
+    assert VARIANTS[variant] == replace(VARIANTS[""], **changes)
+
+
+def test_ours_has_neither_encoder_nor_latent_and_accumulates_by_rule():
+    config = VARIANTS[""]
+    assert (config.encoder, config.latent, config.accumulation) == ((), 0, "rule")
+    assert (config.sampler_stride, config.contrast_density) == (2, True)
+    assert changed_fields("", "latent") == {
+        *("encoder", "latent", "accumulation", "sampler_stride", "contrast_density"),
+        "sample_encoding",  # for no encoder reads samples
+    }
 
 
 @pytest.mark.parametrize(
     ("variant", "fields"),
     [
-        ("", set()),
         (
             "paper",
             {"accumulation", "density", "log_loss", "learner", "gamma", "wired_contrast"},
         ),
-        ("A1", {"learner"}),
-        ("A2", {"sampler"}),
-        ("B1", {"encoder", "history_mode", "accumulation"}),
-        ("B2", {"encoder", "history_mode", "accumulation"}),
-        ("C", {"sample_encoding"}),
-        ("reinforce", {"learner"}),
-        ("C+count", {"sample_encoding"}),
-        ("small", {"sampler", "encoder_kernel", "denoiser"}),
-        ("flat", {"ignore_density"}),
-        ("lag", {"antilag"}),
-        ("sampler-small", {"sampler"}),
-        ("sampler-large", {"sampler"}),
-        ("encoder-small", {"encoder_kernel"}),
-        ("encoder-large", {"encoder"}),
-        ("denoiser-small", {"denoiser"}),
-        ("denoiser-large", {"denoiser"}),
+        ("latent-A1", {"learner"}),
+        ("latent-A2", {"sampler"}),
+        ("latent-B1", {"encoder", "history_mode", "accumulation"}),
+        ("latent-B2", {"encoder", "history_mode", "accumulation"}),
+        ("latent-C", {"sample_encoding"}),
+        ("latent-reinforce", {"learner"}),
+        ("latent-stochastic", {"learner"}),
+        ("latent-C+count", {"sample_encoding"}),
+        ("latent-small", {"sampler", "encoder_kernel", "denoiser"}),
+        ("latent-initial", {"sampler"}),
+        ("latent-by-rule", {"ignore_density", "contrast_density"}),
+        ("latent-stateless", {"latent"}),
+        ("latent-flat", {"ignore_density"}),
+        ("latent-lag", {"antilag"}),
+        ("latent-sampler-small", {"sampler"}),
+        ("latent-sampler-large", {"sampler"}),
+        ("latent-encoder-small", {"encoder_kernel"}),
+        ("latent-encoder-large", {"encoder"}),
+        ("latent-denoiser-small", {"denoiser"}),
+        ("latent-denoiser-large", {"denoiser"}),
     ],
 )
-def test_a_variant_changes_only_what_its_row_claims(variant, fields):
-    base, other = asdict(BASE), asdict(VARIANTS[variant])
-    assert {name for name in base if base[name] != other[name]} == fields
+def test_a_variant_of_the_latent_state_changes_only_what_its_row_claims(variant, fields):
+    assert changed_fields(variant, "latent") == fields
+
+
+def test_latent_has_the_default_settings():
+    assert VARIANTS["latent"] == Config()
+
+
+@pytest.mark.parametrize(
+    ("variants", "weights"),
+    [
+        (("by-rule", "flat", "lag"), "ours"),
+        (("latent-by-rule", "latent-flat", "latent-lag"), "ours/latent"),
+        (("", "A1", "A2", "latent", "latent-A1", "latent-A2", "paper"), None),
+    ],
+)
+def test_variants_that_are_not_trained_have_the_weights_of_the_row_that_they_change(
+    variants, weights
+):
+    assert {FAMILY.variants[variant].weights_from for variant in variants} == {weights}
 
 
 @pytest.mark.parametrize(
@@ -58,14 +109,16 @@ def test_a_variant_changes_only_what_its_row_claims(variant, fields):
     ],
 )
 def test_an_ablation_of_the_papers_recipe_changes_only_what_its_row_claims(variant, fields):
-    base, other = asdict(VARIANTS["paper"]), asdict(VARIANTS[f"paper-{variant}"])
-    assert {name for name in base if base[name] != other[name]} == fields
+    assert changed_fields(f"paper-{variant}", "paper") == fields
 
 
 @pytest.mark.parametrize("variant", ["A1", "A2", "B1", "B2", "C"])
-def test_an_ablation_has_the_traits_of_its_namesake(variant):
+def test_an_ablation_has_the_traits_of_its_namesakes(variant):
     """Budgets, inputs and least samples do not depend on the recipe."""
-    assert FAMILY.variants[f"paper-{variant}"].traits == FAMILY.variants[variant].traits
+    names = [f"{part}{variant}" for part in ("paper-", "latent-", "")]
+    traits = [FAMILY.variants[name].traits for name in names if name in FAMILY.variants]
+    assert len(traits) == (3 if variant in ("A1", "A2") else 2)
+    assert traits == traits[:1] * len(traits)
 
 
 def test_the_papers_recipe_reads_the_state_alone():
@@ -87,12 +140,26 @@ def test_no_more_samples_are_drawn_than_the_encoder_reads(variant):
     assert FAMILY.variants[variant].traits.max_samples == SLOTS
 
 
-def test_the_former_name_of_reinforce_is_an_alias():
-    assert registry.expand(["ours/ppo", "ours/reinforce"]) == ["ours/reinforce"]
-    assert "ours/ppo" not in FAMILY.method_names()
-    assert registry.get_variant("ours/ppo") is FAMILY.variants["reinforce"]
-    method = registry.load_method("ours/ppo", weights="random")
-    assert method.config == VARIANTS["reinforce"]
+@pytest.mark.parametrize(
+    ("former", "current"),
+    [
+        ("ours/lean", "ours"),
+        ("ours/ppo", "ours/latent-reinforce"),
+        ("ours/reinforce", "ours/latent-reinforce"),
+        ("ours/B1", "ours/latent-B1"),
+    ],
+)
+def test_a_former_name_is_an_alias_of_the_current_one(former, current):
+    variant = current.partition("/")[2]
+    assert registry.expand([former, current]) == [current]
+    assert former not in FAMILY.method_names()
+    assert registry.get_variant(former) is FAMILY.variants[variant]
+    assert registry.load_method(former, weights="random").config == VARIANTS[variant]
+
+
+def test_every_former_name_leads_to_a_variant_and_is_none_itself():
+    assert set(FAMILY.aliases.values()) <= set(VARIANTS)
+    assert not set(FAMILY.aliases) & set(VARIANTS)
 
 
 FORMER_FIELDS = {

@@ -128,7 +128,7 @@ def _card(
         frames_seen=frames,
         seed=task.seed,
         command=command,
-        origin=f"encoder and denoiser of {task.weights.name}",
+        origin=f"all but the sampler of {task.weights.name}",
         validation_history=((0, psnr["uniform"]), (frames, psnr[name])),
         note=f"sampler alone, by {name}" + ", one policy over the image" * task.one_policy,
     )
