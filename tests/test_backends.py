@@ -62,13 +62,13 @@ def differences(name: str, backend: str, bf16: bool = False) -> list[float]:
     return compared.differences
 
 
-@pytest.mark.parametrize("name", [*ALL_LEARNED, "ours/lean", "ntas/direct"])
+@pytest.mark.parametrize("name", [*ALL_LEARNED, "ours/latent", "ntas/direct"])
 def test_openvino_changes_densities_and_images_by_rounding_only(name):
     """Sums of convolutions in another order: 2e-6 seen; history repairs may enlarge it."""
     assert max(differences(name, "openvino")) < 1e-4
 
 
-@pytest.mark.parametrize("name", ["oidn", "ours/lean"])
+@pytest.mark.parametrize("name", ["oidn", "ours"])
 def test_openvino_in_bfloat16_changes_images_by_its_significand(name, native_bf16):
     """By as much as PyTorch's own bfloat16, up to a factor of two: layers round at other places."""
     by_torch = max(differences(name, EAGER, bf16=True))
@@ -76,20 +76,21 @@ def test_openvino_in_bfloat16_changes_images_by_its_significand(name, native_bf1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["oidn", "ours/lean", "ntas"])
+@pytest.mark.parametrize("name", ["oidn", "ours", "ntas"])
 def test_compile_changes_densities_and_images_by_rounding_only(name):
     assert max(differences(name, "compile")) < 1e-4
 
 
 def test_eager_leaves_a_method_as_it_is():
-    assert differences("ours/lean", EAGER) == [0.0] * 4
+    assert differences("ours", EAGER) == [0.0] * 4
 
 
 def test_networks_are_found_once_in_methods_and_in_wrapped_methods():
     def kinds(name: str) -> list[str]:
         return [type(net).__name__ for net in find_networks(registry.load_method(name, CPU))]
 
-    assert kinds("ours") == ["Sampler", "Encoder", "UNet"]  # the sampler is also an attribute
+    assert kinds("ours") == ["Sampler", "UNet"]  # the sampler is also an attribute
+    assert kinds("ours/latent") == ["Sampler", "Encoder", "UNet"]
     assert kinds("oidn/half") == ["UNet"]
     assert kinds("ntas") == ["Sampler", "FeatureUNet"]  # kernels are applied outside
     assert kinds("imcd") == ["UNet"]  # its encoder branches on values

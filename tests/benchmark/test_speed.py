@@ -38,8 +38,8 @@ def unet_multiply_adds(inputs: int, outputs: int) -> float:
 def table() -> pd.DataFrame:
     configurations = [
         Configuration("mean"),
-        Configuration("ours/lean"),
-        Configuration("ours/lean", "openvino"),
+        Configuration("ours"),
+        Configuration("ours", "openvino"),
         Configuration("oidn"),
     ]
     return measure_speed(configurations, SIZES, CPU, repeats=1)
@@ -52,15 +52,15 @@ def test_multiply_adds_are_those_of_the_layers():
 
 
 def test_parameters_are_those_on_the_model_card(table):
-    lean = table[table.method == "ours/lean"].iloc[0]
-    card = read_card(Path("methods/ours/cards/lean.safetensors"))
-    assert lean.parameters * 1e3 == pytest.approx(card.parameters)
+    ours = table[table.method == "ours"].iloc[0]
+    card = read_card(Path("methods/ours/cards/ours.safetensors"))
+    assert ours.parameters * 1e3 == pytest.approx(card.parameters)
     assert set(table[table.method == "mean"].parameters) == {0}
 
 
 def test_the_table_has_each_configuration_at_each_size(table):
     assert list(table.columns) == list(COLUMNS)
-    names = ["mean", "ours/lean", "ours/lean@openvino", "oidn"]
+    names = ["mean", "ours", "ours@openvino", "oidn"]
     assert list(table.method) == names * 2
     assert list(zip(table.height, table.width, strict=True)) == [s for s in SIZES for _ in names]
 
@@ -72,25 +72,25 @@ def test_the_parts_of_inference_add_up(table):
 
 
 def test_state_is_counted_per_pixel(table):
-    """Lean: radiance 3 + 1 + 1, image 3 and G-buffer 7 in single precision, and one mean spp."""
+    """Of ours: radiance 3 + 1 + 1, image 3 and G-buffer 7 in single precision, and one mean spp."""
     first = table[table.height == 48].set_index("method").state_bytes
     assert first["mean"] == first["oidn"] == 0
-    assert first["ours/lean"] == pytest.approx(15 * 4 + 4 / (48 * 64))
+    assert first["ours"] == pytest.approx(15 * 4 + 4 / (48 * 64))
 
 
 def test_memory_of_a_frame_is_that_of_its_largest_layers(table):
     """OIDN's first two layers are alive at once, with 32 channels each."""
     memory = table[(table.method == "oidn") & (table.height == 48)].memory_mb.item()
     assert 2 * 32 * 4 * 48 * 64 / 2**20 < memory < 20 * 32 * 4 * 48 * 64 / 2**20
-    assert math.isnan(table[table.method == "ours/lean@openvino"].memory_mb.iloc[0])
+    assert math.isnan(table[table.method == "ours@openvino"].memory_mb.iloc[0])
 
 
 def test_the_share_of_the_peak_is_work_over_time(table):
     oidn = table[table.method == "oidn"].iloc[0]
     rate = oidn.multiply_adds * 1e3 * 48 * 64 / (oidn.inference_ms / 1e3)
-    lean = table[table.method == "ours/lean"].iloc[0]
-    lean_rate = lean.multiply_adds * 1e3 * 48 * 64 / (lean.inference_ms / 1e3)
-    assert oidn.peak_share / lean.peak_share == pytest.approx(rate / lean_rate)
+    ours = table[table.method == "ours"].iloc[0]
+    our_rate = ours.multiply_adds * 1e3 * 48 * 64 / (ours.inference_ms / 1e3)
+    assert oidn.peak_share / ours.peak_share == pytest.approx(rate / our_rate)
     assert 0 < oidn.peak_share < 1.5  # of a matrix product measured at another moment
 
 
@@ -102,7 +102,7 @@ def test_the_page_shows_every_size_and_marks_times_that_are_not_to_be_believed(t
     assert "## 32 x 32" in page
     assert "| `mean`? |" in page
     assert "? `mean`: unreliable: the machine was busy" in page
-    assert page.count("`ours/lean@openvino`") == 2
+    assert page.count("`ours@openvino`") == 2
 
 
 def test_the_table_is_written_as_csv(table, tmp_path: Path):

@@ -18,7 +18,7 @@ from rlbench.benchmark.results import to_dataframe
 from tests.benchmark.regression.examples import baseline, rows
 
 SCHEMA = xmlschema.XMLSchema(Path(__file__).parent / "data" / "junit.xsd")
-GATE = SpeedGate("ours/lean", "ours", 0.9)
+GATE = SpeedGate("ours", "ours/latent", 0.9)
 
 
 @pytest.fixture
@@ -59,8 +59,8 @@ def test_a_failure_says_what_was_expected_measured_and_allowed(suite):
         "expected 30.000 dB, measured 29.000 dB (-1.000), allowed fall 0.050 dB"
     )
     assert failures["city at 2 spp"].message == "expected 30.000 dB, measured nothing"
-    assert failures["ours/lean / ours"].type == "slower"
-    assert "measured 1.000 [0.950, 1.050]" in failures["ours/lean / ours"].message
+    assert failures["ours / ours/latent"].type == "slower"
+    assert "measured 1.000 [0.950, 1.050]" in failures["ours / ours/latent"].message
 
 
 def test_failures_are_those_of_the_report_and_what_was_not_compared_is_skipped(suite, report):

@@ -20,7 +20,7 @@ from tests.conftest import write_plugin
 
 ZERO = PartTime(0.0, 0.0, 0.0)
 TIMING = Timing("clip", *(ZERO,) * 5, 30, 10, 0.0, 1.0, 1.0, 0.0, 0.0, 1)
-GATE = SpeedGate("ours/lean", "ours", 1.3)
+GATE = SpeedGate("ours", "oidn", 1.3)
 
 
 def timing(median, half_width=0.0, unreliable=""):
@@ -31,11 +31,11 @@ def timing(median, half_width=0.0, unreliable=""):
 @pytest.mark.parametrize(
     ("text", "gate"),
     [
-        ("ours/lean/oidn<=1.3", SpeedGate("ours/lean", "oidn", 1.3)),
+        ("ours/latent/oidn<=1.3", SpeedGate("ours/latent", "oidn", 1.3)),
         ("mean/oidn/tuned <= 2", SpeedGate("mean", "oidn/tuned", 2.0)),
         (" oidn/tuned / oidn<=1e0", SpeedGate("oidn/tuned", "oidn", 1.0)),
         ("ours@bf16/ours<=0.8", SpeedGate("ours@bf16", "ours", 0.8)),
-        ("ours@openvino-bf16/ours/lean<=1", SpeedGate("ours@openvino-bf16", "ours/lean", 1.0)),
+        ("ours@openvino-bf16/ours/latent<=1", SpeedGate("ours@openvino-bf16", "ours/latent", 1.0)),
     ],
 )
 def test_a_gate_names_two_rows_and_a_ratio(text, gate):

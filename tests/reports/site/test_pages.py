@@ -52,7 +52,10 @@ def test_a_card_is_on_the_page_of_its_weights(site, methods):
 
 
 def test_a_row_without_weights_says_how_to_train_them(site):
-    assert "`rlbench train -m ours/latent-reinforce` makes them" in site[0]["methods/ours/latent-reinforce.md"]
+    assert (
+        "`rlbench train -m ours/latent-reinforce` makes them"
+        in site[0]["methods/ours/latent-reinforce.md"]
+    )
 
 
 def test_a_picture_is_on_the_pages_of_the_methods_that_it_shows(site):
