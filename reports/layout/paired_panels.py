@@ -54,8 +54,8 @@ def draw_pair(measured: pd.DataFrame, published: pd.DataFrame, axis: Axis, capti
     left, right = figure.subplots(
         1, 2, width_ratios=[1.25, 1],
         gridspec_kw={
-            "left": 0.06, "right": 0.875, "top": 0.95, "bottom": footer / (HEIGHT + footer),
-            "wspace": 0.52,
+            "left": 0.06, "right": 0.85, "top": 0.95, "bottom": footer / (HEIGHT + footer),
+            "wspace": 0.62,
         },
     )  # fmt: skip
     measured = measured.dropna(subset=[axis.column])

@@ -46,16 +46,16 @@ def draw_sizes(latencies: pd.DataFrame, texts: Mapping[str, str], caption: str) 
     for axes, spp in zip(panels, budgets, strict=False):
         part = latencies[latencies["base_spp"] == spp]
         _draw_differences(axes, _rows(part, methods))
-        title = f"the time of {BASE} at {spp:g} spp:\n{part['deadline_ms'].iloc[0]:.3g} ms a frame"
+        title = f"the time of {BASE}\nat {spp:g} spp: {part['deadline_ms'].iloc[0]:.3g} ms a frame"
         axes.set_title(title, loc="left", fontweight="bold", fontsize=11.5)
-        axes.set_xlabel(f"PSNR minus that of {BASE} [dB]")
+        axes.set_xlabel(f"PSNR minus {BASE} [dB]")
     spp = nearest_budget(budgets, published().network_study.rows[0].spp)
     _draw_samples(panels[-1], _rows(latencies[latencies["base_spp"] == spp], methods))
     panels[-1].set_title(
-        f"samples at {spp:g} spp of {BASE};\nbar: here; diamond: paper", loc="left",
+        f"samples at {spp:g} spp;\nbar: here; diamond: paper", loc="left",
         fontweight="bold", fontsize=11.5,
     )  # fmt: skip
-    panels[-1].set_xlabel(f"share of the samples of {BASE}")
+    panels[-1].set_xlabel(f"share of those of {BASE}")
     labels = [f"{row}\n{texts[row]}" if texts[row] else row for row in methods]
     panels[0].set_yticks(range(len(methods)), labels, fontsize=9.5)
     panels[0].set_ylim(len(methods) - 0.4, -0.6)

@@ -15,10 +15,10 @@ from reports.analysis.comparability import ReportError, split_by_device
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import rows
 
-SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/small": '{"bptt": 1, "sampler": []}'}
+SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/latent-small": '{"bptt": 1, "sampler": []}'}
 
 
-def rows_with_configs(methods=("ours", "ours/small")):
+def rows_with_configs(methods=("ours", "ours/latent-small")):
     return [replace(r, config=SETTINGS[r.method]) for r in rows(methods)]
 
 
@@ -38,7 +38,7 @@ def page(tmp_path_factory):
 @pytest.fixture(scope="module")
 def records(results):
     return variant_differences.differences(
-        Scores(results), "ours", ["ours/small"], draws=200
+        Scores(results), "ours", ["ours/latent-small"], draws=200
     ).set_index(["method", "target_spp"])
 
 
@@ -63,11 +63,11 @@ def test_markdown_csv_and_latex_are_write_and_read(results, tmp_path):
 @pytest.mark.parametrize("spp", [0.5, 1, 2, 4, 8])
 def test_the_difference_is_that_of_the_formulas(records, spp):
     expected = 29.2 - 29.9 + (1.1 - 1.15) * math.log2(spp)
-    assert records.loc[("ours/small", spp), "difference"] == pytest.approx(expected)
+    assert records.loc[("ours/latent-small", spp), "difference"] == pytest.approx(expected)
 
 
 def test_every_clip_and_frame_is_a_pair(records):
-    row = records.loc[("ours/small", 4)]
+    row = records.loc[("ours/latent-small", 4)]
     assert (row["pairs"], row["unpaired"], row["units"]) == (4 * 2 * 4, 0, 4)
 
 
@@ -83,7 +83,7 @@ def test_the_interval_of_one_scene_is_over_its_clips():
 
 
 def test_the_time_difference_is_that_of_plan_and_denoise_at_equal_samples(records):
-    assert records.loc[("ours/small", 2), "frame_ms"] == pytest.approx(2.2 + 4.5 - 5.5 - 11.0)
+    assert records.loc[("ours/latent-small", 2), "frame_ms"] == pytest.approx(2.2 + 4.5 - 5.5 - 11.0)
 
 
 def test_scores_without_a_partner_are_left_out_and_listed(tmp_path):
@@ -91,7 +91,7 @@ def test_scores_without_a_partner_are_left_out_and_listed(tmp_path):
     outliers = [
         replace(r, seed=1, value=r.value + 50)
         for r in both
-        if r.method == "ours/small" and r.metric == "psnr"
+        if r.method == "ours/latent-small" and r.metric == "psnr"
     ]
     table = to_dataframe([*both, *outliers])
     row = (
@@ -100,7 +100,7 @@ def test_scores_without_a_partner_are_left_out_and_listed(tmp_path):
         .loc[1.0]
     )
     assert row["difference"] == pytest.approx(-0.7)
-    line = "- ours/small at 1 spp: 32 scores without a partner, 32 pairs"
+    line = "- ours/latent-small at 1 spp: 32 scores without a partner, 32 pairs"
     assert line in write_and_read(table, tmp_path)[0]
 
 
@@ -108,7 +108,7 @@ def test_scores_of_one_seed_are_paired():
     """The seeds differ by 10 dB, the variants by 1 dB: every pair of one seed differs by 1 dB."""
     base = [r for r in rows_with_configs(["ours"]) if r.metric == "psnr" and r.target_spp == 1]
     seeded = [replace(r, seed=s, value=10.0 * s) for r in base for s in (0, 1)]
-    more = [replace(r, method="ours/small", value=r.value + 1) for r in seeded]
+    more = [replace(r, method="ours/latent-small", value=r.value + 1) for r in seeded]
     scores = Scores(to_dataframe([*seeded, *more]))
     row = variant_differences.differences(scores, "ours", draws=100).iloc[0]
     assert (row["difference"], row["low"], row["high"]) == (1, 1, 1)
@@ -116,7 +116,7 @@ def test_scores_of_one_seed_are_paired():
 
 
 def test_a_difference_whose_interval_excludes_zero_is_bold(page):
-    assert all(cell.startswith("**-") for cell in cells(page, "PSNR minus", "ours/small")[:5])
+    assert all(cell.startswith("**-") for cell in cells(page, "PSNR minus", "ours/latent-small")[:5])
 
 
 def test_a_difference_whose_interval_includes_zero_is_not_bold(tmp_path):
@@ -128,16 +128,16 @@ def test_a_difference_whose_interval_includes_zero_is_not_bold(tmp_path):
 
 
 def test_the_published_difference_is_in_the_last_column(page):
-    assert cells(page, "PSNR minus", "ours/small")[-1] == "-1.4"  # 27.3 - 28.7
+    assert cells(page, "PSNR minus", "ours/latent-small")[-1] == "-1.4"  # 27.3 - 28.7
 
 
 def test_changed_settings_are_read_from_the_configs(page):
-    assert cells(page, "Changed settings", "ours/small")[-1] == "sampler: [4, 8] -> []"
+    assert cells(page, "Changed settings", "ours/latent-small")[-1] == "sampler: [4, 8] -> []"
 
 
 def test_equal_configs_have_no_changed_setting(results):
     assert (
-        variant_differences.config_changes(Scores(results), "ours/small", "ours")
+        variant_differences.config_changes(Scores(results), "ours/latent-small", "ours")
         == "no setting in the results"
     )
 
@@ -180,7 +180,7 @@ def test_a_family_without_variants_is_refused_with_the_names_of_others(results, 
         ablation.write(results, tmp_path, family="ntas")
 
 
-@pytest.mark.parametrize("methods", [["mean", "ntas"], ["ours/small"], []])
+@pytest.mark.parametrize("methods", [["mean", "ntas"], ["ours/latent-small"], []])
 def test_results_without_a_main_variant_and_another_are_refused(methods, tmp_path):
     table = to_dataframe(rows(methods))
     with pytest.raises(
@@ -190,7 +190,7 @@ def test_results_without_a_main_variant_and_another_are_refused(methods, tmp_pat
 
 
 def test_a_main_variant_on_another_device_is_no_partner():
-    split = rows(["ours"]) + rows(["ours/small"], device="H100")
+    split = rows(["ours"]) + rows(["ours/latent-small"], device="H100")
     devices = [Scores(part) for part in split_by_device(to_dataframe(split)).values()]
     with pytest.raises(MissingRowsError, match="on one device"):
         variant_differences.choose_family(devices)
@@ -199,14 +199,14 @@ def test_a_main_variant_on_another_device_is_no_partner():
 def test_budgets_that_a_variant_lacks_are_listed(tmp_path):
     table = [r for r in rows_with_configs() if r.method == "ours" or r.target_spp > 1]
     page = write_and_read(to_dataframe(table), tmp_path)[0]
-    assert "- ours/small at 0.5 spp: no score of it or of ours" in page
-    assert len(cells(page, "PSNR minus", "ours/small")) == 3 + 1  # 2, 4 and 8 spp, and the paper's
+    assert "- ours/latent-small at 0.5 spp: no score of it or of ours" in page
+    assert len(cells(page, "PSNR minus", "ours/latent-small")) == 3 + 1  # 2, 4 and 8 spp, and the paper's
 
 
 def test_variants_without_a_common_budget_are_listed(tmp_path):
     table = [r for r in rows_with_configs() if (r.method == "ours") == (r.target_spp > 1)]
     page = write_and_read(to_dataframe(table), tmp_path)[0]
-    assert page.count("- ours/small at") == 5
+    assert page.count("- ours/latent-small at") == 5
 
 
 def test_published_variants_that_were_not_measured_are_listed(page):
@@ -230,7 +230,7 @@ def test_without_times_the_scores_are_still_written(tmp_path):
     page = write_and_read(
         to_dataframe([r for r in rows_with_configs() if r.unit != "ms"]), tmp_path
     )[0]
-    assert cells(page, "Frame time", "ours/small") == ["-"] * 5
+    assert cells(page, "Frame time", "ours/latent-small") == ["-"] * 5
     assert "Cost of a sample: not measured" in page
 
 
@@ -238,7 +238,7 @@ def test_the_csv_has_a_row_for_each_variant_and_budget(results, tmp_path):
     ablation.write(results, tmp_path, draws=10)
     csv = pd.read_csv(tmp_path / "ablation.csv")
     assert csv[["method", "target_spp"]].to_numpy().tolist() == [
-        ["ours/small", spp] for spp in (0.5, 1, 2, 4, 8)
+        ["ours/latent-small", spp] for spp in (0.5, 1, 2, 4, 8)
     ]
 
 

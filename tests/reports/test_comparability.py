@@ -19,7 +19,7 @@ def test_two_devices_are_refused():
 
 def test_a_clip_of_two_presets_is_refused():
     one = [replace(row, preset="mini") for row in rows(["ours"])]
-    other = [replace(row, preset="standard") for row in rows(["ours/small"])]
+    other = [replace(row, preset="standard") for row in rows(["ours/latent-small"])]
     with pytest.raises(ReportError, match=r"city-0 .* 2 presets \(mini, standard\)"):
         check_comparable(to_dataframe(one + other))
 

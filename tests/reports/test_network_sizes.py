@@ -102,8 +102,12 @@ def test_no_text_of_the_figure_leaves_it_or_meets_another(latencies):
         figure.draw_without_rendering()
         boxes = [axes.get_tightbbox() for axes in figure.axes]
     assert all(box.x0 >= 0 and box.x1 <= figure.bbox.x1 and box.y0 >= 0 for box in boxes)
-    numbers = [text.get_window_extent() for axes in figure.axes for text in axes.texts]
-    assert not any(a.overlaps(b) for a, b in combinations(numbers, 2))
+    numbers = [text for axes in figure.axes for text in axes.texts]
+    titles = [axes._left_title for axes in figure.axes]
+    labels = [axes.xaxis.label for axes in figure.axes]
+    assert all(text.get_text() for text in (*titles, *labels))
+    texts = [text.get_window_extent() for text in (*numbers, *titles, *labels)]
+    assert not any(a.overlaps(b) for a, b in combinations(texts, 2))
 
 
 def test_the_files_of_the_figure_are_written(rows, tmp_path):

@@ -148,7 +148,7 @@ def test_methods_below_the_window_are_named(figure):
 def test_names_stand_beside_the_first_panel_in_the_order_of_the_last_values(figure):
     names = [t for t in figure.axes[0].texts if t.get_text().partition(" ")[0] in METHODS]
     names.sort(key=lambda text: -text.get_position()[1])
-    expected = ["ours", "ours/small", "ntas", "oidn", "mean"]
+    expected = ["ours", "ours/latent-small", "ntas", "oidn", "mean"]
     assert [text.get_text().partition(" ")[0] for text in names] == expected
     assert [t.get_text() for t in figure.axes[1].texts] == ["1 below the axis"]
 
@@ -172,7 +172,7 @@ def test_no_two_titles_of_a_panel_touch(figure):
 def test_the_front_has_the_best_method_for_each_time(results):
     points = pareto.plotted_points(Scores(results))
     front = points[points["front"] & (points["scene"] == OVERALL)].sort_values("frame_ms")
-    assert front["method"].tolist()[:2] == ["mean", "ours/small"]
+    assert front["method"].tolist()[:2] == ["mean", "ours/latent-small"]
     assert (front["value"].diff().dropna() > 0).all()
     assert front["method"].iloc[-1] == "ours"
 

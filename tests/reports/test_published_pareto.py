@@ -15,19 +15,19 @@ from reports.analysis.aggregate import Scores
 from reports.layout import paired_panels, style
 from reports.published import published
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
-from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, rows
+from tests.reports.conftest import METHODS, SAMPLE_MS, SCENES, as_published, rows
 
 OFFSET = sum(SCENES.values()) / 4
 
 
 @pytest.fixture(scope="module")
-def figures(results):
-    return published_pareto.draw_figures(Scores(results, device="a GPU"))
+def figures(published_results):
+    return published_pareto.draw_figures(Scores(published_results, device="a GPU"))
 
 
 @pytest.fixture(scope="module")
-def files(results, tmp_path_factory):
-    return published_pareto.write(results, tmp_path_factory.mktemp("paper"))
+def files(published_results, tmp_path_factory):
+    return published_pareto.write(published_results, tmp_path_factory.mktemp("paper"))
 
 
 def points(axes, method, face):
@@ -51,9 +51,9 @@ def test_two_figures_and_a_csv_of_their_points_are_written(files):
     assert all(file.stat().st_size > 1000 for file in files)
 
 
-@pytest.mark.parametrize("method", ["ours", "oidn"])
+@pytest.mark.parametrize("method", ["ours/latent", "oidn"])
 def test_the_left_panel_has_the_measured_points_filled(figures, method):
-    start, slope, plan, denoise = METHODS[method]
+    start, slope, plan, denoise = METHODS["ours" if method == "ours/latent" else method]
     budgets = np.array([0.5, 1, 2, 4, 8])
     measured = points(figures["time"].axes[0], method, "filled")
     sampling = 0.99 * budgets * sum(SAMPLE_MS.values()) / 4
@@ -65,7 +65,7 @@ def test_the_left_panel_has_the_measured_points_filled(figures, method):
     ("axis", "method", "expected"),
     [
         ("spp", "ntas", [(4, 27.7)]),
-        ("spp", "ours", [(2, 28.2), (4, 28.7)]),
+        ("spp", "ours/latent", [(2, 28.2), (4, 28.7)]),
         ("time", "ntas", [(17.4 + 4 * 26.3, 27.7)]),
         ("time", "mean", [(4 * 26.3, 17.0)]),
     ],
@@ -94,12 +94,12 @@ def test_no_labels_overlap_or_cross_the_edge(figures, axis, panel):
     assert all(box.x1 < edge for box in boxes)
 
 
-def test_points_below_the_panel_are_named_and_do_not_stretch_it(results):
-    low = results[results["method"] == "mean"].copy()
+def test_points_below_the_panel_are_named_and_do_not_stretch_it(published_results):
+    is_mean = published_results["method"] == "mean"
+    low = published_results[is_mean].copy()
     low.loc[low["metric"] == "psnr", "value"] = 1.0
     low.loc[low["metric"] == "frame_ms", "value"] = 0.01
-    others = results[results["method"] != "mean"]
-    scores = Scores(pd.concat([others, low]))
+    scores = Scores(pd.concat([published_results[~is_mean], low]))
     left = published_pareto.draw_figures(scores)["time"].axes[0]
     assert "below the axis: mean from 1.0" in [text.get_text() for text in left.texts]
     assert left.get_xlim()[0] > 0.1
@@ -111,7 +111,7 @@ def caption(figure):
 
 def test_methods_that_the_paper_lacks_are_named_in_the_caption():
     other = [replace(r, method="eaw") for r in rows(["ours"])]
-    scores = Scores(to_dataframe([*rows(["ours"]), *other]))
+    scores = Scores(to_dataframe([*as_published(rows(["ours"])), *other]))
     figures = published_pareto.draw_figures(scores)
     assert "not in the paper or not on every scene: eaw." in caption(figures["spp"])
 
@@ -122,11 +122,12 @@ def test_the_caption_of_times_names_device_and_cost(figures, text):
 
 
 def test_without_times_the_budgets_are_still_drawn():
-    timeless = to_dataframe([r for r in rows(["ours", "mean"]) if r.unit != "ms"])
+    table = as_published(rows(["ours", "mean"]))
+    timeless = to_dataframe([r for r in table if r.unit != "ms"])
     figures = published_pareto.draw_figures(Scores(timeless))
     assert [t.get_text() for t in figures["time"].axes[0].texts] == ["no times were measured"]
-    assert "Without a time: mean, ours." in caption(figures["time"])
-    assert len(points(figures["spp"].axes[0], "ours", "filled")) == 5
+    assert "Without a time: mean, ours/latent." in caption(figures["time"])
+    assert len(points(figures["spp"].axes[0], "ours/latent", "filled")) == 5
 
 
 def test_the_csv_has_measured_and_published_points(files):
@@ -136,7 +137,7 @@ def test_the_csv_has_measured_and_published_points(files):
 
 @pytest.mark.slow  # twelve files
 def test_each_device_has_figures_of_its_own(tmp_path):
-    mixed = to_dataframe(rows(["ours"]) + rows(["ntas"], device="H100"))
+    mixed = to_dataframe(as_published(rows(["ours"])) + rows(["ntas"], device="H100"))
     names = {file.name for file in published_pareto.write(mixed, tmp_path) if file.suffix == ".png"}
     assert {"paper-spp-h100.png", "paper-time-nvidia-rtx-2080-ti.png"} < names
 

@@ -11,7 +11,7 @@ from reports.layout.step_bars import draw_steps
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
 from tests.reports.conftest import METHODS, rows
 
-NAMES = {"oidn": "oidn", "ntas": "accumulate", "ours/small": "ours/lean", "ours": "ours"}
+NAMES = {"oidn": "oidn", "ntas": "accumulate", "ours/latent-small": "ours", "ours": "ours/latent"}
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +27,8 @@ def steps(table):
 
 def test_rows_that_were_not_scored_are_passed_over(steps):
     single = steps[(steps["target_spp"] == 1) & (steps["step"] != "all")]
-    assert single["before"].tolist() == ["oidn", "accumulate", "ours/lean"]
-    assert single["method"].tolist() == ["accumulate", "ours/lean", "ours"]
+    assert single["before"].tolist() == ["oidn", "accumulate", "ours"]
+    assert single["method"].tolist() == ["accumulate", "ours", "ours/latent"]
 
 
 def test_a_step_is_the_paired_difference(steps):
@@ -56,7 +56,7 @@ def test_a_page_and_a_figure_are_written(table, tmp_path):
     assert [f.suffix for f in files] == [".md", ".csv", ".tex", ".png", ".pdf", ".svg"]
     page = files[0].read_text()
     assert "| accumulate - oidn |" in page
-    assert "| all: ours - oidn |" in page
+    assert "| all: ours/latent - oidn |" in page
     assert len(pd.read_csv(files[1])) == 4 * 5
 
 

@@ -100,12 +100,12 @@ def test_a_longer_deadline_changes_nothing_beyond_the_dotted_line(three):
 
 
 def test_colours_are_those_of_the_pareto_plot():
-    methods = ["ours", "ours/small", "ntas", "mine"]
+    methods = ["ours", "ours/latent-small", "ntas", "mine"]
     colours = method_colours(methods, methods)
     styles = style.line_styles(methods)
     for name in ("ours", "ntas", "mine"):
         assert colours[name] == pytest.approx(to_rgb(styles[name].color))
-    assert sum(colours["ours/small"]) > sum(colours["ours"])  # a lighter one
+    assert sum(colours["ours/latent-small"]) > sum(colours["ours"])  # a lighter one
     assert len(set(colours.values())) == len(methods)
 
 

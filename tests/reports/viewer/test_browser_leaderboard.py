@@ -43,12 +43,12 @@ def test_rows_are_ranked_filtered_and_linked_to_their_pages(browser, address):
     def names():
         return [row.get_attribute("data-row") for row in page.query_selector_all("tr[data-row]")]
 
-    assert names() == ["ours", "ours/small", "ntas", "oidn", "mean"]  # at 1 spp, best first
+    assert names() == ["ours", "ours/latent-small", "ntas", "oidn", "mean"]  # at 1 spp, best first
     page.click("[data-filter=adaptive]")
-    assert names() == ["ours", "ours/small", "ntas"]
+    assert names() == ["ours", "ours/latent-small", "ntas"]
     page.click("[data-sort=method]")
-    assert names() == ["ntas", "ours", "ours/small"]
-    assert page.get_attribute('tr[data-row="ours/small"] a', "href") == "../../methods/ours/small/"
+    assert names() == ["ntas", "ours", "ours/latent-small"]
+    assert page.get_attribute('tr[data-row="ours/latent-small"] a', "href") == "../../methods/ours/latent-small/"
     page.close()
     assert problems == []
     origin = address.removesuffix("leaderboard/mini/")
