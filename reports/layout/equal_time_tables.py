@@ -48,13 +48,14 @@ def half_table(records: pd.DataFrame, base: Curve) -> Table:
 
 
 def _published_row(base: str) -> tuple[str, ...] | None:
-    """The headline of the paper in the same columns; None for a method that it does not have."""
-    paper = published()
-    half = next((p for p in paper.points() if p.row == base and 2 * p.spp == paper.spp), None)
-    method = paper.find(base)
+    """The headline of the paper in the same columns; None for a base of another family."""
+    paper, family = published(), family_of(base)
+    points = [point for point in paper.points() if family_of(point.row) == family]
+    half = next((point for point in points if 2 * point.spp == paper.spp), None)
+    method = half and paper.find(half.row)
     if half is None or method is None:
         return None
-    rivals = [row for row in paper.table if family_of(row.row) != family_of(base)]
+    rivals = [row for row in paper.table if family_of(row.row) != family]
     rival = max(rivals, key=lambda row: row.psnr_db)
     frame_ms = method.inference_ms + half.spp * paper.sample_ms
     rival_ms = rival.inference_ms + paper.spp * paper.sample_ms

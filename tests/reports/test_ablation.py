@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import replace
 
@@ -13,9 +14,12 @@ from reports.analysis import variant_differences
 from reports.analysis.aggregate import Scores
 from reports.analysis.comparability import ReportError, split_by_device
 from rlbench.benchmark.results import MissingRowsError, to_dataframe
-from tests.reports.conftest import rows
+from tests.reports.conftest import SCENES, rows
 
-SETTINGS = {"ours": '{"bptt": 1, "sampler": [4, 8]}', "ours/latent-small": '{"bptt": 1, "sampler": []}'}
+SETTINGS = {
+    "ours": '{"bptt": 1, "sampler": [4, 8]}',
+    "ours/latent-small": '{"bptt": 1, "sampler": []}',
+}
 
 
 def rows_with_configs(methods=("ours", "ours/latent-small")):
@@ -24,6 +28,15 @@ def rows_with_configs(methods=("ours", "ours/latent-small")):
 
 def rename_method(table, method):
     return [replace(r, method=method) for r in table]
+
+
+def copies(*methods):
+    """The rows of `ours` under each of these names."""
+    return [r for method in methods for r in rename_method(rows(["ours"]), method)]
+
+
+def differences(scores, draws):
+    return variant_differences.differences(scores, "ours", ["ours/latent-small"], draws=draws)
 
 
 def write_and_read(table, folder, **options):
@@ -37,9 +50,7 @@ def page(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def records(results):
-    return variant_differences.differences(
-        Scores(results), "ours", ["ours/latent-small"], draws=200
-    ).set_index(["method", "target_spp"])
+    return differences(Scores(results), draws=200).set_index(["method", "target_spp"])
 
 
 def cells(page, title, start):
@@ -73,17 +84,15 @@ def test_every_clip_and_frame_is_a_pair(records):
 
 def test_the_interval_of_one_scene_is_over_its_clips():
     city = to_dataframe([r for r in rows_with_configs() if r.scene == "city"])
-    row = (
-        variant_differences.differences(Scores(city), "ours", draws=500)
-        .set_index("target_spp")
-        .loc[1.0]
-    )
+    row = differences(Scores(city), draws=500).set_index("target_spp").loc[1.0]
     half = 12.7062 * 0.06  # Student's t of its two clips, which have -0.76 and -0.64
     assert (row["low"], row["high"]) == pytest.approx((-0.7 - half, -0.7 + half), rel=1e-4)
 
 
 def test_the_time_difference_is_that_of_plan_and_denoise_at_equal_samples(records):
-    assert records.loc[("ours/latent-small", 2), "frame_ms"] == pytest.approx(2.2 + 4.5 - 5.5 - 11.0)
+    assert records.loc[("ours/latent-small", 2), "frame_ms"] == pytest.approx(
+        2.2 + 4.5 - 5.5 - 11.0
+    )
 
 
 def test_scores_without_a_partner_are_left_out_and_listed(tmp_path):
@@ -94,11 +103,7 @@ def test_scores_without_a_partner_are_left_out_and_listed(tmp_path):
         if r.method == "ours/latent-small" and r.metric == "psnr"
     ]
     table = to_dataframe([*both, *outliers])
-    row = (
-        variant_differences.differences(Scores(table), "ours", draws=10)
-        .set_index("target_spp")
-        .loc[1.0]
-    )
+    row = differences(Scores(table), draws=10).set_index("target_spp").loc[1.0]
     assert row["difference"] == pytest.approx(-0.7)
     line = "- ours/latent-small at 1 spp: 32 scores without a partner, 32 pairs"
     assert line in write_and_read(table, tmp_path)[0]
@@ -110,13 +115,15 @@ def test_scores_of_one_seed_are_paired():
     seeded = [replace(r, seed=s, value=10.0 * s) for r in base for s in (0, 1)]
     more = [replace(r, method="ours/latent-small", value=r.value + 1) for r in seeded]
     scores = Scores(to_dataframe([*seeded, *more]))
-    row = variant_differences.differences(scores, "ours", draws=100).iloc[0]
+    row = differences(scores, draws=100).iloc[0]
     assert (row["difference"], row["low"], row["high"]) == (1, 1, 1)
     assert row["pairs"] == 64
 
 
 def test_a_difference_whose_interval_excludes_zero_is_bold(page):
-    assert all(cell.startswith("**-") for cell in cells(page, "PSNR minus", "ours/latent-small")[:5])
+    assert all(
+        cell.startswith("**-") for cell in cells(page, "PSNR minus", "ours/latent-small")[:5]
+    )
 
 
 def test_a_difference_whose_interval_includes_zero_is_not_bold(tmp_path):
@@ -127,8 +134,73 @@ def test_a_difference_whose_interval_includes_zero_is_not_bold(tmp_path):
     assert "**" not in page
 
 
-def test_the_published_difference_is_in_the_last_column(page):
-    assert cells(page, "PSNR minus", "ours/latent-small")[-1] == "-1.4"  # 27.3 - 28.7
+def test_the_published_difference_is_in_the_last_column(tmp_path):
+    table = [*rows(("ours", "ours/latent-small")), *copies("ours/latent")]
+    page = write_and_read(to_dataframe(table), tmp_path)[0]
+    row = cells(page, "PSNR minus that of ours/latent", "ours/latent-small")
+    assert row[-1] == "-1.4"  # 27.3 - 28.7
+    assert len(row) == 5 + 1
+    assert len(cells(page, "PSNR minus that of ours\n", "ours/latent")) == 5  # no such row in print
+
+
+def test_a_variant_of_a_part_is_compared_with_the_part_where_that_was_scored():
+    scored = ["ours/latent-sampler-small", "ours/latent-A1", "ours/latent", "ours/A1", "ours"]
+    assert variant_differences.group_by_base(scored) == {
+        "ours": ["ours/A1", "ours/latent"],
+        "ours/latent": ["ours/latent-A1", "ours/latent-sampler-small"],
+    }
+
+
+def test_a_variant_of_a_part_is_compared_with_the_main_variant_if_the_part_was_not_scored():
+    scored = ["ours/paper-A1", "ours/by-rule", "ours", "ours/latent-A1"]
+    assert variant_differences.group_by_base(scored) == {
+        "ours": ["ours/by-rule", "ours/latent-A1", "ours/paper-A1"]
+    }
+
+
+def test_a_page_has_tables_for_each_row_that_others_change(tmp_path):
+    methods = ("ours", "ours/A1", "ours/latent", "ours/latent-A1", "ours/paper", "ours/paper-A1")
+    page, csv, _ = write_and_read(to_dataframe(copies(*methods)), tmp_path)
+    bases = ("ours", "ours/latent", "ours/paper")
+    titles = ("PSNR minus that of {}", "Frame time minus that of {}")
+    titles = (*titles, "Changed settings of {}, and pairs")
+    headings = [line[4:] for line in page.splitlines() if line.startswith("### ")]
+    assert headings[:9] == [title.format(base) for title in titles for base in bases]
+    records = pd.read_csv(io.StringIO(csv))
+    assert dict(zip(records["method"], records["base"], strict=True)) == {
+        "ours/A1": "ours",
+        "ours/latent": "ours",
+        "ours/paper": "ours",
+        "ours/latent-A1": "ours/latent",
+        "ours/paper-A1": "ours/paper",
+    }
+
+
+def test_the_score_of_a_variant_of_a_part_is_subtracted_from_that_of_the_part(tmp_path):
+    """The part is 2 dB better than the main variant, its variant 3 dB better."""
+    shift = {"ours": 0.0, "ours/latent": 2.0, "ours/latent-A1": 3.0}
+    scores = [r for r in copies(*shift) if r.metric == "psnr"]
+    table = [replace(r, value=r.value + shift[r.method]) for r in scores]
+    page = write_and_read(to_dataframe(table), tmp_path / "with")[0]
+    assert cells(page, "PSNR minus that of ours\n", "ours/latent")[0].startswith("**+2.00 ")
+    assert cells(page, "PSNR minus that of ours/latent", "ours/latent-A1")[0].startswith("**+1.00 ")
+    without = [r for r in table if r.method != "ours/latent"]
+    page = write_and_read(to_dataframe(without), tmp_path / "without")[0]
+    assert cells(page, "PSNR minus that of ours\n", "ours/latent-A1")[0].startswith("**+3.00 ")
+
+
+def test_differences_to_all_bases_are_corrected_together(tmp_path):
+    """Three proportional differences have one p, so Holm's factor is their number for all."""
+    shift = {"ours": 0, "ours/A1": 1, "ours/latent": 2, "ours/latent-A1": 3}
+    table = [r for r in copies(*shift) if r.metric == "psnr" and r.target_spp == 1]
+    shifted = [
+        replace(r, value=r.value + shift[r.method] * (3 + 0.1 * SCENES[r.scene])) for r in table
+    ]
+    write_and_read(to_dataframe(shifted), tmp_path)
+    records = pd.read_csv(tmp_path / "ablation.csv")
+    assert sorted(records["base"]) == ["ours", "ours", "ours/latent"]
+    assert 0 < records["p_holm"].max() < 0.01
+    assert records["p_holm"].tolist() == pytest.approx(list(3 * records["p_value"]), rel=1e-6)
 
 
 def test_changed_settings_are_read_from_the_configs(page):
@@ -200,7 +272,7 @@ def test_budgets_that_a_variant_lacks_are_listed(tmp_path):
     table = [r for r in rows_with_configs() if r.method == "ours" or r.target_spp > 1]
     page = write_and_read(to_dataframe(table), tmp_path)[0]
     assert "- ours/latent-small at 0.5 spp: no score of it or of ours" in page
-    assert len(cells(page, "PSNR minus", "ours/latent-small")) == 3 + 1  # 2, 4 and 8 spp, and the paper's
+    assert len(cells(page, "PSNR minus", "ours/latent-small")) == 3  # 2, 4 and 8 spp
 
 
 def test_variants_without_a_common_budget_are_listed(tmp_path):
@@ -210,7 +282,7 @@ def test_variants_without_a_common_budget_are_listed(tmp_path):
 
 
 def test_published_variants_that_were_not_measured_are_listed(page):
-    assert "- ours-B1, in rlbench ours/B1\n" in page
+    assert "- ours-B1, in rlbench ours/latent-B1\n" in page
     assert "ours-small, in rlbench" not in page
 
 
@@ -226,12 +298,24 @@ def test_results_of_two_weights_are_refused(tmp_path):
         ablation.write(to_dataframe(table), tmp_path)
 
 
-def test_without_times_the_scores_are_still_written(tmp_path):
-    page = write_and_read(
-        to_dataframe([r for r in rows_with_configs() if r.unit != "ms"]), tmp_path
-    )[0]
-    assert cells(page, "Frame time", "ours/latent-small") == ["-"] * 5
-    assert "Cost of a sample: not measured" in page
+def test_without_times_no_time_table_is_written(page, tmp_path):
+    timeless = [r for r in rows_with_configs() if r.unit != "ms"]
+    without = write_and_read(to_dataframe(timeless), tmp_path)[0]
+    title = "### Frame time minus that of ours\n"
+    assert title in page
+    assert title not in without
+    assert "frame time" not in without.lower()
+    psnr = [cells(text, "PSNR minus", "ours/latent-small") for text in (page, without)]
+    assert psnr[0] == psnr[1]
+
+
+def test_a_base_without_times_has_no_time_table_beside_one_that_has(tmp_path):
+    table = copies("ours", "ours/A1", "ours/latent", "ours/latent-A1")
+    some = [r for r in table if r.unit != "ms" or not r.method.startswith("ours/latent")]
+    page = write_and_read(to_dataframe(some), tmp_path)[0]
+    assert "### Frame time minus that of ours\n" in page
+    assert "### Frame time minus that of ours/latent\n" not in page
+    assert "### PSNR minus that of ours/latent\n" in page
 
 
 def test_the_csv_has_a_row_for_each_variant_and_budget(results, tmp_path):

@@ -135,6 +135,12 @@ def test_the_page_has_every_table_and_the_paper_as_a_row(page):
     assert [file.suffix for file in page] == [".md", ".csv", ".tex"]
 
 
+def test_the_papers_row_is_for_a_base_of_its_family_alone(results, tmp_path):
+    text = equal_time.write(results, tmp_path, base="ntas", draws=100)[0].read_text()
+    assert "ntas against the best method of another family" in text
+    assert "| paper: " not in text
+
+
 def test_the_csv_has_the_numbers_of_every_table(page):
     tables = pd.read_csv(page[1])["table"].unique()
     assert set(tables) == {

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from reports.layout.style import FAMILY_COLOURS, line_styles, slug
 
-METHODS = ["ours", "ours/A1", "ours/A2", "ours/latent-small", "ntas", "oidn", "mean", "x", "y/b", "y", "z"]
+METHODS = [
+    "ours",
+    "ours/A1",
+    "ours/A2",
+    "ours/latent-small",
+    "ntas",
+    "oidn",
+    "mean",
+    "x",
+    "y/b",
+    "y",
+    "z",
+]
 
 
 def test_a_family_has_one_colour_in_all_figures():

@@ -48,7 +48,9 @@ def test_a_mean_over_scenes_is_unreliable_if_one_scene_is():
 
 def test_an_unreliable_point_is_never_on_the_front():
     points = pareto.plotted_points(Scores(busy()))
-    trusted = pareto.plotted_points(Scores(to_dataframe(rows(("ours", "ours/latent-small", "oidn")))))
+    trusted = pareto.plotted_points(
+        Scores(to_dataframe(rows(("ours", "ours/latent-small", "oidn"))))
+    )
     for scene in ("hall", OVERALL):
         of_ours = (points["method"] == "ours") & (points["scene"] == scene)
         assert trusted.loc[of_ours, "front"].any()
@@ -82,7 +84,9 @@ def test_tables_mark_the_time_and_give_the_reason(report, tmp_path):
     assert "### Unreliable times" in page
     assert "inference_ms of ours on hall at 0.5, 1, 2, 4, 8 spp: the machine was busy" in page
     line = next(
-        x for x in page.splitlines() if x.startswith(("| ours |", "| ours/latent-small |")) and "?" in x
+        x
+        for x in page.splitlines()
+        if x.startswith(("| ours |", "| ours/latent-small |")) and "?" in x
     )
     assert "?" in line
 
@@ -95,7 +99,8 @@ def test_reliable_results_mark_nothing(results, tmp_path):
 
 def test_the_papers_figure_names_unreliable_times():
     caption = "".join(
-        text.get_text() for text in published_pareto.draw_figures(Scores(busy("oidn")))["time"].texts
+        text.get_text()
+        for text in published_pareto.draw_figures(Scores(busy("oidn")))["time"].texts
     )
     assert "Unreliable times, measured on a busy machine: oidn." in caption
 

@@ -48,7 +48,10 @@ def test_rows_are_ranked_filtered_and_linked_to_their_pages(browser, address):
     assert names() == ["ours", "ours/latent-small", "ntas"]
     page.click("[data-sort=method]")
     assert names() == ["ntas", "ours", "ours/latent-small"]
-    assert page.get_attribute('tr[data-row="ours/latent-small"] a', "href") == "../../methods/ours/latent-small/"
+    assert (
+        page.get_attribute('tr[data-row="ours/latent-small"] a', "href")
+        == "../../methods/ours/latent-small/"
+    )
     page.close()
     assert problems == []
     origin = address.removesuffix("leaderboard/mini/")
