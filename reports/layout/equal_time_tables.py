@@ -52,7 +52,7 @@ def _published_row(base: str) -> tuple[str, ...] | None:
     paper, family = published(), family_of(base)
     points = [point for point in paper.points() if family_of(point.row) == family]
     half = next((point for point in points if 2 * point.spp == paper.spp), None)
-    method = half and paper.find(half.row)
+    method = paper.find(half.row) if half else None
     if half is None or method is None:
         return None
     rivals = [row for row in paper.table if family_of(row.row) != family]
