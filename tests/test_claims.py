@@ -127,9 +127,7 @@ CLAIMS: dict[str, Callable[[], None]] = {
     ),
     "Where the deadline leaves time for a network, most winners have memory and density by rule "
     "(`accumulate/contrast`), or our networks and a density by rule "
-    "(`ours/latent-by-rule`, in the figure under its former name)": (
-        check_who_wins
-    ),
+    "(`ours/latent-by-rule`, in the figure under its former name)": (check_who_wins),
     "with twice the work, ties with `ours` on 48 unseen scenes": check_latent_ties,
     "in the frame time of `ours/latent` at 1 spp, `ours` leads by 0.86 dB": (
         check_ours_leads_latent_at_equal_time
