@@ -73,7 +73,8 @@ def write(
             for base, part in records.groupby("base", sort=False)
             if (table := make_table(scores, part, str(base)))
         ]
-        sections.append(Section(part.device, tables, records, _lists(scores, records, family)))
+        lists = _lists(scores, records, family, groups)
+        sections.append(Section(part.device, tables, records, lists))
     title = f"Ablations of {family}" + (f", rows @{label}" if label else "")
     return write_page(folder, name, title, results, sections)
 
@@ -128,7 +129,9 @@ def _config_table(scores: Scores, records: pd.DataFrame, base: str) -> Table:
     return Table(f"Changed settings of {base}, and pairs", caption, (*header, "settings"), lines)
 
 
-def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list[str]]:
+def _lists(
+    scores: Scores, records: pd.DataFrame, family: str, groups: dict[str, list[str]]
+) -> dict[str, list[str]]:
     rows: list[dict[str, Any]] = [dict(row) for _, row in records.iterrows()]
     unpaired = [
         "{method} at {target_spp:g} spp: {unpaired} scores without a partner, {pairs} pairs".format(
@@ -140,7 +143,7 @@ def _lists(scores: Scores, records: pd.DataFrame, family: str) -> dict[str, list
     compared = {(row["method"], row["target_spp"]) for row in rows}
     missing = [
         f"{method} at {spp:g} spp: no score of it or of {base}"
-        for base, methods in group_by_base([family, *families_with_scores(scores)[family]]).items()
+        for base, methods in groups.items()
         for method in methods
         for spp in sorted(set(scores.measured["target_spp"]))
         if (method, spp) not in compared
